@@ -15,15 +15,16 @@
 """
 Online optimal placement of depth cameras in indoor rooms.
 
-``plan`` and ``score`` do what ``ocp plan`` and ``ocp score`` do; docs/tasks/python.md shows them.
+``plan`` and ``score`` are the functions behind ``ocp plan`` and ``ocp score``; see
+docs/tasks/python.md.
 """
 
 from importlib import import_module
 from typing import Any
 
 __version__ = '0.1.0'
-#: What is here under its own name, and the module that it is imported from when it is asked for:
-#: the engine takes seconds to import.
+#: Public names and the modules from which they are imported at first use: the engine takes seconds
+#: to import.
 _HOMES = {
     'plan': 'api', 'score': 'api',
     'PlanResult': 'api', 'ScoreResult': 'api',
@@ -35,12 +36,12 @@ __all__ = ['__version__', *_HOMES]  # noqa: PLE0604
 
 
 def __getattr__(name: str) -> Any:
-    """Import what is asked for by its name."""
+    """Import a public name at its first use."""
     if name not in _HOMES:
         raise AttributeError(f'module {__name__!r} has no attribute {name!r}')
     return getattr(import_module(f'{__name__}.{_HOMES[name]}'), name)
 
 
 def __dir__() -> list[str]:
-    """Return what can be asked for, imported or not."""
+    """Return all public names, imported or not."""
     return sorted({*globals(), *_HOMES})

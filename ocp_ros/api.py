@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp_ros.plan`` and ``ocp_ros.score``: what the commands do, in one call of Python."""
+"""``ocp_ros.plan`` and ``ocp_ros.score``: Python functions for ``ocp plan`` and ``ocp score``."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -52,23 +52,24 @@ from ocp_ros.util.yaml_files import check, Document
 
 RoomLike: TypeAlias = str | PathLike[str] | int | Scene | ArrayLike
 RigLike: TypeAlias = str | PathLike[str] | Mapping[str, Any] | Rig
-#: What counting cameras goes by, and the number that asks for it.
+#: Quantities by which cameras are counted, and the value of ``cameras`` that asks for counting.
 BY, AUTO = ('error', 'seen', 'coverage'), 'auto'
 
 
 @dataclass(frozen=True, eq=False)
 class ScoreResult:
     """
-    How good a placement is; ``print`` shows what ``ocp score`` prints.
+    The scores of a placement; ``print`` shows the output of ``ocp score``.
 
-    :ivar placement: where the cameras hang, the rig and the room.
-    :ivar loss: what planners minimise.
+    :ivar placement: the poses of the cameras, the rig and the record of the room.
+    :ivar loss: objective value, which planners minimise.
     :ivar depth_error: metres.
     :ivar space_coverage: cubic metres.
-    :ivar seen: share of the points that as many cameras see as the rig asks for.
-    :ivar broken: a sentence for each constraint that is broken.
-    :ivar notes: a sentence for each thing that makes the room or the answer doubtful.
-    :ivar assessment: the room, the engine and all figures, for reports.
+    :ivar seen: share of the points that are visible to at least as many cameras as the rig asks
+        for.
+    :ivar broken: a sentence for each violated constraint.
+    :ivar notes: a sentence for each reason to doubt the room or the result.
+    :ivar assessment: the room, the engine and all results, for reports.
     """
 
     placement: Placement
@@ -82,12 +83,12 @@ class ScoreResult:
 
     @property
     def poses(self) -> np.ndarray:
-        """Return the cameras that were placed: (K, 6) metres, map frame, and radians."""
+        """Return the poses of the placed cameras: (K, 6) metres, map frame, and radians."""
         return self.placement.poses
 
     @property
     def found(self) -> dict[str, Any]:
-        """Return all that ``--json`` prints, as plain data."""
+        """Return the output of ``--json`` as plain data."""
         return dict(self.assessment.found)
 
     def save(self, path: str | Path) -> None:
@@ -95,26 +96,26 @@ class ScoreResult:
         Write the placement with its scores, for ``ocp score`` and ``ocp view``.
 
         :param path: ``.json`` for JSON, YAML for any other suffix.
-        :raises OSError: if it cannot be written.
+        :raises OSError: if the file cannot be written.
         """
         save_placement(path, self.placement)
 
     def __str__(self) -> str:
-        """Return the verdict as tables and sentences."""
+        """Return the scores as tables and sentences."""
         return as_text(show_verdict, self.assessment.found)
 
 
 @dataclass(frozen=True, eq=False)
 class PlanResult(ScoreResult):
     """
-    A placement that was found, and how good it is; ``print`` shows what ``ocp plan`` prints.
+    A planned placement with its scores; ``print`` shows the output of ``ocp plan``.
 
-    :ivar planner: who found it.
-    :ivar evaluations: placements that were judged, or turns that were played.
-    :ivar seconds: how long it took.
-    :ivar gap: how much less the loss of any other placement can be, as a share; None where that
-        was not proved.
-    :ivar reached: whether the target was reached; None where cameras were not counted.
+    :ivar planner: name of the planner.
+    :ivar evaluations: number of placements that were evaluated, or of turns that were played.
+    :ivar seconds: duration of the search.
+    :ivar gap: optimality gap as a share: any other placement has an objective value at most this
+        much lower; None if no bound was proved.
+    :ivar reached: whether the target was reached; None if cameras were not counted.
     """
 
     planner: str
@@ -134,26 +135,30 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
          target: float = 0.95, by: str = 'error', most: int = 12, points: int = ROOM_POINTS,
          progress: Progress | None = None, **reading: Any) -> PlanResult:
     """
-    Find where to hang cameras in a room, as ``ocp plan`` does.
+    Find the best poses of cameras in a room, as ``ocp plan`` does.
 
     :param room: path of a scan, seed of a generated room, (N, 3) points or a scene.
-    :param rig: path of a rig file, what stands in one as a mapping, or a rig.
-    :param cameras: how many, or ``'auto'`` to count them; 4 or those of the rig unless given.
-    :param sensor: of all cameras where no rig is given, or a part of its name such as ``d455``.
-    :param mount: of all cameras where no rig is given: ``walls`` (the default), ``ceiling``,
+    :param rig: path of a rig file, the content of such a file as a mapping, or a rig.
+    :param cameras: number of cameras, or ``'auto'`` to find it; default: 4, or that of the rig.
+    :param sensor: sensor of all cameras if no rig is given, or a part of its name such as
+        ``d455``.
+    :param mount: mount of all cameras if no rig is given: ``walls`` (the default), ``ceiling``,
         ``plane`` or ``free``.
-    :param planner: who searches, see docs/reference/planners.md.
-    :param seconds: of search; 60, or 15 for each number of cameras, unless evaluations are given.
-    :param evaluations: judge so many placements; the same seed finds the same answer.
+    :param planner: name of the planner, see docs/reference/planners.md.
+    :param seconds: time for the search; default without ``evaluations``: 60, or with ``'auto'`` 15
+        for each number of cameras.
+    :param evaluations: number of placements to evaluate; the same seed gives the same result.
     :param seed: random seed.
-    :param target: with ``'auto'``, the share of what can be reached at all.
-    :param by: with ``'auto'``, share of what: ``error``, ``seen`` or ``coverage``.
-    :param most: with ``'auto'``, the most cameras to try.
-    :param points: most points of the room; a larger scan is thinned to as many.
-    :param progress: called several times a second with the share done and the least loss.
-    :param reading: of a scan or points: ``scale``, ``up``, ``drop_nonfinite``, ``all_rooms``; see
-        :func:`~ocp_ros.scenes.scene_files.load_scene`.
-    :raises UserError: if the room, the rig or an argument cannot be used, in one sentence.
+    :param target: with ``'auto'``, the share to reach of what all candidates reach together.
+    :param by: with ``'auto'``, the quantity of this share: ``error``, ``seen`` or ``coverage``.
+    :param most: with ``'auto'``, the largest number of cameras to try.
+    :param points: largest number of points of the room; a larger scan is thinned to it.
+    :param progress: is called several times a second with the share done and the lowest objective
+        value.
+    :param reading: options for a scan or points: ``scale``, ``up``, ``drop_nonfinite``,
+        ``all_rooms``; see :func:`~ocp_ros.scenes.scene_files.load_scene`.
+    :raises UserError: if the room, the rig or an argument cannot be used; the text is one
+        sentence.
     """
     check_positive('seconds', seconds)
     check_whole('evaluations', evaluations)
@@ -179,16 +184,19 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
           sensor: str = OMNIDIRECTIONAL, points: int | None = None, **reading: Any
           ) -> ScoreResult:
     """
-    Judge cameras that hang, or shall hang, in a room, as ``ocp score`` does.
+    Evaluate a planned or existing placement of cameras in a room, as ``ocp score`` does.
 
     :param room: path of a scan, seed of a generated room, (N, 3) points or a scene.
-    :param placement: path of a placement file, what stands in one as a mapping, a placement, a
-        result of :func:`plan`, or poses (K, 3) or (K, 6): metres, map frame, and radians.
-    :param rig: what is asked for, in place of what the placement says.
-    :param sensor: of all cameras where the placement is poses and no rig is given.
-    :param points: most points of the room; as the placement says, or 60,000.
-    :param reading: of a scan or points: ``scale``, ``up``, ``drop_nonfinite``, ``all_rooms``.
-    :raises UserError: if the room, the placement or the rig cannot be used, in one sentence.
+    :param placement: path of a placement file, the content of such a file as a mapping, a
+        placement, a result of :func:`plan`, or poses (K, 3) or (K, 6): metres, map frame, and
+        radians.
+    :param rig: rig with constraints and weights, used instead of the one in the placement.
+    :param sensor: sensor of all cameras if the placement is an array of poses and no rig is given.
+    :param points: largest number of points of the room; default: as in the placement, or 60,000.
+    :param reading: options for a scan or points: ``scale``, ``up``, ``drop_nonfinite``,
+        ``all_rooms``.
+    :raises UserError: if the room, the placement or the rig cannot be used; the text is one
+        sentence.
     """
     asked = None if rig is None else _rig(rig, None, sensor)
     placed = _placement(placement, asked, sensor)
@@ -200,7 +208,7 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
 
 
 def _scored(judged: Assessment) -> dict[str, Any]:
-    """Return the fields of a result."""
+    """Return the fields of a ScoreResult."""
     found, scores = judged.found, judged.found['scores']
     return {'placement': judged.placement, 'broken': tuple(found['broken']),
             'notes': tuple(found['notes']), 'assessment': judged,
@@ -208,7 +216,7 @@ def _scored(judged: Assessment) -> dict[str, Any]:
 
 
 def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, dict[str, Any]]:
-    """Return a room, and which it is as placement files say it."""
+    """Return a room, and its record for placement files."""
     check_whole('points', points, FEWEST_POINTS)
     for key in reading:
         if key not in READING:
@@ -234,7 +242,7 @@ def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, 
 
 def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
          mount: str | None = None) -> Rig:
-    """Return a rig with so many cameras; ``'auto'`` is for whoever counts them."""
+    """Return a rig with ``cameras`` cameras; with ``'auto'``, a rig for counting cameras."""
     counted = isinstance(cameras, str) and cameras == AUTO
     if not counted:
         check_whole('cameras', cameras, 1, MOST_CAMERAS)
@@ -261,7 +269,7 @@ def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
 
 
 def _placement(placement: Any, rig: Rig | None, sensor: str) -> Placement:
-    """Return a placement of whatever stands for one."""
+    """Return a placement from any of the types that :func:`score` takes."""
     if isinstance(placement, ScoreResult):
         placement = placement.placement
     if isinstance(placement, (str, PathLike)):
@@ -276,7 +284,7 @@ def _placement(placement: Any, rig: Rig | None, sensor: str) -> Placement:
 
 
 def _poses(poses: Any, rig: Rig | None) -> np.ndarray:
-    """Return (K, 3) or (K, 6) finite numbers, a row for each camera of a rig."""
+    """Return poses as (K, 3) or (K, 6) finite numbers, a row for each camera of a rig."""
     try:
         found = np.array(poses, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -295,14 +303,14 @@ def _poses(poses: Any, rig: Rig | None) -> np.ndarray:
 
 
 def _document(name: str, data: Mapping[str, Any], schema: dict[str, Any]) -> Document:
-    """Return what stands in a file as a document."""
+    """Return the content of a file as a checked document."""
     document = Document(name, dict(data))
     check(document, schema)
     return document
 
 
 def _counting(target: float, by: str, most: int) -> Counting:
-    """Return what tells that there are enough cameras."""
+    """Check the arguments of ``'auto'``, and return the criterion for enough cameras."""
     if by not in BY:
         raise ConfigurationError(f'by: found {by!r}; expected one of {", ".join(BY)}')
     check_positive('target', target)

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The command line: one file a command."""
+"""The command line ``ocp``: one file for each command."""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Values of the command line: read, or refused with what was found and what was expected."""
+"""Read values of the command line; refuse a bad value with what was found and expected."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def count(text: str) -> int:
-    """Read how many cameras: a number above 0, or 0 for auto."""
+    """Read a number of cameras, above 0; return 0 for ``auto``."""
     return 0 if text == 'auto' else cameras(text)
 
 
@@ -45,12 +45,12 @@ def cameras(text: str) -> int:
 
 
 def seconds(text: str) -> float:
-    """Read a time."""
+    """Read a time in seconds, above 0."""
     return number(text, 'seconds above 0', lambda value: 0.0 < value < float('inf'))
 
 
 def room_points(text: str) -> int:
-    """Read how many points a room has."""
+    """Read the number of points of a room."""
     if len(text) > 9 or not text.isdecimal() or not FEWEST_POINTS <= int(text) <= MOST_POINTS:
         raise argparse.ArgumentTypeError(
             f'found {text!r}; expected a whole number from {FEWEST_POINTS} to {MOST_POINTS}')
@@ -58,12 +58,18 @@ def room_points(text: str) -> int:
 
 
 def share(text: str) -> float:
-    """Read a share."""
+    """Read a share, above 0 and at most 1."""
     return number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)
 
 
 def number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
-    """Read a number of which something holds."""
+    """
+    Read a number and check it.
+
+    :param expected: description of a valid number, for the error.
+    :param holds: returns whether a number is valid.
+    :raises argparse.ArgumentTypeError: if it is not.
+    """
     try:
         value = float(text)
     except ValueError:
@@ -74,17 +80,17 @@ def number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
 
 
 def scale(text: str) -> float:
-    """Read metres per unit; 0, which stands for what a file says, is none."""
+    """Read metres per unit; refuse 0, which stands elsewhere for the unit of the file."""
     return number(text, 'metres per unit, not 0', lambda value: value != 0.0)
 
 
 def names(text: str) -> tuple[str, ...]:
-    """Read names with commas between."""
+    """Read names separated by commas."""
     return tuple(text.split(','))
 
 
 def camera_counts(text: str) -> tuple[int, ...]:
-    """Read how many cameras, with commas between."""
+    """Read numbers of cameras, separated by commas."""
     counts = whole_numbers(text)
     if not all(1 <= one <= MOST_CAMERAS for one in counts):
         raise argparse.ArgumentTypeError(
@@ -93,7 +99,7 @@ def camera_counts(text: str) -> tuple[int, ...]:
 
 
 def whole_numbers(text: str) -> tuple[int, ...]:
-    """Read whole numbers with commas between."""
+    """Read whole numbers separated by commas."""
     try:
         return tuple(int(part) for part in text.split(','))
     except ValueError as error:
@@ -110,7 +116,7 @@ def seed(text: str) -> int:
 
 
 def at_least(least: int) -> Callable[[str], int]:
-    """Return a reader of whole numbers from some number on."""
+    """Return a function that reads a whole number of at least ``least``."""
     def read(text: str) -> int:
         if not text.isdecimal() or int(text) < least:
             raise argparse.ArgumentTypeError(f'found {text!r}; expected {least} or more')
@@ -119,7 +125,7 @@ def at_least(least: int) -> Callable[[str], int]:
 
 
 def add_units(command: argparse.ArgumentParser, what: str) -> None:
-    """Add in which units scans are."""
+    """Add the options ``--scale`` and ``--up`` for the units and axes of scans."""
     command.add_argument('--scale', type=scale, help=f'metres per unit {what}; default: as the '
                                                      'file says, otherwise 1')
     command.add_argument('--up', type=direction, metavar='AXIS',
@@ -128,8 +134,8 @@ def add_units(command: argparse.ArgumentParser, what: str) -> None:
 
 
 def direction(text: str) -> str:
-    """Read which direction of a scan points up."""
-    # Imported where it is needed: a command line is read without NumPy.
+    """Read the direction of a scan that points up."""
+    # Imported only here, so that a command line is read without importing NumPy.
     from ocp_ros.scenes.up_axis import UP_CHOICES
     if text not in UP_CHOICES:
         raise argparse.ArgumentTypeError(
@@ -138,7 +144,7 @@ def direction(text: str) -> str:
 
 
 def joined(argv: Sequence[str]) -> list[str]:
-    """Join ``--up`` and a direction such as ``-y``, which argparse takes for an option."""
+    """Join ``--up`` and a direction such as ``-y``, which argparse would read as an option."""
     found: list[str] = []
     for part in argv:
         if found and found[-1] == '--up' and part.startswith('-'):
@@ -148,7 +154,7 @@ def joined(argv: Sequence[str]) -> list[str]:
 
 
 def add_frame(command: argparse.ArgumentParser) -> None:
-    """Add which frame files are written in."""
+    """Add the options for the frame of written files and the prefix of camera frames."""
     command.add_argument('--frame', choices=('map', 'source'),
                          help='frame of the written files: map (metres, z up) or source (axes and '
                               'units of the scan); default: source for pages for installers, map '
@@ -159,7 +165,7 @@ def add_frame(command: argparse.ArgumentParser) -> None:
 
 
 def frame_prefix(text: str) -> str:
-    """Read the beginning of names of frames."""
+    """Read the prefix of names of frames."""
     if not re.fullmatch(r'([A-Za-z_][A-Za-z0-9_/]*)?', text):
         raise argparse.ArgumentTypeError(
             f'found {text!r}; expected letters, digits, _ and /, a letter first, such as rig_a_')
@@ -167,21 +173,21 @@ def frame_prefix(text: str) -> str:
 
 
 def add_overwrite(command: argparse.ArgumentParser) -> None:
-    """Add that files which exist may be replaced."""
+    """Add the option ``--overwrite``, which allows to replace existing files."""
     command.add_argument('--overwrite', action='store_true',
                          help='replace existing files also outside ./out; inputs are never '
                               'replaced')
 
 
 def add_points(command: argparse.ArgumentParser) -> None:
-    """Add how many points of a room are kept."""
+    """Add the option ``--points``, the number of points of a room."""
     command.add_argument('--points', type=room_points, metavar='N',
                          help='number of points of a generated room; a larger scan is thinned to '
                               'this number; default: 60000; with a placement: its number')
 
 
 def add_reading(command: argparse.ArgumentParser) -> None:
-    """Add how a scan is to be read."""
+    """Add the options for reading a scan."""
     add_units(command, 'of the scan')
     command.add_argument('--drop-nonfinite', action='store_true',
                          help='leave out points with NaN or inf, which organised clouds contain')
@@ -192,11 +198,12 @@ def add_reading(command: argparse.ArgumentParser) -> None:
 def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
                ) -> 'tuple[Scene, dict[str, Any]]':
     """
-    Read the room of a command line.
+    Read the room that a command line names.
 
-    :param arguments: with ``room``, how it is read, and perhaps ``points``.
-    :param known: how it was read before, as placement files have it; what the command line says
-        comes first.
+    :param arguments: with ``room``, the options for reading it, and perhaps ``points``.
+    :param known: options with which it was read before, from a placement file; options of the
+        command line replace them.
+    :returns: the room, and its record for placement files.
     """
     from ocp_ros.rooms.scene_source import READING, room_named
     given = {key: value for key in READING

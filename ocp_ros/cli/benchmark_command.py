@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp benchmark``: planners compared in the same rooms."""
+"""``ocp benchmark``: compare planners in the same rooms."""
 
 import argparse
 from dataclasses import replace
@@ -34,7 +34,7 @@ from ocp_ros.util.settings import ConfigurationError
 if TYPE_CHECKING:
     from ocp_ros.compare.protocol import Protocol
 
-#: The rig of ``--sensor``, beside the results.
+#: File with the rig of ``--sensor`` in the folder of the results.
 RIG = 'rig.yaml'
 
 
@@ -68,7 +68,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def add_comparison(command: argparse.ArgumentParser) -> None:
-    """Add what all comparisons have: a rig file, and where they run."""
+    """Add the options of all comparisons: rig file, processes, cluster and overwriting."""
     command.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
                                                          'cameras: docs/reference/rig.md')
     command.add_argument('--workers', type=at_least(1),
@@ -92,7 +92,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
-    """Return what a command line of ``ocp benchmark`` asks to compare."""
+    """Return the comparison that a command line of ``ocp benchmark`` asks for."""
     from ocp_ros.compare.protocol import placing, PRESETS, rooms_in, rooms_of_s3dis
     from ocp_ros.search.registry import planners_for
     changes: dict[str, Any] = {
@@ -127,7 +127,7 @@ def check_cameras(arguments: argparse.Namespace) -> None:
 
 
 def _write_rig(arguments: argparse.Namespace) -> Path:
-    """Write the rig of ``--sensor`` beside the results, and go on as if it had been given."""
+    """Write the rig of ``--sensor`` to the folder of the results, and use it as ``--rig``."""
     from ocp_ros.planning.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import rig_of
     from ocp_ros.util.files import folder_to_write, write_atomically
@@ -141,7 +141,7 @@ def _write_rig(arguments: argparse.Namespace) -> Path:
 
 
 def show(summary: Found) -> None:
-    """Print the sums, ratios and times of the largest budget and of online planners."""
+    """Print the sums, regrets, wins and times of the largest budget and of online planners."""
     from ocp_ros.compare.summary import budgets_of, last_runs
     from ocp_ros.report.room_facts import show_notes
     from rich.console import Console

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp calibrate``: where cameras hang, by what they see and the scan of the room."""
+"""``ocp calibrate``: find the true poses of cameras from their clouds and a scan of the room."""
 
 import argparse
 from collections.abc import Sequence
@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     import numpy as np
     from ocp_ros.rig.placement_file import Placement
 
-#: Files that are written.
+#: Names of the files that are written.
 WRITTEN = ('placement.yaml', 'cameras.launch.py', 'calibration.json')
-#: Points of a generated room; of a scan all are taken.
+#: Number of points of a generated room; all points of a scan are used.
 POINTS = 120_000
 
 
@@ -68,7 +68,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Register each camera that has a cloud, and write where it hangs."""
+    """Register each camera that has a cloud, and write its pose."""
     from ocp_ros.registration.calibration import as_built, calibrate
     from ocp_ros.registration.scan_surfaces import ScanSurfaces
     from ocp_ros.rig.placement_file import load_placement
@@ -100,12 +100,12 @@ def run(arguments: argparse.Namespace) -> Found:
 
 def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str, np.ndarray]':
     """
-    Read what cameras see.
+    Read the clouds of cameras.
 
     :param arguments: with ``clouds`` or ``bag`` and ``topics``, and ``cloud_frame``.
     :param names: of the cameras.
     :returns: (N, 3) metres, body frame, by camera.
-    :raises ConfigurationError: if it is not clear which cloud is whose, or there is none.
+    :raises ConfigurationError: if the camera of a cloud is not clear, or there is no cloud.
     """
     from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
     from ocp_ros.scenes.scene_files import load_cloud
@@ -135,7 +135,7 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str,
 
 
 def _named(text: str, option: str, what: str) -> tuple[str, str]:
-    """Read CAMERA=SOMETHING."""
+    """Read CAMERA=VALUE; return the name of the camera and the value."""
     name, equals, value = text.partition('=')
     if not (name and equals and value):
         raise ConfigurationError(f'{option}: found {text!r}; expected CAMERA={what}; write, for '
@@ -144,7 +144,7 @@ def _named(text: str, option: str, what: str) -> tuple[str, str]:
 
 
 def _row(placed: Any, found: dict, broken: dict[str, str]) -> dict[str, Any]:
-    """Return what was found of a camera as plain data."""
+    """Return the result of a camera as plain data."""
     from ocp_ros.registration.calibration import answer_of
     name = placed.camera.name
     if name in found:
@@ -153,7 +153,7 @@ def _row(placed: Any, found: dict, broken: dict[str, str]) -> dict[str, Any]:
 
 
 def _write(paths: Sequence[Path], built: 'Placement', answer: Found, prefix: str) -> None:
-    """Write the placement as built, static transforms, and what was found."""
+    """Write the placement as built, the static transforms and the results."""
     from ocp_ros.report.exports import launch_of
     from ocp_ros.rig.placement_file import save_placement
     from ocp_ros.util.files import write_atomically
@@ -164,7 +164,7 @@ def _write(paths: Sequence[Path], built: 'Placement', answer: Found, prefix: str
 
 
 def show(found: Found) -> None:
-    """Print what was found of each camera."""
+    """Print the result of each camera."""
     from rich.console import Console
     from rich.table import Table
     console = Console(width=100)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What all commands of ``ocp`` have in common: contents, examples, JSON and errors."""
+"""Common parts of all commands of ``ocp``: table of contents, examples, JSON and errors."""
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence
@@ -34,25 +34,25 @@ from ocp_ros.util.files import complete_set, file_to_write
 from ocp_ros.util.settings import ConfigurationError, UserError
 from ocp_ros.util.terminal_text import printable
 
-#: What one may want, as ``ocp --help`` lists it.
+#: Groups of commands in ``ocp --help``, named by their purpose.
 PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
     'find a placement', 'evaluate a placement', 'look at rooms and placements', 'train a policy',
     'compare planners', 'feed the nodes')
-#: What a command found, as plain data.
+#: Result of a command as plain data.
 Found = dict[str, Any]
-#: Arguments that name what a command reads.
+#: Arguments that name input files and folders.
 READ = ('room', 'rooms', 'placement', 'rig', 'config')
-#: The folder of results in the folder where ocp was started: files there are replaced without
-#: ``--overwrite``, for the default outputs are there.
+#: Folder of results, relative to the folder in which ocp was started. It has the default outputs,
+#: so files there are replaced without ``--overwrite``.
 RESULTS = Path('out')
-#: Errors of a disk that is full, or on which one may not write more.
+#: Error numbers of a full disk, an exceeded quota, and a file that is too large.
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-#: Exit code of wrong use.
+#: Exit code for wrong input.
 WRONG = 2
 
 
 class UsageError(Exception):
-    """A command line that cannot be read, and the parser that says how it should be."""
+    """A command line that cannot be read, with the parser that prints the usage."""
 
     def __init__(self, parser: argparse.ArgumentParser, message: str) -> None:
         super().__init__(message)
@@ -60,23 +60,23 @@ class UsageError(Exception):
 
 
 class Parser(argparse.ArgumentParser):
-    """A parser that leaves it to :func:`run` how to say what is wrong."""
+    """A parser that raises errors, so that :func:`run` prints them."""
 
     def __init__(self, **options: Any) -> None:
-        # Whoever looks for an option in the command line finds it only where it is written out.
+        # Options must be written in full: ``'--json' in argv`` would miss an abbreviation.
         super().__init__(allow_abbrev=False, **options)
 
     def error(self, message: str) -> NoReturn:
-        """Raise what is wrong."""
+        """Raise a UsageError."""
         raise UsageError(self, message)
 
 
 class Commands:
     """
-    The commands of a program, under what one may want.
+    The commands of a program, in groups by purpose.
 
     :param program: its name.
-    :param description: what it is for.
+    :param description: its purpose.
     """
 
     def __init__(self, program: str, description: str) -> None:
@@ -86,23 +86,23 @@ class Commands:
                                                  help=argparse.SUPPRESS)
         self._contents: dict[str, list[tuple[str, str]]] = {
             title: [] for title in TITLES}
-        #: An example of each command, as one types it.
+        #: An example of each command, as a user types it.
         self.examples: list[str] = []
 
     def add(self, group: str, name: str, about: str, example: str = '') -> Parser:
         """
         Add a command.
 
-        :param group: what one may want it for.
-        :param about: what it does, in a few words.
-        :param example: a command line; a command that only has others has none.
+        :param group: title of its group, one of ``TITLES``.
+        :param about: what the command does, in a few words.
+        :param example: a command line; empty for a command that only has subcommands.
         """
         self._contents[group].append((name, about))
         self.parser.epilog = self._table()
         return self.put(self._added, name, about, example)
 
     def put(self, parsers: Any, name: str, about: str, example: str) -> Parser:
-        """Add a command to others, with its example and ``--json``."""
+        """Add a command to subparsers, with its example and ``--json``."""
         made = parsers.add_parser(
             name, help=about, description=f'{about[0].upper()}{about[1:]}.',
             epilog=f'example:\n  {example}' if example else None,
@@ -125,16 +125,16 @@ class Commands:
 
 def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     """
-    Run one command: its ``run`` returns plain data, which its ``show`` prints, or ``--json``.
+    Run one command, and print the plain data that it returns, with its ``show`` or as JSON.
 
-    Bad input gets one sentence, or with ``--json`` a document with the key ``error``, which what
-    was found may have as well.
+    Bad input is reported in one sentence, or with ``--json`` in a document with the key ``error``.
+    A result may have the key ``error`` too.
 
     :returns: the exit code.
     """
     as_json = '--json' in argv
     if isinstance(sys.stdout, io.TextIOWrapper):
-        # Letters that a terminal or a pipe cannot take are shown as escapes.
+        # Characters that a terminal or a pipe cannot encode are printed as escapes.
         sys.stdout.reconfigure(errors='backslashreplace')
     try:
         _check_folder()
@@ -157,7 +157,7 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
                 WRONG, f'{error.parser.prog}: error: {printable(str(error))}\n')
         return _refuse(str(error), as_json)
     except BrokenPipeError:
-        # Whoever reads has seen enough, such as head; nobody is left to be told.
+        # The reader, such as head, has closed the pipe: discard the rest of the output.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (UserError, OSError) as error:
         return _refuse(_said_of(error), as_json)
@@ -170,7 +170,7 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
 
 
 def _check_folder() -> None:
-    """Refuse to work in a folder that was removed: no path that is relative leads anywhere."""
+    """Refuse to work in a folder that was removed: relative paths are invalid there."""
     try:
         os.getcwd()
     except FileNotFoundError as error:
@@ -180,12 +180,12 @@ def _check_folder() -> None:
 
 
 def _warn(message: Warning | str, *_: Any) -> None:
-    """Say what may be wrong, in one line and without the code that noticed it."""
+    """Print a warning in one line, without its place in the code."""
     print(f'ocp: warning: {printable(str(message))}', file=sys.stderr)
 
 
 def _said_of(error: Exception) -> str:
-    """Return what is wrong in one sentence."""
+    """Return an error as one sentence."""
     if isinstance(error, OSError) and error.errno in FULL:
         return (f'{error.filename}: found no room to write it ({error.strerror}); expected some; '
                 'what was there before is whole: make room, or name another place, and start '
@@ -194,7 +194,7 @@ def _said_of(error: Exception) -> str:
 
 
 def _refuse(sentence: str, as_json: bool) -> int:
-    """Say what is wrong, and return the exit code."""
+    """Print an error, and return the exit code."""
     if as_json:
         print(document({'error': sentence}))
     else:
@@ -203,12 +203,12 @@ def _refuse(sentence: str, as_json: bool) -> int:
 
 
 def document(found: Any) -> str:
-    """Return plain data as JSON: paths are texts, and what is not finite is null."""
+    """Return plain data as JSON: paths become texts, and numbers that are not finite null."""
     return json.dumps(_plain(found), indent=1, allow_nan=False)
 
 
 def _plain(value: Any) -> Any:
-    """Return a value as JSON knows it."""
+    """Return a value converted to the types of JSON."""
     if isinstance(value, Mapping):
         return {str(key): _plain(part) for key, part in value.items()}
     if hasattr(value, 'tolist'):
@@ -221,13 +221,13 @@ def _plain(value: Any) -> Any:
 
 
 def show_written(found: Found) -> None:
-    """Print which files were written."""
+    """Print the names of the files that were written."""
     for path in found['written']:
         print(f'wrote {printable(str(path))}')
 
 
 def command_of(argv: Sequence[str]) -> str:
-    """Return a command line as one types it."""
+    """Return a command line as a user types it."""
     return shlex.join(['ocp', *argv])
 
 
@@ -243,11 +243,11 @@ def inputs_of(arguments: argparse.Namespace) -> list[Path]:
 def claim_file(arguments: argparse.Namespace, path: Path, what: str, option: str = '--out'
                ) -> None:
     """
-    Check that a file may be written before any work is done for it.
+    Check that a file may be written, before any work is done for it.
 
     :param path: of the file.
-    :param what: the file is, for the message.
-    :param option: which names it.
+    :param what: description of the file, for the message.
+    :param option: option that names the file.
     :raises ConfigurationError: if it cannot be written, is an input, or exists and may not be
         replaced.
     """
@@ -262,15 +262,15 @@ def claim_file(arguments: argparse.Namespace, path: Path, what: str, option: str
 def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[str], mark: str,
                  read: Iterable[str | Path] = (), option: str = '--out') -> None:
     """
-    Check that files may be written to a folder before any work is done for them.
+    Check that files may be written to a folder, before any work is done for them.
 
-    The folder is new or empty, or an earlier run has left its mark there.
+    The folder has to be new or empty, or to have the mark of an earlier run.
 
     :param names: of the files that are written, or removed if an earlier run has left them.
     :param mark: name of a file that every run leaves there, perhaps with ``*``.
-    :param read: inputs beside those that the command line always names.
-    :param option: which names the folder.
-    :raises ConfigurationError: if an input would be replaced, or other files are there.
+    :param read: inputs in addition to those of :func:`inputs_of`.
+    :param option: option that names the folder.
+    :raises ConfigurationError: if an input would be replaced, or the folder has other files.
     """
     names = list(names)
     _check_inputs([folder / name for name in names], [*inputs_of(arguments), *read], option)
@@ -290,12 +290,12 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[st
 
 
 def _may_replace(arguments: argparse.Namespace, path: Path) -> bool:
-    """Return whether files of a path, or in it, may be replaced."""
+    """Return whether the file or the files in the folder at a path may be replaced."""
     return arguments.overwrite or path.resolve().is_relative_to(RESULTS.resolve())
 
 
 def _check_inputs(paths: Iterable[Path], inputs: Iterable[str | Path], option: str) -> None:
-    """Refuse to replace an input, with ``--overwrite`` too."""
+    """Refuse to replace an input, also with ``--overwrite``."""
     read = [path for path in map(Path, inputs) if path.exists()]
     for path in paths:
         if path.exists() and any(path.samefile(one) for one in read):

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp evaluate``: a policy compared with other planners, room by room."""
+"""``ocp evaluate``: compare a policy with other planners, room by room."""
 
 import argparse
 from collections import Counter
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ocp_ros.compare.comparison import Comparison
     from ocp_ros.compare.protocol import Protocol
 
-#: The file that is written.
+#: Name of the file that is written.
 EVALUATION = 'evaluation.json'
 
 
@@ -61,7 +61,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Compare weights with planners for each number of cameras, and write ``evaluation.json``."""
+    """Compare a policy with planners for each number of cameras; write ``evaluation.json``."""
     from ocp_ros.compare.comparison import compare
     from ocp_ros.util.files import folder_to_write, write_atomically
     from ocp_ros.util.yaml_files import timestamp
@@ -82,7 +82,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
-    """Return what a command line of ``ocp evaluate`` asks to compare, by number of cameras."""
+    """Return the comparisons of a command line of ``ocp evaluate``, one per number of cameras."""
     from ocp_ros.compare.protocol import placing, Protocol
     from ocp_ros.rooms.splits import SETS
     from ocp_ros.scenes.scene_files import check_file
@@ -100,7 +100,7 @@ def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
 
 
 def _by_room(protocol: 'Protocol', comparison: 'Comparison') -> dict[str, Any]:
-    """Return the pairs, the errors by room and the slowest turn of each online planner."""
+    """Return pairwise results, errors by room, and the slowest turn of each online planner."""
     from ocp_ros.compare.summary import per_room
     rows, planners = comparison.rows, comparison.summary['planners']
     stems = Counter(Path(room).stem for room in protocol.rooms)
@@ -117,7 +117,7 @@ def _by_room(protocol: 'Protocol', comparison: 'Comparison') -> dict[str, Any]:
 
 
 def show(found: Found) -> None:
-    """Print the pairs for each number of cameras."""
+    """Print the pairwise results for each number of cameras."""
     from rich.console import Console
     from rich.table import Table
     for cameras, judged in found['cameras'].items():

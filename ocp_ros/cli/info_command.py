@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp info``: what a room is like, before cameras are planned for it."""
+"""``ocp info``: measure and draw a room, before cameras are planned for it."""
 
 import argparse
 from concurrent.futures import ThreadPoolExecutor
@@ -23,7 +23,7 @@ from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Measure a room, and draw it cut open."""
+    """Measure a room, and draw a section of it."""
     from ocp_ros.report.drawing.room_pictures import draw_rooms
     from ocp_ros.report.room_facts import facts_of
     claim_file(arguments, arguments.out, 'a picture')
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def show(found: Found) -> None:
-    """Print what was measured."""
+    """Print the measurements."""
     from ocp_ros.report.room_facts import show_facts
     from rich.console import Console
     show_facts(Console(width=100), found)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp``: the package's tools for people without a ROS graph."""
+"""``ocp``: the package's command line tools, which need no ROS graph."""
 
 import argparse
 import sys
@@ -37,8 +37,8 @@ def commands() -> Commands:
     """
     Build all commands.
 
-    Each file adds its arguments and has ``run``, which imports what is slow to import and returns
-    plain data, and ``show``, which prints it.
+    Each file adds the arguments of its command and has two functions: ``run`` returns plain data
+    and imports the slow modules, ``show`` prints the data.
     """
     made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
     for command in (plan_command, score_command, calibrate_command, info_command, view_command,
@@ -54,7 +54,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; bad input gets one sentence and exit code 2."""
+    """Run one command; report bad input in one sentence with exit code 2."""
     return run(parser(), sys.argv[1:] if argv is None else argv)
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Rooms and placements that command lines name, and all files that are written of a placement."""
+"""Read the room and placement of a command line, and write all files of a placement."""
 
 import argparse
 from collections.abc import Callable, Iterable, Iterator
@@ -30,8 +30,8 @@ from ocp_ros.util.files import FileSet
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import written
 
-#: All that is written of a placement, the part of it that counting cameras adds, and the part
-#: that is always there.
+#: ``WRITTEN``: all files of a placement. ``CURVE``: the file that counting cameras adds. ``MARK``:
+#: the file that is always written.
 CURVE = 'curve.png'
 WRITTEN = (*FORMS, 'report.png', 'report_2.png', 'report.html', CURVE)
 MARK = 'placement.json'
@@ -40,13 +40,13 @@ MARK = 'placement.json'
 def written_to(files: FileSet, judged: Assessment, more: Callable[[Path], Iterable[Path]],
                prefix: str = '', brief: bool = False) -> dict[str, Any]:
     """
-    Write a placement in all forms, and the reports.
+    Write a placement in all file formats, and the reports.
 
-    :param files: where to.
+    :param files: the files to write.
     :param more: writes other files to a folder, and yields each.
     :param prefix: of the names of frames.
-    :param brief: leave out the reports and other files, which take seconds to draw.
-    :returns: ``written``; where not all could be, for want of space say, ``error`` as well.
+    :param brief: whether to leave out the reports and other files, which take seconds to draw.
+    :returns: ``written``; also ``error`` if some files could not be written.
     """
     paths: list[str] = []
     try:
@@ -63,11 +63,11 @@ def written_to(files: FileSet, judged: Assessment, more: Callable[[Path], Iterab
 
 def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
     """
-    Write the one-page report and the page that can be turned around, and yield each.
+    Write the one-page report and the 3D page, and yield the path of each file.
 
-    :param folder: it is made where it is not there.
+    :param folder: for the files; it is made if it does not exist.
     """
-    # What draws is slow to import, and most placements are judged without.
+    # Imported only here: drawing is slow to import and often not needed.
     from ocp_ros.report.drawing import sheet
     from ocp_ros.report.viewer import write_view
     yield from sheet.draw(folder, judged)
@@ -78,10 +78,10 @@ def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
 def room_and_placement(arguments: argparse.Namespace
                        ) -> tuple[Scene, Placement, dict[str, Any]]:
     """
-    Read what a command line names.
+    Read the room and the placement that a command line names.
 
     :param arguments: with ``room``, ``placement``, ``rig``, ``scale`` and ``up``.
-    :returns: the room, the placement, and which room it is.
+    :returns: the room, the placement, and the record of the room for placement files.
     """
     rig = load_rig(arguments.rig) if arguments.rig else None
     placement = load_placement(arguments.placement, rig)
@@ -90,7 +90,7 @@ def room_and_placement(arguments: argparse.Namespace
 
 
 def show_written(found: dict[str, Any]) -> None:
-    """Print which files were written, and the placement itself where not all could be."""
+    """Print the names of the written files, and the placement itself if some are missing."""
     for path in found.get('written', ()):
         print(f'wrote {printable(path)}')
     if 'error' in found:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp plan``: where to hang the cameras of a rig, how good that is, and how many are needed."""
+"""``ocp plan``: find and evaluate poses for the cameras of a rig, and the number of cameras."""
 
 import argparse
 from collections.abc import Callable, Iterator, Mapping
@@ -51,9 +51,9 @@ if TYPE_CHECKING:
     from ocp_ros.search.budget import Budget
     from ocp_ros.util.files import FileSet
 
-#: Defaults of counting cameras.
+#: Defaults of the options for counting cameras.
 COUNTING = {'target': 0.95, 'by': 'error', 'most': 12}
-#: Seconds between two lines of progress where there is no terminal.
+#: Seconds between two lines of progress if the output is no terminal.
 SAID = 10.0
 
 
@@ -102,7 +102,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Plan a rig in a room, and write the placement in all forms."""
+    """Plan a rig in a room, and write the placement in all file formats."""
     from ocp_ros.cli.placement_files import MARK, WRITTEN, written_to
     from ocp_ros.planning.rig_planning import PlannedRig
     from ocp_ros.util.files import folder_to_write
@@ -123,7 +123,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def task_of(arguments: argparse.Namespace) -> 'PlanTask':
-    """Return what a command line asks of the search."""
+    """Return the settings of the search from a command line."""
     from ocp_ros.planning.rig_planning import Counting, PlanTask
     for name in COUNTING:
         if getattr(arguments, name) is not None and arguments.count != 0:
@@ -136,7 +136,7 @@ def task_of(arguments: argparse.Namespace) -> 'PlanTask':
 
 
 def _curve(folder: Path, found: Mapping[str, Any]) -> Iterator[Path]:
-    """Draw what more cameras are worth where they were counted; yield the file."""
+    """Draw the result for each number of cameras if they were counted; yield the file."""
     from ocp_ros.cli.placement_files import CURVE
     from ocp_ros.report.count_report import draw_curve
     if 'curve' in found:
@@ -145,14 +145,14 @@ def _curve(folder: Path, found: Mapping[str, Any]) -> Iterator[Path]:
 
 @contextmanager
 def _kept(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]':
-    """Write a placement first of all: whoever has enough while it is judged and drawn has it."""
+    """Write a placement first, so that a Ctrl-C during evaluation and drawing does not lose it."""
     from ocp_ros.cli.placement_files import MARK, WRITTEN
     from ocp_ros.report.exports import PLACEMENTS
     from ocp_ros.rig.placement_file import save_placement
     from ocp_ros.util.files import FileSet
     try:
         with FileSet(folder, WRITTEN, MARK) as files:
-            # Where it cannot be written now, the end says so.
+            # If it cannot be written now, the final writing reports the error.
             with suppress(OSError):
                 for name in PLACEMENTS:
                     save_placement(files.aside / name, placement)
@@ -164,7 +164,7 @@ def _kept(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]':
 
 
 def rig_asked(arguments: argparse.Namespace) -> 'Rig':
-    """Return the rig of a command line; with ``auto``, one that may be counted up."""
+    """Return the rig of a command line; with ``auto``, a rig for counting cameras."""
     from ocp_ros.planning.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
     number = arguments.count
@@ -181,7 +181,7 @@ def rig_asked(arguments: argparse.Namespace) -> 'Rig':
 
 @contextmanager
 def _stopped_by_hand(budget: 'Budget') -> Iterator[None]:
-    """End the search at the first Ctrl-C; the second one ends the command."""
+    """Stop the search at the first Ctrl-C, and the command at the second one."""
     if current_thread() is not main_thread():
         yield
         return
@@ -199,7 +199,7 @@ def _stopped_by_hand(budget: 'Budget') -> Iterator[None]:
 
 @contextmanager
 def _progress(silent: bool) -> Iterator[Callable[[float, float], None]]:
-    """Show the progress on the terminal, or a line now and then; yields a function to call."""
+    """Show the progress as a bar or as lines; yield the function that reports it."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
     console = Console(stderr=True)
@@ -220,7 +220,7 @@ def _progress(silent: bool) -> Iterator[Callable[[float, float], None]]:
 
 
 def show(found: Found) -> None:
-    """Print a plan and what was written."""
+    """Print a plan and the names of the written files."""
     from ocp_ros.cli.placement_files import show_written
     from ocp_ros.report.verdict_tables import show_plan, WIDTH
     from rich.console import Console

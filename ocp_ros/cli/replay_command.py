@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def show(found: Found) -> None:
-    """Print what was published, or what is there."""
+    """Print the published messages, or the topics of the bag."""
     if 'topics' in found:
         _show_topics(found)
         return
@@ -92,7 +92,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def _seconds(text: str) -> float:
-    """Read seconds from 0 on."""
+    """Read seconds, 0 or more."""
     return number(text, 'seconds, 0 or more', lambda value: 0.0 <= value < math.inf)
 
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp room``: a room from measures, for whoever has a tape and no scanner."""
+"""``ocp room``: make a room from tape measurements, without a scanner."""
 
 import argparse
 from pathlib import Path
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def show(found: Found) -> None:
-    """Print what was written and what to do with it."""
+    """Print the name of the room file, its content and the next command."""
     path = printable(str(found['written'][0]))
     print(f'wrote {path}: {" x ".join(f"{edge:g}" for edge in found["size"])} m, '
           f'{len(found["openings"])} doors and windows, {len(found["boxes"])} boxes\n'

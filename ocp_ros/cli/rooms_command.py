@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp rooms``: list, make and look at generated rooms."""
+"""``ocp rooms``: list, make and draw generated rooms."""
 
 import argparse
 from pathlib import Path
@@ -86,7 +86,7 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
 
 
 def add_arguments(commands: Commands) -> None:
-    """Add ``ocp rooms`` and what it can do."""
+    """Add ``ocp rooms`` and its actions."""
     rooms = commands.add(LOOK, 'rooms', 'list, make and look at generated rooms')
     actions = rooms.add_subparsers(title='actions', required=True, metavar='ACTION')
     listed = commands.put(actions, 'list', 'kinds and sizes', 'ocp rooms list --count 5')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp score``: how good is a placement of a rig in a room, and what would make it better."""
+"""``ocp score``: evaluate a placement of a rig in a room, and suggest improvements."""
 
 import argparse
 from pathlib import Path
@@ -42,7 +42,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Judge a placement, and write what is asked for."""
+    """Evaluate a placement, and write its files if ``--out`` is given."""
     from ocp_ros.cli.placement_files import MARK, room_and_placement, WRITTEN, written_to
     from ocp_ros.planning.assessment import judge
     from ocp_ros.util.files import FileSet, folder_to_write
@@ -59,7 +59,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def show(found: Found) -> None:
-    """Print a verdict and what was written."""
+    """Print the scores and the names of the written files."""
     from ocp_ros.cli.placement_files import show_written
     from ocp_ros.report.verdict_tables import show_verdict, WIDTH
     from rich.console import Console

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What the script ``ocp`` calls: a Ctrl-C ends it without a page of traceback, from the start."""
+"""Entry point of the script ``ocp``: a Ctrl-C ends it without a traceback, even at the start."""
 
 import gc
 import os
@@ -31,21 +31,21 @@ def main() -> int:
         noted.append(number)
         raise KeyboardInterrupt
 
-    # Nothing has begun yet that would have to be ended.
+    # During imports nothing has started that would have to be ended.
     signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))
     from ocp_ros.cli.main import main as run
     signal.signal(signal.SIGINT, interrupt)
     try:
         return _ending(run())
     except Exception:
-        # Some libraries take an interrupt for an error of their own.
+        # Some libraries turn an interrupt into another error.
         if noted:
             return STOPPED
         raise
 
 
 def _ending(code: int) -> int:
-    """Leave memory to the system, which frees it at once; Python would take half a second."""
+    """Let the system free the memory at once: Python would take half a second."""
     gc.freeze()
     gc.disable()
     return code

@@ -42,7 +42,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Train a policy, and say what it does in rooms it has never seen."""
+    """Train a policy, and return its results in the test rooms."""
     from ocp_ros.policy.checkpoint import card_of
     from ocp_ros.training.run_folder import read_config
     from ocp_ros.training.train import train
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def show(found: Found) -> None:
-    """Print what a policy does in rooms it has never seen."""
+    """Print the results of a policy in the test rooms."""
     for name in ('random_moves', 'policy'):
         figures = found['test'][name]
         print(f'{name:>12}: depth error {figures["depth_error_start"]:.2f} m -> '

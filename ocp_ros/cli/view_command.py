@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""``ocp view``: a room, and where there is one a placement in it, as a page to turn around."""
+"""``ocp view``: show a room, with or without a placement, as a 3D page."""
 
 import argparse
 from pathlib import Path
@@ -45,7 +45,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Write the page, and open it where that is wanted."""
+    """Write the page, and open it with ``--open``."""
     from ocp_ros.cli.placement_files import room_and_placement
     from ocp_ros.planning.assessment import judge
     from ocp_ros.report.viewer import write_view

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Play a comparison, on all cores or on a Ray cluster, and write its results.
+Run a comparison of planners, on all cores or on a Ray cluster, and write its results.
 
-This is what ``ocp benchmark`` and ``ocp evaluate`` have in common. The rows of a task are written
-as soon as it is done, so that an interrupted comparison continues with the other tasks.
+``ocp benchmark`` and ``ocp evaluate`` both use it. The rows of a task are written as soon as the
+task is done, so an interrupted comparison continues with the other tasks.
 """
 
 from collections.abc import Callable
@@ -47,7 +47,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 #: Files that a comparison writes.
 RESULTS = ('results.csv', 'results.json', 'summary.json')
-#: Columns that a table cannot show.
+#: Columns with lists, which are left out of the CSV table.
 LISTS = ('placement', 'trace', 'trajectory')
 PACKAGES = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
 _log = logging.getLogger(__name__)
@@ -55,12 +55,12 @@ _log = logging.getLogger(__name__)
 
 class Comparison(NamedTuple):
     """
-    What a comparison found.
+    Results of a comparison.
 
     :ivar rows: of all runs, see :func:`~ocp_ros.compare.protocol.run_task`.
-    :ivar summary: what was compared and when; the figures of
-        :func:`~ocp_ros.compare.summary.summarise`; and ``pairs``, the first planner against each
-        of the others, see :func:`~ocp_ros.compare.summary.pairs`.
+    :ivar summary: settings, date and versions; the figures of
+        :func:`~ocp_ros.compare.summary.summarise`; and ``pairs``, the first planner compared with
+        each other planner, see :func:`~ocp_ros.compare.summary.pairs`.
     """
 
     rows: Rows
@@ -70,13 +70,13 @@ class Comparison(NamedTuple):
 def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
             ray_address: str | None = None) -> Comparison:
     """
-    Play what has not been played yet, with progress on stderr, and write :data:`RESULTS`.
+    Run the tasks without results, with progress on stderr, and write :data:`RESULTS`.
 
     :param protocol: what to compare.
     :param folder: of the results.
     :param command: the command line, for the record.
     :param workers: processes on this machine; 0 for one on each core.
-    :param ray_address: a Ray cluster to play on instead, such as ``auto``.
+    :param ray_address: a Ray cluster to use instead, such as ``auto``.
     :raises ConfigurationError: if the folder belongs to another comparison.
     """
     columns = (TextColumn(f'comparing planners, {protocol.cameras} cameras'), BarColumn(),
@@ -101,10 +101,10 @@ def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
 def play(protocol: Protocol, folder: Path, workers: int = 0, ray_address: str | None = None,
          progress: Callable[[int, int], None] = lambda done, total: None) -> Rows:
     """
-    Play the tasks that have not been played yet; return the rows of all.
+    Run the tasks without results; return the rows of all tasks.
 
-    :param folder: each task leaves a file here as soon as it is done.
-    :param progress: called with the number of tasks that are done, and of all.
+    :param folder: each task writes a file here as soon as it is done.
+    :param progress: called with the number of finished tasks and of all tasks.
     :raises ConfigurationError: if the folder belongs to another comparison.
     """
     tasks = protocol.tasks
@@ -125,10 +125,10 @@ def play(protocol: Protocol, folder: Path, workers: int = 0, ray_address: str | 
 
 
 def name_of(task: BenchmarkTask) -> str:
-    """Return a name for the file of a task."""
+    """Return the file name of a task, without extension."""
     stem = Path(task.room).stem
     if not task.room.isdecimal():
-        # Another scan under the same name is another room.
+        # A scan with the same file name may be in another folder or may have changed.
         state = Path(task.room).stat()
         known = f'{Path(task.room).resolve()} {state.st_size} {state.st_mtime_ns}'
         stem += '-' + hashlib.sha256(os.fsencode(known)).hexdigest()[:8]
@@ -141,7 +141,7 @@ def _seal(record: str, task: BenchmarkTask, rows: str) -> str:
 
 
 def _kept(path: Path, record: str, task: BenchmarkTask) -> Rows | None:
-    """Return the rows of a task that was played before; None if there are none or damaged ones."""
+    """Return the stored rows of a task; None if there are none or they are damaged."""
     try:
         kept = json.loads(read_regular(path))
         if kept['sha256'] == _seal(record, task, json.dumps(kept['rows'])):
@@ -157,13 +157,13 @@ def _kept(path: Path, record: str, task: BenchmarkTask) -> Rows | None:
 
 
 def _claim(folder: Path, protocol: Protocol) -> str:
-    """Return what all results of a folder have in common; write it, or check that it is there."""
+    """Return the record of a comparison; write it, or check that the folder has the same."""
     files = {protocol.model: find_model(protocol.model)}
     if rig := protocol.simulation.rig_file:
         files['rig'] = Path(rig)
     common = {
         'ocp_ros': __version__,
-        # Under the same names there may be other weights and another rig.
+        # The contents of files with the same name may differ.
         'files': {name: sha256_of_file(path) for name, path in files.items()},
         **{name: value for name, value in asdict(protocol).items()
            if name not in ('rooms', 'rotations', 'planners')}}
@@ -179,7 +179,7 @@ def _claim(folder: Path, protocol: Protocol) -> str:
 
 
 def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
-    """Write the runs as a table and whole, and their summary."""
+    """Write the runs as CSV and as JSON, and their summary."""
     lines = io.StringIO()
     names = dict.fromkeys(name for row in rows for name in row if name not in LISTS)
     table = csv.DictWriter(lines, list(names), extrasaction='ignore')

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Who judges: what a placement delivers, on points that no search saw.
+The judge: evaluate a placement on points that were not used in the search.
 
-A search flatters itself twice: its engine calls points visible that are not, and it fits the
-placement to the points that it has. So a placement in a generated room is judged by rays cast at
-the room's mesh, on a separate scan. A scan of a real room has no mesh: half of its points are
-held out of the search, and the engine judges on them.
+The scores of a search are too good for two reasons: its engine reports some occluded points as
+visible, and the placement is fitted to the points of the search. So a placement in a generated
+room is evaluated on a separate scan, by rays cast at the room's mesh. A scan of a real room has no
+mesh: half of its points are held out of the search, and the engine evaluates on this half.
 """
 
 from dataclasses import replace
@@ -35,14 +35,14 @@ from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
-#: Points that are searched with, and those of the scan that judges.
+#: Number of points of the search's scan, and of the judge's scan.
 POINTS, JUDGED_POINTS = 60_000, 90_000
-#: Metres that cameras are mounted off, and how many ways of being off are averaged.
+#: Size of the mounting errors, metres, and number of random mounting errors for the mean.
 MOUNTING, MOUNTINGS = 0.02, 8
-#: Of the ways of being off; searches have others.
+#: Random seed of the mounting errors; searches use another seed.
 SEED = 0
-#: The judge's depth maps: all points at once, as the depth error is defined. Rays to the cells of
-#: a finer coverage grid would take as long as those to the points.
+#: Engine of the judge: depth maps of all points at once, as the depth error is defined. With a
+#: finer coverage grid, rays to its cells would take as long as rays to the points.
 JUDGING = EngineConfig(preset='fine', error_rows=128, coverage_cell=0.5, error_folds=1)
 
 
@@ -50,8 +50,8 @@ def worth_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
     """
     Return the error of a placement in metres, and its space coverage in cubic metres.
 
-    The error of a rig file is objective x depth error of seeing nothing: where the rig asks for
-    nothing more, the depth error.
+    For a rig file the error is objective value x depth error without any visible point. It is the
+    depth error if the rig has no other requirements.
     """
     result = problem.judge(problem.look(placement))
     return problem.error(result), result.space_coverage
@@ -59,18 +59,19 @@ def worth_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
 
 class JudgedRoom:
     """
-    A room as searches see it, and as the judge does.
+    A room as a scan for searches and a scan for the judge.
 
     :param name: the seed of a generated room, or the path of a scan.
     :param rotation: degrees about the vertical axis.
-    :param config: the rig, or a rig file, and the engine that searches.
-    :param points: that searches see.
-    :param judged_points: of the scan that judges a generated room; half of a scan are held out.
+    :param config: the rig, or a rig file, and the engine of the search.
+    :param points: number of points for searches.
+    :param judged_points: number of points for the judge in a generated room; of a scan, half of
+        the points are held out for the judge.
     :param scale: metres per unit of a scan.
     :param up: the axis of a scan that points up.
-    :param half: seed of the random half of a scan that searches see.
-    :ivar scene: what searches see.
-    :ivar judged: what the judge sees.
+    :param half: random seed that selects the half of a scan for searches.
+    :ivar scene: the scan for searches.
+    :ivar judged: the scan for the judge.
     """
 
     def __init__(self, name: str, rotation: float, config: SimulationConfig, points: int = POINTS,
@@ -79,7 +80,7 @@ class JudgedRoom:
         self.config = config
         if name.isdecimal():
             self.scene = make_room(name, rotation, points)
-            # Scanned again from the same tripods: other points.
+            # A second scan from the same tripods has other points.
             self.judged = make_room(name, rotation, judged_points)
         else:
             self.scene, self.judged = _halves(
@@ -87,32 +88,32 @@ class JudgedRoom:
 
     @cached_property
     def promising(self) -> Problem:
-        """Return the rig in the room and by the engine that it is searched with: it promises."""
+        """Return the problem of the search: its scan, and its engine for promised errors."""
         return make_problem(self.scene, self.config)
 
     @cached_property
     def problem(self) -> Problem:
-        """Return the rig in the judge's room, by the truth where it is known."""
+        """Return the problem of the judge: its scan, with ray casting if there is a mesh."""
         return make_problem(self.judged, replace(
             self.config, engine=with_rays(JUDGING, self.judged)))
 
     @property
     def fine(self) -> Simulator:
-        """Return the engine on all points that searches may see."""
+        """Return the engine on the scan for searches."""
         return self.promising.simulator
 
     def truth(self) -> Simulator:
-        """Return the truth on the points that searches see."""
+        """Return an engine with ray casting on the scan for searches."""
         engine = replace(self.config.engine, coverage_cell=JUDGING.coverage_cell)
         return Simulator(self.scene, replace(self.config, engine=with_rays(engine, self.scene)))
 
     def judge(self, placement: np.ndarray) -> dict[str, float]:
         """
-        Judge a final placement.
+        Evaluate a final placement.
 
         :param placement: (K, 3) or (K, 6), metres, map frame, and radians.
-        :returns: ``exact``, metres, of the placement itself; ``depth_error``, metres, the mean of
-            cameras that are mounted 2 cm off; ``space_coverage``, cubic metres.
+        :returns: ``exact``, metres, of the placement itself; ``depth_error``, metres, the mean
+            over mounting errors of 2 cm; ``space_coverage``, cubic metres.
         """
         error, coverage = worth_of(self.problem, placement)
         off = [worth_of(self.problem, moved)[0]
@@ -122,11 +123,11 @@ class JudgedRoom:
 
 @lru_cache(maxsize=2)
 def judged_room(*settings) -> JudgedRoom:
-    """Return a room, the same one where it is asked for again; see :class:`JudgedRoom`."""
+    """Return a room; the last two rooms are cached; see :class:`JudgedRoom`."""
     return JudgedRoom(*settings)
 
 
 def _halves(scene: Scene, half: int) -> tuple[Scene, Scene]:
-    """Split the points of a scan at random into what is searched and what judges."""
+    """Split the points of a scan at random into a half for the search and one for the judge."""
     held_out = np.random.default_rng(half).permutation(len(scene)) < len(scene) // 2
     return (Scene(scene.points[~held_out], scene.name), Scene(scene.points[held_out], scene.name))

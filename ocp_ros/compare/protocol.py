@@ -15,11 +15,11 @@
 """
 One protocol for all planners: the same rooms, budgets and seeds, and one judge.
 
-Seconds are those of a processor's time, so that other work on the machine does not count.
+Seconds are processor time, so other work on the machine does not count.
 
-A planner searches by the engine. What counts is what its final placement alone delivers:
-:mod:`ocp_ros.compare.judging` tells, by ray casting where there is a mesh. Beside it stands
-what the engine promised.
+A planner searches with the engine. Planners are compared by the error that the judge computes for
+their final placement, see :mod:`ocp_ros.compare.judging`: by ray casting if there is a mesh. The
+error that the engine computed in the search is reported too, as ``promised``.
 """
 
 from collections.abc import Iterator
@@ -56,34 +56,35 @@ from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
-#: The control: placements drawn at random, this many of them, without any choice.
+#: The control: name and number of random placements.
 CONTROL, CONTROLS = 'random_placement', 16
-#: The best known: searches that see the truth. With a rig file, whose candidates all have to be
-#: looked from, there is one with this share of the evaluations.
+#: The best known placement: searches with ray casting. With a rig file the views of all candidates
+#: are slow to compute, so there is one search with this share of the evaluations.
 TRUTH, RIG_SHARE = 'truth_search', 0.2
-#: The best placement that pricing finds on a grid and near it, with a bound.
+#: The best placement of column generation on a grid and near it, with a lower bound.
 PROVED = 'priced_plane'
-#: Metres: how far from it places join the grid, time after time; directions, and choices.
+#: Distances from the best placement at which places join the grid, one after the other, metres;
+#: number of directions; largest number of choices.
 NEARER, DIRECTIONS, CHOICES = (0.2, 0.1, 0.05, 0.02), 8, 8
-#: A bound this near to the placement proves it.
+#: Largest relative gap at which a placement counts as proved optimal.
 EQUAL = 1e-3
-#: What no planner is: its rows are for comparison.
+#: References for comparison, which are not planners.
 YARDSTICKS = (CONTROL, TRUTH, PROVED)
 #: One run of a planner.
 Row = dict[str, Any]
-#: What stands for a budget of evaluations where there are turns instead.
+#: Budget in the rows of online planners, which have time steps instead of evaluations.
 TURNS = 0
-#: Places on the plane that together see whatever can be seen from it.
+#: Number of places on the plane whose views together count as everything visible from it.
 POOL = 400
-#: Points of a scan that is tried before it is compared in.
+#: Number of points with which each scan of a folder is checked.
 TRIED = 15000
 
 
 def rooms_of_s3dis() -> list[str]:
     """
-    Return the test rooms of S3DIS, none where ``S3DIS_DIR`` is not set.
+    Return the test rooms of S3DIS; [] if ``S3DIS_DIR`` is not set.
 
-    :raises SceneError: if the folder it names is not that of S3DIS.
+    :raises SceneError: if ``S3DIS_DIR`` is not a folder of S3DIS.
     """
     folder = s3dis_folder()
     return [] if folder is None else [str(path.resolve()) for area in TEST_AREAS
@@ -94,9 +95,9 @@ def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
     """
     Return the scans of a folder.
 
-    :param scale: metres per unit of the scans; 0 for what each file says.
+    :param scale: metres per unit of the scans; 0 for the unit in each file.
     :param up: the axis of the scans that points up.
-    :raises SceneError: if there are none, or one that cannot be used.
+    :raises SceneError: if there are no scans, or one of them cannot be used.
     """
     found = [str(path.resolve()) for path in scans_in(folder)]
     if not found:
@@ -111,7 +112,7 @@ def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
 
 
 def placing(cameras: int | None = None, rig: str | Path | None = None) -> SimulationConfig:
-    """Return what is placed: cameras on a plane, four unless a number is given, or a rig file."""
+    """Return the configuration of cameras on a plane, by default four, or of a rig file."""
     plane = RigConfig() if cameras is None else RigConfig(cameras=cameras)
     return SimulationConfig(plane, PROMISING, rig_file='' if rig is None else str(rig))
 
@@ -119,25 +120,25 @@ def placing(cameras: int | None = None, rig: str | Path | None = None) -> Simula
 @dataclass(frozen=True)
 class Protocol:
     """
-    What is compared.
+    Settings of a comparison.
 
     :ivar rooms: seeds of generated rooms and paths of scans, as text.
     :ivar rotations: degrees about the vertical axis.
     :ivar planners: names of planners, offline and online.
-    :ivar budgets: evaluations of offline planners; online ones have the episode's turns.
-    :ivar seeds: how many runs of each.
-    :ivar scale: metres per unit of the scans; 0 for what each file says.
+    :ivar budgets: evaluations of offline planners; online planners have the episode's time steps.
+    :ivar seeds: number of runs of each planner and budget.
+    :ivar scale: metres per unit of the scans; 0 for the unit in each file.
     :ivar up: the direction of the scans that points up, ``'auto'`` or ``'file'``.
-    :ivar simulation: the rig, or a rig file, for which each planner plans under all its
-        constraints; its engine is the one that ends searches and makes promises.
-    :ivar model: weights of planners that have learned: path or name.
-    :ivar points: of a room, as searches see it.
-    :ivar judged_points: of the scan that judges.
-    :ivar half: seed of the random half of a scan that searches see; the other half judges.
-    :ivar truths: searches with the truth, of which the best is the best known.
+    :ivar simulation: the rig, or a rig file whose constraints apply to each planner; and the
+        engine of searches, which gives the promised errors.
+    :ivar model: weights of trained planners: path or name.
+    :ivar points: number of points of the scan for searches.
+    :ivar judged_points: number of points of the scan for the judge.
+    :ivar half: random seed that selects the half of a scan for searches; the judge has the other.
+    :ivar truths: number of searches with ray casting; their best result is the best known.
     :ivar truth_budget: their evaluations.
     :ivar candidates: of the grid on the plane.
-    :ivar proving: seconds that the proof may take.
+    :ivar proving: largest time of the proof, seconds.
     """
 
     rooms: tuple[str, ...] = tuple(map(str, TEST))
@@ -158,7 +159,7 @@ class Protocol:
     proving: float = 60.0
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be compared."""
+        """Reject settings that cannot be compared."""
         known = planners_for(bool(self.simulation.rig_file))
         for name in self.planners:
             if name not in known:
@@ -197,23 +198,23 @@ class Protocol:
         return list(product(budgets, range(self.seeds)))
 
     def room(self, name: str, rotation: float) -> JudgedRoom:
-        """Return a room as searches see it, and as the judge does."""
+        """Return a room with its scans for searches and for the judge."""
         return judged_room(name, rotation, self.simulation, self.points, self.judged_points,
                            self.scale, self.up, self.half)
 
     @property
     def cameras(self) -> int:
-        """Return how many cameras are placed."""
+        """Return the number of cameras to place."""
         return len(self.simulation.placed_rig.cameras)
 
     @property
     def yardsticks(self) -> tuple[str, ...]:
-        """Return what planners are compared with; for rig files, the default planner prices."""
+        """Return the references; with rig files no ``PROVED``: the default planner proves it."""
         return (CONTROL, TRUTH) if self.simulation.rig_file else YARDSTICKS
 
     @property
     def tasks(self) -> list['BenchmarkTask']:
-        """Return what can be done independently of each other: a room, turned, and a planner."""
+        """Return the independent tasks: each a room, a rotation, and a planner or reference."""
         return [BenchmarkTask(room, rotation, planner) for room in self.rooms
                 for rotation in self.rotations for planner in (*self.yardsticks, *self.planners)]
 
@@ -237,8 +238,8 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
     """
     Run a planner in a room with every budget and seed.
 
-    :returns: one row for each run: what was run, the judge's figures, evaluations, seconds, the
-        placement, ``promised``, metres, and the trace of the search.
+    :returns: one row for each run: task, budget and seed, the judge's figures, evaluations,
+        seconds, the placement, ``promised``, metres, and the trace of the search.
     """
     room = protocol.room(task.room, task.rotation)
     return [{**asdict(task), 'budget': budget, 'seed': seed, **row, **room.judge(row['placement']),
@@ -249,7 +250,7 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
 
 
 def _runs(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
-    """Yield what a planner or yardstick finds in each of its runs."""
+    """Yield the result of each run of a planner or reference."""
     if planner == CONTROL:
         return _random(room.problem)
     if planner == PROVED:
@@ -264,11 +265,11 @@ def _runs(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
 
 
 def _plans(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
-    """Plan with every budget and seed; the best known is searched by the default planner."""
+    """Plan with every budget and seed; for ``TRUTH``, use the default planner."""
     planner, turns = RIG_SEARCH if name == TRUTH else name, problem.simulator.config.episode.turns
     free = problem.rig.free
     if free:
-        # Kernels are read from disk before the clock runs.
+        # Load the compiled kernels from disk before time is measured.
         problem.judge(problem.look(problem.start(
             np.random.default_rng(0), problem.simulator.config.episode, protocol.cameras)))
     for budget, seed in protocol.runs(name):
@@ -288,7 +289,7 @@ def _plans(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
 
 
 def _exchanged(protocol: Protocol, simulator: Simulator) -> Iterator[Row]:
-    """Search on the plane with the truth, for the best known."""
+    """Search on the plane with ray casting, for the best known placement."""
     space = space_of(simulator)
     for budget, seed in protocol.runs(TRUTH):
         planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
@@ -298,7 +299,7 @@ def _exchanged(protocol: Protocol, simulator: Simulator) -> Iterator[Row]:
 
 
 def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
-    """Price places of a grid, then places near the best of them as well."""
+    """Run column generation on a grid of places, then with added places near the best ones."""
     fine, began = problem.simulator, time.process_time()
     space = space_of(fine)
     rng, grid, still = np.random.default_rng(0), PoseGrid(fine), np.zeros((1, 3))
@@ -330,7 +331,7 @@ def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
 
 
 def _random(problem: Problem) -> Iterator[Row]:
-    """Draw feasible placements without end, and tell what all candidates together miss."""
+    """Yield random feasible placements without end, with the error of all candidates together."""
     rng, rig = np.random.default_rng(0), problem.rig
     if rig.free:
         space = space_of(problem.simulator)

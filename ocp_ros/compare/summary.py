@@ -13,19 +13,19 @@
 # limitations under the License.
 
 """
-What the rows of a comparison say.
+Summary of a comparison: sums, intervals and tests over its rows.
 
-*Delivered* is what the judge says of a placement, *promised* what the engine said that it was
-searched with, *regret* what is delivered over the best that a search with the truth delivered.
+The *delivered* error of a placement is computed by the judge, the *promised* error by the engine
+of the search. The *regret* is the delivered error divided by the best delivered error of the
+searches with ray casting.
 
-The mean over seeds stands for a turned room, the mean over its rotations for a room, and the sum
-over rooms for a planner, as in Table I of arXiv 2110.11106. Intervals are percentile bootstraps
-over rooms: rooms differ more than seeds do.
+Errors are averaged over seeds, then over the rotations of a room, and summed over rooms, as in
+Table I of arXiv 2110.11106. Intervals are percentile bootstraps over rooms, because rooms differ
+more than seeds.
 
-Planners are also compared room by room: who is better where, and whether that is more than chance.
-Each room is its own pair. Rooms differ by a factor of hundred in how much is missed in them, so
-logarithms are compared: a ratio is the geometric mean over rooms, and the signed-rank test
-(Wilcoxon, 1945) asks whether it differs from one.
+Two planners are also compared by room, each room as a pair. The errors of rooms differ by a factor
+of up to one hundred, so logarithms are compared: a ratio is the geometric mean over rooms, and the
+signed-rank test (Wilcoxon, 1945) tests whether it differs from 1.
 """
 
 from collections import defaultdict
@@ -40,14 +40,14 @@ from scipy import stats
 Rows = list[dict[str, Any]]
 #: Resamples of the bootstrap.
 RESAMPLES = 2000
-#: Share of a random placement's error below which the best known leaves nothing to be compared.
+#: Share of a random placement's error below which the best known error is too small to compare.
 SATURATED = 0.01
-#: Metres: errors are compared with so much added, since some rooms are seen completely.
+#: Added to errors before their logarithm, metres: the error is 0 in some rooms.
 NEGLIGIBLE = 0.01
 
 
 def best_known(rows: Rows) -> dict[str, float]:
-    """Return the least depth error that searches with the truth delivered, by room."""
+    """Return the smallest delivered depth error of the searches with ray casting, by room."""
     best: dict[str, dict[float, float]] = defaultdict(lambda: defaultdict(lambda: np.inf))
     for row in rows:
         if row['planner'] == TRUTH:
@@ -66,7 +66,7 @@ def per_room(rows: Rows, planner: str, budget: int, figure: str) -> dict[str, fl
 
 
 def runs_in(rows: Rows) -> list[tuple[str, int]]:
-    """Return the planners that are compared, each with its budgets."""
+    """Return the compared planners with each of their budgets."""
     return list(dict.fromkeys((row['planner'], row['budget']) for row in rows
                               if row['planner'] not in YARDSTICKS))
 
@@ -75,7 +75,7 @@ def interval(values: np.ndarray, total: Callable[..., np.ndarray] = np.sum) -> l
     """
     Return the 95 % bootstrap interval of a sum over rooms.
 
-    :param values: (R,) one per room.
+    :param values: (R,) one for each room.
     :param total: ``np.sum``, or ``np.mean`` for the interval of the mean.
     """
     rng = np.random.default_rng(0)
@@ -85,19 +85,19 @@ def interval(values: np.ndarray, total: Callable[..., np.ndarray] = np.sum) -> l
 
 def summarise(rows: Rows) -> dict[str, Any]:
     """
-    Sum a comparison up.
+    Summarise a comparison.
 
     :param rows: of :func:`~ocp_ros.compare.protocol.run_task`.
-    :returns: by planner and budget, as text: ``sum`` of what is delivered, ``interval``,
-        ``rooms``, ``wins``, ``regret`` (of the sums) and ``regret_geometric`` (mean over rooms),
-        ``promised`` (its sum), ``promise_over_delivered`` (mean over rooms),
-        ``promise_worst_room`` (the ratio farthest from 1), ``gap_closed`` (ratios are None where
-        nothing is ever missed), ``seconds``, ``seeds`` and, of online planners, whose budget is
-        0, ``seconds_per_turn`` (median) and ``seconds_at_most``; the same of ``truth``, the
-        search with the truth, and of ``exact``, the placements that are proved best on
-        candidates, with ``bounds`` by room; ``promised_over_bound``, of the sums; the rank test
-        of each budget; what is known of each room; and ``notes`` on rooms that tell planners
-        apart no more.
+    :returns: ``planners``: by planner and budget (as text) ``sum`` of the delivered errors,
+        ``interval``, ``rooms``, ``wins``, ``regret`` (of the sums), ``regret_geometric`` (mean
+        over rooms), ``promised`` (sum), ``promise_over_delivered`` (mean over rooms),
+        ``promise_worst_room`` (the ratio farthest from 1), ``gap_closed``, ``seconds``, ``seeds``,
+        ``promised_over_bound`` (of the sums), and for online planners, whose budget is 0,
+        ``seconds_per_turn`` (median) and ``seconds_at_most``. A ratio is None if its denominator
+        is 0. Figures of the same kind are in ``truth``, for the searches with ray casting, and in
+        ``exact``, for the placements of column generation, with ``bounds`` by room. Then
+        ``rank_tests`` by budget, ``rooms`` with their reference errors, and ``notes`` on rooms
+        whose errors are too small to compare planners.
     """
     known, rooms = best_known(rows), list(dict.fromkeys(row['room'] for row in rows))
     control = per_room(rows, CONTROL, 1, 'depth_error')
@@ -140,7 +140,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
 
 
 def _proved(rows: Rows, proofs: Rows, known: dict[str, float]) -> dict[str, Any]:
-    """Say what the placements deliver that are proved best on candidates, and how well proved."""
+    """Return the figures of the placements of column generation, and their optimality gaps."""
     gaps = [_share(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
     return {**_delivered(rows, PROVED, proofs[0]['budget'], known),
             'candidates': proofs[0]['budget'], 'proved': sum(row['proved'] for row in proofs),
@@ -148,7 +148,7 @@ def _proved(rows: Rows, proofs: Rows, known: dict[str, float]) -> dict[str, Any]
 
 
 def _delivered(rows: Rows, planner: str, budget: int, known: dict[str, float]) -> dict[str, Any]:
-    """Say what a planner delivered in all rooms, what it promised, and how long it took."""
+    """Return a planner's delivered and promised errors over all rooms, and its seconds."""
     delivered = per_room(rows, planner, budget, 'depth_error')
     promised = per_room(rows, planner, budget, 'promised')
     kept = [promised[room] / error for room, error in delivered.items() if error > 0.0]
@@ -170,17 +170,17 @@ def _delivered(rows: Rows, planner: str, budget: int, known: dict[str, float]) -
 
 
 def _share(part: float, whole: float) -> float | None:
-    """Return a ratio, None where it means nothing: rooms that any placement sees completely."""
+    """Return a ratio; None if the denominator is 0, as in rooms without any depth error."""
     return float(part / whole) if whole > 0.0 else None
 
 
 def budgets_of(summary: dict[str, Any]) -> list[str]:
-    """Return the budgets, least first; 0 stands for the turns of online planners."""
+    """Return the budgets, the smallest first; 0 is the budget of online planners."""
     return sorted({budget for runs in summary['planners'].values() for budget in runs}, key=int)
 
 
 def last_runs(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return each planner's figures at the largest budget, those of online planners as well."""
+    """Return the figures of each planner at the largest budget, online planners included."""
     last = budgets_of(summary)[-1]
     return {name: runs.get(last, runs.get('0')) for name, runs in summary['planners'].items()
             if last in runs or '0' in runs}
@@ -190,10 +190,10 @@ def ranks(errors: dict[str, np.ndarray]) -> dict[str, Any]:
     """
     Rank planners over rooms.
 
-    :param errors: (R,) per planner, one for each room.
-    :returns: mean ranks (1 is best), the Friedman test's p that all are alike, and for each
-        planner Wilcoxon's signed-rank p against the one of best rank, corrected after Holm; NaN
-        as None where there are too few rooms or planners.
+    :param errors: by planner (R,), one for each room.
+    :returns: mean ranks (1 is best), the p-value of the Friedman test that all planners are equal,
+        and for each planner the p-value of Wilcoxon's signed-rank test against the planner of best
+        mean rank, corrected after Holm. With too few rooms or planners there are no p-values.
     """
     names, table = list(errors), np.array(list(errors.values()))
     mean = stats.rankdata(table, axis=0).mean(axis=1)
@@ -214,14 +214,14 @@ def ranks(errors: dict[str, np.ndarray]) -> dict[str, Any]:
 
 def pairs(rows: Rows, first: str) -> dict[str, dict[str, Any]]:
     """
-    Compare a planner with each of the others.
+    Compare a planner with each other planner.
 
     :param rows: of :func:`~ocp_ros.compare.protocol.run_task`.
-    :param first: the planner that is compared.
-    :returns: by planner, and budget where there are several: ``sum`` over rooms, metres;
-        ``wins`` of the first over it; ``rooms``; ``ratio``, the first's error over its own, and
-        its 95 % bootstrap ``interval``; and ``p`` of the signed-rank test, None where it has no
-        meaning.
+    :param first: name of the first planner.
+    :returns: by planner, and by budget if there are several: ``sum`` over rooms, metres; ``wins``,
+        the number of rooms in which the first planner is better; ``rooms``, their number;
+        ``ratio``, the first planner's error divided by the other's, with its 95 % bootstrap
+        ``interval``; and ``p`` of the signed-rank test, None with too few or equal errors.
     """
     runs = runs_in(rows)
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
@@ -233,7 +233,7 @@ def pairs(rows: Rows, first: str) -> dict[str, dict[str, Any]]:
 
 
 def _named(run: tuple[str, int], runs: list[tuple[str, int]]) -> str:
-    """Return a planner's name, with its budget where there are several."""
+    """Return a planner's name, with its budget if there are several."""
     planner, budget = run
     return planner if sum(name == planner for name, _ in runs) == 1 else f'{planner}, {budget:,}'
 

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Demonstrations over real ROS: node processes, and who watches them."""
+"""Demonstrations over real ROS: node processes, and a node that records their topics."""

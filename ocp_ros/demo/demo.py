@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-The main job over real ROS: a simulated rig and a policy, each a process, place cameras in a room.
+Place cameras in a room over real ROS: a simulated rig and a policy, each in its own process.
 
-Writes ``demo.json`` and ``demo.png`` to the output folder and prints a small table.
+The demo writes ``demo.json`` and ``demo.png`` to the output folder and prints a small table.
 """
 
 import argparse
@@ -40,7 +40,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-#: The first turn waits for the kernels to be compiled on a machine that never ran them.
+#: Longest wait for the first turn and for each later turn, seconds: the first one may wait until
+#: the kernels are compiled.
 START_TIMEOUT, TURN_TIMEOUT = 180.0, 60.0
 
 
@@ -128,7 +129,7 @@ def result_of(options: argparse.Namespace, node: Watcher) -> dict[str, Any]:
 
 def picture(options: argparse.Namespace, node: Watcher, result: dict[str, Any],
             path: Path) -> None:
-    """Draw the room, the ways of the cameras and where they ended."""
+    """Draw the room, the trajectories of the cameras and their final positions."""
     config = SimulationConfig(rig=RigConfig(cameras=result['cameras'], height=options.height))
     scene = Scene(node.scene, name=result['room'])
     visible = Simulator(scene, config).evaluate(node.placement).visible
@@ -142,7 +143,7 @@ def picture(options: argparse.Namespace, node: Watcher, result: dict[str, Any],
 
 
 def table(result: dict[str, Any]) -> Table:
-    """Lay the numbers out for a terminal."""
+    """Return the results as a table for the terminal."""
     rows = Table(title=f'{result["room"]}: {result["points"]:,} points, '
                  f'{result["cameras"]} cameras, {result["turns"]} turns')
     for name in ('', 'start', 'end'):
@@ -158,7 +159,7 @@ def table(result: dict[str, Any]) -> Table:
 
 
 def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, Any]:
-    """Play an episode and draw its end; return the figures."""
+    """Run an episode, draw its final placement, and return the results."""
     run_episode(options, domain, watch)
     result = result_of(options, watch.node)
     picture(options, watch.node, result, options.out / 'demo.png')
@@ -169,7 +170,7 @@ def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, An
 
 
 def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
-    """Print the figures as a table, and what was written."""
+    """Print the results as a table, and the names of the written files."""
     Console().print(table(result))
     if result['depth_error_end'] > result['depth_error_start']:
         print(f'{result["planner"]} left the cameras worse than it found them: a policy may when '
@@ -178,7 +179,7 @@ def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the demo; bad input gets one sentence and exit code 2."""
+    """Run the demo; report bad input in one sentence with exit code 2."""
     options = parser().parse_args(args)
     return run_watched('demo', options.out, lambda domain, watch: play(options, domain, watch),
                        lambda result: show(options, result), (RuntimeError, OSError))

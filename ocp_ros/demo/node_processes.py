@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Node processes for the demos: real nodes, each in a process of its own, over DDS."""
+"""Node processes for the demos: real nodes, each in its own process, over DDS."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -26,16 +26,16 @@ import sys
 
 from ocp_ros.ros.runtime.node_main import ENDING, PARENT, undisturbed
 
-#: Seconds that a node has to end when it is told to: plenty, but for a machine with other work.
+#: Seconds that a node has to end after SIGINT: enough also for a busy machine.
 PATIENCE = 60.0
 
 
 def free_domain() -> tuple[int, socket.socket]:
     """
-    Find a ROS domain that no other process of this kind uses.
+    Find a ROS domain that no other demo uses.
 
-    :returns: the domain id, and a bound socket that keeps it taken while it is open. Node
-        processes inherit it: those that outlive who has started them keep the domain.
+    :returns: the domain id, and a bound socket that reserves the domain while it is open. Node
+        processes inherit the socket: a node that outlives its parent keeps the domain reserved.
     """
     for domain in range(1, 101):
         holder = socket.socket()
@@ -51,9 +51,9 @@ def free_domain() -> tuple[int, socket.socket]:
 
 class NodeProcess:
     """
-    One node in a process of its own; its output goes to a file.
+    One node in its own process; its output goes to a file.
 
-    It ends with the process that has started it, however that one dies.
+    It ends when the parent process ends, even if the parent is killed.
 
     :param name: the node's module in ``ocp_ros.ros``.
     :param domain: ROS domain id.
@@ -69,7 +69,7 @@ class NodeProcess:
         if namespace:
             arguments += ['-r', f'__ns:=/{namespace}']
         for key, value in parameters.items():
-            # The value is read as YAML, which JSON is: a path may hold anything.
+            # ROS reads values as YAML; JSON is valid YAML and escapes all characters of a path.
             arguments += ['-p', f'{key}:={json.dumps(value, default=str)}']
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, 'wb') as file:
@@ -82,9 +82,9 @@ class NodeProcess:
 
     def check(self) -> None:
         """
-        Make sure that the node still runs.
+        Check that the node still runs.
 
-        :raises RuntimeError: with the end of its output if it does not.
+        :raises RuntimeError: if it has ended; the text has the last line of its output.
         """
         if self.process.poll() is not None:
             raise RuntimeError(f'{self.name} ended with code {self.process.returncode}: '
@@ -106,7 +106,7 @@ class NodeProcess:
             self.process.send_signal(signal.SIGINT)
 
     def wait(self) -> int:
-        """Return the node's exit code; insist after a while."""
+        """Wait for the node to end, and return its exit code; kill it after ``PATIENCE``."""
         try:
             return self.process.wait(timeout=PATIENCE)
         except subprocess.TimeoutExpired:
@@ -117,10 +117,10 @@ class NodeProcess:
 @contextmanager
 def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
     """
-    Stop node processes when a block ends, however it ends.
+    Stop node processes when a block ends, also after an error.
 
-    :param processes: the block adds those that it starts.
-    :raises RuntimeError: if the block ended well and a node did not.
+    :param processes: list to which the block adds the processes that it starts.
+    :raises RuntimeError: if the block succeeded and a node ended with another code than 0.
     """
     try:
         yield
@@ -134,6 +134,6 @@ def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
 
 
 def end_on_signals() -> None:
-    """Let SIGTERM and a closed terminal end a demo as Ctrl-C does, in the background too."""
+    """Make SIGTERM and a closed terminal end a demo like Ctrl-C, also in the background."""
     for number in ENDING:
         signal.signal(number, signal.default_int_handler)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Training over real ROS: a trainer, and pairs of sim and policy in namespaces, each a process.
+Train over real ROS: a trainer and pairs of simulation and policy, each in its own process.
 
-Shows that weights trained from the topics arrive in every ``policy_node``; writes
-``train_demo.json``.
+Each pair has its own namespace. The demo shows that trained weights arrive in every
+``policy_node``, and writes ``train_demo.json``.
 """
 
 import argparse
@@ -34,7 +34,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-#: How the trainer learns: so that the demo takes a few minutes.
+#: Settings of the trainer with which the demo takes a few minutes.
 TRAINER = {'publish_every': 20, 'updates_per_turn': 0.0625, 'sac.learning_starts': 100,
            'sac.burn_in': 20, 'sac.batch_size': 16, 'sac.buffer_size': 4000,
            'sac.learning_rate': 1e-4, 'sac.gamma': 0.99}
@@ -54,19 +54,19 @@ def parser() -> argparse.ArgumentParser:
 
 
 def namespaces(pairs: int) -> list[str]:
-    """Return the namespaces of so many pairs; a single one needs none."""
+    """Return the namespaces of ``pairs`` pairs; a single pair has none."""
     return [f'env_{number}' for number in range(pairs)] if pairs > 1 else ['']
 
 
 def pair_of(number: int, seed: int, model: str) -> dict[str, dict[str, Any]]:
-    """Return the nodes of a pair and their parameters: each plays in a room of its own."""
-    # Others use the other cores.
+    """Return the nodes of a pair and their parameters; each pair has its own room."""
+    # One thread per policy: the other pairs use the other cores.
     return {'policy_node': {'model': model, 'explore': True, 'seed': number, 'threads': 1},
             'sim_node': {'scene.seed': seed + number, 'seed': number, 'auto_reset': True}}
 
 
 def start_all(options: argparse.Namespace, domain: int, processes: list[NodeProcess]) -> None:
-    """Start the trainer first, so that it hears every turn, and then all pairs."""
+    """Start the trainer first, so that it receives every turn, and then all pairs."""
     names, logs = namespaces(options.pairs), options.out / 'logs'
     processes.append(NodeProcess('trainer_node', domain, logs / 'trainer_node.log', {
         'model': options.model, 'folder': str(options.out / 'trainer'),
@@ -78,13 +78,13 @@ def start_all(options: argparse.Namespace, domain: int, processes: list[NodeProc
 
 
 def policies_of(watch: Watch, pairs: int) -> list[dict[str, str]]:
-    """Return what the policies said of themselves last, empty for those that have not yet."""
+    """Return the latest diagnostic values of each policy; empty if none have come yet."""
     return [watch.node.health.get(f'{namespace}/policy_node'.lstrip('/'), {})
             for namespace in namespaces(pairs)]
 
 
 def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, float]:
-    """Run the loop for the turns asked for, and until all have new weights; speed and losses."""
+    """Run until all turns are played and all policies have new weights; return the figures."""
     node, processes = watch.node, []
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[state]}'))
@@ -123,7 +123,7 @@ def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, fl
 
 def result_of(options: argparse.Namespace, watch: Watch, played: dict[str, float]
               ) -> dict[str, Any]:
-    """Collect the counts that the nodes published about themselves."""
+    """Collect the counts that the nodes published in their diagnostics."""
     trainer, policies = watch.node.health['trainer_node'], policies_of(watch, options.pairs)
     names = ('turns', 'transitions', 'incomplete', 'inconsistent', 'dropped', 'updates',
              'weights_published')
@@ -138,7 +138,7 @@ def result_of(options: argparse.Namespace, watch: Watch, played: dict[str, float
 
 
 def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
-    """Print the figures as a table."""
+    """Print the results as a table."""
     table = Table('what', 'count', title='Training over ROS')
     for name, value in result.items():
         table.add_row(name.replace('_', ' '), f'{value:.2f}' if isinstance(value, float) else

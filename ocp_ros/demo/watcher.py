@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A node that watches a loop of sim and policy, for the demos."""
+"""A node that records the topics of a simulation and a policy, for the demos."""
 
 from collections.abc import Callable
 import json
@@ -46,19 +46,19 @@ from std_msgs.msg import Float64MultiArray
 
 
 class Watcher(Node):
-    """Keep what a loop has published: the scene, every turn, the placement, the diagnostics."""
+    """Record the scene, every turn, the placement and the diagnostics of a loop."""
 
     def __init__(self, **kwargs) -> None:
         super().__init__('watcher', **kwargs)
         self.scene: np.ndarray | None = None
         self.placement: np.ndarray | None = None
         self.placement_stamp = 0
-        #: Stamp in nanoseconds to positions (K, 3), and to the fields of the reward topic.
+        #: Positions (K, 3), and fields of the reward topic, by stamp in nanoseconds.
         self.positions: dict[int, np.ndarray] = {}
         self.rewards: dict[int, dict[str, float]] = {}
-        #: Node to its diagnostic values.
+        #: Latest diagnostic values by node.
         self.health: dict[str, dict[str, str]] = {}
-        #: Node to when it said so, nanoseconds of its clock.
+        #: Stamp of these values by node, nanoseconds.
         self.said: dict[str, int] = {}
         self.create_subscription(PointCloud2, topics.SCENE, self._on_scene, LATCHED)
         self.create_subscription(PoseArray, topics.PLACEMENT, self._on_placement, LATCHED)
@@ -67,39 +67,39 @@ class Watcher(Node):
         self.create_subscription(DiagnosticArray, '/diagnostics', self._on_health, 10)
 
     def _on_scene(self, message: PointCloud2) -> None:
-        """Keep the scene's points."""
+        """Store the points of the scene."""
         self.scene = msg_to_cloud(message)
 
     def _on_placement(self, message: PoseArray) -> None:
-        """Keep the final answer."""
+        """Store the final placement."""
         self.placement = msg_to_positions(message)
         self.placement_stamp = stamp_to_ns(message.header.stamp)
 
     def _on_poses(self, message: PoseArray) -> None:
-        """Keep where the cameras are."""
+        """Store the positions of the cameras."""
         self.positions[stamp_to_ns(message.header.stamp)] = msg_to_positions(message)
 
     def _on_reward(self, message: Float64MultiArray) -> None:
-        """Keep what the turn is worth."""
+        """Store the reward of the turn."""
         fields = msg_to_fields(message, topics.REWARD_FIELDS)
         stamp = ns_of(fields, 'stamp')
-        # A turn that is sent again is still the same turn.
+        # A turn that is sent again keeps its first time of arrival.
         self.rewards.setdefault(stamp, {**fields, 'received': time.monotonic()})
 
     def _on_health(self, message: DiagnosticArray) -> None:
-        """Keep each node's values."""
+        """Store the diagnostic values of each node."""
         for status in message.status:
             name = status.name.lstrip('/')
             self.health[name] = {v.key: v.value for v in status.values}
             self.said[name] = stamp_to_ns(message.header.stamp)
 
     def turns(self) -> list[tuple[np.ndarray, dict[str, float]]]:
-        """Return every turn whose two messages are here, oldest first: positions and fields."""
+        """Return positions and fields of every complete turn, oldest first."""
         return [(self.positions[stamp], self.rewards[stamp])
                 for stamp in sorted(self.rewards) if stamp in self.positions]
 
     def final_turn(self) -> int | None:
-        """Return the index of the turn that the placement is of; None before both are here."""
+        """Return the index of the turn with the stamp of the placement; None if there is none."""
         stamps = [stamp for stamp in sorted(self.rewards) if stamp in self.positions]
         return stamps.index(self.placement_stamp) if self.placement_stamp in stamps else None
 
@@ -119,11 +119,11 @@ class Watch:
         self.executor.add_node(self.node)
 
     def __enter__(self) -> 'Watch':
-        """Return itself."""
+        """Return the watch."""
         return self
 
     def __exit__(self, *exception) -> None:
-        """Take everything down in the order that the middleware needs."""
+        """Shut everything down in the order that the middleware needs."""
         self.executor.shutdown()
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
@@ -131,14 +131,14 @@ class Watch:
     def until(self, predicate: Callable[[], bool], timeout: float, what: str,
               processes: list[NodeProcess], step: float = 0.1) -> None:
         """
-        Spin until something has happened.
+        Spin until a condition holds.
 
-        :param predicate: whether it has.
-        :param timeout: seconds to wait for it.
-        :param what: its name for the error message.
-        :param processes: nodes that have to stay alive meanwhile.
-        :param step: seconds after which it is looked again where nothing comes.
-        :raises RuntimeError: if it does not happen in time or a node dies.
+        :param predicate: returns whether the condition holds.
+        :param timeout: longest wait, seconds.
+        :param what: name of the condition for the error message.
+        :param processes: nodes that have to stay alive during the wait.
+        :param step: seconds between two checks if no message comes.
+        :raises RuntimeError: if the time is over or a node dies.
         """
         deadline = time.monotonic() + timeout
         while not predicate():
@@ -155,16 +155,16 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
                 show: Callable[[dict[str, Any]], None],
                 errors: tuple[type[Exception], ...] = (RuntimeError,)) -> int:
     """
-    Play with node processes in a ROS domain of their own, and write what was found.
+    Run a demo with node processes in a ROS domain of their own, and write the result.
 
-    Nodes hear each other by UDP, so that one may be killed without harm to the others.
+    Nodes communicate by UDP, so that a node may be killed without harm to the others.
 
-    :param name: of what is played, and of its JSON file.
+    :param name: of the demo, and of its JSON file.
     :param out: folder for the file.
-    :param play: gets the domain id and who watches; returns plain data, among them ``faults``,
-        sentences, where there are any.
-    :param show: prints them.
-    :param errors: what is told in one sentence.
+    :param play: gets the domain id and the watch; returns the result as plain data, with sentences
+        under ``faults`` if anything failed.
+    :param show: prints the result.
+    :param errors: errors that are printed as one sentence.
     :returns: exit code: 2 after such an error or with faults, 130 after an interrupt.
     """
     end_on_signals()

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Arrays in, arrays out: camera models, shadow maps, coverage and depth error (NumPy, Numba)."""
+"""Geometry on arrays: camera models, shadow maps, coverage and depth error (NumPy, Numba)."""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Camera models and poses: what a depth camera could see if nothing stood in its way."""
+"""Camera models and poses: the field of view of depth cameras, without occlusion."""
 
 from dataclasses import dataclass
 import math
@@ -24,13 +24,13 @@ from ocp_ros.util.kernels import njit
 OMNIDIRECTIONAL, PINHOLE, SPHERICAL = 0, 1, 2
 #: From the optical frame (z forward, x right, y down) to the body frame (x forward, y left, z up).
 OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-#: Of a camera that looks straight up or down, so much of its direction is level at most.
+#: A camera counts as looking straight up or down if the level part of its direction is less.
 UPRIGHT = 1e-7
 
 
 class Frustum(NamedTuple):
     """
-    A camera model as the kernels take it.
+    A camera model as plain numbers for the kernels.
 
     :ivar kind: ``OMNIDIRECTIONAL``, ``PINHOLE`` or ``SPHERICAL``.
     :ivar half_horizontal: pinhole: tangent of half the angle; spherical: half the angle, radians.
@@ -46,7 +46,7 @@ class Frustum(NamedTuple):
 
 class Pose(NamedTuple):
     """
-    Where a camera is and how it is turned.
+    The pose of a camera.
 
     :ivar position: (3,) float64, metres, map frame.
     :ivar rotation: (3, 3) float64, body frame (x forward, y left, z up) to map frame.
@@ -71,7 +71,7 @@ class Pose(NamedTuple):
         return cls(camera[:3], rotation_matrix(*camera[3:]) if len(camera) == 6 else LEVEL)
 
     def away_from(self, other: 'Pose') -> tuple[float, float]:
-        """Return how far the pose is from another one: metres, and radians of one rotation."""
+        """Return the distance and the rotation angle to another pose: metres and radians."""
         return (float(np.linalg.norm(self.position - other.position)),
                 angle_between(self.rotation, other.rotation))
 
@@ -81,14 +81,14 @@ class CameraModel:
     """
     The viewing cone of a depth camera, F_i in equation 5 of arXiv 2110.11106.
 
-    An angle of view of 180 degrees or more cannot be an image plane: such a model is bounded by
-    azimuth and elevation instead (a spinning lidar), and 360 x 180 degrees is omnidirectional.
+    A field of view of 180 degrees or more has no image plane. Such a model is bounded by azimuth
+    and elevation instead (a spinning lidar), and 360 x 180 degrees is omnidirectional.
 
     :param min_range: metres; nearer points are not measured.
     :param max_range: metres; the effective range.
     :param horizontal_fov: radians, in (0, 2 pi].
     :param vertical_fov: radians, in (0, pi].
-    :param resolution: pixels across and down, or None where it is not known.
+    :param resolution: pixels across and down; None if unknown.
     :raises ValueError: if a range, an angle or the resolution makes no sense.
     """
 
@@ -152,11 +152,12 @@ def rotation_matrix(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> 
 
 def heading_of(rotation: np.ndarray) -> np.ndarray:
     """
-    Return how a camera is turned: what :func:`rotation_matrix` makes the rotation of.
+    Return yaw, pitch and roll of a rotation, the inverse of :func:`rotation_matrix`.
 
     :param rotation: (3, 3), body frame to map frame.
-    :returns: (3,) yaw, pitch and roll in radians, the pitch from -pi / 2 to pi / 2; where a camera
-        looks straight up or down, yaw and roll are one, and the roll is 0.
+    :returns: (3,) yaw, pitch and roll in radians, the pitch from -pi / 2 to pi / 2. If the camera
+        looks straight up or down, the yaw is the whole rotation about the vertical axis, and the
+        roll is 0.
     """
     forward, left, up = rotation.T
     level = np.hypot(forward[0], forward[1])
@@ -167,13 +168,13 @@ def heading_of(rotation: np.ndarray) -> np.ndarray:
 
 
 def angle_between(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the angle, radians, of the rotation from one rotation (3, 3) to another."""
-    # Of small angles the cosine says little.
+    """Return the angle between two rotations (3, 3), radians."""
+    # The cosine is inaccurate for small angles, so the sine is used.
     skew = np.linalg.norm(one - other) / np.sqrt(8.0)
     return float(2.0 * np.arcsin(min(skew, 1.0)))
 
 
-#: A camera that looks along x, level.
+#: The rotation of a level camera that looks along x.
 LEVEL = np.eye(3)
 
 
@@ -183,7 +184,7 @@ def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
     if lens.kind == OMNIDIRECTIONAL:
         return True
     if lens.kind == PINHOLE:
-        # Without branches, so that a loop of it is vectorised.
+        # No branches, so that loops over this function are vectorised.
         return ((x > 0.0) & (abs(y) <= x * lens.half_horizontal)
                 & (abs(z) <= x * lens.half_vertical))
     return (abs(math.atan2(y, x)) <= lens.half_horizontal
@@ -192,7 +193,7 @@ def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
 
 @njit(cache=True, nogil=True, inline='always')
 def in_cone(dx: float, dy: float, dz: float, pose: Pose, lens: Frustum) -> bool:
-    """Return whether a way from a camera, metres, map frame, leads into its viewing cone."""
+    """Return whether an offset from a camera (metres, map frame) lies in its viewing cone."""
     rotation = pose.rotation
     x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
     y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
@@ -203,13 +204,13 @@ def in_cone(dx: float, dy: float, dz: float, pose: Pose, lens: Frustum) -> bool:
 @njit(cache=True, nogil=True)
 def mark_headings(points, position, rotations, lens, bits):
     """
-    Mark which of many headings of a camera at one place have each point in their viewing cone.
+    Mark, for each point, the headings of a camera whose viewing cone contains the point.
 
     :param points: (n, 3) float32, metres, map frame.
-    :param position: (3,) float64, of the camera, metres.
+    :param position: (3,) float64, the position of the camera, metres.
     :param rotations: (H, 3, 3) float64, body frame to map frame.
     :param lens: the camera model's :class:`Frustum`.
-    :param bits: (n, W) uint64, in and out: bit k of word w for heading 64 w + k.
+    :param bits: (n, W) uint64, in and out: bit k of word w stands for heading 64 w + k.
     """
     ways = points.astype(np.float64) - position
     for heading in range(rotations.shape[0]):

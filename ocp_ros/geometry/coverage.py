@@ -17,17 +17,17 @@
 import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits
 
-#: Cells of a room: they take some 60 bytes each.
+#: The largest number of coverage cells of a room: each takes about 60 bytes.
 MOST_CELLS = 8_000_000
 
 
 def _counts(bounds: np.ndarray, cell: float) -> np.ndarray:
-    """Return how many cells there are along each axis: (3,) int64."""
+    """Return the number of cells along each axis: (3,) int64."""
     return np.maximum(np.round((bounds[1] - bounds[0]) / cell).astype(np.int64), 1)
 
 
 def coverable_cell(bounds: np.ndarray, cell: float) -> float:
-    """Return the edge of a cell, metres, doubled until there are few enough in a box (2, 3)."""
+    """Return the cell edge, metres, doubled until a box (2, 3) has at most ``MOST_CELLS``."""
     while _counts(bounds, cell).prod(dtype=np.float64) > MOST_CELLS:
         cell *= 2.0
     return cell
@@ -38,9 +38,10 @@ def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
     Divide a bounding box into equal cells.
 
     :param bounds: (2, 3), lowest and highest corner, metres.
-    :param cell: wanted edge of a cell, metres; each axis takes the nearest edge that divides it.
+    :param cell: the wanted edge of a cell, metres; each axis uses the nearest edge that divides it
+        evenly.
     :returns: centres (M, 3) float32, metres, and the volume of one cell, cubic metres.
-    :raises ValueError: if the cell is not positive, or so small that there are too many.
+    :raises ValueError: if the cell is not positive, or there would be too many cells.
     """
     if not cell > 0.0:
         raise ValueError(f'coverage cell: found {cell}; expected metres above 0')

@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-Depth observation error: what the depth maps of a room lose if only some points are seen.
+Depth observation error: the error of the depth maps of a room if only some points are visible.
 
 Equations 2 and 3 of arXiv 2110.11106, with the mean over a map's pixels instead of their sum. The
-viewpoints never move, so the points that cover each pixel are listed once, nearest first; the
-depth of a partial cloud is then the first visible entry of each list.
+viewpoints are fixed, so the points that cover each pixel are listed once, nearest first. The depth
+of a pixel for a partial cloud is that of the first visible point in its list.
 
-Neighbouring pixels begin with the same points, so the lists are kept as trees: where a point is
-visible, all pixels below it are settled at once.
+The lists of neighbouring pixels begin with the same points, so the lists are stored as trees. If
+the point of a node is visible, the depths of all pixels below the node are determined at once.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,13 +33,14 @@ from ocp_ros.geometry.shadow_maps import footprint, projected
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 
-#: Viewpoints of the paper.
+#: The number of viewpoints in the paper.
 FIVE = 5
-#: Half the side of a point's cube in the depth maps, in multiples of its spacing: the paper's.
-#: With less, the maps of a whole room have holes. And the most, in multiples of the median
-#: spacing: a stray point is a speck, not a wall.
+#: Half the side of a point's cube in the depth maps, in multiples of its spacing, as in the paper:
+#: smaller cubes leave holes in the maps of a whole room. And the largest value, in multiples of
+#: the median spacing, since a stray point is a speck, not a wall.
 CUBE, LARGEST_CUBE = 1.0, 3.0
-#: Pixels are sorted by this many of their nearest points, so that those with the same meet.
+#: Pixels are sorted by this many of their nearest points, so that pixels with the same first
+#: points are neighbours.
 SORTED_BY = 6
 
 
@@ -47,8 +48,8 @@ def five_viewpoints(corners: np.ndarray, height: float) -> np.ndarray:
     """
     Place the viewpoints of the paper: the centre, and 2/3 of the way from it to the corners.
 
-    :param corners: (4, 2) of the rectangle that the room fills, metres.
-    :param height: z of the viewpoints, half the room's, metres.
+    :param corners: (4, 2) the corners of the room's bounding rectangle, metres.
+    :param height: z of the viewpoints, metres: half the height of the room.
     :returns: (5, 3) float64, metres.
     """
     centre = corners.mean(axis=0)
@@ -59,10 +60,11 @@ def five_viewpoints(corners: np.ndarray, height: float) -> np.ndarray:
 @njit(cache=True, nogil=True)
 def _list_candidates(projection, order, half_sides, rows, columns, ends, indices):
     """
-    Write each pixel's points in the given order.
+    Write the points that cover each pixel, in the given order.
 
-    :param ends: (H * W,) int64, in and out: moves by one for each point of a pixel.
-    :param indices: (L,) int32, out: the points; empty to count them only.
+    :param ends: (H * W,) int64, in and out: the next free index of each pixel, raised by one per
+        point.
+    :param indices: (L,) int32, out: the points; an empty array only counts them.
     """
     for i in order:
         first_row, last_row, first_column, count = footprint(
@@ -78,12 +80,14 @@ def _list_candidates(projection, order, half_sides, rows, columns, ends, indices
 
 class Trees(NamedTuple):
     """
-    The lists of all pixels as trees, parents before children, each (T,).
+    The point lists of all pixels as trees, parents before children; each field is (T,).
 
-    :ivar point: uint32, the point of a node: next in the lists of all pixels below.
-    :ivar end: uint32, the first node after those below this one.
-    :ivar gap: float32, metres, what its pixels lose together if the point is the first visible.
-    :ivar rest: float32, metres, what pixels lose whose list ends here, if none is visible.
+    :ivar point: uint32, the point of a node: the next one in the lists of all pixels below.
+    :ivar end: uint32, the index of the first node after the subtree of this node.
+    :ivar gap: float32, metres, the summed error of the pixels below if this point is the first
+        visible one.
+    :ivar rest: float32, metres, the summed error of the pixels whose list ends here, if none of
+        its points is visible.
     """
 
     point: np.ndarray
@@ -95,14 +99,14 @@ class Trees(NamedTuple):
 @njit(cache=True, nogil=True)
 def _grow(pixels, starts, indices, depths, far, longest):
     """
-    Build the tree of the lists of pixels.
+    Build the trees of the point lists of pixels.
 
-    :param pixels: pixels that have a list, those with a common beginning next to each other.
-    :param starts: (H * W + 1,) int64, where each pixel's list begins.
+    :param pixels: the pixels with a list, those with the same first points next to each other.
+    :param starts: (H * W + 1,) int64, the start of each pixel's list.
     :param indices: (L,) int32, points.
-    :param depths: (L,) float32, their distances, metres.
-    :param far: metres.
-    :param longest: points of the longest list.
+    :param depths: (L,) float32, the distances of these points, metres.
+    :param far: the depth of an empty pixel, metres.
+    :param longest: the number of points of the longest list.
     :returns: the fields of :class:`Trees`.
     """
     most = indices.shape[0]
@@ -135,12 +139,13 @@ def _grow(pixels, starts, indices, depths, far, longest):
 @njit(cache=True, nogil=True)
 def lost_depth(trees, seen, most=np.inf):
     """
-    Sum the depth that the pixels of all viewpoints lose.
+    Sum the depth errors of the pixels of all viewpoints.
 
-    :param trees: of a :class:`DepthError`.
+    :param trees: the trees of a :class:`DepthError`.
     :param seen: (W,) uint64, packed bits of the points.
-    :param most: metres; what is above it may be a part of the sum.
-    :returns: metres; the error is this divided by the pixels of a map.
+    :param most: metres; the sum may stop as soon as it exceeds this value.
+    :returns: the sum, metres; the depth error is this sum divided by the number of pixels of a
+        map.
     """
     total, node = 0.0, np.uint32(0)
     while node < trees.point.shape[0] and total <= most:
@@ -157,12 +162,13 @@ def lost_depth(trees, seen, most=np.inf):
 @njit(cache=True, nogil=True)
 def unsettled(trees, seen):
     """
-    Leave out what some points settle, whatever else is seen.
+    Remove the nodes whose error is fixed by points that are visible anyway.
 
-    :param trees: of a :class:`DepthError`.
+    :param trees: the trees of a :class:`DepthError`.
     :param seen: (W,) uint64, packed bits of the points.
-    :returns: the other trees, and the metres that whole trees lose which are left
-        out: with more points seen, :func:`lost_depth` of all trees is that of these and as much.
+    :returns: the remaining trees, and the summed error of removed whole trees, metres. For
+        ``seen`` and any further points, :func:`lost_depth` of all trees equals that of the
+        remaining trees plus this sum.
     """
     most = trees.point.shape[0]
     before, kept = np.empty(most + 1, dtype=np.uint32), np.empty(most, dtype=np.uint32)
@@ -174,7 +180,7 @@ def unsettled(trees, seen):
         before[node] = count
         point = trees.point[node]
         if (seen[point >> np.uint32(6)] >> np.uint64(point & np.uint32(63))) & np.uint64(1):
-            # These pixels lose as much unless a point above is seen.
+            # These pixels have this error unless a point above is visible.
             if depth:
                 rest[path[depth - 1]] += trees.gap[node]
             else:
@@ -190,7 +196,7 @@ def unsettled(trees, seen):
 
 @njit(cache=True, nogil=True)
 def _lost_at(trees, seen, lost):
-    """Sum the depth that pixels lose at the point that they show of the whole scene: (N,) lost."""
+    """Add each pixel's error to the first point of its list, the true surface: ``lost`` (N,)."""
     node = np.uint32(0)
     while node < trees.point.shape[0]:
         first, last = trees.point[node], trees.end[node]
@@ -210,16 +216,17 @@ class DepthError:
 
     :param points: (N, 3) float32, metres, map frame.
     :param spacing: (N,) float32, metres.
-    :param far: metres that an empty pixel reads: the diameter of the room.
-    :param places: (V, 3) metres, the viewpoints. However many there are, the error is that of
-        five.
+    :param far: the depth of an empty pixel, metres: the diameter of the room.
+    :param places: (V, 3) metres, the viewpoints. For any number of them, the error is scaled to
+        that of five.
     :param rows: rows of the depth maps; they have twice as many columns.
-    :param folds: 1 for the error of all points. From 2 on each point belongs to one of so many
-        folds, and each viewpoint in turn looks at the room without the points of one of them, in
-        units in which seeing nothing costs what it costs with all points. A placement that owes
-        its error to single points of this scan does not keep it on another scan.
-    :ivar trees: for kernels that ask :func:`lost_depth` many times.
-    :ivar pixels: what the sum over all pixels is divided by: a fifth of all.
+    :param folds: 1 for the error with all points. For n >= 2, each point belongs to one of n
+        folds, and each viewpoint in turn leaves out the points of one fold; the error is scaled so
+        that the error of seeing nothing stays the same. A placement whose error depends on single
+        points of this scan does not reach that error on another scan.
+    :ivar trees: the trees, for kernels that call :func:`lost_depth` many times.
+    :ivar pixels: the divisor of the sum over all pixels: a fifth of the number of pixels of all
+        viewpoints.
     """
 
     def __init__(self, points: np.ndarray, spacing: np.ndarray, far: float, places: np.ndarray,
@@ -229,7 +236,8 @@ class DepthError:
         self.pixels = rows * 2 * rows * len(places) / FIVE
         half_sides = (CUBE * np.minimum(spacing, LARGEST_CUBE * np.median(spacing))).astype(
             np.float32)
-        # Dealt out by what does not change when the scan is turned.
+        # Folds are assigned in the order of distance from the first viewpoint, which does not
+        # change when the scan is rotated.
         order = np.argsort(np.linalg.norm(points - places[0], axis=1), kind='stable')
         fold = np.empty(len(points), dtype=np.int64)
         fold[order] = np.random.default_rng(0).integers(folds, size=len(points))
@@ -254,9 +262,9 @@ class DepthError:
     def _viewpoint(self, points: np.ndarray, half_sides: np.ndarray,
                    position: np.ndarray, kept: np.ndarray | None
                    ) -> tuple[Trees, np.ndarray]:
-        """List the candidates of every pixel of one viewpoint, and draw the map of all points."""
+        """List the points that cover each pixel of one viewpoint, and compute its depth map."""
         rows, columns = self.shape
-        # Far enough that a room's own far corner is never cut off by rounding.
+        # The range is so large that rounding never cuts off a far corner of the room.
         lens = CameraModel(max_range=2.0 * self.far).lens
         projection = projected(points, Pose(position, LEVEL), lens)
         order = np.argsort(projection.distance, kind='stable')
@@ -285,7 +293,7 @@ class DepthError:
         """
         Return the depth map of the whole scene.
 
-        :param viewpoint: its number, from 0.
+        :param viewpoint: the number of the viewpoint, from 0.
         :returns: (H, W) float32, metres; an empty pixel reads ``far``.
         """
         return self._maps[viewpoint]
@@ -295,18 +303,19 @@ class DepthError:
         Return the depth observation error of the visible points.
 
         :param seen: (W,) uint64, packed bits of the points.
-        :param most: metres; of an error above it, anything above it may be returned.
-        :returns: metres: the sum over five viewpoints of the mean over the pixels; of more
-            viewpoints, five times their mean.
+        :param most: metres; if the error is above this value, any value above it may be returned.
+        :returns: metres: the sum over five viewpoints of the mean over the pixels; for another
+            number of viewpoints, five times their mean.
         """
         return lost_depth(self.trees, seen, most * self.pixels) / self.pixels
 
     def given(self, seen: np.ndarray) -> Callable[..., float]:
         """
-        Return what tells the error of some points and one view besides, which is asked often.
+        Return a fast function of the error with some points and one further view.
 
         :param seen: (W,) uint64, packed bits of the points.
-        :returns: of a view, the same, and of ``most``, as :meth:`__call__` has it: metres.
+        :returns: a function of a view ((W,) uint64, packed bits) and of ``most``, see
+            :meth:`__call__`; it returns metres.
         """
         trees, settled = unsettled(self.trees, seen)
         return lambda view, most=np.inf: (
@@ -315,11 +324,11 @@ class DepthError:
     def changes(self, beside: Sequence[np.ndarray], views: Sequence[np.ndarray], floor: float
                 ) -> np.ndarray:
         """
-        Return by how much each of many views changes the error that some others leave.
+        Return the change of the error by each of many views, added to some given views.
 
-        :param beside: any number of (W,) uint64, packed bits of the points.
-        :param views: M of the same.
-        :param floor: share of the error of seeing nothing that is added to both errors.
+        :param beside: the given views: any number of (W,) uint64, packed bits of the points.
+        :param views: M views of the same form.
+        :param floor: the share of the error of seeing nothing that is added to both errors.
         :returns: (M,) logarithms of (error with the view / error without it); less is better.
         """
         seen = np.bitwise_or.reduce([no_bits(self._count), *beside])
@@ -329,7 +338,7 @@ class DepthError:
 
     def error_by_point(self, seen: np.ndarray) -> np.ndarray:
         """
-        Say where the error comes from: each pixel's loss goes to the point that it should show.
+        Return the part of the error at each point: a pixel's error goes to its true point.
 
         :param seen: (W,) uint64, packed bits of the points.
         :returns: (N,) metres, in the order of the points; their sum is the error.

@@ -38,6 +38,6 @@ class EngineConfig:
                '(its five, in the rectangle along the walls)', choices=('air', 'paper'))
 
 
-#: The engine that searches end with and that promises are made by. Maps of the error that are
-#: finer than the points are apart, or that hold all points at once, fit the scan and not the room.
+#: The engine settings for the end of a search and for guaranteed results. Depth maps that are
+#: finer than the point spacing, or that use all points at once, overfit the scan.
 PROMISING = EngineConfig(preset='fine', error_rows=64, error_folds=4)

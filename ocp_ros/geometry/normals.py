@@ -12,26 +12,27 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Normals of points: planes through their neighbours, those on edges taken from inside a face."""
+"""Estimate normals of points from planes fitted to neighbours, with correct planes near edges."""
 
 import numpy as np
 from ocp_ros.util.kernels import njit
 
-#: Least part of a normal that is upright on what is level, and most on a wall.
+#: The least |z| of the normal of a level surface, and the largest |z| of the normal of a wall.
 LEVEL, STEEP = 0.7, 0.3
-#: Sweeps of Jacobi's method; three by three converges in fewer.
+#: The number of sweeps of Jacobi's method; a (3, 3) matrix converges in fewer.
 SWEEPS = 12
-#: Neighbours whose planes a point may adopt, and how much a plane's own roughness counts.
+#: The number of neighbours whose planes a point may adopt, and the weight of a plane's roughness.
 CANDIDATES, ROUGH = 12, 3.0
 
 
 def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
     """
-    Fit a plane to each point's neighbours; then take, of those planes nearby, the one that fits.
+    Fit a plane to each point's neighbours; then choose the best of the nearby planes.
 
-    A plane that is fitted across an edge is neither side's. So each point adopts the plane of the
-    neighbour for which the point's distance to it, in spacings, and the plane's own roughness are
-    least: on an edge that is the plane of a neighbour farther inside its face.
+    A plane that is fitted across an edge matches neither side. So each point adopts the plane of
+    the neighbour with the least cost: the distance of the point from the plane in spacings, plus
+    the weighted roughness of the plane. Near an edge, this is the plane of a neighbour farther
+    inside the face.
 
     :param points: (N, 3), metres.
     :param neighbours: (N, K) indices of the nearest points, the point itself first.
@@ -50,8 +51,8 @@ def _planes(points, neighbours):
 
     :param points: (N, 3) float64.
     :param neighbours: (N, K) indices.
-    :returns: normals (N, 3) float64, and how far the neighbours are off the plane as a share of
-        how far they are spread (N,).
+    :returns: normals (N, 3) float64, and the roughness (N,): the spread of the neighbours off the
+        plane as a share of their total spread.
     """
     count, size = neighbours.shape
     normals, roughness = np.empty((count, 3)), np.empty(count)
@@ -87,7 +88,7 @@ def _diagonalise(matrix, axes):
     """
     Turn a symmetric matrix (3, 3) into its eigenvalues by Jacobi's rotations.
 
-    :param matrix: its upper half, in and out: the diagonal ends as the eigenvalues.
+    :param matrix: its upper half, in and out: the diagonal becomes the eigenvalues.
     :param axes: (3, 3), out: the eigenvectors as columns.
     """
     for a in range(3):
@@ -124,13 +125,13 @@ def _diagonalise(matrix, axes):
 @njit(cache=True, nogil=True)
 def _adopted(points, candidates, normals, roughness, typical):
     """
-    Choose for each point the best of some planes nearby.
+    Choose the best of some nearby planes for each point.
 
     :param points: (N, 3) float64, metres.
-    :param candidates: (N, C) indices of the points whose planes they are.
+    :param candidates: (N, C) indices of the points whose planes are compared.
     :param normals: (N, 3) float64.
     :param roughness: (N,).
-    :param typical: metres between points.
+    :param typical: the mean distance between neighbouring points, metres.
     :returns: (N, 3) float32.
     """
     chosen = np.empty(points.shape, dtype=np.float32)

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Points in blocks: sorted so that neighbours lie together, seen or passed over 256 at a time.
+Points in blocks: sorted so that neighbours lie together, and processed 256 at a time.
 
-Subsets of such points are packed bits, one word of 64 bits for 64 points: a union is a handful of
+Subsets of these points are packed bits, one word of 64 bits for 64 points: a union takes a few
 instructions, and a room of 25,000 points takes 3 kB.
 """
 
@@ -27,7 +27,7 @@ from ocp_ros.geometry.cameras import PINHOLE
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.util.kernels import njit
 
-#: Points of a block, and 64-bit words that hold a flag for each.
+#: Points per block, and 64-bit words per block, with one bit for each point.
 BLOCK, WORDS = 256, 4
 
 
@@ -52,7 +52,7 @@ def spatial_order(points: np.ndarray) -> np.ndarray:
 
 def block_bounds(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """
-    Bound each block of ``BLOCK`` points in a row, with the discs around them.
+    Return the bounding box of each block of ``BLOCK`` points, including their discs.
 
     :param points: (N, 3), metres, in spatial order.
     :param radius: (N,), metres.
@@ -69,13 +69,13 @@ def block_bounds(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
 @njit(cache=True, nogil=True)
 def blocks_in_view(bounds, pose, lens, found):
     """
-    Find the blocks that a camera may see some point of.
+    Find the blocks with points that may be in a camera's field of view.
 
     :param bounds: (B, 2, 3) float32, metres.
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param found: (B,) uint32, out: indices of blocks.
-    :returns: how many there are.
+    :returns: the number of blocks found.
     """
     count = 0
     across = np.sqrt(1.0 + lens.half_horizontal * lens.half_horizontal)
@@ -93,7 +93,7 @@ def blocks_in_view(bounds, pose, lens, found):
         if away > lens.max_range * lens.max_range:
             continue
         if lens.kind == PINHOLE:
-            # Distance of the block's middle beyond the planes that bound the viewing cone.
+            # The largest distance of the block's centre beyond the planes of the viewing cone.
             beyond = max(-x, (abs(y) - lens.half_horizontal * x) / across,
                          (abs(z) - lens.half_vertical * x) / up)
             if beyond > np.sqrt(size):
@@ -113,7 +113,7 @@ def pack(flags: np.ndarray) -> np.ndarray:
     Pack flags into bits.
 
     :param flags: (N,) bool.
-    :returns: (W,) uint64, the first flag in the lowest bit; what fills up the last block is 0.
+    :returns: (W,) uint64, the first flag in the lowest bit; the padding of the last block is 0.
     """
     words = no_bits(len(flags))
     packed = np.packbits(flags, bitorder='little')
@@ -152,11 +152,11 @@ def count_bits(words):
 
 def seen_by(views: Sequence[np.ndarray], most: int) -> list[np.ndarray]:
     """
-    Find what at least so many of some views hold.
+    Find the points that at least 1, 2, ... M of some views contain.
 
     :param views: K subsets of the same points, (W,) uint64 packed bits each, K >= 1.
-    :param most: M >= 1.
-    :returns: M subsets (W,) uint64: what at least 1, 2, ... M views hold.
+    :param most: the largest number of views counted, M >= 1.
+    :returns: M subsets (W,) uint64: the points that at least 1, 2, ... M views contain.
     """
     levels = [np.zeros_like(views[0]) for _ in range(most)]
     for view in views:
@@ -169,7 +169,7 @@ def seen_by(views: Sequence[np.ndarray], most: int) -> list[np.ndarray]:
 @dataclass(frozen=True, eq=False)
 class Subset:
     """
-    Some of N points.
+    A subset of N points.
 
     :ivar bits: (W,) uint64, packed flags in the engine's spatial order.
     :ivar order: (N,) int64, the index of each point of that order among the caller's points.

@@ -12,29 +12,29 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Cells of a horizontal grid: which are too near to surfaces, and which open one is nearest."""
+"""Cells of a horizontal grid: close those near surfaces, and find the nearest open cell."""
 
 import math
 
 import numpy as np
 from ocp_ros.util.kernels import njit
 
-#: The row that is named where a column has no open cell.
+#: The row number for a column without an open cell.
 NO_ROW = -1
-#: Metres that places moved into a cell stay inside of its edges.
+#: Metres: positions moved into a cell keep this distance from its edges.
 INSIDE = 1e-6
 
 
 @njit(cache=True, nogil=True)
 def close_near(points, heights, clearance, low, edge, cells):
     """
-    Close the cells any place of which is nearer to a point than a distance, in 3D.
+    Close the cells that contain a position nearer to a point than a distance, in 3D.
 
     :param points: (N, 3) metres.
-    :param heights: (2,) metres, the lowest and the highest z that the places have.
+    :param heights: (2,) metres, the lowest and the highest z of the positions.
     :param clearance: the distance, metres.
     :param low: (2,) metres, corner of the first cell.
-    :param edge: of the cells, metres.
+    :param edge: the edge of a cell, metres.
     :param cells: (X, Y) bool, written to: those that are too near become False.
     """
     for point in range(len(points)):
@@ -42,7 +42,7 @@ def close_near(points, heights, clearance, low, edge, cells):
         off = max(heights[0] - z, z - heights[1], 0.0)
         if off >= clearance:
             continue
-        # What follows is in units of cells, the disc that the ball cuts out of the plane.
+        # In units of cells: the disc in which the sphere of radius ``clearance`` meets the plane.
         radius = math.sqrt(clearance * clearance - off * off) / edge
         x, y = (points[point, 0] - low[0]) / edge, (points[point, 1] - low[1]) / edge
         first, last = int(math.floor(x - radius)), int(math.floor(x + radius))
@@ -57,10 +57,10 @@ def close_near(points, heights, clearance, low, edge, cells):
 @njit(cache=True, nogil=True)
 def nearest_rows(cells):
     """
-    Find the nearest open cell along the first axis, the lower one of two.
+    Find the nearest open cell along the first axis; of two equally near ones, the lower.
 
     :param cells: (X, Y) bool.
-    :returns: (X, Y) int32, its first index; ``NO_ROW`` where there is none.
+    :returns: (X, Y) int32, the first index of this cell; ``NO_ROW`` if the column has none.
     """
     rows, columns = cells.shape
     near = np.full(cells.shape, NO_ROW, dtype=np.int32)
@@ -83,14 +83,13 @@ def moved_into(positions, low, edge, near):
     """
     Move positions into the nearest open cell; see :func:`nearest_rows`.
 
-    Of cells that are as near as each other the one of the lowest second index is taken, then that
-    of the lowest first.
+    Of equally near cells, the one with the lowest second index is taken, then the lowest first.
 
-    :param positions: (M, 2) float64, metres, overwritten; one beyond the grid counts as in its
-        nearest cell.
+    :param positions: (M, 2) float64, metres, overwritten; a position outside of the grid is
+        treated as in its nearest cell.
     :param low: (2,) metres, corner of the first cell.
-    :param edge: of the cells, metres.
-    :param near: (X, Y) int32, from :func:`nearest_rows`; at least one cell is open.
+    :param edge: the edge of a cell, metres.
+    :param near: (X, Y) int32, from :func:`nearest_rows`; at least one cell has to be open.
     """
     rows, columns = near.shape
     for m in range(len(positions)):

@@ -32,11 +32,11 @@ TWO_PI = 2.0 * np.pi
 
 class CubeSettings(NamedTuple):
     """
-    How points fill a shadow map as cubes, and how much deeper than it a visible point may be.
+    The size of the points' cubes in a shadow map, and the depth tolerance of visible points.
 
     :ivar rows: rows of a map; it has twice as many columns.
     :ivar cube_scale: half the side of a point's cube in multiples of its spacing.
-    :ivar compensation: metres.
+    :ivar compensation: how much deeper than the map a visible point may be, metres.
     """
 
     rows: int
@@ -46,9 +46,10 @@ class CubeSettings(NamedTuple):
 
 class Projection(NamedTuple):
     """
-    Where points appear from a camera.
+    The spherical coordinates of points relative to a camera.
 
-    :ivar distance: (N,) float32, metres; inf where the camera cannot measure the point.
+    :ivar distance: (N,) float32, metres; inf for points out of the camera's range or field of
+        view.
     :ivar elevation: (N,) float32, radians.
     :ivar azimuth: (N,) float32, radians.
     """
@@ -59,14 +60,14 @@ class Projection(NamedTuple):
 
     @classmethod
     def empty(cls, count: int) -> 'Projection':
-        """Allocate room for ``count`` points."""
+        """Allocate arrays for ``count`` points."""
         return cls(*(np.empty(count, dtype=np.float32) for _ in cls._fields))
 
 
 @njit(cache=True, nogil=True)
 def project(points, pose, lens, out):
     """
-    Write where each point appears from a camera.
+    Write the spherical coordinates of each point relative to a camera.
 
     :param points: (N, 3) float32, metres, map frame.
     :param pose: the camera's :class:`Pose`.
@@ -87,20 +88,20 @@ def project(points, pose, lens, out):
 
 
 def projected(points: np.ndarray, pose: Pose, lens: Frustum) -> Projection:
-    """Return where points (N, 3) float32, metres, appear from a camera; see :func:`project`."""
+    """Return the projection of points (N, 3) float32, metres; see :func:`project`."""
     view = Projection.empty(len(points))
     project(points, pose, lens, view)
     return view
 
 
 def in_reach(points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
-    """Return (N,) bool, which points (N, 3) are in a camera's viewing cone and its range."""
+    """Return (N,) bool, whether points (N, 3) are in a camera's viewing cone and range."""
     return np.isfinite(projected(points, pose, lens).distance)
 
 
 @njit(cache=True, nogil=True, inline='always')
 def cell_of(elevation, azimuth, rows, columns):
-    """Return the (row, column) that holds a direction; azimuth pi is azimuth -pi."""
+    """Return the (row, column) of the cell of a direction; azimuth pi is azimuth -pi."""
     row = min(max(int(math.floor((elevation + HALF_PI) * rows / np.pi)), 0), rows - 1)
     column = int(math.floor((azimuth + np.pi) * columns / TWO_PI)) % columns
     return row, column
@@ -112,9 +113,9 @@ def footprint(distance, elevation, azimuth, half_side, rows, columns):
     Return the cells that a point covers: first and last row, first column and column count.
 
     The point is a cube, so it covers a rectangle of half-width half_side / r in elevation and
-    half_side / (r cos(elevation)) in azimuth: the cells whose centre lies in the rectangle and,
-    whatever its size, the point's own; full rows where the cube reaches over a pole. The first
-    column may be negative or the last one beyond the map: wrap them.
+    half_side / (r cos(elevation)) in azimuth. It covers the cells whose centre lies in this
+    rectangle and always its own cell; if the cube extends over a pole, it covers full rows. The
+    first column may be negative or the last one beyond the map: the caller has to wrap them.
     """
     row, column = cell_of(elevation, azimuth, rows, columns)
     half = half_side / distance
@@ -142,7 +143,7 @@ def splat(projection, spacing, cube_scale, far, shadow_map):
     :param projection: :class:`Projection` of N points.
     :param spacing: (N,) float32, metres.
     :param cube_scale: half the side of a point's cube in multiples of its spacing.
-    :param far: what an empty cell reads, metres.
+    :param far: the value of an empty cell, metres.
     :param shadow_map: (H, W) float32, out.
     """
     rows, columns = shadow_map.shape
@@ -166,12 +167,12 @@ def splat(projection, spacing, cube_scale, far, shadow_map):
 @njit(cache=True, nogil=True)
 def visible(projection, compensation, shadow_map, out):
     """
-    Add the points that a camera sees, r <= SM[cell] + compensation, to those that others see.
+    Add the points that are visible to a camera: r <= SM[cell] + compensation.
 
     :param projection: :class:`Projection` of N points from the camera.
     :param compensation: metres.
     :param shadow_map: (H, W) float32, metres, of the same camera.
-    :param out: (N,) bool, in and out: set where the point is visible, else left alone.
+    :param out: (N,) bool, in and out: set for visible points, otherwise unchanged.
     """
     rows, columns = shadow_map.shape
     for i in range(out.shape[0]):

@@ -15,16 +15,16 @@
 """
 Shadow maps of surfels: points as small discs that lie on the surface they were sampled from.
 
-A cell of the map holds the inverse distance of the nearest disc along the ray through the cell's
-centre. Along a plane, inverse distance is linear in the ray's direction, n.u / n.d for the ray u
-and the point d, so within a disc's few cells it is a sum of two steps. A point is then compared
-with the farthest of the four cells around it: a surface seen at a slant, whose cells lie on both
-sides of the point, does not hide itself and needs no compensation for its slope.
+A cell of the map contains the inverse distance of the nearest disc along the ray through the
+cell's centre. Along a plane, inverse distance is linear in the ray's direction, n.u / n.d for the
+ray u and the point d, so within the few cells of a disc it is a sum of two steps. A point is
+compared with the farthest of the four cells around it. The cells of a slanted surface lie on both
+sides of the point, so such a surface does not hide itself and needs no compensation for its slope.
 
-Points of a scan lie off their surface, and so do their planes: by the error over the cosine along
-a ray. Of all the discs in a cell the nearest counts, so the more points there are, the farther in
-front of its surface the map lies, most where cells are large and surfaces seen at a slant. There
-a disc is set back, by a share of the depth that its plane passes through in one cell.
+Points of a scan deviate from their surface, and so do their planes: along a ray by the error over
+the cosine. The nearest of all discs in a cell counts, so the more points there are, the farther
+the map lies in front of the surface, most of all for large cells and slanted surfaces. Therefore a
+disc can be set back by a share of the depth that its plane spans in one cell.
 """
 
 import math
@@ -37,14 +37,15 @@ from ocp_ros.geometry.vector_rows import LANES, put_nearer
 from ocp_ros.util.kernels import njit
 
 f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
-#: Nothing here may come out as NaN, and the order of a sum does not matter.
+#: No value here becomes NaN, and the order of a sum does not matter.
 FAST = {'nsz', 'arcp', 'contract', 'afn', 'reassoc'}
 PI, HALF_PI, HALF, ONE = f32(np.pi), f32(np.pi / 2), f32(0.5), f32(1.0)
-#: On grazing surfaces, the least cosine and the farthest from its point that a disc may reach.
+#: For grazing surfaces: the least cosine used, and the range of a disc's inverse distance in
+#: multiples of that of its point.
 LEAST_COSINE, LOWEST, HIGHEST = f32(0.12), f32(0.7), f32(1.4)
-#: What is nearer to a camera than this is the camera, metres.
+#: Metres: a point nearer to the camera than this is the camera itself.
 NEAREST = f32(1e-3)
-#: Unsigned, since an index that might be negative keeps a loop from being vectorised.
+#: Unsigned, since an index that may be negative prevents the vectorisation of a loop.
 STEP = u64(BLOCK)
 
 
@@ -78,7 +79,7 @@ class Surfels(NamedTuple):
 
 class SurfelPlaces(NamedTuple):
     """
-    Places in the air, which hide nothing; each field is (M,) float32, metres, map frame.
+    Positions in the air, which do not occlude; each field is (M,) float32, metres, map frame.
 
     :ivar x: position.
     :ivar y: position.
@@ -93,23 +94,23 @@ class SurfelPlaces(NamedTuple):
 
     @classmethod
     def of(cls, points: np.ndarray) -> 'SurfelPlaces':
-        """Build places from points (M, 3)."""
+        """Build positions from points (M, 3)."""
         columns = [*np.asarray(points).T, np.zeros(len(points))]
         return cls(*(np.ascontiguousarray(column, dtype=np.float32) for column in columns))
 
 
 class SurfelSettings(NamedTuple):
     """
-    How discs fill a map and how deep behind it a visible point may be.
+    The rules of filling a map with discs and of comparing points with it.
 
     :ivar rows: rows of the map; it has twice as many columns.
-    :ivar base: metres.
-    :ivar share: multiples of the disc's radius.
-    :ivar single: discs of fewer cells than this fill their own cell only.
-    :ivar quad: discs of fewer cells than this fill up to the four nearest cells, larger ones the
-        cells whose centre they cover.
-    :ivar setback: by how much of the depth that its plane passes through in one cell, along the
-        rows and along the columns, a disc is farther away in the map than it is.
+    :ivar base: depth tolerance of a visible point, metres.
+    :ivar share: additional tolerance in multiples of the disc's radius.
+    :ivar single: discs of fewer cells than this fill only their own cell.
+    :ivar quad: discs of fewer cells than this fill up to the four nearest cells; larger ones fill
+        the cells whose centre they cover.
+    :ivar setback: the share of the depth that a disc's plane spans in one cell, along rows and
+        columns, by which the disc is set back in the map.
     """
 
     rows: int
@@ -122,14 +123,14 @@ class SurfelSettings(NamedTuple):
 
 class Workspace(NamedTuple):
     """
-    What one look writes: the map, and one block's appearance from the camera.
+    Memory for one view: the map, and the projection of one block of points.
 
     :ivar inverse_map: ((H + 2) (W + 2),) float32: inverse distances, 1/m, with a border of one
         cell that repeats the cells across the seam.
-    :ivar farthest_of_four: the same shape: the least of each cell and the three to the right and
+    :ivar farthest_of_four: the same shape: the minimum of each cell and the three to the right and
         above.
-    :ivar inverse: (256,) float32, 1 / distance of the disc as set back, 1/m; 0 where the camera's
-        range ends before the point.
+    :ivar inverse: (256,) float32, 1 / distance of the disc after setting it back, 1/m; 0 for
+        points beyond the camera's range.
     :ivar row: (256,) float32, elevation in rows of the map.
     :ivar column: (256,) float32, azimuth in columns of the map.
     :ivar flat: (256,) float32, cosine of the elevation.
@@ -137,16 +138,18 @@ class Workspace(NamedTuple):
     :ivar step_column: (256,) float32, the same per column.
     :ivar size: (256,) float32, radius of the disc in rows of the map.
     :ivar wide: (256,) float32, the same in columns.
-    :ivar own: (256,) uint32, the cell that the point is in.
-    :ivar value: (256,) float32, what its disc is in this cell, 1/m.
-    :ivar listed: (3, 257) uint32, numbers of the discs of one cell, of up to four, and of more.
-    :ivar four: (4, 256) float32, what the second kind is in the four cells around it, 1/m.
-    :ivar around_quad: (256,) uint32, the lower left of these.
+    :ivar own: (256,) uint32, the cell of the point.
+    :ivar value: (256,) float32, the inverse distance of the disc in this cell, 1/m.
+    :ivar listed: (3, 257) uint32, the numbers of the discs that fill one cell, up to four, and
+        more.
+    :ivar four: (4, 256) float32, the inverse distances of the second kind in the four cells around
+        it, 1/m.
+    :ivar around_quad: (256,) uint32, the lower left one of these four cells.
     :ivar flags: (256,) uint8, whether a point is visible.
     :ivar octets: (32,) uint64, the same memory as ``flags``.
-    :ivar distance: (N,) float32, of every point, metres.
-    :ivar around: (N,) uint32, the lower left of the four cells around every point.
-    :ivar blocks: (B,) uint32, the blocks to look at.
+    :ivar distance: (N,) float32, the distance of every point, metres.
+    :ivar around: (N,) uint32, the lower left one of the four cells around every point.
+    :ivar blocks: (B,) uint32, the numbers of the blocks to process.
     """
 
     inverse_map: np.ndarray
@@ -172,9 +175,9 @@ class Workspace(NamedTuple):
 
     @classmethod
     def of(cls, rows: int, count: int) -> 'Workspace':
-        """Allocate for maps of so many rows and so many points."""
+        """Allocate memory for maps with ``rows`` rows and ``count`` points."""
         cells, octets = (rows + 2) * (2 * rows + 2), np.zeros(BLOCK // 8, dtype=np.uint64)
-        # The last row may be written a vector beyond its end.
+        # Writing a whole vector may go beyond the end of the last row.
         maps = [np.full(cells + LANES, np.inf, dtype=np.float32)[:cells] for _ in range(2)]
         block = [np.empty(BLOCK, dtype=np.float32) for _ in range(8)]
         own, around_quad = (np.empty(BLOCK, dtype=np.uint32) for _ in range(2))
@@ -204,7 +207,7 @@ def _arctan2(y, x):
 
 @njit(nogil=True, inline='always', fastmath=FAST)
 def _block(number, count):
-    """Return the first point of a block and how many it has."""
+    """Return the first point of a block and its number of points."""
     first = u64(number) * STEP
     return first, min(STEP, u64(count) - first)
 
@@ -212,12 +215,12 @@ def _block(number, count):
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
 def project_block(surfels, number, position, farthest, settings, out):
     """
-    Write where the surfels of one block appear from a camera; one loop without branches.
+    Project the surfels of one block into the map of a camera, in one loop without branches.
 
     :param surfels: N :class:`Surfels`.
-    :param number: of the block.
+    :param number: the number of the block.
     :param position: (3,) float64, of the camera, metres.
-    :param farthest: its range, metres.
+    :param farthest: the range of the camera, metres.
     :param settings: :class:`SurfelSettings`.
     :param out: :class:`Workspace`.
     """
@@ -254,17 +257,17 @@ def project_block(surfels, number, position, farthest, settings, out):
 
 @njit(nogil=True, inline='always', fastmath=FAST)
 def _clamped(value, inverse):
-    """Keep a disc near its point, however grazing the ray."""
+    """Limit the inverse distance of a disc to values near that of its point, for grazing rays."""
     return min(max(value, LOWEST * inverse), HIGHEST * inverse)
 
 
 @njit(nogil=True, fastmath=FAST, error_model='numpy')
 def _sort_block(surfels, number, settings, out):
     """
-    Sort the discs of a block by how many cells they fill, and write what they are in their own.
+    Sort the discs of a block by the number of cells they fill; compute their own cells.
 
-    :returns: how many fill their own cell alone, how many up to four, and how many more; their
-        numbers are in the rows of ``out.listed``.
+    :returns: the numbers of discs that fill only their own cell, up to four cells, and more; the
+        indices of these discs are in the rows of ``out.listed``.
     """
     cells, stride = f32(settings.rows) / PI, u32(2 * settings.rows + 2)
     single, quad = f32(settings.single), f32(settings.quad)
@@ -272,7 +275,7 @@ def _sort_block(surfels, number, settings, out):
     for j in range(count):
         inverse, row, column = out.inverse[j], out.row[j], out.column[j]
         size = surfels.radius[first + j] * inverse * cells
-        # So many cells is it wide where the rows are shortest.
+        # Rows are shorter near the poles, so the disc is wider there in cells.
         out.size[j], out.wide[j] = size, size / out.flat[j]
         own_row, own_column = i32(row), i32(column)
         value = (inverse + out.step_row[j] * (f32(own_row) + HALF - row)
@@ -281,7 +284,7 @@ def _sort_block(surfels, number, settings, out):
         out.value[j] = _clamped(value, inverse)
     singles = quads = ellipses = u64(0)
     for j in range(count):
-        # Whoever is not of a kind is overwritten by the next one.
+        # An entry of the wrong kind is overwritten by the next disc.
         out.listed[0, singles] = out.listed[1, quads] = out.listed[2, ellipses] = j
         near, wide = out.inverse[j] > f32(0.0), out.wide[j]
         singles += u64(near & (wide < single))
@@ -292,7 +295,7 @@ def _sort_block(surfels, number, settings, out):
 
 @njit(nogil=True, fastmath=FAST, error_model='numpy')
 def _splat_quads(listed, stride, out, inverse_map):
-    """Fill those of the four nearest cells whose centre is within reach, in rows and columns."""
+    """Fill the cells among the four nearest whose centre is within reach in rows and columns."""
     nothing, four = f32(0.0), out.four
     for k in range(len(listed)):
         j = listed[k]
@@ -321,14 +324,14 @@ def _splat_quads(listed, stride, out, inverse_map):
 
 @njit(nogil=True, inline='always', fastmath=FAST)
 def _ceil(value):
-    """Return the least whole number that is no less; that of libm is a call."""
+    """Return the ceiling of a number, without the function call of libm."""
     whole = i32(value)
     return whole + i32(value > f32(whole))
 
 
 @njit(nogil=True, fastmath=FAST, error_model='numpy')
 def _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows, inverse_map):
-    """Fill the cells whose centre is within the disc, an ellipse in the map, and its own."""
+    """Fill the cells whose centre is within the disc, an ellipse in the map, and its own cell."""
     columns, stride = 2 * rows, 2 * rows + 2
     widen = ONE / flat
     per_radian = f32(rows) / (PI * inverse)
@@ -345,7 +348,7 @@ def _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows
     last_row = min(max(-_ceil(HALF - row - height), own_row), rows - 1)
     for r in range(first_row, last_row + 1):
         down = f32(r) + HALF - row
-        # A disc that reaches over the pole has these rows on both sides of it.
+        # A disc that extends over the pole covers these rows on both sides of the pole.
         if min(row + f32(r) + HALF, f32(2 * rows) - row - f32(r) - HALF) <= size:
             value = _clamped(inverse + step_row * down, inverse)
             for cell in range(u64((r + 1) * stride + 1), u64((r + 1) * stride + 1 + columns)):
@@ -375,12 +378,12 @@ def _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
 def splat_surfels(surfels, blocks, position, farthest, settings, out):
     """
-    Fill a map with the nearest of the discs that cover each cell's centre.
+    Fill a map with the nearest disc that covers each cell's centre.
 
     :param surfels: N :class:`Surfels`.
     :param blocks: (B,) the blocks to splat.
     :param position: (3,) float64, of the camera, metres.
-    :param farthest: its range, metres; where the map is empty it is this far away.
+    :param farthest: the range of the camera, metres; empty cells have this distance.
     :param settings: :class:`SurfelSettings`.
     :param out: :class:`Workspace`, whose maps are overwritten.
     """
@@ -405,21 +408,21 @@ def splat_surfels(surfels, blocks, position, farthest, settings, out):
 
 @njit(nogil=True)
 def _join_edges(rows, stride, inverse_map):
-    """Give both sides of the azimuth seam the nearer of what either has; close the poles."""
+    """Set the cells on both sides of the azimuth seam to the nearer value; fill the poles."""
     columns = stride - 2
     for row in range(1, rows + 1):
         first = row * stride
         for left, right in ((0, columns), (1, columns + 1)):
             nearer = max(inverse_map[first + left], inverse_map[first + right])
             inverse_map[first + left] = inverse_map[first + right] = nearer
-    # There is no cell beyond a pole: none that could be the farthest.
+    # Rows beyond a pole are never the farthest cells.
     inverse_map[:stride] = f32(np.inf)
     inverse_map[(rows + 1) * stride:] = f32(np.inf)
 
 
 @njit(nogil=True)
 def _take_farthest(rows, stride, inverse_map, farthest_of_four):
-    """Write the least of each cell and the three to the right and above."""
+    """Write the minimum of each cell and the three to the right and above."""
     step = u64(stride)
     for row in range(u64(rows + 1)):
         for cell in range(row * step, row * step + step - u64(1)):
@@ -430,7 +433,7 @@ def _take_farthest(rows, stride, inverse_map, farthest_of_four):
 
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
 def locate_block(places, number, position, rows, out):
-    """Write where the places of one block appear; :func:`project_block` without discs."""
+    """Project the positions of one block; like :func:`project_block`, without discs."""
     x0, y0, z0 = f32(position[0]), f32(position[1]), f32(position[2])
     per_radian, stride = f32(rows) / PI, u32(2 * rows + 2)
     last_row, last_column = f32(rows) - f32(1e-3), f32(2 * rows) - f32(2e-3)
@@ -447,18 +450,18 @@ def locate_block(places, number, position, rows, out):
 @njit(cache=True, nogil=True, fastmath=FAST, error_model='numpy')
 def see_surfels(points, blocks, pose, lens, settings, work, seen):
     """
-    Add the points that a camera sees to those that others see.
+    Add the points that are visible to a camera.
 
-    A point is seen if it is at most base + share * radius behind the farthest of the four nearest
-    cells.
+    A point is visible if it is at most base + share * radius behind the farthest of the four
+    nearest cells.
 
-    :param points: N :class:`Surfels` or :class:`SurfelPlaces` whose blocks have been located.
+    :param points: N :class:`Surfels` or :class:`SurfelPlaces` whose blocks have been projected.
     :param blocks: (B,) the blocks to look at.
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param settings: :class:`SurfelSettings`.
     :param work: :class:`Workspace` after :func:`splat_surfels` for the same camera.
-    :param seen: (W,) uint64, packed bits, in and out: set where a point is visible.
+    :param seen: (W,) uint64, packed bits, in and out: set for visible points.
     """
     base, share = f32(settings.base), f32(settings.share)
     nearest, farthest = max(f32(lens.min_range), NEAREST), f32(lens.max_range)
@@ -489,14 +492,14 @@ def _keep_in_cone(points, first, count, pose, lens, flags):
 @njit(cache=True, nogil=True)
 def kept_in_cone(points, bounds, pose, lens, seen):
     """
-    Clip what an omnidirectional camera sees to a frustum.
+    Clip the points visible to an omnidirectional camera to a frustum.
 
     :param points: N :class:`Surfels` or :class:`SurfelPlaces` in spatial order.
     :param bounds: (B, 2, 3) float32, of their blocks.
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param seen: (W,) uint64, packed bits of the points.
-    :returns: (W,) uint64, packed bits of those in the viewing cone.
+    :returns: (W,) uint64, packed bits of the points in the viewing cone.
     """
     kept, blocks = np.zeros_like(seen), np.empty(bounds.shape[0], dtype=np.uint32)
     octets = np.empty(BLOCK // 8, dtype=np.uint64)
@@ -511,7 +514,7 @@ def kept_in_cone(points, bounds, pose, lens, seen):
 
 @njit(nogil=True, inline='always')
 def _pack(octets, seen, first):
-    """Add 256 flags of a byte each, eight of them to a number, to four words of bits."""
+    """Pack 256 flags, eight of one byte each per number, and add them to four words of bits."""
     for word in range(u64(WORDS)):
         bits = u64(0)
         for k in range(u64(8)):
@@ -525,18 +528,18 @@ def _pack(octets, seen, first):
 def look_at_surfels(surfels, bounds, places, place_bounds, pose, lens, settings, work, seen,
                     covered):
     """
-    Add what a camera sees to what others see, in one call that holds no lock.
+    Add the points and positions that are visible to a camera, in one call without the GIL.
 
     :param surfels: N :class:`Surfels` in spatial order.
     :param bounds: (B, 2, 3) float32, of their blocks.
-    :param places: M :class:`SurfelPlaces` in spatial order; none to leave them out.
+    :param places: M :class:`SurfelPlaces` in spatial order; empty to leave them out.
     :param place_bounds: (C, 2, 3) float32, of their blocks.
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param settings: :class:`SurfelSettings`.
     :param work: :class:`Workspace`.
     :param seen: (W,) uint64, packed bits of the points, in and out.
-    :param covered: (V,) uint64, packed bits of the places, in and out.
+    :param covered: (V,) uint64, packed bits of the positions, in and out.
     """
     blocks = work.blocks[:blocks_in_view(bounds, pose, lens, work.blocks)]
     splat_surfels(surfels, blocks, pose.position, lens.max_range, settings, work)

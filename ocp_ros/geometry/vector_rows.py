@@ -12,32 +12,32 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Rows of a shadow map, written several cells at a time, which no compiler does in short loops."""
+"""Write rows of a shadow map several cells at a time; compilers do not vectorise short loops."""
 
 from ocp_ros.util.kernels import import_elsewhere
 
 ir, types = import_elsewhere('llvmlite.ir'), import_elsewhere('numba').types
 cgutils = import_elsewhere('numba.core.cgutils')
-#: Cells that are written at a time.
+#: The number of cells that are written at once.
 LANES = 8
-#: Nothing here may come out as NaN.
+#: No value here becomes NaN.
 FLAGS = ('nnan', 'nsz', 'contract', 'reassoc')
 
 
 @import_elsewhere('numba.extending').intrinsic
 def put_nearer(typing, cells, first, value, step, low, high, last):
     """
-    Let up to ``LANES`` cells in a row hold a plane where it is nearer than what they hold.
+    Write a plane into up to ``LANES`` cells of a row where it is nearer than their values.
 
-    The memory of so many cells is read and written, and not changed beyond the last one.
+    The memory of ``LANES`` cells is read and written; cells after the last one do not change.
 
     :param cells: (N,) float32, inverse distances, 1/m, in and out.
-    :param first: uint64, the first cell.
-    :param value: float32, the plane in it, 1/m.
-    :param step: float32, how much more it is in each cell after it.
-    :param low: float32, the least that it may be anywhere.
-    :param high: float32, and the most.
-    :param last: float32, how many cells there are after the first one.
+    :param first: uint64, the index of the first cell.
+    :param value: float32, the inverse distance of the plane in the first cell, 1/m.
+    :param step: float32, the increase of the inverse distance per cell, 1/m.
+    :param low: float32, the lower limit of the written values, 1/m.
+    :param high: float32, the upper limit of the written values, 1/m.
+    :param last: float32, the number of cells after the first one.
     """
     def generate(context, builder, signature, arguments):
         cells, first, *scalars = arguments
@@ -59,7 +59,7 @@ def put_nearer(typing, cells, first, value, step, low, high, last):
         ramp = ir.Constant(vector, [float(lane) for lane in range(LANES)])
         value = builder.fadd(value, builder.fmul(ramp, step, flags=FLAGS), flags=FLAGS)
         value = called('maxnum', called('minnum', value, high), low)
-        # 0 hides nothing; stores of some lanes alone are slow.
+        # An inverse distance of 0 occludes nothing; storing only some lanes would be slow.
         value = builder.select(builder.fcmp_ordered('<=', ramp, last), value,
                                ir.Constant(vector, [0.0] * LANES))
         array = cgutils.create_struct_proxy(signature.args[0])(context, builder, cells)

@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-What a camera sees of a scene, by presets.
+Visibility of the points of a scene from a camera, by presets.
 
 ``fine``: surfels on a map of 160 x 320 cells, for scores and live planning. ``fast``: surfels on
 64 x 128, for training. ``paper``: points as cubes and a constant compensation, as arXiv 2110.11106
 describes it.
 
-Either class keeps its points in spatial order and answers in packed bits of that order; see
-:mod:`ocp_ros.geometry.packed_bits`. Threads may share one: each look writes to memory of its own.
+Both classes store their points in spatial order and return packed bits in that order; see
+:mod:`ocp_ros.geometry.packed_bits`. Threads may share an instance: each look uses its own memory.
 """
 
 from collections import deque
@@ -41,9 +41,10 @@ from ocp_ros.geometry.surfels import (
 
 FINE = SurfelSettings(rows=160, base=0.01, share=0.35, single=0.85, quad=1.5)
 FAST = SurfelSettings(rows=64, base=0.02, share=0.15, single=0.8, quad=2.0, setback=0.25)
-#: The paper's cube of twice the spacing and a constant, for which it gives no figure.
+#: The paper's cube of twice the spacing and a constant tolerance, for which the paper gives no
+#: value.
 PAPER = CubeSettings(rows=128, cube_scale=1.0, compensation=0.2)
-#: Of a mesh: rays in place of maps.
+#: The preset for a mesh: rays instead of maps.
 MESH = 'mesh'
 PRESETS = {'fine': FINE, 'fast': FAST, 'paper': PAPER}
 #: Radius of a surfel in multiples of the pitch: discs of 0.71 would just cover a square grid.
@@ -53,12 +54,12 @@ NO_BITS = no_bits(0)
 
 class SurfelVisibility:
     """
-    Visibility of points as surfels, and of places in the air.
+    Visibility of points as surfels, and of positions in the air.
 
     :param points: (N, 3) float32, metres, map frame.
     :param normals: (N, 3) float32 unit vectors.
     :param pitch: (N,) float32, metres: edge of the square that each point stands for.
-    :param places: (M, 3) float32, metres: places in the air, such as cells of a coverage grid.
+    :param places: (M, 3) float32, metres: positions in the air, such as cells of a coverage grid.
     :param settings: rules.
     :ivar order: (N,) int64: index of each point of the spatial order among the given points.
     :ivar place_order: (M,) int64: the same of the places.
@@ -73,11 +74,11 @@ class SurfelVisibility:
         self._places = SurfelPlaces.of(places[self.place_order])
         self._place_bounds = block_bounds(places[self.place_order], self._places.radius)
         self.settings = settings
-        #: As many workspaces are made as are ever in use at once.
+        #: The number of workspaces is the largest number in use at once.
         self._free_workspaces: deque[Workspace] = deque()
 
     def by(self, settings: SurfelSettings) -> 'SurfelVisibility':
-        """Return visibility of the same points and places, which are shared, by other rules."""
+        """Return the visibility with other rules; points and positions are shared."""
         other = copy(self)
         other.settings, other._free_workspaces = settings, deque()
         return other
@@ -85,12 +86,12 @@ class SurfelVisibility:
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:
         """
-        Add what a camera sees to what others see.
+        Add the points and positions that are visible to a camera.
 
         :param pose: the camera's pose.
-        :param lens: its model.
+        :param lens: the camera model.
         :param seen: packed bits of the points, in and out.
-        :param covered: packed bits of the places, in and out; ``NO_BITS`` to leave them out.
+        :param covered: packed bits of the positions, in and out; ``NO_BITS`` to leave them out.
         """
         try:
             work = self._free_workspaces.pop()
@@ -103,13 +104,13 @@ class SurfelVisibility:
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Keep what lies in the viewing cone: many directions from one place, looked at once.
+        Clip to the viewing cone, so that one look serves many directions from one position.
 
         :param pose: the camera's pose.
-        :param lens: its model.
-        :param seen: packed bits of the points that an omnidirectional camera sees there.
-        :param covered: packed bits of the places that it covers.
-        :returns: the bits of both that are in the cone.
+        :param lens: the camera model.
+        :param seen: packed bits of the points visible to an omnidirectional camera there.
+        :param covered: packed bits of the positions that it covers.
+        :returns: both sets of packed bits, clipped to the viewing cone.
         """
         return (kept_in_cone(self._surfels, self._bounds, pose, lens, seen),
                 kept_in_cone(self._places, self._place_bounds, pose, lens, covered))
@@ -117,7 +118,7 @@ class SurfelVisibility:
 
 class CubeVisibility:
     """
-    Visibility of points as cubes, and of places in the air: the paper's rules.
+    Visibility of points as cubes, and of positions in the air: the paper's rules.
 
     :param points: (N, 3) float32, metres, map frame.
     :param spacing: (N,) float32, metres: distance to the nearest neighbour.
@@ -136,7 +137,7 @@ class CubeVisibility:
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:
-        """Add what a camera sees to what others see; see :meth:`SurfelVisibility.look`."""
+        """Add what is visible to a camera; see :meth:`SurfelVisibility.look`."""
         view, rows = projected(self._points, pose, lens), self.settings.rows
         shadow_map = np.empty((rows, 2 * rows), dtype=np.float32)
         splat(view, self._spacing, self.settings.cube_scale, lens.max_range, shadow_map)
@@ -145,7 +146,7 @@ class CubeVisibility:
             covered |= self._visible(projected(self._places, pose, lens), shadow_map)
 
     def _visible(self, view: Projection, shadow_map: np.ndarray) -> np.ndarray:
-        """Return packed bits of what the map does not hide."""
+        """Return packed bits of the points that the map does not hide."""
         flags = np.zeros(len(view.distance), dtype=bool)
         visible(view, self.settings.compensation, shadow_map, flags)
         return pack(flags)

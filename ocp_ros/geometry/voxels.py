@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Clouds on a voxel grid, how large its voxels have to be, and the cells of a room."""
+"""Thin clouds on a voxel grid, find voxel sizes, and divide rooms into cells."""
 
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ SMALLEST, LARGEST = 0.001, 1000.0
 #: Multiplier of a multiplicative hash: 2^64 over the golden ratio, odd.
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 EMPTY = -1
-#: Metres: least edge of the cells that a room is divided into, and how many there are at most.
+#: The least edge in metres of the cells of a room, and the largest number of cells.
 CELL, MOST_CELLS = 0.1, 4_000_000
 
 
@@ -34,8 +34,8 @@ class CellGrid(NamedTuple):
     Equal cubes that fill a box.
 
     :ivar low: (3,) metres, corner of the first cell.
-    :ivar edge: of the cells, metres.
-    :ivar shape: (3,) int, how many cells there are along each axis.
+    :ivar edge: the edge of a cell, metres.
+    :ivar shape: (3,) int, the number of cells along each axis.
     """
 
     low: np.ndarray
@@ -48,8 +48,8 @@ class CellGrid(NamedTuple):
         Divide a box into cells.
 
         :param bounds: (2, 3) metres, its lowest and its highest corner.
-        :param centred: whether the cells lie about the middle of the box, so that those of a
-            mirrored room are mirrored.
+        :param centred: whether the grid is centred on the box, so that a mirrored room has
+            mirrored cells.
         """
         size = bounds[1] - bounds[0]
         edge = max(CELL, float((size.prod() / MOST_CELLS) ** (1.0 / 3.0)))
@@ -58,16 +58,16 @@ class CellGrid(NamedTuple):
         return cls(low, edge, shape)
 
     def cells(self, points: np.ndarray) -> np.ndarray:
-        """Return the cells of points (M, 3): (3, M) indices, the nearest for those outside."""
+        """Return the cell indices (3, M) of points (M, 3); points outside get the nearest cell."""
         cells = np.floor((points - self.low) / self.edge).astype(int)
         return np.clip(cells, 0, self.shape - 1).T
 
     def middles(self, cells: np.ndarray) -> np.ndarray:
-        """Return the middles of cells, (M, 3) indices: (M, 3) metres."""
+        """Return the centres (M, 3) of cells given by indices (M, 3), metres."""
         return self.low + self.edge * (cells + 0.5)
 
     def taken(self, points: np.ndarray) -> np.ndarray:
-        """Return which cells have one of some points (N, 3) in them: (X, Y, Z) bool."""
+        """Return which cells contain any of some points (N, 3): (X, Y, Z) bool."""
         taken = np.zeros(self.shape, dtype=bool)
         taken[tuple(self.cells(points))] = True
         return taken
@@ -92,7 +92,7 @@ def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
 
 
 def thinned_to(points: np.ndarray, most: int) -> np.ndarray:
-    """Return at most so many points of a cloud (N, 3), by a voxel grid where there are more."""
+    """Return at most ``most`` points of a cloud (N, 3), thinned on a voxel grid if it has more."""
     if len(points) <= most:
         return points
     return voxel_downsample(points, voxel_size_for(points, most))
@@ -103,7 +103,7 @@ def voxel_size_for(points: np.ndarray, max_points: int) -> float:
     Find the smallest voxel size, to 2 %, that leaves at most ``max_points`` points.
 
     :param points: (N, 3), metres.
-    :param max_points: the most points wanted.
+    :param max_points: the largest number of points wanted.
     :returns: metres.
     """
     grid, low, high = _Grid(points), SMALLEST, LARGEST
@@ -118,8 +118,8 @@ def voxel_size_for(points: np.ndarray, max_points: int) -> float:
             low = middle
         else:
             high = middle
-        # Of a surface there are fewer cubes by the square of their edge; where that leads nowhere,
-        # halving does.
+        # The number of cubes on a surface falls with the square of their edge; if steps by this
+        # rule do not converge, bisection does.
         middle *= np.sqrt(found / max_points) * (1.005 if found > max_points else 1.0 / 1.005)
         if attempt % 4 == 0:
             middle = np.sqrt(low * high)
@@ -131,20 +131,21 @@ class _Grid:
     Points in the voxels of a grid that begins at their lowest corner.
 
     :param points: (N, 3), metres.
-    :ivar corners: (2, 3) of the box around them.
-    :ivar ranks: (N,) int64: which voxel each point is in, in the order in which they were found.
-    :ivar cells: (N,) int64: the number of each voxel that was found; the rest means nothing.
+    :ivar corners: (2, 3) the corners of their bounding box.
+    :ivar ranks: (N,) int64: the rank of each point's voxel, in the order in which voxels are
+        found.
+    :ivar cells: (N,) int64: the number of each voxel found; later entries are undefined.
     """
 
     def __init__(self, points: np.ndarray) -> None:
         self._points = np.asarray(points)
         self.corners = corners_of(self._points)
         self.ranks, self.cells = np.empty((2, len(points)), dtype=np.int64)
-        # Half of the slots stay empty, so that a search ends soon.
+        # At least half of the slots stay empty, so that searches are short.
         self._slots = np.empty(1 << (2 * len(points)).bit_length(), dtype=np.int64)
 
     def fill(self, voxel_size: float) -> int:
-        """Sort the points into voxels of an edge in metres; return how many have some."""
+        """Assign the points to voxels of an edge in metres; return how many are occupied."""
         self._slots.fill(EMPTY)
         size = self._points.dtype.type(voxel_size)
         return _fill(self._points, self.corners, size, self._slots, self.ranks, self.cells)
@@ -153,15 +154,15 @@ class _Grid:
 @njit(cache=True, nogil=True)
 def _fill(points, corners, size, slots, ranks, cells):
     """
-    Give numbers to the voxels by a hash table with open addressing.
+    Number the occupied voxels with a hash table with open addressing.
 
     :param points: (N, 3).
     :param corners: (2, 3) of the same type.
-    :param size: of the same type.
+    :param size: the edge of a voxel, of the same type.
     :param slots: (2^S,) int64, in and out: ranks of voxels, all ``EMPTY`` at first.
     :param ranks: (N,) int64, out; see :class:`_Grid`.
     :param cells: (N,) int64, out.
-    :returns: how many there are.
+    :returns: the number of occupied voxels.
     """
     low, mask, found = corners[0], slots.shape[0] - 1, 0
     along = np.int64(np.floor((corners[1, 1] - low[1]) / size)) + 1

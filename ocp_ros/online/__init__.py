@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Planners that know only what was seen, and the model of it."""
+"""Online planners: their only input is the observed cloud, modelled as a partial map."""

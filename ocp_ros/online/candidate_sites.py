@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Places and directions among which :mod:`ocp_ros.online.lookahead` chooses a placement."""
+"""Candidate poses from which :mod:`ocp_ros.online.lookahead` chooses a placement."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -30,25 +30,26 @@ from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 from scipy.spatial import cKDTree
 
-#: Proposals of a turn of annealing among candidates.
+#: Proposals of one annealing run among the candidates.
 EXCHANGES = 3000
-#: Its first and last temperature, in multiples of the error of seeing nothing.
+#: First and last temperature, in multiples of the depth error without any visible point.
 HOT, COLD = 0.04, 2e-4
-#: Proposals that a camera is asked in a row.
+#: Consecutive proposals that change the same camera.
 IN_A_ROW = 20
-#: Share of its proposals that go anywhere; the others go to one of so many nearest candidates.
+#: Share of the proposals that take any candidate, and from how many nearest candidates the other
+#: proposals take one.
 ANYWHERE, NEIGHBOURS = 0.3, 12
-#: Yaws, and at most how many pitches, of cameras that are not omnidirectional.
+#: Number of yaws and largest number of pitches, for cameras that are not omnidirectional.
 YAWS, PITCHES = 8, 2
-#: The most candidates that are a place and a direction.
+#: Largest number of candidate poses (position and heading).
 SITES = 2000
-#: Metres that a turn by one radian counts as, where neighbours are sought.
+#: Metres that a rotation by one radian counts as in the search for neighbours.
 PER_RADIAN = 0.5
 
 
 @njit(cache=True, nogil=True)
 def _worth(seen, covered, trees, pixels, weight):
-    """Return what seeing points and covering unseen cells, packed bits each, is worth, metres."""
+    """Return the depth error of visible points less the bonus for covered unseen cells, metres."""
     return lost_depth(trees, seen) / pixels - weight * count_bits(covered)
 
 
@@ -56,21 +57,22 @@ def _worth(seen, covered, trees, pixels, weight):
 def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
               temperatures, rng):
     """
-    Exchange one of a choice after another, and return the best choice that came by.
+    Improve a choice by simulated annealing: exchange one site at a time, return the best choice.
 
-    A camera is asked some times in a row, so that what the others settle is looked at once.
+    Each camera gets some proposals in a row, so the views of the other cameras are merged once
+    for all of them.
 
-    :param chosen: (K,) int64, where to begin.
+    :param chosen: (K,) int64, the first choice.
     :param seen: (S, W) uint64, packed bits of the points that each site sees.
-    :param covered: (S, V) uint64, packed bits of the unseen cells that each covers.
+    :param covered: (S, V) uint64, packed bits of the unseen cells that each site covers.
     :param trees: of the depth error.
-    :param pixels: of its maps.
-    :param weight: what covering a cell is worth, metres.
+    :param pixels: number of pixels of its depth maps.
+    :param weight: bonus for each covered cell, metres.
     :param kind_of: (K,) int64, the kind of site that each camera takes.
-    :param own: (S,) int64, the sites, those of a kind next to each other.
-    :param firsts: (kinds + 1,) int64, where those of a kind begin in ``own``.
-    :param near: (S, N) int64, the sites of its kind that differ least from each; in a row, no more
-        count than there are of the kind.
+    :param own: (S,) int64, the sites, sorted by kind.
+    :param firsts: (kinds + 1,) int64, where each kind begins in ``own``.
+    :param near: (S, N) int64, for each site the most similar sites of its kind. Of a kind with
+        fewer than N sites, only that many entries of a row are used.
     :param temperatures: one for each proposal, metres.
     :param rng: numpy.random.Generator.
     """
@@ -107,18 +109,18 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
 
 class Candidates:
     """
-    Places where cameras might be, with what each would see.
+    Candidate positions for omnidirectional cameras, each with its visible points and cells.
 
-    A choice of them is a list of indices, one per camera.
+    A choice is a list of candidate indices, one for each camera.
 
-    :param model: the engine on what has been seen.
+    :param model: partial map of the observed cloud.
     :param places: (M, 2) metres, M >= 1.
-    :param space: where cameras may be.
-    :param cameras: how many are chosen for.
+    :param space: feasible region of the cameras.
+    :param cameras: number of cameras to place.
     :param unseen: packed bits of the model's cells that count as unseen.
-    :param weight: what covering one of them is worth, metres of depth error.
-    :param fixed: what cameras in place see, whatever is chosen.
-    :ivar kind_of: (K,) the kind of site that each camera takes; here all are alike.
+    :param weight: bonus for each covered unseen cell, metres of depth error.
+    :param fixed: views of the fixed cameras; they are part of every choice.
+    :ivar kind_of: (K,) the kind of site that each camera takes; here all are of one kind.
     """
 
     def __init__(self, model: PartialMap, places: np.ndarray, space: FreePlane, cameras: int,
@@ -131,7 +133,7 @@ class Candidates:
         self._of_kind = [np.arange(len(places))]
 
     def _see(self, views: list[View], fixed: Sequence[View], unseen: np.ndarray) -> None:
-        """Keep what each would see, what cameras in place see included."""
+        """Store the view of each candidate, merged with the views of the fixed cameras."""
         self._seen = np.array([view.seen for view in views])
         self._covered = np.array([view.covered for view in views]) & unseen
         always = self.model.together(fixed)
@@ -139,18 +141,18 @@ class Candidates:
         self._covered |= always.covered & unseen
 
     def headings(self, chosen: np.ndarray) -> np.ndarray | None:
-        """Return how cameras are turned at a choice, (K, 3) radians; None where it is alike."""
+        """Return the headings of a choice, (K, 3) radians; None for omnidirectional cameras."""
         return None
 
     def value(self, chosen: list[int]) -> float:
-        """Return what a choice is worth, metres; less is better."""
+        """Return the objective value of a choice, metres; less is better."""
         error = self.model.depth_error
         return _worth(np.bitwise_or.reduce(self._seen[chosen], axis=0),
                       np.bitwise_or.reduce(self._covered[chosen], axis=0),
                       error.trees, error.pixels, self.weight)
 
     def fill(self) -> list[int]:
-        """Choose for one camera after the other, each the best that is left."""
+        """Choose a site for one camera after the other, each time the one with the best value."""
         chosen: list[int] = []
         for kind in self.kind_of:
             own = self._of_kind[kind].tolist()
@@ -159,7 +161,7 @@ class Candidates:
         return chosen
 
     def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
-        """Return the best choice that annealing from another one finds, which may be that one."""
+        """Return the best choice that annealing finds from a first choice, perhaps that one."""
         error = self.model.depth_error
         temperatures = error.worst * between(HOT, COLD, np.arange(EXCHANGES) / EXCHANGES)
         firsts = np.cumsum([0, *(len(own) for own in self._of_kind)])
@@ -170,17 +172,17 @@ class Candidates:
 
 class Sites(Candidates):
     """
-    Places where cameras might be, each with directions: for rigs that are not all omnidirectional.
+    Candidate poses for rigs with at least one camera that is not omnidirectional.
 
-    A choice of them is a list of indices, one per camera in the order of the rig; each stands for
-    a site of the camera's kind.
+    A choice is a list of site indices, one for each camera in the order of the rig. Each camera
+    gets a site of its own kind.
 
-    :param model: the engine on what has been seen.
+    :param model: partial map of the observed cloud.
     :param places: (M, 3) metres, M >= 1.
-    :param plans: placements (K, 6), whose sites are the first.
+    :param plans: placements (K, 6); their poses are the first sites of the list.
     :param rig_state: the rig.
     :param unseen: packed bits of the model's cells that count as unseen.
-    :param weight: what covering one of them is worth, metres of depth error.
+    :param weight: bonus for each covered unseen cell, metres of depth error.
     :ivar sites: (S, 6) x, y, z in metres, yaw, pitch, roll in radians.
     """
 
@@ -209,20 +211,20 @@ class Sites(Candidates):
             self._near[own, :near.shape[1]] = near
 
     def _neighbours(self, own: np.ndarray) -> np.ndarray:
-        """List for each site of a kind those of the kind that differ least from it."""
+        """List the most similar sites of the same kind for each site of a kind."""
         forward = np.array([rotation_matrix(*row[3:])[:, 0] for row in self.sites[own]])
         tree = cKDTree(np.hstack([self.sites[own, :3], PER_RADIAN * forward]))
         _, near = tree.query(tree.data, min(NEIGHBOURS + 1, len(own)))
         return own[near.reshape(len(own), -1)]
 
     def headings(self, chosen: np.ndarray) -> np.ndarray:
-        """Return how cameras are turned at a choice; see :meth:`Candidates.headings`."""
+        """Return the headings of a choice; see :meth:`Candidates.headings`."""
         return self.sites[chosen, 3:]
 
 
 def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:
     """
-    Tell which cameras of a rig may take each other's place.
+    Group the cameras of a rig into kinds: cameras of one kind may exchange their poses.
 
     :returns: (K,) the kind of each camera, and the first camera of each kind.
     """
@@ -234,7 +236,7 @@ def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:
 
 
 def most_places(rig_state: RigState) -> int:
-    """Return how many places a rig may be tried in at most: each has some directions."""
+    """Return the largest number of candidate positions so that poses stay within ``SITES``."""
     _, firsts = kinds_of(rig_state)
     headings = sum(len(rig_state.headings(camera, YAWS, PITCHES)) for camera in firsts)
     return max(SITES // headings, 1)

@@ -12,25 +12,26 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The observed cloud of a rig that runs, fused as the clouds come in, in bounded memory."""
+"""Fusion of incoming point clouds into one observed cloud of bounded size."""
 
 import numpy as np
 from ocp_ros.geometry.clouds import cell_numbers, REACH
 
-#: So many voxels touch in the origin and stay apart however large they are.
+#: Smallest value of ``most``: 8 voxels meet at the origin and never merge, whatever their edge.
 FEWEST = 8
 
 
 class FusedCloud:
     """
-    One point per voxel: the first that came, so the cloud is stable and only ever grows.
+    A point cloud with one point per voxel: the first point that was added in that voxel.
 
-    Where there would be more than ``most`` points, the voxels' edge is doubled and the cloud
-    thinned again, until there are not. Voxels nest, so what has been seen stays seen.
+    If the cloud has more than ``most`` points, the edge of the voxels is doubled and the cloud is
+    thinned, until at most ``most`` points remain. Large voxels are unions of small ones, so every
+    occupied region stays occupied.
 
-    :param voxel: edge of the voxels at first, metres.
-    :param most: the most points to keep.
-    :raises ValueError: if the voxels have no size or there may be fewer points than 8.
+    :param voxel: first edge of the voxels, metres.
+    :param most: largest number of points.
+    :raises ValueError: if ``voxel`` is not positive and finite, or ``most`` is less than 8.
     """
 
     def __init__(self, voxel: float, most: int) -> None:
@@ -42,11 +43,11 @@ class FusedCloud:
         self.clear()
 
     def clear(self) -> None:
-        """Forget every point, and how large the voxels have become."""
-        #: Edge of the voxels now, metres.
+        """Remove all points and reset the edge of the voxels."""
+        #: Current edge of the voxels, metres.
         self.edge = self.voxel
         self._points = np.empty((0, 3), dtype=np.float32)
-        #: Voxels that have a point, in rising order.
+        #: Numbers of the voxels with a point, ascending.
         self._numbers = np.empty(0, dtype=np.int64)
 
     def __len__(self) -> int:
@@ -55,16 +56,16 @@ class FusedCloud:
 
     @property
     def points(self) -> np.ndarray:
-        """Return the points in the order in which they came: (N, 3) float32, metres."""
+        """Return the points in the order in which they were added: (N, 3) float32, metres."""
         return self._points
 
     def add(self, points: np.ndarray) -> None:
         """
-        Add what a camera sees.
+        Add points.
 
         :param points: (M, 3) float32, metres, always in the same frame.
-        :raises ValueError: if a coordinate is not finite or too far out to number its voxel; then
-            nothing is added.
+        :raises ValueError: if a coordinate is not finite or its voxel is beyond the range of voxel
+            numbers; then no point is added.
         """
         points, numbers = self._thinned(np.asarray(points, dtype=np.float32))
         new = ~np.isin(numbers, self._numbers, assume_unique=True)

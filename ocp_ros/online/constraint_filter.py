@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Hold targets to the constraints of a rig file, judged on the observed cloud.
+Move targets to feasible positions: check the constraints of a rig file on the observed cloud.
 
-Each camera goes to the allowed place nearest to where it was to go, among those that one turn
-reaches. Where there is none it stays: nobody is sent through a place where it must not be.
+Each camera goes to the feasible position that is nearest to its target and within reach in one
+time step. A camera without such a position stays where it is.
 """
 
 from dataclasses import replace
@@ -35,21 +35,21 @@ from ocp_ros.rig.structure import floor_height, STAND_OFF
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.util.settings import ConfigurationError
 
-#: Metres of air that there are above a camera at least: those that look down do not see it.
+#: Assumed free height above a camera, metres: cameras that look down do not observe it.
 ABOVE = 0.1
-#: Metres: who goes no farther stays.
+#: Metres: a camera whose move is not longer than this counts as staying.
 STAYS = 0.01
-#: Directions around a camera in which it is known how far it looks through free space, and how
-#: many on either side of a way have to be free too.
+#: Number of horizontal directions in which the free distance around a camera is measured, and how
+#: many directions on either side of a path must be free too.
 SECTORS, ASIDE = 120, 1
 
 
 class FilteredTargets(NamedTuple):
     """
-    Where cameras may go.
+    Feasible targets of the cameras.
 
     :ivar targets: (K, 3) metres.
-    :ivar held: sentences, one for each camera that stays since it may go nowhere.
+    :ivar held: messages, one for each camera that stays because it has no feasible position.
     """
 
     targets: np.ndarray
@@ -58,11 +58,11 @@ class FilteredTargets(NamedTuple):
 
 class StepConstraints:
     """
-    Bring the moves of a step to where cameras may be, by what was seen and by a rig file.
+    Correct the moves of a time step so that they satisfy the constraints on the observed cloud.
 
     :param limits: of one step.
-    :param rig: None for cameras that move freely on a plane.
-    :ivar filter: holds targets to the constraints of the rig file.
+    :param rig: the rig file; None for cameras that move freely on a plane.
+    :ivar filter: applies the constraints of the rig file; None without one.
     """
 
     def __init__(self, limits: Limits, rig: Rig | None) -> None:
@@ -70,27 +70,27 @@ class StepConstraints:
         self.filter = None if rig is None else ConstraintFilter(rig, limits.wall_margin)
 
     def change(self, limits: Limits) -> None:
-        """Go on with other limits."""
+        """Replace the limits."""
         self._limits = limits
         if self.filter is not None:
             self.filter.wall_margin = limits.wall_margin
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Discard the state of the last episode."""
         if self.filter is not None:
             self.filter.reset()
 
     def prepare(self, cloud: np.ndarray, positions: np.ndarray) -> None:
-        """Learn ahead where cameras may be, see :meth:`ConstraintFilter.prepare`."""
+        """Compute the feasible region in advance, see :meth:`ConstraintFilter.prepare`."""
         if self.filter is not None:
             self.filter.prepare(cloud, positions)
 
     def __call__(self, cloud: np.ndarray, state: RigState, moves: np.ndarray) -> FilteredTargets:
         """
-        Choose places.
+        Return the feasible targets of the cameras.
 
-        :param cloud: (N, 3) float32, metres: the points seen so far.
-        :param state: the cameras as they are.
+        :param cloud: (N, 3) float32, metres: the observed cloud.
+        :param state: current state of the cameras.
         :param moves: (K, 2) metres.
         """
         positions, limits = state.placement[:state.movable, :3], self._limits
@@ -98,14 +98,14 @@ class StepConstraints:
         if len(cloud) == 0:
             targets[:, :2] = towards(positions[:, :2], positions[:, :2] + moves, limits.max_step)
             return FilteredTargets(targets, [])
-        # Nobody leaves the floor that was seen: beyond a wall one looks through its back.
+        # Cameras stay over the observed floor: behind a wall they would see through its back side.
         plane = FreePlane.around(cloud, positions, limits.wall_margin,
                                  clearance_of(state, limits.clearance))
         targets[:, :2] = plane.moved(positions[:, :2], moves, limits.max_step)
         targets, _ = kept_inside(targets, corners_of(cloud).astype(np.float64),
                                  limits.wall_margin)
         if self.filter is None:
-            # A camera with a frustum may stand far outside what it has seen.
+            # A camera with a frustum may be far outside the observed bounding box.
             targets[:, :2] = towards(positions[:, :2], targets[:, :2], limits.max_step)
             return FilteredTargets(targets, [])
         return self.filter(cloud, positions, targets, limits.max_step,
@@ -114,11 +114,11 @@ class StepConstraints:
 
 class FreeWays(NamedTuple):
     """
-    How far a camera looks through free space, all around it.
+    Free distance around a camera in each horizontal direction.
 
     :ivar position: (3,) metres, of the camera.
-    :ivar reach: (SECTORS,) metres to the first surface that it sees in each direction, or in one
-        beside it; 0 where it sees nothing.
+    :ivar reach: (SECTORS,) metres to the nearest observed point in each direction and the
+        directions beside it; 0 for a direction without a point.
     """
 
     position: np.ndarray
@@ -127,43 +127,43 @@ class FreeWays(NamedTuple):
     @classmethod
     def of(cls, cloud: np.ndarray, state: RigState, camera: int) -> 'FreeWays':
         """
-        Look around.
+        Compute the free distances around a camera.
 
-        :param cloud: (N, 3) float32, metres: the points seen so far.
-        :param state: how the cameras are turned.
+        :param cloud: (N, 3) float32, metres: the observed cloud.
+        :param state: current state of the cameras.
         """
         pose = Pose.of(state.placement[camera])
         ways = (cloud[in_reach(cloud, pose, state.models[camera].lens)] - pose.position)[:, :2]
         free = np.full(SECTORS, np.inf)
         np.minimum.at(free, _sectors(ways), np.linalg.norm(ways, axis=1))
-        # Where nothing is seen, nothing is known.
+        # A direction without observed points is unknown, so it does not count as free.
         free[np.isinf(free)] = 0.0
         return cls(pose.position, np.min(
             [np.roll(free, k) for k in range(-ASIDE, ASIDE + 1)], axis=0))
 
     def clear(self, places: np.ndarray, least: float) -> np.ndarray:
-        """Return which places (P, 3) are so many metres before the first surface on the way."""
+        """Return which places (P, 3) are at least ``least`` metres before the first surface."""
         ways = (places - self.position)[:, :2]
         return np.linalg.norm(ways, axis=1) + least <= self.reach[_sectors(ways)]
 
 
 def _sectors(ways: np.ndarray) -> np.ndarray:
-    """Return the numbers of the directions of ways (M, 2)."""
+    """Return the sector number of each horizontal vector (M, 2)."""
     turns = np.arctan2(ways[:, 1], ways[:, 0]) / (2.0 * np.pi)
     return np.floor(SECTORS * turns).astype(int) % SECTORS
 
 
 class ConstraintFilter:
     """
-    Move targets to allowed places.
+    Move targets to feasible positions.
 
-    :param rig: what is asked of places; its cameras in place only keep others away.
+    :param rig: the constraints; its fixed cameras matter for the spacing alone.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     """
 
     def __init__(self, rig: Rig, wall_margin: float) -> None:
         self.rig, self.wall_margin = rig, wall_margin
-        # What is in place may be farther off than what has been seen.
+        # Fixed cameras may be outside the observed bounding box.
         self._movable = replace(rig, fixed=())
         self._known: tuple[np.ndarray, np.ndarray] | None = None
         self._allowed: FeasibleRegion | None = None
@@ -171,17 +171,17 @@ class ConstraintFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Forget what was prepared in the last episode."""
+        """Discard the region that was prepared in the last episode."""
         self._prepared = False
 
     def prepare(self, cloud: np.ndarray, positions: np.ndarray) -> None:
         """
-        Learn ahead where cameras may be: the next targets then need the newest points alone.
+        Compute the feasible region in advance: the next call then checks new points alone.
 
-        Where nothing could be learned, it is tried again when the next targets come.
+        If this fails, the next call computes the region.
 
-        :param cloud: (N, 3) float32, metres: the points seen so far.
-        :param positions: (K, 3) metres, where the cameras will be that are to be placed.
+        :param cloud: (N, 3) float32, metres: the observed cloud.
+        :param positions: (K, 3) metres, of the movable cameras at the next time step.
         """
         self._look(cloud, positions)
         self._prepared = self._allowed is not None
@@ -190,16 +190,17 @@ class ConstraintFilter:
                  max_step: float, fixed: np.ndarray | None = None,
                  state: RigState | None = None) -> FilteredTargets:
         """
-        Choose places.
+        Return the feasible targets of the cameras.
 
-        :param cloud: (N, 3) float32, metres: the points seen so far.
-        :param positions: (K, 3) metres, where the cameras of the rig that are to be placed are.
-        :param targets: (K, 3) metres, where they were to go.
-        :param max_step: farthest a camera moves in one turn, metres.
-        :param fixed: (F, 3) metres, where the cameras in place are; the rig's word for it unless
-            told otherwise.
-        :param state: how the cameras are turned. One that knows no floor within a step goes where
-            it looks through free space: rigs begin close together, and see no floor below them.
+        :param cloud: (N, 3) float32, metres: the observed cloud.
+        :param positions: (K, 3) metres, current positions of the movable cameras.
+        :param targets: (K, 3) metres, their desired positions.
+        :param max_step: farthest a camera moves in one time step, metres.
+        :param fixed: (F, 3) metres, positions of the fixed cameras; None for those of the rig
+            file.
+        :param state: current state of the cameras. With it, a camera without observed floor
+            within one step may move through the free space in its view: rigs start close
+            together and do not see the floor below them.
         """
         top, prepared = float(positions[:, 2].max()) + ABOVE, self._prepared
         if prepared:
@@ -225,16 +226,16 @@ class ConstraintFilter:
             else:
                 chosen[camera] = found
         if held and prepared:
-            # Perhaps the newest points show a place for those that would have to stay.
+            # The newest points may add feasible positions for cameras that would have to stay.
             return self(cloud, positions, targets, max_step, fixed, state)
         return FilteredTargets(chosen, held)
 
     def _look(self, cloud: np.ndarray, positions: np.ndarray) -> None:
         """
-        Learn from what has been seen where cameras may be, unless that is known.
+        Compute the feasible region of the observed cloud, if cloud or heights have changed.
 
-        Cameras keep the heights at which they are: the floor of a cloud that shows a part of a
-        room may be a table, and poses are measured.
+        Cameras keep their current heights even outside the limits of the rig file: in a partial
+        cloud the lowest surface may be a table, and measured poses have errors.
         """
         z = positions[:, 2].astype(np.float64)
         if self._known is not None and np.array_equal(self._known[1], z) and np.array_equal(
@@ -255,11 +256,11 @@ class ConstraintFilter:
                  bounds: np.ndarray, max_step: float, newest: np.ndarray | None,
                  free: FreeWays | None = None) -> np.ndarray | None:
         """
-        Return the allowed place that is nearest to a target, about; None if there is none.
+        Return a feasible position, approximately the nearest to a target; None if there is none.
 
-        :param newest: points of which some may not be known yet; None if all are.
-        :param free: where the camera may go, whatever is known of the floor; None where floor is
-            asked for.
+        :param newest: points that the feasible region may not contain yet; None if it has all.
+        :param free: free distances that replace the check for observed floor; None to require
+            observed floor.
         """
         if newest is not None:
             reach = max_step + self.rig.keep_clear + ROUNDING
@@ -280,7 +281,7 @@ class ConstraintFilter:
                              lambda places: self._raised(places, position[2]), allowed)
 
     def _raised(self, places: np.ndarray, height: float) -> np.ndarray:
-        """Bring places to the height of a camera, or to the ceiling that it hangs on: (P, 3)."""
+        """Set places to the height of a camera, or to that of its mount at the ceiling: (P, 3)."""
         places = places.copy()
         places[:, 2] = height
         allowed = self._allowed
@@ -291,6 +292,6 @@ class ConstraintFilter:
         return places
 
     def _inside(self, places: np.ndarray, bounds: np.ndarray) -> np.ndarray:
-        """Tell which places are far enough inside the observed bounding box: (P,) bool."""
+        """Return which places are far enough inside the observed bounding box: (P,) bool."""
         inside, _ = kept_inside(places, bounds, self.wall_margin)
         return (np.abs(inside - places) <= ROUNDING).all(axis=1)

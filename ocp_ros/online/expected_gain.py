@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How much better moves are expected to make a placement, by what has been seen."""
+"""Expected change of the depth error by moves of the cameras, computed on the observed cloud."""
 
 from typing import NamedTuple
 
@@ -21,16 +21,16 @@ from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.partial_map import PartialMap
 from ocp_ros.online.rig_state import RigState
 
-#: Points and rows of depth maps of the model that is asked: a person waits for the answer.
+#: Points and depth-map rows of the model: small, because an operator waits for the result.
 POINTS, ROWS = 12000, 64
 
 
 class ExpectedGain(NamedTuple):
     """
-    The depth error before and after moves, of what has been seen: of what has not, nobody knows.
+    The depth error of the observed cloud before and after moves; unseen space is not included.
 
-    :ivar before: metres, with the cameras where they are.
-    :ivar after: metres, with the cameras where they are sent.
+    :ivar before: metres, with the cameras at their current poses.
+    :ivar after: metres, with the cameras at their targets.
     """
 
     before: float
@@ -40,10 +40,10 @@ class ExpectedGain(NamedTuple):
     def of(cls, cloud: np.ndarray, state: RigState, placement: np.ndarray, max_range: float
            ) -> 'ExpectedGain':
         """
-        Compute both on what has been seen.
+        Compute both errors on the observed cloud.
 
-        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
-        :param state: the cameras as they are.
+        :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
+        :param state: current state of the cameras.
         :param placement: (K + F, 6) metres and radians: the cameras after the moves.
         :param max_range: of omnidirectional cameras, metres.
         :raises SceneError: if the points are too few or too flat to be a room.
@@ -57,7 +57,7 @@ class ExpectedGain(NamedTuple):
         return cls(error(state.placement), error(placement))
 
     def __str__(self) -> str:
-        """Say it in a sentence."""
+        """Return the comparison as a sentence."""
         if not self.after < self.before:
             return (f'expected: no less depth error of what has been seen so far '
                     f'({self.before:.2f} m); these moves look at what has not been seen')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The greedy step: one camera after the other takes the best of a few moves, one turn ahead."""
+"""The greedy step: one camera after the other takes the best of a few moves of one time step."""
 
 import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits
@@ -23,21 +23,21 @@ from ocp_ros.rig.motion import bounded_moves, order_of
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.threads import mapped
 
-#: Directions, and the distances in each of them, metres.
+#: Number of directions, and the distances in each direction, metres.
 DIRECTIONS, DISTANCES = 8, (0.04, 0.15, 0.5)
 _ANGLES = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
 #: (1 + D * 3, 2) metres: staying, then the moves of each direction, the shortest first.
 MOVES = np.concatenate([np.zeros((1, 2)), (
     np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)[:, None]
     * np.array(DISTANCES)[None, :, None]).reshape(-1, 2)])
-#: What is added to errors that are compared, as a share of the error of seeing nothing.
+#: Constant that is added to compared errors, as a share of the error without any visible point.
 FLOOR = 0.01
-#: Points and rows of depth maps of the model: on a coarser one the best move is often a bad one.
+#: Points and depth-map rows of the model: on a coarser one the best move is often a bad move.
 POINTS, ROWS = 12000, 64
 
 
 class GreedyStep(Online):
-    """Try the moves of each camera on what has been seen: what learning has to beat."""
+    """Try the moves of each camera on the observed cloud: a baseline for trained policies."""
 
     def __init__(self, *settings) -> None:
         super().__init__(*settings)
@@ -45,7 +45,7 @@ class GreedyStep(Online):
                                     points=POINTS, rows=ROWS)
 
     def reset(self) -> None:
-        """Forget what has been seen."""
+        """Discard the state of the last episode."""
         self._turns.reset()
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
@@ -66,10 +66,10 @@ class GreedyStep(Online):
 
 def _values(known: ObservedTurn, camera: int, time: float) -> np.ndarray:
     """
-    Return what each of a camera's ``MOVES`` leads to: less is better.
+    Return the objective value after each of a camera's ``MOVES``: less is better.
 
-    It is the depth error that is left, less a bonus for unseen cells, both as shares of the error
-    of seeing nothing.
+    The value is the depth error less a bonus for covered unseen cells, both as shares of the
+    depth error without any visible point.
     """
     model, space = known.model, known.space
     others = known.beside(camera)

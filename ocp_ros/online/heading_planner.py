@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Choose the headings of cameras with a frustum: yaw and pitch, judged on the observed cloud.
+Choose the headings of cameras with a frustum: yaw and pitch, scored on the observed cloud.
 
-Each camera has a goal, which it turns towards turn by turn. Goals are sought among directions from
-where the cameras go, one camera after the other, for the depth error of the observed cloud that
-all cameras leave together, less a bonus for unseen air, which falls to nothing as it does where
-positions are judged. So a rig that faces a wall looks around first.
+Each camera has a goal heading and rotates towards it in each time step. The search takes one
+camera after the other at its target position. It minimises the depth error of the observed cloud
+from all cameras together, less a bonus for unseen air. The bonus decreases to 0 during the
+episode, as in the choice of positions. So a rig that faces a wall looks around first.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,24 +35,24 @@ from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.simulator import View
 
-#: Points and rows of depth maps of the model.
+#: Points and depth-map rows of the model.
 POINTS, ROWS = 12000, 64
-#: Yaws and at most how many pitches that are tried.
+#: Number of yaws and largest number of pitches of the candidate headings.
 YAWS, PITCHES = 12, 3
-#: Radians: steps of the search around the best of these.
+#: Radians: steps of the local search around the best candidate.
 FINER = np.deg2rad([15.0, 7.5])
-#: How often each camera is asked.
+#: Number of passes over all cameras.
 ROUNDS = 2
 
 
 def never() -> bool:
-    """Tell that nobody waits."""
+    """Return False: the computation is never interrupted."""
     return False
 
 
 class Goal(NamedTuple):
     """
-    Where a camera will look, and what it then sees.
+    Goal heading of a camera, and its view there.
 
     :ivar heading: (3,) yaw, pitch, roll in radians.
     """
@@ -63,13 +63,14 @@ class Goal(NamedTuple):
 
 class HeadingPlanner:
     """
-    Choose where cameras look, turn after turn of an episode.
+    Choose the headings of cameras at each time step of an episode.
 
-    :param models: what the K cameras see that are to be placed, then the F in place.
+    :param models: camera models of the K movable cameras, then of the F fixed ones.
     :param movable: K.
-    :param pitch: radians, the least and the most that cameras look down.
+    :param pitch: radians, smallest and largest pitch; positive is down.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :ivar aimed: the cameras that are not omnidirectional, by number: the others stay as they are.
+    :ivar aimed: numbers of the movable cameras that are not omnidirectional; all other cameras
+        keep their headings.
     """
 
     def __init__(self, models: Sequence[CameraModel], movable: int, pitch: tuple[float, float],
@@ -82,37 +83,37 @@ class HeadingPlanner:
 
     @classmethod
     def of(cls, rig: Rig | None, wall_margin: float) -> 'HeadingPlanner | None':
-        """Make one for a rig; None where all cameras are known to be omnidirectional."""
+        """Create one for a rig; None without a rig or if all cameras are omnidirectional."""
         if rig is None:
             return None
         made = cls(rig.models, len(rig.cameras), rig.pitch, wall_margin)
         return made if made.aimed else None
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Discard the state of the last episode."""
         self._memory = LookHistory()
         self._kept = KeptModel(self._range, self._wall_margin, POINTS, ROWS, AROUND)
-        #: (K + F, 3) yaw, pitch, roll in radians, where all cameras will look.
+        #: (K + F, 3) yaw, pitch, roll in radians: the goal headings of all cameras.
         self._headings: np.ndarray | None = None
-        #: The turn that was thought about before it came.
+        #: The time step for which goals were computed in advance.
         self._ahead: int | None = None
 
     def __call__(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray,
                  max_turn: float, turn: int, turns: int, hint: np.ndarray | None = None
                  ) -> np.ndarray:
         """
-        Choose how the cameras are turned where they go.
+        Choose the headings of the cameras at their target positions.
 
-        :param cloud: (N, 3) float32, metres, map frame: the points seen so far.
-        :param rig_state: the cameras as they are.
-        :param targets: (K + F, 3) metres: where they go.
-        :param max_turn: the most that a camera is turned in a turn, radians.
-        :param turn: turns played so far.
-        :param turns: turns of the whole episode.
-        :param hint: (K, 3) radians, how somebody else would turn them; it is taken where it is
-            better to begin with.
-        :returns: (K + F, 3) yaw, pitch, roll in radians. The pitch of a camera that was outside
-            the limits may still be on its way.
+        :param cloud: (N, 3) float32, metres, map frame: the observed cloud.
+        :param rig_state: current state of the cameras.
+        :param targets: (K + F, 3) metres: target positions.
+        :param max_turn: largest rotation of a camera in a time step, radians.
+        :param turn: time steps taken so far.
+        :param turns: time steps of the whole episode.
+        :param hint: (K, 3) radians, headings that a planner proposes. The search starts from them
+            if they have a better objective value than the last goals.
+        :returns: (K + F, 3) yaw, pitch, roll in radians. A pitch that started outside the limits
+            may still be outside them.
         """
         self._memory.visit(rig_state.placement, rig_state.lenses)
         if self._ahead != turn:
@@ -124,10 +125,10 @@ class HeadingPlanner:
               turn: int, turns: int, hint: np.ndarray | None = None,
               interrupted: Callable[[], bool] = never) -> None:
         """
-        Choose where the cameras will look; if that is done before the turn has come, it holds.
+        Compute the goal headings; those computed in advance are used when their step comes.
 
-        :param rig_state: the cameras as they will be; see :meth:`__call__` for all else.
-        :param interrupted: returns whether what was found so far has to do.
+        :param rig_state: the cameras at that time step; see :meth:`__call__` for all else.
+        :param interrupted: returns whether to stop and use the best goals found so far.
         """
         now = rig_state.placement[:, 3:]
         try:
@@ -141,7 +142,7 @@ class HeadingPlanner:
         self._headings, self._ahead = goals, turn
 
     def _swept(self, now: np.ndarray, max_turn: float) -> np.ndarray:
-        """Look farther to the left, for want of a room in which to choose."""
+        """Rotate cameras to the left by one step: the cloud is too small for a search."""
         goals = now.copy()
         goals[self.aimed, 0] += max_turn
         goals[self.aimed, 1] = np.clip(goals[self.aimed, 1], *self._pitch)
@@ -150,7 +151,7 @@ class HeadingPlanner:
     def _goals(self, model: PartialMap, rig_state: RigState, targets: np.ndarray, max_turn: float,
                turn: int, turns: int, hint: np.ndarray | None,
                interrupted: Callable[[], bool]) -> np.ndarray:
-        """Choose where the cameras will look before the episode ends."""
+        """Search goal headings that the cameras reach before the episode ends."""
         now, reach = rig_state.placement[:, 3:], max_turn * max(turns - turn, 1)
         sought = _Search(model, self._memory.unseen(model), targets, rig_state.lenses,
                          self._begun(now, self._headings, reach))
@@ -170,7 +171,7 @@ class HeadingPlanner:
         return np.array([goal.heading for goal in sought.goals])
 
     def _begun(self, now: np.ndarray, goals: np.ndarray | None, reach: float) -> np.ndarray:
-        """Return what to begin with: goals that there are, as far as cameras reach them."""
+        """Return the first headings of the search: given goals, limited to what is in reach."""
         begun = now.copy()
         if goals is not None:
             begun[self.aimed, :2] = goals[self.aimed, :2]
@@ -178,13 +179,13 @@ class HeadingPlanner:
         return turned_towards(now, begun, reach)
 
     def _choices(self, goal: np.ndarray, now: np.ndarray, reach: float) -> np.ndarray:
-        """List directions all around for one camera: (H, 3)."""
+        """List the candidate headings of one camera: (H, 3) radians."""
         level = self._directions[:YAWS] * [1.0, 0.0, 0.0] + [0.0, goal[1], 0.0]
         grid = np.concatenate([level, self._directions]) + [goal[0], 0.0, now[2]]
         return self._allowed(grid, now, reach)
 
     def _allowed(self, headings: np.ndarray, now: np.ndarray, reach: float) -> np.ndarray:
-        """Keep what is within the limits and within reach."""
+        """Return the headings within the pitch limits and within reach."""
         low, high = self._pitch
         inside = (headings[:, 1] >= low) & (headings[:, 1] <= high)
         return headings[inside & (np.linalg.norm(way_between(now, headings), axis=-1) <= reach)]
@@ -192,13 +193,13 @@ class HeadingPlanner:
 
 class _Search:
     """
-    Seek goals for one camera after the other.
+    Search goal headings for one camera after the other.
 
-    :param model: the engine on what has been seen.
+    :param model: partial map of the observed cloud.
     :param unseen: packed bits of the model's cells that no camera has covered.
     :param targets: (C, 3) metres.
-    :param lenses: of the cameras.
-    :param headings: (C, 3) radians, to begin with.
+    :param lenses: frusta of the cameras.
+    :param headings: (C, 3) radians, the first goals.
     """
 
     def __init__(self, model: PartialMap, unseen: np.ndarray, targets: np.ndarray,
@@ -209,20 +210,20 @@ class _Search:
         self.goals = self._goals(headings)
 
     def _goals(self, headings: np.ndarray) -> list[Goal]:
-        """Let cameras look in directions (C, 3)."""
+        """Return the goals for headings (C, 3) of all cameras."""
         return [Goal(heading, *self._look(camera, heading[None]))
                 for camera, heading in enumerate(headings)]
 
     def price(self, curiosity: float, cameras: Sequence[int], headings: np.ndarray) -> None:
         """
-        Say what covering a cell is worth.
+        Compute the bonus for each covered unseen cell.
 
-        Nothing is lost by looking elsewhere for some turns: what was seen stays seen. So a look is
-        worth by how much of what it covers is unseen, be that small beside all that is.
+        The bonus is divided by the mean number of cells in a view, not by the number of all unseen
+        cells: points already observed stay observed, so a view elsewhere costs nothing.
 
-        :param curiosity: what a look into nothing but unseen air is worth, in errors of seeing
-            nothing.
-        :param cameras: some of them.
+        :param curiosity: bonus for a view of unseen cells alone, in multiples of the depth error
+            without any visible point.
+        :param cameras: numbers of the cameras whose views are averaged.
         :param headings: (H, 3) radians, directions all around.
         """
         if curiosity:
@@ -231,18 +232,18 @@ class _Search:
             self._weight = curiosity * self._model.depth_error.worst / max(np.mean(counts), 1.0)
 
     def begin(self, headings: np.ndarray) -> None:
-        """Begin with other directions (C, 3) if they are better together."""
+        """Replace the goals by headings (C, 3) if these have a better objective value."""
         goals = self._goals(headings)
         if self._worth(goals) < self._worth(self.goals):
             self.goals = goals
 
     def _worth(self, goals: list[Goal]) -> float:
-        """Return what goals are worth together, metres; less is better."""
+        """Return the objective value of all goals together, metres; less is better."""
         views = [goal.view for goal in goals]
         return self._value(self._model.together(views), views[0])
 
     def _look(self, camera: int, headings: np.ndarray) -> list[View]:
-        """Compute what a camera would see in directions (H, 3), or remember it."""
+        """Return the views of a camera with headings (H, 3), computed once and then cached."""
         keys = [(camera, *heading.tolist()) for heading in headings]
         new = [k for k, key in enumerate(keys) if key not in self._views]
         if new:
@@ -252,7 +253,7 @@ class _Search:
         return [self._views[key] for key in keys]
 
     def best(self, camera: int, headings: np.ndarray) -> None:
-        """Let a camera look where it helps most: as it does, or one of some headings (H, 3)."""
+        """Set the goal of a camera to the best of its current goal and some headings (H, 3)."""
         others = self._model.together([
             goal.view for k, goal in enumerate(self.goals) if k != camera])
         least = self._value(others, self.goals[camera].view)
@@ -262,7 +263,7 @@ class _Search:
                 least, self.goals[camera] = value, Goal(heading, view)
 
     def _value(self, others: View, view: View) -> float:
-        """Return what a view is worth beside what others see, metres; less is better."""
+        """Return the objective value of a view with the other views, metres; less is better."""
         error = self._model.depth_error(others.seen | view.seen)
         if not self._weight:
             return error
@@ -271,5 +272,5 @@ class _Search:
 
 
 def _around(heading: np.ndarray, step: float) -> np.ndarray:
-    """Return four headings (4, 3) beside one, a step in radians away."""
+    """Return four headings (4, 3): yaw and pitch changed by plus and minus a step, radians."""
     return heading + step * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])

@@ -13,17 +13,19 @@
 # limitations under the License.
 
 """
-Lookahead: plan on what has been seen as if it were the room, and plan again as more is seen.
+Lookahead: plan on the observed cloud as if it were the room, and plan again as the cloud grows.
 
-While it explores, a plan is worth the depth error of the observed cloud, less a bonus for the
-unseen cells of the air that it would cover. The bonus falls to nothing early: what a plan is then
-worth is the depth error alone. Plans are sought among candidates on a grid, whose views are
-computed once for some turns, by annealing on unions of packed bits; one-camera exchanges alone
-end in worse plans. In the last turns the best plan is annealed once more among all candidates and
-then in small steps, on a model at full resolution and among places that the cameras can still
-reach: a model of thinned points promises what the room does not keep.
+During exploration the objective is the depth error of the observed cloud, less a bonus for the
+unseen cells of the air that a plan covers. The bonus decreases to 0 at about half of the episode;
+from then on the objective is the depth error alone.
 
-In an episode of many turns plans are made while the cameras move; see
+The planner chooses among candidates on a grid, by simulated annealing on unions of packed bits.
+The views of the candidates are computed once for several time steps. One-camera exchanges without
+annealing end in worse plans. In the last time steps the best plan is annealed once more among all
+candidates and then in small steps, on a finer model and among positions that the cameras can still
+reach: a plan that is good on a coarsely thinned cloud is often worse in the room.
+
+In an episode of many time steps the next plan is computed while the cameras move; see
 :class:`~ocp_ros.online.online_planner.PipelinedPlanner`.
 """
 
@@ -43,35 +45,38 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.util.annealing import between
 from ocp_ros.util.threads import mapped
 
-#: Metres between candidates, and the most there are: in a larger room they are farther apart.
+#: Metres between candidates, and their largest number: in a large room the spacing is larger.
 SPACING, CANDIDATES = 0.5, 400
-#: Points and rows of depth maps of the model that candidates are compared on.
+#: Points and depth-map rows of the model on which candidates are compared.
 QUICK_POINTS, QUICK_ROWS = 6000, 32
-#: Turns that candidates are kept for where plans are made while the cameras move. Their views are
-#: computed in the first of these turns.
+#: Time steps for which candidates are reused if plans are computed while the cameras move. Their
+#: views are computed in the first of these time steps.
 KEPT = 2
-#: Points and rows of depth maps of the model to refine on, and turns that it is kept for at least.
+#: Points and depth-map rows of the model for the refinement, and the smallest number of time steps
+#: for which it is reused.
 REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 60000, 128, 4
-#: Proposals of a turn of refinement, of one of many turns, and of one that makes a model as well;
-#: those that a camera is asked in a row: what the others settle is looked at once.
+#: Proposals in a time step of refinement: in a short episode, in one of many time steps, and in a
+#: time step that also creates a model. Then the number of consecutive proposals for one camera:
+#: the views of the other cameras are merged once for these.
 STEPS, STEPS_OF_MANY, FEWER_STEPS, IN_A_ROW = 240, 112, 16, 16
 #: First and last temperature of the refinement, in multiples of the best plan's error, and the
-#: error from which these are taken at least, metres.
+#: smallest error that is used for this product, metres.
 WARM, COOL, LEAST = 0.1, 0.003, 1e-3
-#: Metres, and radians for cameras that are not omnidirectional: standard deviation of its first
-#: and last steps.
+#: Standard deviation of the first and last changes of a position, metres.
 FAR, NEAR = 0.5, 0.02
+#: The same for headings of cameras that are not omnidirectional, radians.
 WIDE, NARROW = 0.5, 0.05
-#: Proposals that are looked from at once.
+#: Proposals whose views are computed in parallel.
 TOGETHER = 4
 
 
 class Lookahead(PipelinedPlanner):
     """
-    Explore, plan on what has been seen, and refine the plan while walking to it.
+    Explore, plan on the observed cloud, and refine the plan while the cameras move to it.
 
     :param settings: of :class:`Online`.
-    :param guide: proposes placements to begin with, such as a trained actor; None without.
+    :param guide: a planner, such as a trained actor, that proposes placements as first plans;
+        None without.
     """
 
     def __init__(self, *settings, guide: Online | None = None) -> None:
@@ -80,13 +85,13 @@ class Lookahead(PipelinedPlanner):
         self.reset()
 
     def set_rig_state(self, rig_state: RigState | None) -> None:
-        """Tell the guide as well; see :meth:`Online.set_rig_state`."""
+        """Set the state of the guide too; see :meth:`Online.set_rig_state`."""
         super().set_rig_state(rig_state)
         if self.guide is not None:
             self.guide.set_rig_state(rig_state)
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Discard the state of the last episode."""
         super().reset()
         if self.guide is not None:
             self.guide.reset()
@@ -94,25 +99,25 @@ class Lookahead(PipelinedPlanner):
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
         self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS)
-        #: Turn of the last model or of the last candidates.
+        #: Time step in which the last model or the last candidates were created.
         self._made = 0
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
-        """Plan for a turn; see :meth:`PipelinedPlanner._think`."""
+        """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
         if turn >= REFINING * turns:
             self._refine(cloud, positions, turn, turns)
             return
         ahead = self._ahead(turns)
         if self._candidates is None or not ahead or turn - self._made >= KEPT:
             self._look_around(cloud, positions, turn, turns)
-        # Of many turns the first may be answered by what is best for one camera after the other.
+        # In an episode of many time steps, the greedy choice suffices for the first one.
         if not (ahead and self._waited_for(turn, turns, len(positions))):
             self._chosen = self._candidates.anneal(self._chosen, self.rng)
         self._settle(positions)
 
     def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                      turns: int) -> None:
-        """Compute what would be seen from where, for the plan so far and for what is proposed."""
+        """Compute the views of new candidates, the current and proposed plans included."""
         model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
                            around=AROUND if self.directional else 0.0)
         unseen, self._space = self.memory.unseen(model), self.space(cloud, positions)
@@ -127,7 +132,7 @@ class Lookahead(PipelinedPlanner):
 
     def _list(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
               plans: list[np.ndarray], cameras: int) -> None:
-        """List candidates, first those of some plans (K, 6), and choose the best of these."""
+        """List candidates, first the poses of some plans (K, 6), and choose the best plan."""
         count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
         plans = [np.hstack([space.placement(space.inside(plan[:, :2])), plan[:, 3:]])
                  for plan in plans]
@@ -144,20 +149,20 @@ class Lookahead(PipelinedPlanner):
         self._chosen = min(begun, key=self._candidates.value)
 
     def _plans(self, cameras: int) -> list[np.ndarray]:
-        """List the plan so far, (K, 6) metres and radians, if there is one; its z is not used."""
+        """Return the current plan, (K, 6) metres and radians, in a list, or []; z is not used."""
         if not self._planned(cameras):
             return []
         headings = self._planned_headings() if self.directional else np.zeros((cameras, 3))
         return [np.hstack([self.targets, np.zeros((cameras, 1)), headings])]
 
     def _settle(self, positions: np.ndarray) -> None:
-        """Match the cameras with the chosen places, so that they walk least."""
+        """Assign the chosen sites to the cameras with the shortest total path."""
         candidates, chosen = self._candidates, np.array(self._chosen)
         chosen = chosen[matched(positions, candidates.places[chosen], candidates.kind_of)]
         self.targets, self.headings = candidates.places[chosen], candidates.headings(chosen)
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
-        """Anneal the plan in small steps, among what can be reached."""
+        """Anneal the plan in small steps, among the positions that the cameras can still reach."""
         steps = STEPS_OF_MANY if self._ahead(turns) else STEPS
         first_time = self._kept.made is None
         if first_time or (turn - self._made >= REFINING_KEPT
@@ -205,7 +210,7 @@ class Lookahead(PipelinedPlanner):
         self.targets, self.headings = best, best_headings
 
     def _survey(self, positions: np.ndarray) -> None:
-        """Anneal the plan once more among all candidates, on the model to refine on."""
+        """Anneal the plan once more among all candidates, on the model for the refinement."""
         model, space = self._kept.made
         self._list(model, space, self.memory.unseen(model), 0.0, self._plans(len(positions)),
                    len(positions))
@@ -215,10 +220,10 @@ class Lookahead(PipelinedPlanner):
     def _trial(self, camera: int, placed: np.ndarray, headings: np.ndarray | None,
                space: FreePlane, share: float) -> tuple[np.ndarray, np.ndarray | None]:
         """
-        Draw a place near that of a camera, of those that it can reach.
+        Draw a pose near that of a camera, among the positions that it can reach.
 
-        :returns: its position (3,) in metres, and its heading (3,) in radians; None where all are
-            omnidirectional.
+        :returns: the position (3,) in metres, and the heading (3,) in radians; None if all cameras
+            are omnidirectional.
         """
         place = space.reflected(
             placed[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
@@ -227,7 +232,7 @@ class Lookahead(PipelinedPlanner):
         return space.placement(place[None])[0], heading
 
     def _planned_headings(self) -> np.ndarray | None:
-        """Return how the cameras are turned in the plan; None where all are omnidirectional."""
+        """Return the headings (K, 3) of the plan; None if all cameras are omnidirectional."""
         if not self.directional:
             return None
         if self.headings is not None and self.rig_state.turns:
@@ -235,7 +240,7 @@ class Lookahead(PipelinedPlanner):
         return self.rig_state.placement[:self.rig_state.movable, 3:].copy()
 
     def _wiggled(self, heading: np.ndarray, camera: int, most: float) -> np.ndarray:
-        """Turn a camera that is not omnidirectional a little, within its limits: (3,)."""
+        """Return a heading (3,) with random changes of yaw and pitch, within the limits."""
         if not self.rig_state.turns or camera not in self.rig_state.aimed:
             return heading
         turned = heading.copy()

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-What has been seen, from above: the channels of a square grid, which the map actor reads.
+Observation map: the observed cloud from above, as channels of a square grid for the map actor.
 
-Some channels tell of the room: points by height, what each is worth, and the air that has been
-seen. Others tell what the other cameras leave to be done: the points that none of them sees, the
-depth error that is lost at each of these, and where the others are. Nothing but what was observed
-enters, and no move is tried.
+Some channels describe the room: points by height, the depth error that belongs to these points,
+and the observed air. Other channels describe the remaining task beside the other cameras: the
+points that none of them sees, the depth error at these points, and the positions of the other
+cameras. The map contains observed data alone, and no move is simulated.
 """
 
 from collections.abc import Sequence
@@ -31,38 +31,38 @@ from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.online.partial_map import NO_CELL, PartialMap
 from ocp_ros.simulation.simulator import View
 
-#: Cells along each side of the grid, and their least edge, metres: in a room that is larger than
-#: the grid, cells are larger too.
+#: Cells along each side of the grid, and their smallest edge, metres: a room that is larger than
+#: the grid has larger cells.
 CELLS, EDGE = 64, 0.25
-#: Metres of the grid that are free around what was seen, at least.
+#: Smallest free border of the grid around the observed bounding box, metres.
 BORDER = 0.5
-#: Metres above the floor: where the slices of the points begin, and what divides high from low.
+#: Metres above the floor: limits between the slices of the points, and between low and high.
 SLICES, SPLIT = (0.15, 0.8, 1.5, 2.2), 1.2
-#: Metres above the floor: where the slices of the air begin, and its floor and ceiling.
+#: Metres above the floor: limits between the slices of the air, its lowest and its highest height.
 AIR, AIR_LOW, AIR_HIGH = (0.9, 1.55), 0.2, 2.4
-#: Metres: standard deviation of the spots that mark cameras and viewpoints.
+#: Standard deviation of the spots that mark cameras and viewpoints, metres.
 SPOT = 0.4
-#: The channels of the room that tell of the seen air, after points and what they are worth, and
-#: the one that marks the bounding box.
+#: Channels of the room with the observed air (after the points and their depth error), and the
+#: channel of the bounding box.
 SEEN_AIR = slice(len(SLICES) + 3, len(SLICES) + 4 + len(AIR))
 BOX = SEEN_AIR.stop
-#: How the channels of the room, those of the others and the plain numbers are counted.
+#: Number of channels of the room, of channels of the other cameras, and of scalar inputs.
 OF_ROOM, OF_OTHERS, NUMBERS = BOX + 2, 7, 5
-#: How many numbers tell of the lens of a camera.
+#: Number of values that describe the field of view of a camera.
 OF_LENS = 2
-#: What sides of maps that are used are multiples of.
+#: The sides of the used part of a map are multiples of this.
 STRIDE = 8
-#: Points of a cell that count as many, and the share of the error in a cell that counts as much.
+#: Number of points, and share of the error, at which a cell reaches the value 255.
 MANY, MUCH = 32.0, 0.03
-#: How fine small shares are told apart.
+#: Factor of a share before its logarithm: a larger factor resolves smaller shares.
 FINE_SHARES = 500.0
-#: Errors are compared as logarithms, with so much of the error of seeing nothing added.
+#: Added to errors before the logarithm, as a share of the depth error without any visible point.
 FLOOR = 0.005
 
 
 def used_part(room: np.ndarray) -> tuple[slice, slice]:
     """
-    Return the cells in the middle of a map that hold all that was seen.
+    Return the cells in the middle of a map that contain the observed bounding box.
 
     :param room: (``OF_ROOM``, 64, 64) of :class:`ObservationMap`.
     :returns: rows and columns, multiples of ``STRIDE`` each.
@@ -75,9 +75,9 @@ def used_part(room: np.ndarray) -> tuple[slice, slice]:
 
 def lens_features(lens: Frustum | None) -> np.ndarray:
     """
-    Tell of a lens.
+    Return the field of view of a camera as network inputs.
 
-    :param lens: None for that of an omnidirectional camera.
+    :param lens: frustum of the camera; None for an omnidirectional camera.
     :returns: (``OF_LENS``,) float32: the angles of view, horizontal and vertical, as shares of
         those of an omnidirectional camera.
     """
@@ -90,15 +90,15 @@ def lens_features(lens: Frustum | None) -> np.ndarray:
 
 
 def yaws_of(headings: int) -> np.ndarray:
-    """Return the yaws (D,) of headings that are valued, radians, map frame."""
+    """Return the yaws (D,) of the headings that have values, radians, map frame."""
     return np.arange(headings) * (2.0 * np.pi / headings)
 
 
 def at_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) -> np.ndarray:
     """
-    Read values between the headings that have one.
+    Interpolate values linearly between the yaws of :func:`yaws_of`.
 
-    :param values: (D, C) of cells.
+    :param values: (D, C), by yaw and by cell.
     :param cells: (M,) numbers of cells.
     :param yaws: (M,) radians, map frame.
     :returns: (M,).
@@ -107,7 +107,7 @@ def at_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) -> np.ndarr
     at = yaws * (count / (2.0 * np.pi))
     low = np.floor(at).astype(np.int64)
     between, next_one = values[low % count, cells], values[(low + 1) % count, cells]
-    # Beyond what was seen all are inf.
+    # Cells outside the observed bounding box are inf at all yaws.
     known = np.isfinite(between)
     between[known] += (at - low)[known] * (next_one[known] - between[known])
     return between
@@ -115,7 +115,7 @@ def at_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) -> np.ndarr
 
 class Window(NamedTuple):
     """
-    Where the grid lies.
+    Position of the grid in the map frame.
 
     :ivar low: (2,) metres, map frame: corner of the first cell.
     :ivar edge: of the cells, metres.
@@ -127,10 +127,10 @@ class Window(NamedTuple):
     @classmethod
     def around(cls, bounds: np.ndarray, least: float = EDGE) -> 'Window':
         """
-        Lay the grid around a box.
+        Place the grid around a bounding box.
 
         :param bounds: (2, 3) metres.
-        :param least: edge of the cells, metres, if they are not to be larger.
+        :param least: smallest edge of the cells, metres.
         """
         size = float((bounds[1] - bounds[0])[:2].max()) + 2.0 * BORDER
         edge = max(least, size / CELLS)
@@ -138,13 +138,13 @@ class Window(NamedTuple):
 
     @property
     def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the middles of the cells: (64,) x and (64,) y, metres."""
+        """Return the centres of the cells: (64,) x and (64,) y, metres."""
         steps = (np.arange(CELLS) + 0.5) * self.edge
         return self.low[0] + steps, self.low[1] + steps
 
     @property
     def middles(self) -> np.ndarray:
-        """Return the middles of the cells: (64, 64, 2) metres."""
+        """Return the centres of the cells: (64, 64, 2) metres."""
         return np.stack(np.meshgrid(*self.axes, indexing='ij'), axis=-1)
 
     def cell_of(self, places: np.ndarray) -> np.ndarray:
@@ -156,14 +156,14 @@ class Window(NamedTuple):
 
 class ObservationMap:
     """
-    The channels of one turn.
+    The channels of one time step.
 
-    :param model: the engine on what has been seen.
+    :param model: partial map of the observed cloud.
     :param unseen: packed bits of the model's cells of the air that no camera has covered yet.
-    :param cameras: K, how many there are.
+    :param cameras: K, number of cameras.
     :param max_range: of the camera that chooses, metres.
     :param height: of the cameras, z in metres, map frame.
-    :param least: edge of the cells, metres, if they are not to be larger.
+    :param least: smallest edge of the cells, metres.
     :ivar room: (``OF_ROOM``, 64, 64) uint8.
     """
 
@@ -174,7 +174,7 @@ class ObservationMap:
         floor = model.bounds[0, 2]
         above = model.points[:, 2] - floor
         cells = self.window.cell_of(model.points)
-        #: Of each point the cell of a channel of low points or of one of high points, -1 outside.
+        #: For each point its cell in the channel of low or of high points, -1 outside.
         self._halves = np.where(cells >= 0, cells + (above > SPLIT) * CELLS * CELLS, -1)
         self._air = _AirColumns(model, self.window, floor)
         slices = np.where(cells >= 0, cells + np.searchsorted(SLICES, above) * CELLS * CELLS, -1)
@@ -189,10 +189,10 @@ class ObservationMap:
 
     def others(self, views: Sequence[View], places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Tell what cameras leave to be done.
+        Compute the channels of the points and the depth error that other cameras do not cover.
 
-        :param views: what each of them sees of the model.
-        :param places: (J, >= 2) metres, where they are.
+        :param views: views of the other cameras in the model.
+        :param places: (J, >= 2) metres, their positions.
         :returns: (``OF_OTHERS``, 64, 64) uint8 and (``NUMBERS``,) float32.
         """
         model, together = self._model, self._model.together(views)
@@ -207,19 +207,19 @@ class ObservationMap:
         return channels, np.array([*self._told, level], dtype=np.float32)
 
     def _box(self) -> np.ndarray:
-        """Mark the cells within the bounding box of what was seen: (1, 64, 64)."""
+        """Mark the cells inside the observed bounding box: (1, 64, 64) uint8."""
         low, high = self._model.bounds[:, :2]
         inside = [(axis >= low[k]) & (axis <= high[k]) for k, axis in enumerate(self.window.axes)]
         return 255 * np.logical_and.outer(*inside).astype(np.uint8)[None]
 
     def unseen_air(self) -> np.ndarray:
-        """Return the share of the air above each cell that has not been seen: (64, 64)."""
+        """Return the unseen share of the air above each cell: (64, 64)."""
         seen = self.room[SEEN_AIR].mean(axis=0) / 255.0
         return np.where(self._air.known, 1.0 - seen, 0.0)
 
 
 class _AirColumns:
-    """The cells of the air above each cell of the grid."""
+    """The air above each cell of the grid, as cells of the partial map."""
 
     def __init__(self, model: PartialMap, window: Window, floor: float) -> None:
         self._count = len(model.cells)
@@ -228,14 +228,14 @@ class _AirColumns:
         above = (cells[:, 2] + 0.5) * model.edge - floor
         between = (above > AIR_LOW) & (above < AIR_HIGH)
         self._kept, cells, above = kept[between], cells[between], above[between]
-        # A room that is lower than all of this has no air at all.
+        # A room lower than AIR_LOW has no cells of the air here.
         low, high = (corners_of(cells) if len(cells) else np.zeros((2, 3), dtype=np.int64))[:, :2]
         self._shape = tuple(high - low + 1)
         column = cells[:, :2] - low
         self._columns = column[:, 0] * self._shape[1] + column[:, 1]
         self._slices = {2: (above > SPLIT).astype(np.int64),
                         len(AIR) + 1: np.searchsorted(AIR, above)}
-        #: For each row and each column of the grid the one of the air, and whether there is one.
+        #: For each row and column of the grid the index in the air, and whether air is there.
         self._at, there = [], []
         for k, axis in enumerate(window.axes):
             index = np.floor(axis / model.edge).astype(np.int64) - low[k]
@@ -244,7 +244,7 @@ class _AirColumns:
         self.known = np.logical_and.outer(*there)
 
     def shares(self, bits: np.ndarray, slices: int) -> np.ndarray:
-        """Return which share of the air above each cell is in a subset: (slices, 64, 64)."""
+        """Return the share of the air above each cell whose bits are set: (slices, 64, 64)."""
         flags = unpack(bits, self._count)[self._kept]
         size = self._shape[0] * self._shape[1]
         index = self._slices[slices] * size + self._columns
@@ -255,29 +255,29 @@ class _AirColumns:
 
 
 def _summed(index: np.ndarray, channels: int, weights: np.ndarray | None = None) -> np.ndarray:
-    """Sum what points have cell by cell: (channels, 64, 64); points of index -1 are left out."""
+    """Sum weights of points, or count points, in each cell: (channels, 64, 64); skip index -1."""
     inside = index >= 0
     return np.bincount(index[inside], None if weights is None else weights[inside],
                        channels * CELLS * CELLS).reshape(channels, CELLS, CELLS)
 
 
 def _density(counts: np.ndarray) -> np.ndarray:
-    """Turn counts of points into uint8, by their logarithm."""
+    """Convert counts of points into uint8 on a logarithmic scale."""
     return _bytes(np.log1p(counts) / np.log1p(MANY))
 
 
 def _share(shares: np.ndarray) -> np.ndarray:
-    """Turn shares of an error into uint8, by their logarithm."""
+    """Convert shares of an error into uint8 on a logarithmic scale."""
     return _bytes(np.log1p(FINE_SHARES * shares) / np.log1p(FINE_SHARES * MUCH))
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:
-    """Turn numbers from 0 to 1 into uint8."""
+    """Convert numbers from 0 to 1 into uint8; larger ones become 255."""
     return (255.0 * np.minimum(values, 1.0) + 0.5).astype(np.uint8)
 
 
 def _spots(window: Window, places: np.ndarray) -> np.ndarray:
-    """Mark places (J, >= 2): (1, 64, 64) uint8."""
+    """Mark places (J, >= 2) by Gaussian spots: (1, 64, 64) uint8."""
     rows, columns = window.axes
     marks = np.zeros((CELLS, CELLS))
     for place in places:

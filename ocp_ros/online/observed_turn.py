@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What has been seen at a turn as an engine, in which one camera after the other is tried."""
+"""The partial map at a time step, on which moves of one camera after the other are tried."""
 
 import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits, unpack
@@ -22,22 +22,22 @@ from ocp_ros.online.rig_state import clearance_of, fixed_views, record_views, Ri
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.simulation.simulator import View
 
-#: Share of the turns after which the model is as fine as can be.
+#: Share of the episode after which the model uses the finest rules of visibility.
 LATE = 0.6
 
 
 class ObservedTurn:
     """
-    The views of all cameras on what has been seen.
+    The views of all cameras in the partial map.
 
-    Cameras choose one after the other, each with those before it where they will be: two that
-    choose at once both go for the same gap.
+    Cameras choose one after the other. Each uses the new positions of the cameras that have
+    already chosen; otherwise two cameras would choose the same gap.
 
-    :param model: the engine on what has been seen.
+    :param model: partial map of the observed cloud.
     :param unseen: packed bits of the model's cells that no camera has covered.
-    :param space: where the cameras may be.
-    :param positions: (K, 3) metres: where they are, or will be after the turn.
-    :param rig_state: what cameras see and how they are turned; None if all are omnidirectional.
+    :param space: feasible region of the cameras.
+    :param positions: (K, 3) metres: positions of the cameras, new ones where already chosen.
+    :param rig_state: camera models and headings; None if all cameras are omnidirectional.
     """
 
     def __init__(self, model: PartialMap, unseen: np.ndarray, space: FreePlane,
@@ -48,19 +48,19 @@ class ObservedTurn:
         self._fixed = fixed_views(model, rig_state)
 
     def look(self, camera: int, position: np.ndarray) -> View:
-        """Compute what a camera would see at a position (3,)."""
+        """Compute the view of a camera at a position (3,)."""
         return view_from(self.model, self._sight, camera, position)
 
     def place(self, camera: int, position: np.ndarray) -> None:
-        """Let a camera be at a position (3,), for those that are asked after it."""
+        """Set the new position (3,) of a camera; cameras that choose later use it."""
         self.positions[camera], self._views[camera] = position, self.look(camera, position)
 
     def others(self, camera: int) -> list[View]:
-        """Return the views of all cameras but one, those in place included."""
+        """Return the views of all cameras except one, fixed cameras included."""
         return self._views[:camera] + self._views[camera + 1:] + self._fixed
 
     def beside(self, camera: int) -> View:
-        """Return what all others see and cover together."""
+        """Return the merged view of all other cameras."""
         return self.model.together(self.others(camera))
 
     @property
@@ -70,7 +70,7 @@ class ObservedTurn:
 
     @property
     def count(self) -> int:
-        """Return the number of cells that no camera has covered, 1 at least."""
+        """Return the number of cells that no camera has covered, at least 1."""
         return max(int(count_bits(self.unseen)), 1)
 
     @property
@@ -80,9 +80,10 @@ class ObservedTurn:
 
     def seen_now(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """
-        Tell what is seen of the model's points, each camera being where it is or will be.
+        Return which points of the model are visible from the current or new positions.
 
-        :returns: (N,) bool, whether the camera sees a point, and (N,) uint8, how many others do.
+        :returns: (N,) bool, whether the camera sees a point, and (N,) uint8, the number of other
+            cameras that see it.
         """
         count = len(self.model.points)
         others = np.zeros(count, dtype=np.uint8)
@@ -93,36 +94,36 @@ class ObservedTurn:
 
 class ObservedTurns:
     """
-    Make an :class:`ObservedTurn` turn after turn of an episode.
+    Create an :class:`ObservedTurn` at each time step of an episode.
 
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :param clearance: cameras stay this far from all points that were seen, metres.
-    :param points: most points of the model.
+    :param clearance: cameras stay this far from all observed points, metres.
+    :param points: largest number of points of the model.
     :param rows: of its depth maps.
     """
 
     def __init__(self, max_range: float, wall_margin: float, clearance: float = CLEARANCE, *,
                  points: int, rows: int) -> None:
         self._settings, self._clearance = (max_range, wall_margin, points, rows), clearance
-        #: What cameras see and how they are turned; None if all are omnidirectional.
+        #: Camera models and headings; None if all cameras are omnidirectional.
         self.rig_state: RigState | None = None
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Discard the state of the last episode."""
         self._history = LookHistory()
         self._kept = KeptModel(*self._settings)
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
                  ) -> ObservedTurn:
         """
-        Take note of a turn.
+        Record the current views, and return the partial map with these views.
 
-        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
-        :param positions: (K, 3) metres: where the cameras are.
-        :param turn: turns played so far.
-        :param turns: turns of the whole episode.
+        :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
+        :param positions: (K, 3) metres: current positions of the cameras.
+        :param turn: time steps taken so far.
+        :param turns: time steps of the whole episode.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         record_views(self._history, positions, self.rig_state)

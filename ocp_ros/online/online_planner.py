@@ -13,10 +13,9 @@
 # limitations under the License.
 
 """
-Planners that know only what has been seen: they move cameras turn by turn, without a scan.
+Online planners: they move cameras step by step, without a scan of the room.
 
-What they know of the room is the observed cloud;
-:class:`~ocp_ros.online.partial_map.PartialMap` makes an engine of it.
+Their input is the observed cloud, as a :class:`~ocp_ros.online.partial_map.PartialMap`.
 """
 
 from abc import ABC, abstractmethod
@@ -34,25 +33,25 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from scipy.optimize import linear_sum_assignment
 
-#: Metres: no way is worth that a camera takes the place of one of another kind.
+#: Metres added to the path between a camera and a target of another kind, to forbid the pair.
 UNLIKE = 1e6
-#: Share of the turns after which plans are refined: before that too little has been seen.
+#: Share of the episode after which plans are refined: earlier the observed cloud is too small.
 REFINING = 0.6
-#: Turns of an episode from which on plans are made while the cameras move, on what was seen before
-#: they did: a turn of many is cheap, one of few is not.
+#: From this number of time steps on, plans are computed while the cameras move, on the cloud
+#: before the move: in a shorter episode the loss by the older cloud would be too large.
 AHEAD = 20
 
 
 def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None = None
             ) -> np.ndarray:
     """
-    Match targets with cameras, so that they walk least.
+    Assign targets to cameras with the shortest total path.
 
-    :param positions: (K, 3) metres, where the cameras are.
-    :param targets: (K, 2) metres, where they shall go.
-    :param kinds: (K,) of cameras and of targets: a camera takes one of its kind; None for one
-        kind.
-    :returns: (K,) the target of each camera.
+    :param positions: (K, 3) metres, current positions of the cameras.
+    :param targets: (K, 2) metres.
+    :param kinds: (K,) kind of camera k and of target k: a camera gets a target of its kind; None
+        if all are of one kind.
+    :returns: (K,) the number of the target of each camera.
     """
     way = np.linalg.norm(positions[:, None, :2] - targets[None], axis=2)
     if kinds is not None:
@@ -61,26 +60,26 @@ def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None
 
 
 def standing(positions: np.ndarray, rig_state: RigState | None) -> np.ndarray:
-    """Return how cameras at positions (K, 3) stand: (K, 6) metres and radians."""
+    """Return the poses of cameras at positions (K, 3): (K, 6) metres and radians."""
     if rig_state is None:
         return np.hstack([positions, np.zeros_like(positions)])
     return np.hstack([positions, rig_state.placement[:rig_state.movable, 3:]])
 
 
 def settings_of(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator) -> tuple:
-    """Return what every online planner gets of its rig and its time steps."""
+    """Return the constructor arguments of :class:`Online` for a rig and an episode."""
     return rng, episode.max_step, rig.farthest, episode.wall_margin, episode.clearance
 
 
 class KnownTurn(NamedTuple):
     """
-    What is known at a turn.
+    Input of a planner at a time step.
 
-    :ivar cloud: (M, 3) float32, metres, map frame: the points seen so far.
-    :ivar positions: (K, 3) metres: where the cameras are.
-    :ivar turn: turns played so far, of so many ``turns``.
-    :ivar model: the engine on what has been seen.
-    :ivar space: where cameras may be, as far as has been seen.
+    :ivar cloud: (M, 3) float32, metres, map frame: the observed cloud.
+    :ivar positions: (K, 3) metres: current positions of the cameras.
+    :ivar turn: time steps taken so far, of ``turns`` time steps.
+    :ivar model: partial map of the observed cloud.
+    :ivar space: feasible region of the cameras in the observed part of the room.
     :ivar unseen: packed bits of the model's cells of the air that no camera has covered yet.
     """
 
@@ -95,19 +94,18 @@ class KnownTurn(NamedTuple):
 
 class Online(ABC):
     """
-    A planner that knows only what has been seen.
+    A planner whose only input is the observed cloud.
 
-    :param rng: the only source of chance.
-    :param max_step: farthest a camera moves in one turn, metres.
+    :param rng: the only source of random numbers.
+    :param max_step: farthest a camera moves in one time step, metres.
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :param clearance: cameras stay this far from all points that were seen, metres.
-    :ivar targets: (K, 2) metres, where each camera goes in the end; None for planners that do not
-        say so, and before the first turn.
-    :ivar headings: (K, 3) radians, how the cameras would best be turned there, where a plan says
-        so.
-    :ivar interrupted: tells, while it thinks about the next turn, whether that has waited for too
-        long: then the plan so far has to do.
+    :param clearance: cameras stay this far from all observed points, metres.
+    :ivar targets: (K, 2) metres, final positions in the plan; None before the first time step and
+        for planners without such a plan.
+    :ivar headings: (K, 3) radians, headings in the plan; None if a plan has positions alone.
+    :ivar interrupted: returns, during :meth:`plan_ahead`, whether to stop and use the best plan
+        so far because the next time step waits for it.
     """
 
     interrupted: Callable[[], bool] = staticmethod(never)
@@ -121,34 +119,34 @@ class Online(ABC):
         self.rig_state: RigState | None = None
 
     def set_rig_state(self, rig_state: RigState | None) -> None:
-        """Learn before a turn how the cameras stand and what each sees; None for all around."""
+        """Set the state of the rig before a time step; None if all are omnidirectional."""
         self.rig_state = rig_state
 
     @property
     def directional(self) -> bool:
-        """Return whether a camera is known not to be omnidirectional."""
+        """Return whether at least one movable camera is not omnidirectional."""
         return self.rig_state is not None and bool(self.rig_state.aimed)
 
     def reset(self) -> None:  # noqa: B027
-        """Forget the last episode; most planners remember nothing."""
+        """Discard the state of the last episode; most planners have none."""
 
     @abstractmethod
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """
         Choose the next move of each camera.
 
-        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
-        :param positions: (K, 3) metres: where the cameras are.
-        :param turn: turns played so far.
-        :param turns: turns of the whole episode.
+        :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
+        :param positions: (K, 3) metres: current positions of the cameras.
+        :param turn: time steps taken so far.
+        :param turns: time steps of the whole episode.
         :returns: (K, 2) metres on the plane, none longer than ``max_step``.
         """
 
     def propose(self, known: KnownTurn) -> np.ndarray:
         """
-        Return where the cameras would best be in the end, for another planner to begin with.
+        Return a final placement as a first plan for another planner.
 
-        Those that do not say so propose where their next move leads.
+        A planner without a final placement returns the poses after its next move.
 
         :returns: (K, 6) metres, map frame, and radians.
         """
@@ -159,19 +157,19 @@ class Online(ABC):
 
     def plan_ahead(self) -> None:  # noqa: B027
         """
-        Think about the next turn while the cameras move; most planners only answer.
+        Compute the next plan while the cameras move; most planners do nothing here.
 
-        Who does not call it gets the same answers: :meth:`move` makes up for it.
+        The call is optional: without it, :meth:`move` computes the same plan.
         """
 
     def space(self, cloud: np.ndarray, positions: np.ndarray) -> FreePlane:
-        """Return where the cameras may be as far as is known; the cloud is not empty."""
+        """Return the feasible region of the cameras in a cloud that is not empty."""
         return FreePlane.around(cloud, positions, self.wall_margin,
                                 clearance_of(self.rig_state, self.clearance))
 
     def towards(self, positions: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """
-        Go from positions to targets as far as a turn reaches.
+        Move positions towards targets by at most one step.
 
         :param positions: (K, 3) or (K, 2) metres.
         :param targets: (K, 2) metres.
@@ -180,13 +178,13 @@ class Online(ABC):
         return towards(positions[:, :2], targets, self.max_step)
 
     def goals(self, positions: np.ndarray) -> np.ndarray:
-        """Return where cameras at (K, 3) are by the plan after a turn: (K, 2) metres."""
+        """Return the planned positions after one step from positions (K, 3): (K, 2) metres."""
         if self.targets is None:
             return positions[:, :2]
         return self.towards(positions, self.targets)
 
     def random_walk(self, cloud: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Move at random, for want of anything to plan with: (K, 2) metres."""
+        """Return random moves, for a cloud that is too small for a plan: (K, 2) metres."""
         moves = bounded_moves(self.rng.uniform(-1.0, 1.0, (len(positions), 2)), self.max_step)
         if len(cloud) == 0:
             return moves
@@ -196,12 +194,12 @@ class Online(ABC):
 
 class PlannedTurn(NamedTuple):
     """
-    A turn to plan for.
+    A time step whose plan is still to be computed.
 
-    :ivar cloud: (M, 3) float32, metres: the points seen so far.
-    :ivar positions: (K, 3) metres, where the cameras will be.
-    :ivar turn: turns played by then, of so many ``turns``.
-    :ivar rig_state: how the cameras stood when the cloud was seen.
+    :ivar cloud: (M, 3) float32, metres: the observed cloud.
+    :ivar positions: (K, 3) metres, positions of the cameras at that time step.
+    :ivar turn: time steps taken by then, of ``turns`` time steps.
+    :ivar rig_state: state of the rig for which that plan is computed.
     """
 
     cloud: np.ndarray
@@ -213,46 +211,46 @@ class PlannedTurn(NamedTuple):
 
 class PipelinedPlanner(Online):
     """
-    A planner that in an episode of many turns plans while the cameras move.
+    A planner that computes its plan while the cameras move, in an episode of many time steps.
 
-    Then a plan is of what was seen before they did, and the next cloud is answered at once. The
-    first turn is planned for when its cloud is there.
+    Such a plan uses the cloud before the move, and the next time step does not wait for it. The
+    first time step has no plan in advance, so it waits for its plan.
 
-    :ivar memory: what the cameras have looked at.
+    :ivar memory: the cells of the air that the cameras have covered.
     """
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Discard the state of the last episode."""
         self.memory = LookHistory()
-        #: Where cameras may be, as far as was known when a plan was made.
+        #: Feasible region at the time of the last plan.
         self._space: FreePlane | None = None
-        #: The turn that is to be planned for while the cameras move.
+        #: The time step whose plan is computed while the cameras move.
         self._next: PlannedTurn | None = None
 
     @abstractmethod
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """
-        Plan for a turn; see :meth:`Online.move`.
+        Compute the plan for a time step; see :meth:`Online.move`.
 
-        :raises SceneError: if what has been seen is no room.
+        :raises SceneError: if the points are too few or too flat to be a room.
         """
 
     def goals(self, positions: np.ndarray) -> np.ndarray:
-        """Go around what is in the way; see :meth:`Online.goals`."""
+        """Return the planned positions, on paths around obstacles; see :meth:`Online.goals`."""
         if self._space is None or self.targets is None:
             return super().goals(positions)
         return self._space.on_way(positions[:, :2], self.targets, self.max_step)
 
     def _ahead(self, turns: int) -> bool:
-        """Return whether plans are made while the cameras move, in an episode of so many turns."""
+        """Return whether an episode of ``turns`` time steps plans while the cameras move."""
         return turns >= AHEAD
 
     def _waited_for(self, turn: int, turns: int, cameras: int) -> bool:
-        """Return whether a turn is planned for when its cloud is there."""
+        """Return whether a time step waits for its own plan, on the newest cloud."""
         return not (self._ahead(turns) and self._planned(cameras))
 
     def _planned(self, cameras: int) -> bool:
-        """Return whether there is a plan for so many cameras."""
+        """Return whether there is a plan for this number of cameras."""
         return self.targets is not None and len(self.targets) == cameras
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
@@ -271,11 +269,11 @@ class PipelinedPlanner(Online):
         return goals - positions[:, :2]
 
     def plan_later(self, turn: PlannedTurn) -> None:
-        """Leave a turn to be planned for while the cameras move."""
+        """Store a time step for :meth:`plan_ahead`."""
         self._next = turn
 
     def plan_ahead(self) -> None:
-        """Make the next plan, where a turn has been left to it; see :meth:`Online.plan_ahead`."""
+        """Compute the plan of the stored time step, if any; see :meth:`Online.plan_ahead`."""
         if self._next is None:
             return
         (cloud, positions, turn, turns, rig_state), now = self._next, self.rig_state
@@ -283,7 +281,7 @@ class PipelinedPlanner(Online):
         try:
             self._think(cloud, positions, turn, turns)
         except SceneError:
-            # The plan so far holds; a cloud that is no room yet will grow.
+            # Keep the last plan: the cloud is too small for a new one and will grow.
             pass
         finally:
             self.rig_state = now

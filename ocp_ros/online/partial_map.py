@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Partial map: the engine on the observed cloud, and the space that no camera has covered yet.
+Partial map: visibility and depth error on the observed cloud, and the space not covered yet.
 
-Whoever decides online, a planner or a policy, knows the room through this alone.
+It is the only model of the room that online planners and policies use.
 """
 
 from collections.abc import Sequence
@@ -34,50 +34,50 @@ from ocp_ros.simulation.simulator import clipped, View
 from ocp_ros.simulation.viewpoints import observed_viewpoints
 from scipy.spatial import ConvexHull, QhullError
 
-#: Metres: edge of the cells of the air. They are anchored to the map frame's origin, so that they
-#: stay the same while the observed bounding box grows.
+#: Edge of the cells of the air, metres. The grid is anchored to the origin of the map frame, so
+#: the cells stay the same while the observed bounding box grows.
 CELL = 0.5
-#: The most cells of the air: where there are more, their edge is doubled until there are not.
+#: Largest number of cells of the air: if there are more, their edge is doubled.
 MOST_CELLS = 20_000
-#: The number of places that are no cells.
+#: Number of a place that is not a cell.
 NO_CELL = -1
-#: Points of a cloud per point wanted: of what is denser, points are left out before voxels are
-#: sought, which takes long.
+#: Input points per output point: of a denser cloud, points are dropped before the slow voxel
+#: thinning.
 DENSE = 4
-#: By what share the cloud grows before a model that is kept is made anew.
+#: Growth of the cloud, as a share, after which a cached model is replaced.
 GROWTH = 0.01
-#: Views of a model that are remembered: a camera that weighs the same places turn after turn looks
-#: from each once.
+#: Largest number of cached views of a model: planners try the same poses again in later steps.
 MOST_VIEWS = 4096
-#: What covering all unseen cells is worth at first, as a share of the error of seeing nothing, and
-#: the share of the turns after which it is worth nothing.
+#: Bonus for covering all unseen cells at the start, in multiples of the depth error without any
+#: visible point, and the share of the episode after which the bonus is 0.
 CURIOSITY, EXPLORING = 2.0, 0.55
-#: Metres: how far one looks for a corner of the room, and how many cameras do.
+#: Range of the test whether a corner of the room is visible, metres, and the number of cameras
+#: that test each corner.
 FAR, LOOKING = 100.0, 2
-#: Metres: how far inside a corner of the room one looks whether it is there.
+#: Distance of the test place from a corner of the room, metres.
 INSIDE = 0.3
-#: Metres: a box that the corners enlarge by no more than this is left as it is.
+#: A side of the box that the corners move by at most this is not changed, metres.
 SAME = 0.05
 
 
 class PartialMap:
     """
-    The engine on what has been seen, and the cells of the air within its bounding box.
+    Visibility and depth error on the observed cloud, and the cells of the air in its bounding box.
 
-    The viewpoints of the depth error are spread over the floor that has been seen, see
-    :func:`~ocp_ros.simulation.viewpoints.observed_viewpoints`. A corner of the
-    :func:`smallest_rectangle` around the points that nobody has looked into yet is air that may
-    be covered if nothing that has been seen hides it from the cameras next to it; the corner that
-    an L-shaped room lacks is behind walls.
+    The viewpoints of the depth error are spread over the observed floor, see
+    :func:`~ocp_ros.simulation.viewpoints.observed_viewpoints`. The bounding box includes a corner
+    of the :func:`smallest_rectangle` around the points if the nearest cameras see into it without
+    occlusion by observed points. So unseen corners of the room count as air, but not the corner
+    outside an L-shaped room, which is behind walls.
 
-    :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
-    :param positions: (K, 3) metres: where the cameras are.
+    :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
+    :param positions: (K, 3) metres: current positions of the cameras.
     :param max_range: of the cameras, metres.
-    :param most: a cloud of more points is thinned to at most as many.
-    :param rows: rows of the depth maps of the error.
+    :param most: a larger cloud is thinned to at most this number of points.
+    :param rows: of the depth maps of the error.
     :param settings: rules of visibility.
-    :param around: cells that are no farther from a camera count as well, seen from above, metres:
-        cameras that are not omnidirectional know of no air behind them.
+    :param around: cells within this horizontal distance from a camera count too, metres: a camera
+        with a frustum does not observe the air behind it.
     :ivar points: (N, 3) float32, metres, in the order of the bits of a view.
     :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view.
     :ivar edge: of the cells, metres.
@@ -113,7 +113,7 @@ class PartialMap:
             observed_viewpoints(scene.points, corners), rows)
 
     def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Tell of four places that are listed last whether cameras near them see them."""
+        """Return which of the four test places, listed last, the nearest cameras see."""
         places = self.visibility.place_order
         lens, found = CameraModel(max_range=FAR).lens, np.zeros(4, dtype=bool)
         away = np.linalg.norm(tests[:, None] - positions[None], axis=2)
@@ -128,10 +128,10 @@ class PartialMap:
 
     def look(self, camera: np.ndarray, lens: Frustum | None = None) -> View:
         """
-        Compute what a camera would see of what is known; the view is shared, not to be changed.
+        Compute the view of a camera in this model; it is cached, do not change it.
 
         :param camera: (3,) x, y, z in metres, or (6,) with yaw, pitch and roll in radians.
-        :param lens: of the camera; None for an omnidirectional one.
+        :param lens: frustum of the camera; None for an omnidirectional camera.
         """
         key = np.asarray(camera, dtype=np.float64).tobytes(), lens
         if key in self._views:
@@ -146,11 +146,11 @@ class PartialMap:
 
     def look_many(self, position: np.ndarray, headings: np.ndarray, lens: Frustum) -> list[View]:
         """
-        Compute what a camera would see in many directions from one place.
+        Compute the views of a camera at one position with many headings.
 
         :param position: (3,) metres.
         :param headings: (H, 3) yaw, pitch and roll in radians.
-        :param lens: of the camera.
+        :param lens: frustum of the camera.
         """
         around = self.look(position, lens._replace(kind=OMNIDIRECTIONAL))
         if lens.kind == OMNIDIRECTIONAL:
@@ -159,12 +159,12 @@ class PartialMap:
         return clipped(self.visibility, around, poses, lens)
 
     def follow(self, settings: SurfelSettings) -> None:
-        """Look by these rules from now on; what was seen by others has to be looked at again."""
+        """Change the rules of visibility; views by other rules are removed from the cache."""
         if self.visibility.settings != settings:
             self.visibility, self._views = self.visibility.by(settings), {}
 
     def together(self, views: Sequence[View]) -> View:
-        """Return what some views see and cover together; nothing where there are none."""
+        """Return the union of some views; an empty view if there are none."""
         places = self.visibility.place_order
         seen, covered = no_bits(len(self.visibility.order)), no_bits(len(places))
         for view in views:
@@ -181,8 +181,8 @@ class PartialMap:
         """
         Return the numbers of the cells that cameras cover together; see :meth:`look`.
 
-        :param cameras: (K, 3) or (K, 6).
-        :param lenses: one for each; None for omnidirectional cameras.
+        :param cameras: (K, 3) or (K, 6), metres and radians.
+        :param lenses: one for each camera; None for omnidirectional cameras.
         """
         lenses = [None] * len(cameras) if lenses is None else lenses
         bits = np.bitwise_or.reduce([
@@ -192,14 +192,14 @@ class PartialMap:
 
 class KeptModel:
     """
-    The engine on what has been seen, and where cameras may be: kept while little is added.
+    Cache of the partial map and the feasible region, reused while the cloud hardly grows.
 
-    To make them takes longer than to try some dozens of places, and late in an episode the cloud
-    grows no more.
+    To create both takes longer than to score some dozens of positions, and late in an episode the
+    cloud hardly grows.
 
     :param max_range: of the cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :param most: of :class:`PartialMap`, like those that follow.
+    :param most: see :class:`PartialMap`, as for ``rows`` and ``around``.
     :param rows: of the depth maps.
     :param around: metres.
     """
@@ -208,13 +208,14 @@ class KeptModel:
                  around: float = 0.0) -> None:
         self._max_range, self._wall_margin = max_range, wall_margin
         self._sizes, self._around = (most, rows), around
-        #: What was made last, if anything, and of how many points and cameras, at which height.
+        #: The last partial map and feasible region, None before the first; then their numbers of
+        #: points and cameras, and the height of the cameras.
         self.made: tuple[PartialMap, FreePlane] | None = None
         self._of = 0, 0, 0.0
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings,
                  clearance: float = CLEARANCE) -> tuple[PartialMap, FreePlane]:
-        """Return the model, by some rules, and where cameras may be; see :meth:`make`."""
+        """Return the partial map with some rules and the feasible region; see :meth:`make`."""
         if self.made is None or not self.lasts(cloud, positions):
             self.make(cloud, positions, settings, clearance)
         self.made[0].follow(settings)
@@ -223,12 +224,12 @@ class KeptModel:
     def make(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings,
              clearance: float = CLEARANCE) -> None:
         """
-        Make the model.
+        Create the partial map and the feasible region.
 
-        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
-        :param positions: (K, 3) metres: where the cameras are.
+        :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
+        :param positions: (K, 3) metres: current positions of the cameras.
         :param settings: rules of visibility.
-        :param clearance: cameras stay this far from all points that were seen, metres.
+        :param clearance: cameras stay this far from all observed points, metres.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         height = float(np.median(positions[:, 2]))
@@ -238,25 +239,25 @@ class KeptModel:
         self._of = len(cloud), len(positions), height
 
     def lasts(self, cloud: np.ndarray, positions: np.ndarray) -> bool:
-        """Return whether the model does for a cloud and cameras; see :meth:`make`."""
+        """Return whether the cached model is valid for a cloud and cameras; see :meth:`make`."""
         points, cameras, height = self._of
         return (points <= len(cloud) <= (1.0 + GROWTH) * points and cameras == len(positions)
                 and height == float(np.median(positions[:, 2])))
 
 
 class LookHistory:
-    """Which cells of the air some camera has covered since the episode began."""
+    """The cells of the air that at least one camera has covered since the episode began."""
 
     def __init__(self) -> None:
         self._seen, self._edge = np.empty(0, dtype=np.int64), CELL
         self._visited: list[tuple[np.ndarray, Sequence[Frustum | None] | None]] = []
 
     def visit(self, cameras: np.ndarray, lenses: Sequence[Frustum | None] | None = None) -> None:
-        """Remember where the cameras were at a turn; see :meth:`PartialMap.covered`."""
+        """Record the poses of the cameras at a time step; see :meth:`PartialMap.covered`."""
         self._visited.append((cameras.copy(), lenses))
 
     def unseen(self, model: PartialMap) -> np.ndarray:
-        """Return packed bits of a model's cells: those that no camera covered, as far as known."""
+        """Return packed bits of the model's cells that no camera has covered so far."""
         self._follow(model.edge)
         covered = [model.covered(*visited) for visited in self._visited]
         self._seen = np.unique(np.concatenate([self._seen, *covered]))
@@ -264,7 +265,7 @@ class LookHistory:
         return pack(~np.isin(model.cells, self._seen) & (model.cells != NO_CELL))
 
     def _follow(self, edge: float) -> None:
-        """Go on with cells of another edge: larger ones count if half of their parts do."""
+        """Convert the covered cells to another edge: a larger cell counts if half of it does."""
         while self._edge < edge:
             cells = cells_numbered(self._seen) // 2
             numbers, parts = np.unique(cell_numbers(cells), return_counts=True)
@@ -274,17 +275,17 @@ class LookHistory:
 
 
 def curiosity(time: float) -> float:
-    """Return what covering all unseen cells is worth, in errors of seeing nothing."""
+    """Return the bonus for all unseen cells, in multiples of the error without visible points."""
     return CURIOSITY * max(1.0 - time / EXPLORING, 0.0)
 
 
 def cell_weight(model: PartialMap, unseen: np.ndarray, turn: int, turns: int) -> float:
-    """Return what covering one of a model's unseen cells is worth, metres of depth error."""
+    """Return the bonus for covering one of a model's unseen cells, metres of depth error."""
     return curiosity(turn / turns) * model.depth_error.worst / max(int(count_bits(unseen)), 1)
 
 
 def thinned(cloud: np.ndarray, most: int) -> np.ndarray:
-    """Return at most so many points of a cloud (M, 3), evenly spread where there are more."""
+    """Return at most ``most`` points of a cloud (M, 3), evenly spread if it has more."""
     if len(cloud) > DENSE * most:
         cloud = fixed_size(cloud, DENSE * most)
     return thinned_to(cloud, most)
@@ -295,8 +296,8 @@ def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]
     List the cells of a grid whose centres are inside a bounding box.
 
     :param bounds: (2, 3) metres.
-    :returns: centres (C, 3) float32, metres, numbers (C,) int64 that name the cells of an edge in
-        any bounding box, and the edge, metres.
+    :returns: centres (C, 3) float32, metres; numbers (C,) int64 of the cells, the same in every
+        bounding box with the same edge; and the edge, metres.
     """
     edge = CELL
     while np.prod(np.ptp(bounds, axis=0) / edge) > MOST_CELLS:
@@ -310,12 +311,12 @@ def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]
 
 def smallest_rectangle(points: np.ndarray) -> np.ndarray:
     """
-    Find the rectangle of least area around points: rooms have right angles.
+    Find the rectangle of smallest area around points: most rooms have right angles.
 
     One of its sides lies on a side of the convex hull (Freeman and Shapira, 1975).
 
     :param points: (N, 2).
-    :returns: (4, 2) its corners.
+    :returns: (4, 2) corners of the rectangle.
     :raises SceneError: if the points are on a line.
     """
     try:
@@ -335,14 +336,14 @@ def smallest_rectangle(points: np.ndarray) -> np.ndarray:
 
 
 def inset(corners: np.ndarray) -> np.ndarray:
-    """Return places a little inside the corners of a rectangle: (4, 2) metres."""
+    """Return places ``INSIDE`` metres from the corners of a rectangle inwards: (4, 2) metres."""
     way = corners.mean(axis=0) - corners
     length = np.linalg.norm(way, axis=1, keepdims=True)
     return corners + way * np.minimum(INSIDE / length, 1.0)
 
 
 def with_corners(bounds: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return the box (2, 3) around a box and some corners (C, 2), metres."""
+    """Return a box (2, 3), enlarged to contain some corners (C, 2), metres."""
     larger = bounds.copy()
     larger[0, :2] = np.minimum(bounds[0, :2], corners.min(axis=0, initial=np.inf))
     larger[1, :2] = np.maximum(bounds[1, :2], corners.max(axis=0, initial=-np.inf))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""State of a rig at a time step, what it can do in one, and what it is commanded to do."""
+"""State of a rig at a time step, its limits in one time step, and its command."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -23,24 +23,24 @@ from ocp_ros.online.partial_map import LookHistory, PartialMap
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.simulation.simulator import View
 
-#: Metres around a camera in which there is air to look into, whatever has been seen of it: those
-#: that are not omnidirectional know nothing of what is behind them.
+#: Radius around a camera with a frustum in which cells count as air even if unobserved, metres:
+#: such a camera does not observe the space behind it.
 AROUND = 2.0
-#: How much of the pitches that are allowed one of them stands for, radians.
+#: Largest part of the pitch range that one listed pitch represents, radians.
 PITCH_STEP = np.deg2rad(30.0)
 
 
 class RigState(NamedTuple):
     """
-    The cameras of a rig as they stand at a turn: those that may be moved, then those in place.
+    Poses and models of the cameras of a rig at a time step: K movable cameras, then F fixed ones.
 
     :ivar placement: (K + F, 6) x, y, z in metres, map frame, yaw, pitch, roll in radians.
-    :ivar models: what each sees.
+    :ivar models: camera models.
     :ivar movable: K.
-    :ivar pitch: radians, the least and the most that the K cameras look down.
-    :ivar turns: whether they are turned at all.
-    :ivar clearance: metres that the K cameras have to stay from surfaces, as far as a horizontal
-        plane can tell; None for what planners are set to.
+    :ivar pitch: radians, smallest and largest pitch of the K cameras; positive is down.
+    :ivar turns: whether the headings may change.
+    :ivar clearance: smallest distance of the K cameras from surfaces in the horizontal plane,
+        metres; None for the setting of the planner.
     """
 
     placement: np.ndarray
@@ -53,24 +53,25 @@ class RigState(NamedTuple):
     @property
     def lenses(self) -> list[Frustum | None]:
         """
-        Return the lens of each camera: K, then F.
+        Return the frustum of each camera: K, then F.
 
-        Where the K cameras are all omnidirectional, theirs are None: planners take them to see as
-        far as they themselves have been told.
+        If the K cameras are all omnidirectional, theirs are None, and planners use their own
+        ``max_range`` for them.
         """
         lenses = [model.lens for model in self.models]
         return lenses if self.aimed else [None] * self.movable + lenses[self.movable:]
 
     @property
     def aimed(self) -> list[int]:
-        """Return the numbers of the cameras that may be moved and are not omnidirectional."""
+        """Return the numbers of the movable cameras that are not omnidirectional."""
         return [k for k in range(self.movable) if not self.models[k].omnidirectional]
 
     def headings(self, camera: int, yaws: int, pitches: int) -> np.ndarray:
         """
-        List how a camera may be turned: (H, 3) radians; as it is where it is not turned.
+        List the candidate headings of a camera: (H, 3) radians.
 
-        Its roll is that of its mount and stays.
+        A camera that is omnidirectional or may not rotate has its current heading alone. The roll
+        is given by the mount and does not change.
 
         :param yaws: of :func:`directions`.
         :param pitches: of :func:`directions`.
@@ -84,13 +85,13 @@ class RigState(NamedTuple):
 
 class Limits(NamedTuple):
     """
-    What a rig can do in one time step.
+    Limits of a rig in one time step.
 
     :ivar max_step: farthest a camera moves, metres.
-    :ivar max_turn: farthest a camera rotates, radians; 0 where none does.
+    :ivar max_turn: largest rotation of a camera, radians; 0 if no camera rotates.
     :ivar wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :ivar clearance: cameras stay this far from all points that were seen, metres; those of a rig
-        file as far as it says.
+    :ivar clearance: cameras stay this far from all observed points, metres; a rig file replaces
+        the value.
     """
 
     max_step: float
@@ -101,11 +102,11 @@ class Limits(NamedTuple):
 
 class Command(NamedTuple):
     """
-    Where the cameras go.
+    Commanded poses of the cameras.
 
-    :ivar placement: (K + F, 6) metres, map frame, and radians; cameras in place stay.
+    :ivar placement: (K + F, 6) metres, map frame, and radians; fixed cameras stay.
     :ivar rotated: numbers of the cameras whose heading is commanded.
-    :ivar held: sentences, one for each camera that stays since it may go nowhere.
+    :ivar held: messages, one for each camera that stays because it has no feasible position.
     """
 
     placement: np.ndarray
@@ -114,14 +115,14 @@ class Command(NamedTuple):
 
 
 def clearance_of(rig_state: RigState | None, otherwise: float) -> float:
-    """Return how far a plane keeps from surfaces, metres: a setting, or a rig's own if not 0."""
+    """Return the rig's clearance, metres; ``otherwise`` if that is 0 or the rig has none."""
     if not otherwise or rig_state is None or rig_state.clearance is None:
         return otherwise
     return rig_state.clearance
 
 
 def fixed_views(model: PartialMap, rig_state: RigState | None) -> list[View]:
-    """Return what the cameras in place see of what is known, as far as there are any."""
+    """Return the views of the fixed cameras in a partial map; [] without fixed cameras."""
     if rig_state is None:
         return []
     first = rig_state.movable
@@ -131,7 +132,7 @@ def fixed_views(model: PartialMap, rig_state: RigState | None) -> list[View]:
 
 def view_from(model: PartialMap, rig_state: RigState | None, camera: int,
               position: np.ndarray, heading: np.ndarray | None = None) -> View:
-    """Compute what a camera would see at a position (3,), turned by a heading (3,) or as it is."""
+    """Compute the view of a camera at a position (3,) with a heading (3,), None for its own."""
     lens = None if rig_state is None else rig_state.lenses[camera]
     if lens is None:
         return model.look(position)
@@ -141,9 +142,9 @@ def view_from(model: PartialMap, rig_state: RigState | None, camera: int,
 
 def record_views(memory: LookHistory, positions: np.ndarray, rig_state: RigState | None) -> None:
     """
-    Take note of where cameras have looked at a turn, those in place included.
+    Record the poses of all cameras at a time step, fixed cameras included.
 
-    :param positions: (K, 3) metres, of those that may be moved.
+    :param positions: (K, 3) metres, of the movable cameras.
     """
     if rig_state is None:
         memory.visit(positions)
@@ -153,11 +154,11 @@ def record_views(memory: LookHistory, positions: np.ndarray, rig_state: RigState
 
 def directions(pitch: tuple[float, float], yaws: int, pitches: int) -> np.ndarray:
     """
-    List directions all around.
+    List headings over all yaws and a range of pitches.
 
-    :param pitch: radians, the least and the most that cameras look down.
-    :param yaws: how many at each pitch.
-    :param pitches: at most so many: the middles of equal parts of the range.
+    :param pitch: radians, smallest and largest pitch; positive is down.
+    :param yaws: number of yaws at each pitch.
+    :param pitches: largest number of pitches; they are the middles of equal parts of the range.
     :returns: (H, 3) yaw, pitch and roll in radians.
     """
     low, high = pitch

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Episodes that online planners play: the time step of :mod:`ocp_ros.online.step`, repeated."""
+"""Rollout of an episode by an online planner: :mod:`ocp_ros.online.step`, repeated."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ from ocp_ros.simulation.episode import Episode
 
 
 def state_of(episode: Episode) -> RigState:
-    """Return how the cameras of an episode stand and what each sees, those in place included."""
+    """Return the current state of an episode's rig, fixed cameras included."""
     problem, placement, count = episode.problem, episode.placement, len(episode.turn.positions)
     models = (*problem.models[:count], *problem.models[len(problem.rig.cameras):])
     return RigState(placement, models, count, problem.rig.pitch, clearance=problem.rig.clearance)
@@ -35,11 +35,11 @@ def state_of(episode: Episode) -> RigState:
 @dataclass(frozen=True)
 class Outcome:
     """
-    An episode that an online planner has played.
+    Result of the rollout of an episode.
 
-    :ivar trajectory: (T + 1, K, 3) metres: where the cameras were, the start first.
-    :ivar depth_error: (T + 1,) metres, of the placement at each of these.
-    :ivar seconds: (T,) how long each step took.
+    :ivar trajectory: (T + 1, K, 3) metres: positions of the cameras, the start first.
+    :ivar depth_error: (T + 1,) metres, of the placement at each time step.
+    :ivar seconds: (T,) duration of each time step.
     """
 
     trajectory: np.ndarray
@@ -50,12 +50,12 @@ class Outcome:
 def play(online: Online, episode: Episode, over: Callable[[int], bool] = lambda turn: False,
          clock: Callable[[], float] = time.perf_counter) -> Outcome:
     """
-    Play an episode to its end, the cameras of a rig file under all its constraints.
+    Run an episode to its end; cameras of a rig file satisfy all its constraints.
 
     :param online: moves the cameras; it is reset first.
     :param episode: a new one.
-    :param over: gets the turns played so far and returns whether to end before all are.
-    :param clock: tells the seconds.
+    :param over: gets the number of time steps taken and returns whether to end the episode early.
+    :param clock: returns the current time, seconds.
     """
     config, rig = episode.config, episode.problem.rig
     step = OnlineStep(online, Limits(config.max_step, config.max_turn, config.wall_margin,

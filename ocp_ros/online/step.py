@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-One time step of a rig that knows only what it has seen: observe, plan, constrain, aim.
+One time step of an online planner: observe, plan, apply constraints, choose headings.
 
-``policy_node``, ``ocp plan`` with an online planner and the benchmark all take this step.
+``policy_node``, ``ocp plan`` with an online planner and the benchmark all use this step.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,13 +31,13 @@ from ocp_ros.rig.rig_file import Rig
 
 class OnlineStep:
     """
-    Choose the next command for a rig from what it has seen.
+    Choose the next command for a rig from the observed cloud.
 
     :param planner: chooses the moves.
     :param limits: of one time step.
-    :param rig: constraints of the cameras; None where none are known.
-    :param report: is told in a sentence what failed, and the cameras stay as they are; None to
-        raise the error.
+    :param rig: constraints of the cameras; None without constraints.
+    :param report: gets a message about each error, and the cameras keep their poses; None to raise
+        the error.
     """
 
     def __init__(self, planner: Online, limits: Limits, rig: Rig | None = None,
@@ -46,18 +46,18 @@ class OnlineStep:
         self.rig = rig = None if rig is None or rig.free else rig
         self.constraints = StepConstraints(limits, rig)
         self.aim = HeadingPlanner.of(rig, limits.wall_margin)
-        #: The step that is to be thought about while the cameras move.
+        #: The time step to prepare while the cameras move.
         self._next: PlannedTurn | None = None
 
     def change(self, planner: Online, limits: Limits) -> None:
-        """Go on with another planner and other limits; what has been seen stays known."""
+        """Replace the planner and the limits during an episode."""
         before, self.planner, self.limits = self.limits, planner, limits
         self.constraints.change(limits)
         if before.wall_margin != limits.wall_margin:
             self.aim = HeadingPlanner.of(self.rig, limits.wall_margin)
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Discard the state of the last episode."""
         self._next = None
         self.planner.reset()
         self.constraints.reset()
@@ -68,8 +68,8 @@ class OnlineStep:
         """
         Take one step.
 
-        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
-        :param state: the cameras as they are.
+        :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
+        :param state: current state of the cameras.
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
         """
@@ -87,10 +87,10 @@ class OnlineStep:
         return Command(placement, list(headings), held)
 
     def plan(self, cloud: np.ndarray, state: RigState, turn: int, turns: int) -> np.ndarray:
-        """Show the planner what is; return its moves (K, 2), metres, none where it fails."""
+        """Return the moves (K, 2) that the planner chooses, metres; 0 after a reported error."""
         positions = state.placement[:state.movable, :3]
         self.planner.set_rig_state(state)
-        # Planners know what to do without a room. What else may happen, a node goes on.
+        # Planners handle a cloud that is too small. After any other error a node must continue.
         with self._reported('planner', 'where they are'):
             moves = self.planner.move(cloud, positions, turn, turns)
             if not np.isfinite(moves).all():
@@ -100,12 +100,12 @@ class OnlineStep:
 
     def plan_ahead(self, interrupted: Callable[[], bool] = never) -> None:
         """
-        Think about the next turn while the cameras move: its plan, where they may be, how to aim.
+        Compute plan, feasible region and headings of the next step while the cameras move.
 
-        Who does not call it gets the same answers: the next step makes up for it.
+        The call is optional: without it, the next time step computes the same results.
 
-        :param interrupted: returns whether the next turn has waited for too long; then what was
-            found so far has to do.
+        :param interrupted: returns whether to stop and use the best results so far because the
+            next time step waits for them.
         """
         self.planner.interrupted = interrupted
         with self._reported('planner', 'where they are'):
@@ -136,7 +136,7 @@ class OnlineStep:
 
     @contextmanager
     def _reported(self, what: str, how: str) -> Iterator[None]:
-        """Report an error and go on behind the block, or raise it where nobody is told."""
+        """Report an error and continue after the block; without ``report`` raise the error."""
         try:
             yield
         except Exception as error:

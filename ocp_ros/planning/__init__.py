@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A rig planned and judged in a room: what a user calls."""
+"""Plan a rig in a room and assess its placement: the functions that commands call."""

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A placement that was judged in a room: what reports show of it, each thing computed once."""
+"""Assessment of a placement in a room: the data that reports show, each computed once."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -34,22 +34,22 @@ from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 
-#: Scores that differ by more than this are not the same.
+#: Scores that differ by at most this are the same.
 SAME = 1e-6
-#: What stands above the rows of an installer's table, but for the camera's number.
+#: Column heads of the installer's table, without the one of the camera's number.
 COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z')
 
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
     """
-    A placement in a room, and what was found of it.
+    A placement in a room, with its scores and findings.
 
     :ivar objective: the engine in the room, and the rig.
-    :ivar placement: where the cameras hang.
+    :ivar placement: poses of the cameras.
     :ivar found: what ``ocp score --json`` prints: scores, broken, missed, one_more, notes.
-    :ivar frame_asked: which frame files and pages are written in, ``'map'`` or ``'source'``; where
-        nobody asked, data is in that of the map and pages for people in that of the scan.
+    :ivar frame_asked: frame of files and pages, ``'map'`` or ``'source'``; None for data in the
+        map frame and pages for people in the frame of the scan.
     """
 
     objective: Objective
@@ -74,12 +74,12 @@ class Assessment:
 
     @property
     def positions(self) -> np.ndarray:
-        """Return where all cameras are: (K, 3) metres, map frame."""
+        """Return the positions of all cameras: (K, 3) metres, map frame."""
         return np.array([placed.position for placed in self.placement.cameras])
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """Return how many cameras see each point: (N,) int."""
+        """Return the number of cameras that see each point: (N,) int."""
         objective, order = self.objective, self.objective.simulator.visibility.order
         views = [*objective.look(self.placement.poses), *objective.fixed]
         return np.sum([Subset(view.seen, order).mask for view in views], axis=0)
@@ -91,7 +91,7 @@ class Assessment:
 
     @cached_property
     def lost(self) -> np.ndarray:
-        """Return where the depth error is: (N,) metres, whose sum is the error."""
+        """Return the part of the depth error at each point: (N,) metres; the sum is the error."""
         simulator, lost = self.objective.simulator, np.empty(len(self.scene))
         seen = self.objective.evaluate(self.placement.poses).seen
         lost[seen.order] = simulator.depth_error.error_by_point(seen.bits)
@@ -99,7 +99,7 @@ class Assessment:
 
     @cached_property
     def references(self) -> WallReferences:
-        """Return the walls that the cameras are measured from."""
+        """Return the walls from which camera positions are measured."""
         return WallReferences(self.scene, self.positions)
 
     @property
@@ -114,13 +114,13 @@ class Assessment:
 
     @cached_property
     def words(self) -> list[Words]:
-        """Return how to hang up each camera."""
+        """Return the mounting instructions of each camera."""
         return [words_for(placed, distances, self.walls, self.floor, self.frame)
                 for placed, distances in zip(self.placement.cameras, self.references.distances)]
 
     @cached_property
     def aims(self) -> list[str]:
-        """Return what the middle of each camera's picture shows; nothing of some."""
+        """Return the place at the centre of each camera's picture; '' if there is none."""
         return [aim_of(placed, self.scene, self.walls, self.floor)
                 for placed in self.placement.cameras]
 
@@ -131,7 +131,7 @@ class Assessment:
 
     @property
     def rows(self) -> list[list[str]]:
-        """Return what an installer is told of each camera: its number, then :data:`COLUMNS`."""
+        """Return the rows of the installer's table: number of a camera, then :data:`COLUMNS`."""
         return [[str(number), f'{words.name} (fixed)' if placed.mount == 'fixed' else words.name,
                  *words[1:]]
                 for number, (placed, words) in enumerate(
@@ -139,7 +139,7 @@ class Assessment:
 
     @property
     def upright(self) -> np.ndarray:
-        """Return the rotation (3, 3) from the map frame to one with wall A at the top."""
+        """Return the rotation (3, 3) from the map frame to a frame with wall A at the top."""
         view = np.eye(3)
         view[0, :2], view[1, :2] = self.walls[1].outward, self.walls[0].outward
         return view
@@ -148,13 +148,13 @@ class Assessment:
 def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str,
           frame: str | None = None) -> Assessment:
     """
-    Judge a placement in a room.
+    Evaluate a placement in a room.
 
-    :param placement: it need not say what was asked for.
-    :param room: which room it is, from
+    :param placement: a placement, with or without its rig's requirements.
+    :param room: description of the room, from
         :func:`~ocp_ros.rooms.scene_source.room_named`.
     :param command: the command line, for the record.
-    :param frame: that files are asked for in, ``'map'`` or ``'source'``.
+    :param frame: requested frame of files, ``'map'`` or ``'source'``.
     :raises ConfigurationError: if the placement's rig cannot be used in this room.
     """
     rig = placement.rig_in(scene)
@@ -176,7 +176,7 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
 
 
 def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -> list[str]:
-    """Say where the file is about something else than what was judged."""
+    """Return notes on differences between the file and the evaluated room, rig and engine."""
     before = placement.scores.get('loss')
     if placement.room.get('sha256') not in (None, room['sha256']):
         return ['the file was made for another scan; the scores in the file are not those of '

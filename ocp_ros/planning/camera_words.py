@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-How to hang up a camera, in words that an installer can follow without knowing the map frame.
+Mounting instructions for a camera, in words that do not need the map frame.
 
-A camera hangs so far from two walls that are near and so high, and is turned from facing a side of
-the room; its coordinates in the frame of the scan stand beside that.
+They contain the distances to two near walls, the height, the pan relative to a side of the room
+and the tilt. The coordinates in the frame of the scan are added.
 """
 
 from collections.abc import Sequence
@@ -29,17 +29,18 @@ from ocp_ros.rig.placement_file import Placed
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
 
-#: Degrees: what is less is straight, level or upright; from where on a camera looks straight down.
+#: Degrees: a smaller angle counts as 0 (straight, level, upright); from this pitch on a camera
+#: looks straight down.
 STRAIGHT, DOWN = 0.5, 85.0
-#: Metres from a camera at which it is aimed at least, and that the middle of its picture may pass
-#: a point by; centimetres that count as on the floor.
+#: Smallest distance of the point that a camera is aimed at, metres; largest distance of this point
+#: from the optical axis, metres; largest height that counts as on the floor, centimetres.
 NEAREST, ASIDE, ON_FLOOR = 0.3, 0.08, 5.0
-#: Decimals of a metre that coordinates have.
+#: Decimals of coordinates in metres.
 DECIMALS = 3
 
 
 class Words(NamedTuple):
-    """How to hang up one camera."""
+    """Mounting instructions for one camera."""
 
     name: str
     sensor: str
@@ -53,12 +54,12 @@ class Words(NamedTuple):
 def words_for(placed: Placed, distances: Sequence[Distance], sides: Sequence[ReferenceWall],
               floor: float, frame: SourceFrame) -> Words:
     """
-    Say how to hang up a camera.
+    Return the mounting instructions for a camera.
 
-    :param distances: from walls that are near.
-    :param sides: of the room, one of which it is turned from.
-    :param floor: its height, metres, map frame.
-    :param frame: which coordinates are given in.
+    :param distances: to near walls.
+    :param sides: of the room; the pan is relative to one of them.
+    :param floor: height of the floor, metres, map frame.
+    :param frame: of the coordinates.
     """
     height = f'{100.0 * (placed.position[2] - floor):.0f} cm above the floor'
     return Words(placed.camera.name, placed.camera.sensor or 'own', _place(distances), height,
@@ -66,7 +67,7 @@ def words_for(placed: Placed, distances: Sequence[Distance], sides: Sequence[Ref
 
 
 def _place(distances: Sequence[Distance]) -> str:
-    """Say how far a camera is from walls, or that none is near."""
+    """Return the distances to near walls in words, or that there is none."""
     told = [f'{100.0 * one.away:.0f} cm {"beyond" if one.beyond else "from"} wall {one.letter}'
             for one in distances]
     if len(told) < 2:
@@ -76,12 +77,12 @@ def _place(distances: Sequence[Distance]) -> str:
 
 def aim_of(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor: float) -> str:
     """
-    Say what the middle of a camera's picture shows, for whoever turns it.
+    Return the place at the centre of a camera's picture, in words, to set its heading.
 
     :param scene: the room.
     :param sides: of the room.
-    :param floor: its height, metres, map frame.
-    :returns: nothing of a camera that sees all around, or where the scan shows nothing there.
+    :param floor: height of the floor, metres, map frame.
+    :returns: '' for an omnidirectional camera, or if the scan has no point there.
     """
     if placed.camera.model.omnidirectional:
         return ''
@@ -92,7 +93,7 @@ def aim_of(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor: 
     near = np.flatnonzero((along > NEAREST) & (aside <= np.maximum(scene.pitch, ASIDE)))
     if len(near) == 0:
         return ''
-    # Of the first that it meets the one that is most in the middle.
+    # Among the points on the first surface, take the one nearest to the optical axis.
     near = near[along[near] <= along[near].min() + NEAREST]
     at = placed.pose[:3] + along[near[np.argmin(aside[near])]] * ahead
     above = 100.0 * (at[2] - floor)
@@ -104,7 +105,7 @@ def aim_of(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor: 
 
 
 def lens_of(model: CameraModel) -> str:
-    """Say how wide a camera sees and how far."""
+    """Return the field of view and the range of a camera in words."""
     reach = f'{model.min_range:g} to {model.max_range:g} m'
     if model.omnidirectional:
         return f'all around, {reach}'
@@ -113,18 +114,18 @@ def lens_of(model: CameraModel) -> str:
 
 
 def coordinates_of(placed: Placed, frame: SourceFrame) -> str:
-    """Write the position of a camera in a frame, to the millimetre."""
+    """Return the position of a camera in a frame as text, to the millimetre."""
     decimals = max(0, DECIMALS + round(np.log10(frame.scale)))
     return ', '.join(f'{value + 0.0:.{decimals}f}' for value in np.round(
         frame.to_source(placed.position), decimals))
 
 
 def _pan(placed: Placed, walls: Sequence[ReferenceWall]) -> str:
-    """Say where a camera faces, seen from above."""
+    """Return the pan of a camera in words, seen from above."""
     if placed.camera.model.horizontal_fov >= 2.0 * np.pi - 1e-9:
         return 'any heading'
     yaw, pitch, _ = placed.angles
-    # Of a camera that looks straight down, the top of the picture shows where it faces.
+    # If a camera looks straight up or down, the pan is the direction of the top of the picture.
     turn = np.deg2rad(yaw + (180.0 if pitch < -DOWN else 0.0))
     ahead = np.array([np.cos(turn), np.sin(turn)])
     wall = max(walls, key=lambda wall: wall.outward @ ahead)
@@ -138,12 +139,12 @@ def _pan(placed: Placed, walls: Sequence[ReferenceWall]) -> str:
 
 
 def _degrees(angle: float) -> str:
-    """Say how large an angle is, degrees."""
+    """Return an angle in degrees as text."""
     return f'{abs(angle):.0f} degree{"" if round(abs(angle)) == 1 else "s"}'
 
 
 def _tilt(placed: Placed) -> str:
-    """Say how far a camera looks down and how far it is rolled."""
+    """Return the tilt and the roll of a camera in words."""
     _, pitch, roll = placed.angles
     if placed.camera.model.omnidirectional:
         return 'upright'

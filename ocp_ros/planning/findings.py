@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What there is to say about a placement: scores, broken constraints, what is missed, one more."""
+"""Findings on a placement: scores, violated constraints, missed points, one more camera."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -28,23 +28,23 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.settings import ConfigurationError
 
-#: Candidates that one more camera is chosen from.
+#: Number of candidates for one more camera.
 CANDIDATES = 480
-#: Metres: edge of the cells that what is missed is gathered in, and how many parts are named.
+#: Edge of the cells in which missed points are counted, metres, and number of reported cells.
 CELL, NAMED = 1.0, 3
-#: Shares of the points that are too many to be missed: by all candidates, and by the cameras.
+#: Shares of missed points above which there is a note: missed by all candidates, by the cameras.
 HOPELESS, MISSED = 0.3, 0.9
 
 
 def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     """
-    Return all there is to say about a placement as plain data.
+    Return all findings on a placement as plain data.
 
     :param problem: the rig in the room.
     :param poses: (K, 6) metres, map frame, and radians.
     :returns: ``scores``, ``broken``, ``missed`` and ``one_more``; ``expected``: the depth error
-        in the room itself, see :func:`~ocp_ros.planning.promise.expected`; ``notes``: what makes
-        the room or the answer doubtful; and ``remarks``: what was mended.
+        in the room itself, see :func:`~ocp_ros.planning.promise.expected`; ``notes``: doubts about
+        the room or the result; and ``remarks``: corrections of the scan.
     """
     views = problem.look(poses)
     scores = scores_of(problem.objective, views)
@@ -59,7 +59,7 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
 
 
 def _share_notes(missed: dict[str, Any]) -> list[str]:
-    """Say so where most of a room is out of sight."""
+    """Return a note if a large share of the points is missed."""
     if missed['hopeless'] > HOPELESS:
         return [f'found {100.0 * missed["hopeless"]:.0f} % of the points out of sight from '
                 'everywhere that cameras may be; expected one room that they are in; the scan may '
@@ -72,9 +72,9 @@ def _share_notes(missed: dict[str, Any]) -> list[str]:
 
 def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
     """
-    Return what a placement is worth as plain data, as placement files have it.
+    Return the scores of a placement as plain data, as in placement files.
 
-    :param views: what the cameras to be placed see.
+    :param views: views of the placed cameras.
     """
     simulator, rig = objective.simulator, objective.rig
     worth, points = objective.judge(views), len(simulator.scene)
@@ -95,7 +95,7 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
 
 
 def _links_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
-    """Return which cameras can be calibrated to each other, where the rig asks for it."""
+    """Return which cameras can be calibrated to each other; {} if the rig does not require it."""
     found, asked = objective.covisibility(views), objective.rig.calibratable
     if found is None:
         return {}
@@ -114,7 +114,7 @@ def _links_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
 
 def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
     """
-    Return a sentence for each constraint that a placement breaks, those of regions included.
+    Return a sentence for each violated constraint of a placement, regions included.
 
     :param poses: (K, 6) metres, map frame, and radians.
     :param scores: from :func:`scores_of`.
@@ -126,7 +126,7 @@ def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any])
 
 
 def _apart(scores: dict[str, Any]) -> list[str]:
-    """Say which cameras cannot be calibrated to the others."""
+    """Return a sentence on groups of cameras that cannot be calibrated to each other."""
     links = scores.get('calibratable', {'groups': []})
     if len(links['groups']) < 2:
         return []
@@ -143,13 +143,13 @@ def _apart(scores: dict[str, Any]) -> list[str]:
 
 def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> dict[str, Any]:
     """
-    Return what a placement misses and where one more camera helps most, as plain data.
+    Return the missed points and the best pose of one more camera, as plain data.
 
     :param problem: the rig in the room.
     :param poses: (K, 6) metres, map frame, and radians.
-    :param views: what these cameras see.
-    :returns: ``missed``: share of the points, the share that no candidate would see either, and
-        where most of it is; ``one_more``: the best candidate, or None where none is allowed.
+    :param views: views of these cameras.
+    :returns: ``missed``: share of missed points, share that all candidates miss too, and the cells
+        with most missed points; ``one_more``: the best candidate, None if none is feasible.
     """
     objective, simulator, rig = problem.objective, problem.simulator, problem.rig
     worth = objective.judge(views)
@@ -176,7 +176,7 @@ def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> 
 
 
 def _addition(error: float, camera: Camera, pose: np.ndarray, before: float) -> dict[str, Any]:
-    """Describe one more camera."""
+    """Return one more camera as plain data."""
     yaw, pitch, roll = np.round(np.rad2deg(pose[3:]), 1).tolist()
     return {'sensor': camera.sensor or camera.name,
             'position': np.round(pose[:3], 3).tolist(), 'yaw': yaw, 'pitch': pitch, 'roll': roll,
@@ -184,7 +184,7 @@ def _addition(error: float, camera: Camera, pose: np.ndarray, before: float) -> 
 
 
 def _parts(points: np.ndarray, total: int) -> list[dict[str, Any]]:
-    """Return the fullest cells of some points (M, 3), metres, of so many in all."""
+    """Return the cells with most of some points (M, 3), metres, as shares of ``total`` points."""
     if len(points) == 0:
         return []
     points = points.astype(np.float64)

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-What depth error a placement will have in the room itself, by what the engine says of its scan.
+Expected depth error of a placement in the room itself, from the engine's error on its scan.
 
-A search finds what the scan makes look good, so the room's error is mostly a little larger, and
-scans without a ceiling or a floor say nothing of what the cameras miss there. How far the two are
-apart was measured in generated rooms, whose meshes are known: ``promise.json`` is the table, and
-``benchmarks/promise.py`` has written it.
+A search fits the placement to the scan, so the error in the room is mostly a little larger. A scan
+without ceiling or floor has no points there, so the engine does not count what the cameras miss on
+them. The ratio of both errors was measured in generated rooms, whose meshes are known. The table
+is ``promise.json``, written by ``benchmarks/promise.py``.
 """
 
 from collections.abc import Sequence
@@ -32,12 +32,12 @@ import numpy as np
 
 @cache
 def _table() -> dict[str, Any]:
-    """Return the table."""
+    """Return the table of ratios."""
     return json.loads(files(__package__).joinpath('promise.json').read_text())
 
 
 def ratios_for(error: float, nothing: float, missing: Sequence[str]) -> list[float]:
-    """Return the least, the median and the largest ratio for :func:`expected`."""
+    """Return the smallest, the median and the largest ratio for :func:`expected`."""
     for surface in missing:
         if surface in _table():
             return _table()[surface]['ratios']
@@ -51,11 +51,11 @@ def expected(error: float, nothing: float, missing: Sequence[str] = ()) -> dict[
     Return the depth error that a placement is expected to have in the room itself.
 
     :param error: depth error by the engine, metres.
-    :param nothing: that of seeing nothing, metres.
-    :param missing: surfaces that the scan does not show, from
+    :param nothing: depth error without any visible point, metres.
+    :param missing: surfaces without points in the scan, from
         :func:`~ocp_ros.rig.plausibility.missing_surfaces`.
-    :returns: ``depth_error``, metres, and between which ``low`` and ``high`` it was in nine of
-        ten rooms.
+    :returns: ``depth_error``, ``low`` and ``high``, metres; in nine of ten rooms the error was
+        between ``low`` and ``high``.
     """
     least = _table()['offset'] * nothing
     low, middle, high = (float(np.clip(ratio * (error + least) - least, 0.0, nothing))
@@ -64,7 +64,7 @@ def expected(error: float, nothing: float, missing: Sequence[str] = ()) -> dict[
 
 
 def notes_on(missing: Sequence[str]) -> list[str]:
-    """Say what a surface that was not scanned does to the expectation."""
+    """Return a note on the effect of each missing surface on the expected error."""
     return [f'without the {surface} in the scan, what the cameras miss there is not known: in '
             f'{_table()[surface]["plans"]} rooms whose {surface} was left out the true depth '
             f'error was {_table()[surface]["times"][0]:.1f} to {_table()[surface]["times"][1]:.1f}'

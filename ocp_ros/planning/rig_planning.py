@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A rig planned in a room: the search, the proof, and the verdict on what was found."""
+"""Plan a rig in a room: the search, the proof, and the assessment of the result."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -32,24 +32,24 @@ from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
 from ocp_ros.simulation.ray_visibility import with_rays
 
-#: Cameras where nobody says how many, and seconds of search for each number of cameras where one
-#: is planned and where several are.
+#: Default number of cameras, and default seconds of search: for a given number of cameras, and for
+#: each number if the number is chosen.
 CAMERAS, SECONDS, SECONDS_EACH = 4, 60.0, 15.0
-#: What cameras are mounted on where nobody says: nobody mounts them in mid-air.
+#: Default mount: cameras cannot be mounted in mid-air.
 MOUNT = 'walls'
-#: Share of the seconds for proving how good an answer is.
+#: Share of the seconds for the proof.
 PROVING = 0.25
-#: Per cent: no bound is closer to a proof than this.
+#: Smallest reported optimality gap, per cent.
 LEAST_PERCENT = 0.1
 
 
 class Counting(NamedTuple):
     """
-    How many cameras are needed: what tells that there are enough.
+    Criterion to choose the number of cameras.
 
-    :ivar target: share of what can be reached at all, above 0, at most 1.
-    :ivar by: share of what: ``error``, ``seen`` or ``coverage``.
-    :ivar most: the most cameras to try.
+    :ivar target: share of the best possible value, above 0, at most 1.
+    :ivar by: quantity of this share: ``error``, ``seen`` or ``coverage``.
+    :ivar most: largest number of cameras to try.
     """
 
     target: float = 0.95
@@ -60,15 +60,16 @@ class Counting(NamedTuple):
 @dataclass(frozen=True)
 class PlanTask:
     """
-    What is asked of a search.
+    Settings of a search.
 
     :ivar planner: one of :func:`~ocp_ros.search.registry.planner_names`.
-    :ivar seconds: of search for each number of cameras; 60, or 15 where cameras are counted,
+    :ivar seconds: of search for each number of cameras; None for 60, or 15 with ``counting``,
         unless evaluations are given.
-    :ivar evaluations: judge so many placements; the same seed finds the same answer.
+    :ivar evaluations: largest number of placements to evaluate; then the same seed gives the same
+        result.
     :ivar seed: random seed.
-    :ivar counting: whether the search finds out how many cameras are needed, and by what.
-    :raises ConfigurationError: if there is no such planner, or it compares no numbers of cameras.
+    :ivar counting: criterion to choose the number of cameras; None for a given number.
+    :raises ConfigurationError: if the planner does not exist or cannot choose the number.
     """
 
     planner: str = RIG_SEARCH
@@ -78,16 +79,16 @@ class PlanTask:
     counting: Counting | None = None
 
     def __post_init__(self) -> None:
-        """Refuse a planner that cannot do this."""
+        """Reject a planner that does not support the settings."""
         check_planner(self.planner, self.counting is not None)
 
     def budgets(self) -> tuple[Budget, float | None]:
-        """Return how long the search may take, and the seconds for proving its answer."""
+        """Return the budget of the search, and the seconds of the proof."""
         seconds = self.seconds
         if seconds is None and self.evaluations is None:
             seconds = SECONDS if self.counting is None else SECONDS_EACH
         if seconds is None or self.planner == RIG_SEARCH:
-            # It proves its answer itself.
+            # This planner includes the proof in its search.
             return Budget(seconds, self.evaluations), seconds
         return Budget((1.0 - PROVING) * seconds, self.evaluations), PROVING * seconds
 
@@ -97,20 +98,20 @@ class PlannedRig:
     A rig that is planned in a room.
 
     :param scene: the room.
-    :param rig: with :class:`Counting`, the least number of its cameras is counted up.
-    :param task: what is asked.
-    :param budget: of the search, from :meth:`PlanTask.budgets`; whoever holds it may stop it.
+    :param rig: the rig; with :class:`Counting`, its number of cameras is replaced.
+    :param task: settings of the search.
+    :param budget: of the search, from :meth:`PlanTask.budgets`; the caller may stop it.
     :param proving: seconds of the proof.
     :param progress: called several times a second.
-    :ivar engine: its settings.
-    :ivar plans: one, or one for each number of cameras; the last one is the answer.
+    :ivar engine: settings of the engine.
+    :ivar plans: one, or one for each number of cameras; the last one is the result.
     :raises ConfigurationError: if the rig has no placement in this room.
     """
 
     def __init__(self, scene: Scene, rig: Rig, task: PlanTask, budget: Budget,
                  proving: float | None = None, progress: Progress | None = None) -> None:
         self.task, self.budget = task, budget
-        # The points of a mesh are no scan: what hides them is known.
+        # A mesh gives the exact occlusion of its points by ray casting.
         exact = scene.mesh is not None and scene.mesh.exact
         self.engine = with_rays(PROMISING, scene) if exact else PROMISING
         self.planner = RigPlanner(scene, rig, self.engine, budget, task.seed, progress,
@@ -121,11 +122,11 @@ class PlannedRig:
 
     @property
     def best(self) -> RigPlan:
-        """Return the answer."""
+        """Return the last plan, which is the result."""
         return self.plans[-1]
 
     def _counted(self, rig: Rig, counting: Counting) -> Iterator[RigPlan]:
-        """Yield plans with ever more cameras until one reaches the target."""
+        """Yield plans with an increasing number of cameras until one reaches the target."""
         first = max(rig.seen_by - len(rig.fixed), 1)
         for plan in self.planner.count_up(lambda count: with_count(rig, count), first,
                                           max(counting.most, first)):
@@ -135,9 +136,9 @@ class PlannedRig:
 
     def placement(self, room: dict[str, Any], command: str) -> Placement:
         """
-        Return where the cameras hang, before it is judged.
+        Return the placement without scores.
 
-        :param room: which room it is, as placement files say it.
+        :param room: description of the room, as in placement files.
         :param command: for the record.
         """
         return placement_of(self.best.rig, self.best.answer.poses, room=room, engine=self.engine,
@@ -145,10 +146,10 @@ class PlannedRig:
 
     def judged(self, placement: Placement, frame: str | None = None) -> Assessment:
         """
-        Judge the placement.
+        Evaluate the placement.
 
         :param placement: from :meth:`placement`.
-        :param frame: that files are asked for in, ``'map'`` or ``'source'``.
+        :param frame: requested frame of files, ``'map'`` or ``'source'``.
         """
         problem = self.planner.problem(self.best.rig)
         found = {'room': placement.room, 'cameras': data_of(placement)['cameras'],
@@ -162,14 +163,14 @@ class PlannedRig:
         return judged
 
     def _count(self) -> dict[str, Any]:
-        """Return how many cameras reach the target, and how many did not, as plain data."""
+        """Return the number of cameras that reaches the target, and the last that does not."""
         target, by, _ = self.task.counting
         return {'cameras': len(self.best.rig.cameras), 'by': by, 'target': target,
                 'reached': self.best.reaches(by, target),
                 'fewer': len(self.plans[-2].rig.cameras) if len(self.plans) > 1 else None}
 
     def _search(self) -> dict[str, Any]:
-        """Return how the answer was found and what it compares with, as plain data."""
+        """Return the data of the search and the values for comparison, as plain data."""
         plan, answer, random = self.best, self.best.answer, self.best.random
         return {'planner': plan.planner, 'seed': self.task.seed,
                 'loss': plan.evaluation.loss, 'searches': sorted(answer.losses),
@@ -185,9 +186,9 @@ class PlannedRig:
 
 def certificate_data(plan: RigPlan) -> dict[str, Any]:
     """
-    Return how much better than a plan other placements may be, as plain data.
+    Return the certificate of a plan as plain data.
 
-    :returns: ``sentence``, and what it is made of; ``gap`` is None where nothing was proved.
+    :returns: ``sentence``, and the values in it; ``gap`` is None without a certificate.
     """
     known = plan.certificate
     if known is None:
@@ -203,7 +204,7 @@ def certificate_data(plan: RigPlan) -> dict[str, Any]:
 
 
 def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
-    """Return what each number of cameras is worth, as plain data."""
+    """Return the scores of each number of cameras as plain data."""
     return [{'cameras': len(plan.rig.cameras), 'loss': plan.evaluation.loss,
              'depth_error': plan.evaluation.depth_error,
              'space_coverage': plan.evaluation.space_coverage,
@@ -212,5 +213,5 @@ def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
 
 
 def gap_percent(gap: float) -> float:
-    """Return a gap in per cent, rounded up to tenths, so that it stays true."""
+    """Return a gap in per cent, rounded up to tenths, so that it remains an upper limit."""
     return ceil(1000.0 * gap - 0.01) / 10.0

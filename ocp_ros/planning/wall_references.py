@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-The walls that an installer measures from: those that the scan shows near a camera.
+Reference walls: the walls near a camera from which an installer measures its position.
 
-Walls A to D are the sides of the rectangle around the room, lettered clockwise; E, F and so on are
-other walls that a camera is near, such as those of a niche, a partition or another room.
+Walls A to D are the sides of the rectangle around the room, lettered clockwise. E, F and so on are
+other walls near a camera, such as those of a niche, a partition or another room.
 """
 
 from collections.abc import Sequence
@@ -28,27 +28,27 @@ import numpy as np
 from ocp_ros.rig.structure import standing_of, STEEP
 from ocp_ros.scenes.scene import Scene
 
-#: Per cent of the points that may lie outside the room, seen through doors and windows; metres
-#: that a wall's points are thick, and that a wall may be inside of what the scan shows.
+#: Percentage of points that may lie outside the room, seen through doors and windows; thickness of
+#: a wall's points, metres; largest distance of a wall from the edge of the scan, metres.
 STRAY, SHEET, INSIDE = 0.3, 0.1, 1.5
-#: Parts of a quarter turn that directions are counted in, and degrees that a wall's points may be
-#: turned from each other.
+#: Number of histogram bins of wall directions in 90 degrees, and largest angle between the points'
+#: normals and the direction of their wall, degrees.
 BINS, TURNED = 90, 5.0
-#: Metres: parts of a side that are looked at, and the share of them that makes it a wall.
+#: Length of the parts of a side, metres, and smallest share of parts with points for a wall.
 PART, STANDS = 0.25, 0.3
-#: Metres: how far a wall may be to be measured from, half the width of the strip in which it is
-#: looked for, how far it may end beside the way, and how far a camera's front may be behind it by
-#: the noise of the scan.
+#: Metres: largest distance of a reference wall; half the width of the strip that is searched for
+#: it; largest gap between its end and the line of measurement; largest distance of a camera's
+#: front behind it, by the noise of the scan.
 FAR, STRIP, BESIDE, BEHIND = 15.0, 0.5, 0.05, 0.03
-#: Metres by which what stands below a camera is nearer than what is at its height where it is
-#: measured from: a plumb line reaches it.
+#: A surface below a camera is the reference if it is nearer than the wall at the camera's height
+#: by more than this, metres: it is reached by a plumb line.
 NEARER = 1.0
-#: Square metres that a wall has at least in that strip, and its fewest points; metres above and
-#: below a camera in which it has them: a level laser meets no beam and no cupboard of another
-#: height.
+#: Smallest area in that strip, square metres, and smallest number of points of a wall; and the
+#: height above and below a camera in which these are counted, metres: the beam of a level laser
+#: does not meet beams or cupboards at other heights.
 PIECE, FEWEST, LEVEL = 0.15, 3, 0.3
-#: Least cosine between the normals of a wall and the way to it, and of two walls that are one;
-#: metres that one wall may be uneven.
+#: Smallest cosine between the normals of a wall and the direction to it, and between the normals
+#: of the same wall; largest unevenness of a wall, metres.
 FACING, ALIKE, UNEVEN = 0.94, 0.98, 0.15
 
 
@@ -56,11 +56,11 @@ class ReferenceWall(NamedTuple):
     """
     A side of the rectangle around a room.
 
-    :ivar letter: A to D, clockwise seen from above; A looks most along y of the map.
+    :ivar letter: A to D, clockwise seen from above; the outward direction of A is nearest to +y.
     :ivar outward: (2,) unit vector out of the room.
-    :ivar offset: metres: where outward . (x, y) is this, there is the wall.
+    :ivar offset: metres; the wall is the line outward . (x, y) = offset.
     :ivar length: metres.
-    :ivar stands: whether there is a wall; else the scan ends there.
+    :ivar stands: whether there is a wall; otherwise the side is the edge of the scan.
     """
 
     letter: str
@@ -71,7 +71,7 @@ class ReferenceWall(NamedTuple):
 
     @property
     def said(self) -> str:
-        """Return the letter and the length, and where there is hardly a wall that it is so."""
+        """Return the letter and the length, with a remark if most of the side is no wall."""
         return f'{self.letter} {self.length:.2f} m' + (
             '' if self.stands else f' (less than {100.0 * STANDS:.0f} % of it is wall)')
 
@@ -89,7 +89,7 @@ class Corner(NamedTuple):
 
 
 def nearest_corner(sides: Sequence[ReferenceWall], place: np.ndarray) -> Corner:
-    """Return the corner nearest to a place (2,); where two walls stand, if there is one."""
+    """Return the corner nearest to a place (2,), preferably one between two real walls."""
     corners = []
     for one, other in zip(sides, [*sides[1:], sides[0]]):
         at = one.offset * one.outward + other.offset * other.outward
@@ -100,7 +100,7 @@ def nearest_corner(sides: Sequence[ReferenceWall], place: np.ndarray) -> Corner:
 
 def walls_around(scene: Scene) -> list[ReferenceWall]:
     """
-    Lay a rectangle around a room, along its walls.
+    Fit a rectangle around a room, parallel to its walls.
 
     :returns: its four sides, A to D.
     """
@@ -122,7 +122,7 @@ def walls_around(scene: Scene) -> list[ReferenceWall]:
 
 
 def _direction(normals: np.ndarray, areas: np.ndarray) -> float:
-    """Return how far walls with normals (M, 3) are turned: degrees from -45 to 45."""
+    """Return the rotation of walls with normals (M, 3) to the axes: degrees from -45 to 45."""
     angles = np.rad2deg(np.arctan2(normals[:, 1], normals[:, 0])) % 90.0
     counts, _ = np.histogram(angles, BINS, (0.0, 90.0), weights=areas)
     found = (np.argmax(counts + np.roll(counts, 1) + np.roll(counts, -1)) + 0.5) * 90.0 / BINS
@@ -139,29 +139,29 @@ def _side(upright: np.ndarray, outward: np.ndarray, edge: float, span: float
     Find the outermost wall of a side.
 
     :param upright: (M, 2) metres, points of walls and furniture.
-    :param edge: how far out the scan goes, metres.
-    :param span: how long the side is, metres.
-    :returns: where the wall is, metres outwards, and whether there is one; else the edge.
+    :param edge: offset of the edge of the scan, metres.
+    :param span: length of the side, metres.
+    :returns: the offset of the wall, metres, and True; or the edge and False without a wall.
     """
     out = upright @ outward
     parts = np.floor(upright @ [-outward[1], outward[0]] / PART)
     for offset in np.arange(edge + SHEET, edge - INSIDE, -0.5 * SHEET):
         near = np.abs(out - offset) <= 0.5 * SHEET
         if len(np.unique(parts[near])) >= STANDS * span / PART:
-            # The sheet may reach further in than the step in which it was met.
+            # The points of the wall may extend farther inwards than this step.
             return float(np.median(out[np.abs(out - np.median(out[near])) <= 0.5 * SHEET])), True
     return float(edge), False
 
 
 class InnerWall(NamedTuple):
     """
-    A wall that is no side of the rectangle around the room.
+    A wall that is not a side of the rectangle around the room.
 
     :ivar letter: E, F and so on.
-    :ivar outward: (2,) unit vector from the camera that is near it.
-    :ivar offset: metres: where outward . (x, y) is this, there is the wall.
+    :ivar outward: (2,) unit vector from the camera near it to the wall.
+    :ivar offset: metres; the wall is the line outward . (x, y) = offset.
     :ivar at: (2,) metres, a place on it.
-    :ivar top: metres, map frame, how high it is there.
+    :ivar top: height of its upper end there, metres, map frame.
     """
 
     letter: str
@@ -171,7 +171,7 @@ class InnerWall(NamedTuple):
     top: float
 
     def said(self, sides: Sequence[ReferenceWall], floor: float) -> str:
-        """Return where it is, seen from the sides of a room, and how high above its floor."""
+        """Return its position relative to the sides of a room and its height, in words."""
         top = f'{self.letter} (up to {100.0 * (self.top - floor):.0f} cm high'
         along = max(sides, key=lambda side: float(side.outward @ self.outward))
         if float(along.outward @ self.outward) < ALIKE:
@@ -182,10 +182,10 @@ class InnerWall(NamedTuple):
 
 class Distance(NamedTuple):
     """
-    How far a camera is from a wall.
+    Distance of a camera from a wall.
 
     :ivar letter: of the wall.
-    :ivar away: metres, at right angles.
+    :ivar away: metres, perpendicular to the wall.
     :ivar at: (2,) metres, the foot of the perpendicular.
     :ivar beyond: whether the camera is on the far side of a side of the room.
     """
@@ -198,13 +198,13 @@ class Distance(NamedTuple):
 
 class WallReferences:
     """
-    The walls that cameras are measured from.
+    The reference walls of all cameras.
 
     :param scene: the room.
     :param positions: (K, 3) metres, map frame, of the cameras.
     :ivar sides: of the rectangle around the room, A to D.
     :ivar inner: other walls, E and so on.
-    :ivar distances: of each camera, the nearest first: at most two, of walls at right angles.
+    :ivar distances: of each camera, the nearest first: at most two, to perpendicular walls.
     """
 
     def __init__(self, scene: Scene, positions: np.ndarray) -> None:
@@ -215,7 +215,7 @@ class WallReferences:
         self.distances = [self._around(np.asarray(position)) for position in positions]
 
     def _around(self, position: np.ndarray) -> list[Distance]:
-        """Measure from the wall that a camera hangs on, or is near, and from one across it."""
+        """Measure from the wall of a camera's mount, or a near one, and a perpendicular one."""
         contact = self._surface.at(position[None])
         ahead, hung = self.sides[0].outward, []
         if contact.on[0]:
@@ -228,10 +228,10 @@ class WallReferences:
 
     def _either(self, position: np.ndarray, way: np.ndarray) -> list[tuple[float, np.ndarray]]:
         """
-        Return how far walls are one way and the other, where there are any.
+        Return the distances to walls in a direction and its opposite, with these directions.
 
-        They are those at the camera's height, or what stands below it where that is much nearer;
-        where there is none, those of any height.
+        A wall at the camera's height is used, or a surface below it that is much nearer. Without
+        both, surfaces at any height are used. A direction without a surface is left out.
         """
         found = []
         for outward in (way, -way):
@@ -245,7 +245,7 @@ class WallReferences:
         return found
 
     def _distance(self, position: np.ndarray, away: float, outward: np.ndarray) -> Distance:
-        """Name the wall that is so far that way."""
+        """Return the distance to the wall ``away`` metres in a direction, with its letter."""
         at = position[:2] + away * outward
         wall = self._wall(outward, at)
         beyond = isinstance(wall, ReferenceWall) and float(wall.outward @ outward) < 0.0
@@ -254,10 +254,10 @@ class WallReferences:
     def _away(self, position: np.ndarray, outward: np.ndarray, low: float, high: float
               ) -> float | None:
         """
-        Return how far the first wall is that way, metres; None where none is near.
+        Return the distance to the first wall in a direction, metres; None if none is near.
 
-        :param low: metres above the position from which on a wall counts.
-        :param high: metres above the position up to which it does.
+        :param low: lower limit of the points that count, metres above the position.
+        :param high: upper limit of the points that count, metres above the position.
         """
         ways = self._surface.points[:, :2] - position[:2]
         above = self._surface.points[:, 2] - position[2]
@@ -271,14 +271,14 @@ class WallReferences:
         ends = np.searchsorted(away, away + SHEET, side='right')
         for first in np.flatnonzero(ends - np.arange(len(away)) >= self._least):
             sheet = slice(first, ends[first])
-            # A wall that ends beside the way is passed by.
+            # Skip a wall that ends beside the line of measurement.
             if aside[sheet].min() <= BESIDE and aside[sheet].max() >= -BESIDE:
                 found = float(np.median(away[sheet]))
                 return found if found <= FAR else None
         return None
 
     def _wall(self, outward: np.ndarray, at: np.ndarray) -> ReferenceWall | InnerWall:
-        """Return a wall by a place on it; one that is not known yet gets the next letter."""
+        """Return the wall at a place; add a new one with the next letter if there is none."""
         known: list[ReferenceWall | InnerWall] = [*self.sides, *self.inner]
         for wall in known:
             if (abs(float(wall.outward @ outward)) >= ALIKE

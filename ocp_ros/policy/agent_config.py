@@ -12,16 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which network the agent has, its sizes, and the error of weights: without torch."""
+"""Type and sizes of the agent's network, and the error of its weights; does not import torch."""
 
 from dataclasses import dataclass
 
 from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS, setting, UserError
 
-#: What a network reads: a map of what was observed (``map``), or the observed cloud, as one head
-#: for all cameras reads it in the paper (``paper``) or camera by camera (``cloud``).
+#: Input of the network: the observation map (``map``), or the observed cloud, read by one head for
+#: all cameras as in the paper (``paper``) or camera by camera (``cloud``).
 MAP, CLOUD, PAPER = INPUTS = 'map', 'cloud', 'paper'
-#: Numbers that a unit makes of a cloud at most.
+#: Largest number of values that an extraction unit computes for a cloud.
 MOST = 1 << 23
 
 
@@ -32,10 +32,10 @@ class CheckpointError(UserError):
 @dataclass(frozen=True)
 class AgentConfig:
     """
-    The network; sizes of extraction units are those of ``cloud`` and ``paper``.
+    Settings of the network; extraction units belong to ``cloud`` and ``paper`` alone.
 
-    A unit samples key points by farthest-point sampling and groups neighbours by ball query; the
-    last one has a single key point and groups all that reach it.
+    A unit samples key points by farthest-point sampling and groups neighbours by ball query. The
+    last unit has a single key point, and its group contains all key points of the unit before.
     """
 
     inputs: str = setting(
@@ -65,7 +65,7 @@ class AgentConfig:
     length_scale: float = setting(4.0, 'length that the network reads as 1, metres', 0.01, 100.0)
 
     def __post_init__(self) -> None:
-        """Refuse what is never read, and units that would fill the memory."""
+        """Reject settings without effect, and units that would need too much memory."""
         for unit, count in enumerate((self.keys_1 * self.group_1, self.keys_2 * self.group_2), 1):
             if count * self.channels > MOST:
                 raise ConfigurationError(
@@ -81,19 +81,19 @@ class AgentConfig:
 
     @property
     def map(self) -> bool:  # noqa: A003
-        """Return whether the network reads a map of what was observed."""
+        """Return whether the network reads the observation map."""
         return self.inputs == MAP
 
     @property
     def one_by_one(self) -> bool:
-        """Return whether one camera chooses after the other, each told of those before it."""
+        """Return whether cameras choose one after the other, given the earlier choices."""
         return self.inputs != PAPER
 
     def check_cameras(self, cameras: int) -> None:
         """
-        Refuse another number of cameras than that of a head for all of them.
+        Reject a number of cameras that the network does not support.
 
-        :raises ConfigurationError: if it is another.
+        :raises ConfigurationError: if a head for all cameras has another number of cameras.
         """
         if self.inputs == PAPER and self.cameras != cameras:
             raise ConfigurationError(

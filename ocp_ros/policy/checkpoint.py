@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Weights as one safetensors blob with its JSON inside, on disk and on the wire.
+Weights as one safetensors blob that contains its JSON, in files and in messages.
 
-Nothing is ever unpickled. The JSON holds what is needed to run the weights (the agent's sizes and
+Nothing is ever unpickled. The JSON contains the settings to run the weights (the agent's sizes and
 length scale), their version (updates so far) and their provenance.
 """
 
@@ -35,21 +35,21 @@ import torch
 
 FORMAT = 'ocp_ros-actor-2'
 KEY = 'ocp_ros'
-#: The largest weight: those that are learned stay below 100, and much larger ones make the numbers
-#: in the network overflow.
+#: Largest absolute weight: trained weights stay below 100, and much larger ones cause an overflow
+#: in the network.
 LARGEST_WEIGHT = 1e4
-#: The most letters of a run's name, and the most gradient steps that are counted.
+#: Largest length of a run's name, and largest number of gradient steps.
 LONGEST_RUN, MOST_UPDATES = 100, 1 << 53
 
 
 @dataclass(frozen=True)
 class Checkpoint:
     """
-    An actor's weights and what is known about them.
+    An actor's weights, their settings and their provenance.
 
     :ivar config: sizes of the network.
     :ivar weights: tensors by name, those of :func:`~ocp_ros.policy.networks.actor_of`.
-    :ivar updates: gradient steps so far; within one run, more of them replace fewer.
+    :ivar updates: gradient steps so far; within one run, weights with more updates are newer.
     :ivar run: identity of the training run.
     :ivar provenance: how the weights were made: command, seed, date, rooms, results.
     """
@@ -61,7 +61,7 @@ class Checkpoint:
     provenance: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Refuse weights that do not fit the network, or overflow in it."""
+        """Reject weights that do not fit the network or would overflow in it."""
         # On the meta device: only shapes are compared, nothing is allocated.
         with torch.device('meta'):
             expected = actor_of(self.config).state_dict()
@@ -76,7 +76,7 @@ class Checkpoint:
                 raise CheckpointError(
                     f'weights: found {name} as {tensor.dtype} {tuple(tensor.shape)}; expected '
                     f'float32 {tuple(expected[name].shape)}')
-            # NaN is within nothing, and refused as well.
+            # NaN fails this comparison too.
             if not (tensor.abs() <= LARGEST_WEIGHT).all():
                 raise CheckpointError(
                     f'weights: found NaN, inf or more than {LARGEST_WEIGHT:g} in {name}; expected '
@@ -88,15 +88,16 @@ class Checkpoint:
         return safetensors.torch.save(tensors, metadata={KEY: json.dumps(self.card())})
 
     def card(self) -> dict[str, Any]:
-        """Return all but the weights, as JSON can hold it."""
+        """Return everything except the weights, as values for JSON."""
         return {'format': FORMAT, 'run': self.run, 'updates': self.updates,
                 'config': to_nested(self.config), 'provenance': self.provenance}
 
     def check_replaces(self, running: 'Checkpoint') -> None:
         """
-        Refuse to replace weights of another network, or newer ones of the same run.
+        Check that these weights may replace the running ones.
 
-        :raises CheckpointError: if so.
+        :raises CheckpointError: if the network differs, or the running weights are of the same run
+            and not older.
         """
         if self.config != running.config:
             raise CheckpointError(f'weights: found {self.config}; expected those of the running '
@@ -112,8 +113,8 @@ class Checkpoint:
         Read and check a blob.
 
         :param blob: safetensors with the JSON of :meth:`card` in its metadata.
-        :param what: where it comes from, for messages.
-        :raises CheckpointError: if it is torn, of another format or network, or not finite.
+        :param what: source of the blob, for messages.
+        :raises CheckpointError: if it is incomplete, of another format or network, or not finite.
         """
         try:
             card = json.loads(read_metadata(blob)[KEY])
@@ -138,7 +139,7 @@ class Checkpoint:
 
     def save(self, path: Path) -> None:
         """
-        Write ``path`` and its card beside it as ``.json``; each file is whole or absent.
+        Write ``path`` and its card beside it as ``.json``, each of them atomically.
 
         :param path: ends in ``.safetensors``.
         """
@@ -151,7 +152,7 @@ class Checkpoint:
         """
         Read a ``.safetensors`` file.
 
-        :raises CheckpointError: if there is none or it cannot be used.
+        :raises CheckpointError: if the file does not exist or cannot be used.
         """
         try:
             blob = read_regular(path)
@@ -163,7 +164,7 @@ class Checkpoint:
 
 
 def card_of(path: Path) -> Path:
-    """Return where the card of some weights stands."""
+    """Return the path of the card that belongs to a weights file."""
     return Path(path).with_suffix('.json')
 
 

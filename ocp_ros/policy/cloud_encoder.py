@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The encoder of ``cloud``: what the network reads of each camera, turn after turn."""
+"""The encoder of ``cloud``: the network's inputs for each camera at each time step."""
 
 from contextlib import suppress
 
@@ -24,20 +24,20 @@ from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.scenes.scene import SceneError
 
-#: Points and rows of depth maps of the model in which points are marked by who sees them.
+#: Points and depth-map rows of the model in which points are marked by the cameras that see them.
 MARKED_POINTS, MARKED_ROWS = 6000, 16
 
 
 class EncodedTurn:
     """
-    What the network reads of one turn, camera by camera.
+    The network's inputs at one time step, camera by camera.
 
     :param config: sizes of the network.
-    :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
-    :param known: what is known of the room; None where it is not enough for one.
-    :param positions: (K, 3) metres: where the cameras are.
-    :param max_step: farthest a camera moves in one turn, metres.
-    :param time: turns played so far / turns of the whole episode.
+    :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
+    :param known: partial map with the views; None if the cloud is too small for one.
+    :param positions: (K, 3) metres: current positions of the cameras.
+    :param max_step: farthest a camera moves in one time step, metres.
+    :param time: time steps taken so far / time steps of the whole episode.
     """
 
     def __init__(self, config: AgentConfig, cloud: np.ndarray, known: ObservedTurn | None,
@@ -45,7 +45,7 @@ class EncodedTurn:
         self._config, self._known, self._max_step = config, known, max_step
         self.positions, self._time = positions.copy(), time
         self._has_chosen = np.zeros(len(positions), dtype=bool)
-        # Points are marked in the model: those that it was made of are read.
+        # Marks belong to the points of the model, so the network reads these points.
         self._cloud = encode(cloud if known is None else known.model.points, positions, config)
 
     def inputs(self, camera: int) -> dict[str, np.ndarray]:
@@ -62,10 +62,10 @@ class EncodedTurn:
 
     def move(self, camera: int, action: np.ndarray) -> np.ndarray:
         """
-        Let a camera move, for those that are asked after it.
+        Set the move of a camera; cameras that choose later use its new position.
 
         :param action: (2,) in units of the longest step.
-        :returns: (2,) the move it will make, in the same units: it stays over the floor.
+        :returns: (2,) the corrected move that ends over the floor, in the same units.
         """
         step, here = bounded_moves(action, self._max_step), self.positions[camera:camera + 1, :2]
         if self._known is not None:
@@ -81,17 +81,17 @@ class EncodedTurn:
 
 class Encoder:
     """
-    Encode what was seen for one camera after the other.
+    Encode the observation for one camera after the other.
 
-    A camera reads what :func:`~ocp_ros.policy.cloud_observation.encode` returns, and ``others``
-    (``OTHERS``, ``OF_OTHERS``), ``turn`` (``OF_TURN``,) and ``marks`` (P, ``MARKS``) uint8; see
-    :mod:`ocp_ros.policy.cloud_observation`.
+    The inputs of a camera are those of :func:`~ocp_ros.policy.cloud_observation.encode`, and
+    ``others`` (``OTHERS``, ``OF_OTHERS``), ``turn`` (``OF_TURN``,) and ``marks`` (P, ``MARKS``)
+    uint8; see :mod:`ocp_ros.policy.cloud_observation`.
 
     :param config: sizes of the network.
     :param max_range: effective range of the omnidirectional cameras, metres.
-    :param max_step: farthest a camera moves in one turn, metres.
+    :param max_step: farthest a camera moves in one time step, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :param clearance: cameras stay this far from all points that were seen, metres.
+    :param clearance: cameras stay this far from all observed points, metres.
     """
 
     def __init__(self, config: AgentConfig, max_range: float = 4.0, max_step: float = 0.5,
@@ -102,12 +102,12 @@ class Encoder:
 
     def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> EncodedTurn:
         """
-        Take note of a turn, to encode it camera by camera.
+        Record a time step, and return its inputs camera by camera.
 
-        :param cloud: (M, 3) float32, metres, map frame: the points seen so far.
-        :param positions: (K, 3) metres: where the cameras are.
-        :param turn: turns played so far.
-        :param turns: turns of the whole episode.
+        :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
+        :param positions: (K, 3) metres: current positions of the cameras.
+        :param turn: time steps taken so far.
+        :param turns: time steps of the whole episode.
         """
         known = None
         with suppress(SceneError):

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-The observation cache: what the network reads of a cloud, computed once per observation.
+The network's inputs from an observed cloud, computed once per observation.
 
-Sampling and grouping only depend on the cloud, so their indices are stored with the observation
-and never computed again at a gradient step.
+Sampling and grouping depend on the cloud alone, so their indices are stored with the observation
+and not computed again at a gradient step.
 """
 
 import numpy as np
@@ -24,31 +24,31 @@ from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.policy.agent_config import AgentConfig, PAPER
 from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 
-#: The most other cameras that a network reads for one camera: the nearest ones.
+#: Largest number of other cameras that the network reads for one camera: the nearest ones.
 OTHERS = 7
-#: What is told of each other camera: the way to it, whether there is one, and whether it has
-#: chosen already. What is told of the turn: the share of the turns that is over, cameras / 4, and
-#: the share of the air that no camera has covered.
+#: Number of values for each other camera: vector to it (3), whether it exists, whether it has
+#: chosen. Number of values for the time step: elapsed share of the episode, cameras / 4, and the
+#: share of the air that no camera has covered.
 OF_OTHERS, OF_TURN = 5, 3
-#: What is told of each point: whether the choosing camera sees it now, and how many others do.
+#: Number of values for each point: whether the choosing camera sees it, and how many others do.
 MARKS = 2
 
 
 def encode(cloud: np.ndarray, positions: np.ndarray, config: AgentConfig
            ) -> dict[str, np.ndarray]:
     """
-    Turn an observation into the network's inputs, in units of ``length_scale``.
+    Convert an observation into the network's inputs, in units of ``length_scale``.
 
-    The origin is the middle of the observed cloud's bounding box.
+    The origin is the centre of the observed cloud's bounding box.
 
-    :param cloud: (M, 3) float32, metres, map frame: the points seen so far, in any order.
-    :param positions: (K, 3), metres, map frame: where the cameras are.
+    :param cloud: (M, 3) float32, metres, map frame: the observed cloud, in any order.
+    :param positions: (K, 3), metres, map frame: current positions of the cameras.
     :param config: sizes.
     :returns: ``points`` (P, 3), ``keys_1`` (K1,), ``groups_1`` (K1, G1), ``keys_2`` (K2,),
         ``groups_2`` (K2, G2), all indices int16, ``cameras`` (K, 3) and ``half_size`` (3,).
     """
     positions = positions.astype(np.float32)
-    # Where nothing is seen, the cameras themselves are all that is known to be there.
+    # An empty cloud is replaced by the positions of the cameras.
     cloud = cloud if len(cloud) else positions
     bounds = corners_of(cloud)
     centre, scale = bounds.mean(axis=0), config.length_scale
@@ -64,27 +64,27 @@ def encode(cloud: np.ndarray, positions: np.ndarray, config: AgentConfig
         'groups_2': grouped(key_points, keys_2, config.radius_2 / scale, config.group_2)}
     return {
         'points': points,
-        # Half the memory where they are kept: there are never more than 32767 points.
+        # int16 halves the memory of the replay buffer: there are at most 32767 points.
         **{name: value.astype(np.int16) for name, value in indices.items()},
         'cameras': ((positions - centre) / scale).astype(np.float32),
         'half_size': (0.5 * (bounds[1] - bounds[0]) / scale).astype(np.float32)}
 
 
 def chosen(rows: np.ndarray, config: AgentConfig) -> np.ndarray:
-    """Take as many rows of a cloud (N, ...) as reach the first unit, at even strides."""
+    """Return ``config.points`` rows of a cloud (N, ...), at even strides."""
     return rows[np.arange(config.points) * len(rows) // config.points]
 
 
 def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray,
                        config: AgentConfig) -> np.ndarray:
     """
-    Tell a camera of the others, the nearest first.
+    Return the inputs of a camera that describe the other cameras, the nearest first.
 
     :param camera: its number.
-    :param positions: (K, 3) metres: where cameras are, or will be after the turn.
+    :param positions: (K, 3) metres: positions of the cameras, new ones where already chosen.
     :param has_chosen: (K,) bool.
     :param config: with the unit of length.
-    :returns: (``OTHERS``, ``OF_OTHERS``) float32, zeros where there are fewer.
+    :returns: (``OTHERS``, ``OF_OTHERS``) float32; rows without a camera are 0.
     """
     told = np.zeros((OTHERS, OF_OTHERS), dtype=np.float32)
     ways = (np.delete(positions, camera, axis=0) - positions[camera]) / config.length_scale

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The online planner that moves cameras as a trained policy says."""
+"""The online planner that moves cameras by a trained policy."""
 
 from typing import TYPE_CHECKING
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 class Learned(Online):
     """
-    The moves that a trained policy finds best.
+    Move cameras by a trained policy that reads the observed cloud.
 
     :param policy: chooses them in units of ``max_step``.
     :param settings: of :class:`Online`.
@@ -40,12 +40,12 @@ class Learned(Online):
         self.policy = policy
 
     def set_rig_state(self, rig_state: RigState | None) -> None:
-        """Tell what the policy reads; see :meth:`Online.set_rig_state`."""
+        """Set the rig state of the policy's encoder too; see :meth:`Online.set_rig_state`."""
         super().set_rig_state(rig_state)
         self.policy.encoder.turns.rig_state = rig_state
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Discard the state of the last episode."""
         self.policy.reset()
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
@@ -59,7 +59,7 @@ class Learned(Online):
 
 def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | MapActor:
     """
-    Return the planner that moves cameras as a policy says.
+    Return the online planner that moves cameras by a policy.
 
     :param policy: from :func:`ocp_ros.policy.policy.make_policy`.
     :param settings: of :class:`~ocp_ros.online.online_planner.Online`.

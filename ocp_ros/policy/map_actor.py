@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-The map actor: each camera goes to the place that a trained network finds best for it.
+The map actor: each camera goes to the place with the best value of a trained network.
 
-The network reads a map of what was observed and values all places at once; see
-:mod:`ocp_ros.online.observation_map`. Each camera has a target. Turn after turn some cameras
-choose again, given the targets of the others: among the places over the floor that was seen, no
-farther away than the turns that are left lead straight on. The few places that the network finds
-best are then tried on what was observed: of what has been seen the trial knows more, of all else
-the network does.
+The network reads the observation map and returns values for all places at once; see
+:mod:`ocp_ros.online.observation_map`. Each camera has a target. At each time step some cameras
+choose a new target, given the targets of the other cameras. They choose among the places over the
+observed floor within the straight distance that the remaining time steps allow. The few places
+with the best values are then scored on the partial map. The final score is a weighted mean: the
+partial map is more exact for the observed space, the network predicts the unseen space.
 """
 
 from typing import TYPE_CHECKING
@@ -41,31 +41,32 @@ from scipy.ndimage import uniform_filter
 if TYPE_CHECKING:
     from ocp_ros.policy.policy import ValuePolicy
 
-#: Points and rows of depth maps of the model that is read.
+#: Points and depth-map rows of the model from which the observation map is computed.
 PLAIN_POINTS, PLAIN_ROWS = 6000, 32
-#: Cameras that choose again in a turn at least, and how often each does in an episode.
+#: Smallest number of cameras that choose again in a time step, and the number of choices of each
+#: camera in an episode.
 AGAIN, OFTEN = 2, 8
-#: Places that are tried: those that the network finds best.
+#: Number of places that are scored on the partial map: those with the best values of the network.
 TRIED = 16
-#: The least share of the network in what a place is worth, and how much larger it is than the
-#: share of the air that has not been seen.
+#: Smallest weight of the network in the score of a place, and the factor from the unseen share of
+#: the air to this weight.
 TRUST, PER_UNSEEN = 0.35, 5.0
-#: Turns of an episode from which on cameras that do not see all around are valued by heading: in
-#: few turns they see so little that it is better to be where most can be seen.
+#: Smallest number of time steps for values by heading, for cameras that are not omnidirectional:
+#: in a shorter episode they observe too little, and values without headings give better places.
 MANY = 20
-#: What a metre of way costs, and what a target has to be better by to be changed for, both in
-#: units of the value: shares of the error.
+#: Cost of a metre of path, and smallest improvement that changes a target, both in units of the
+#: value (the logarithm of a ratio of errors).
 PER_METRE, GAIN = 0.01, 0.02
-#: What unseen air is worth at first, in the same units, the share of the turns after which it is
-#: worth nothing, and the metres around a place in which it counts.
+#: First bonus for unseen air, in the same units, the share of the episode after which the bonus is
+#: 0, and the distance from a place within which unseen air counts, metres.
 CURIOSITY, EXPLORING, AROUND = 1.5, 0.5, 1.5
 
 
 class MapActor(PipelinedPlanner):
     """
-    Go where a trained network says.
+    Move cameras to the places that a trained network prefers.
 
-    :param policy: values places.
+    :param policy: returns the value of each place.
     :param settings: of :class:`~ocp_ros.online.online_planner.Online`.
     """
 
@@ -75,27 +76,27 @@ class MapActor(PipelinedPlanner):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Discard the state of the last episode."""
         super().reset()
         self._kept = KeptModel(self.max_range, self.wall_margin, PLAIN_POINTS, PLAIN_ROWS)
-        #: (K, 6) metres and radians: where each camera goes, and how it is turned there.
+        #: (K, 6) metres and radians: target pose of each camera.
         self._plan: np.ndarray | None = None
-        #: How many turns have been planned for.
+        #: Number of time steps with a plan so far.
         self._turns = 0
 
     @property
     def targets(self) -> np.ndarray | None:
-        """Return where each camera goes; see :attr:`Online.targets`."""
+        """Return the target positions; see :attr:`Online.targets`."""
         return None if self._plan is None else self._plan[:, :2]
 
     @property
     def headings(self) -> np.ndarray | None:
-        """Return how the cameras are turned there; see :attr:`Online.headings`."""
+        """Return the headings at the targets; see :attr:`Online.headings`."""
         return self._plan[:, 3:] if self._plan is not None and self.directional else None
 
     def begin(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
               ) -> MapTurn | None:
-        """Take note of a turn, see :meth:`move`; None where nothing is known of the room."""
+        """Record a time step, see :meth:`move`; None if the cloud is too small for a map."""
         record_views(self.memory, positions, self.rig_state)
         try:
             return self._read(cloud, positions, turn, turns)
@@ -103,14 +104,14 @@ class MapActor(PipelinedPlanner):
             return None
 
     def _read(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> MapTurn:
-        """Read what is known at a turn; see :meth:`_think`."""
+        """Compute the observation map of a time step; see :meth:`_think`."""
         model, self._space = self._kept(cloud, positions, FAST,
                                         clearance_of(self.rig_state, self.clearance))
         return self._map_of(KnownTurn(cloud, positions, turn, turns, model, self._space,
                                       self.memory.unseen(model)))
 
     def _map_of(self, known: KnownTurn) -> MapTurn:
-        """Return the map of what is known, with where cameras go so far."""
+        """Return the observation map with the current targets of the cameras."""
         positions = known.positions
         if not self._planned(len(positions)):
             self._plan, self._turns = standing(positions, self.rig_state), 0
@@ -121,16 +122,16 @@ class MapActor(PipelinedPlanner):
                        known.turns >= MANY)
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
-        """Let cameras choose again; see :meth:`PipelinedPlanner._think`."""
+        """Choose new targets for some cameras; see :meth:`PipelinedPlanner._think`."""
         self._choose(self._read(cloud, positions, turn, turns), turn, turns)
 
     def propose(self, known: KnownTurn) -> np.ndarray:
-        """Let cameras choose again; see :meth:`Online.propose`."""
+        """Choose new targets for some cameras and return all; see :meth:`Online.propose`."""
         self._choose(self._map_of(known), known.turn, known.turns)
         return self._plan.copy()
 
     def _choose(self, known: MapTurn, turn: int, turns: int) -> None:
-        """Let the cameras whose turn it is choose again."""
+        """Choose new targets for the cameras of :meth:`asked`, until interrupted."""
         for camera in self.asked(len(known.positions), turn, turns):
             if self.interrupted():
                 break
@@ -138,9 +139,10 @@ class MapActor(PipelinedPlanner):
         self._settle(known)
 
     def asked(self, cameras: int, turn: int, turns: int) -> np.ndarray:
-        """Return the cameras that choose again at the turn that was begun, in their order."""
+        """Return the cameras that choose again in this time step, in their order."""
         asked = max(AGAIN, -(-OFTEN * cameras // turns))
-        # All do at first, as soon as nobody waits for an answer; until then one does.
+        # In the first plan that no time step waits for, all cameras choose twice. In an episode of
+        # many time steps the first plan is waited for, so one camera chooses.
         if self._turns == int(self._ahead(turns)):
             asked = max(asked, 2 * cameras)
         elif self._turns == 0:
@@ -148,17 +150,17 @@ class MapActor(PipelinedPlanner):
         return np.resize(order_of(turn * AGAIN, cameras), asked)
 
     def end(self, known: MapTurn) -> np.ndarray:
-        """Let cameras go where a turn has sent them: the next moves (K, 2), metres."""
+        """Return the next moves of the cameras towards their new targets: (K, 2) metres."""
         self._settle(known)
         return self.goals(known.positions) - known.positions[:, :2]
 
     def _settle(self, known: MapTurn) -> None:
-        """Match the cameras with where a turn has sent them, so that they walk least."""
+        """Assign the new targets to the cameras with the shortest total path."""
         self._plan = known.plan[matched(known.positions, known.plan[:, :2], self._kinds())]
         self._turns += 1
 
     def choose(self, known: MapTurn, camera: int, over: float) -> None:
-        """Let a camera choose again where it goes, when a share of the turns is over."""
+        """Choose the target of a camera again, after a share ``over`` of the episode."""
         plan, window = known.plan, known.room.window
         values = self.policy.values(**known.inputs(camera)).reshape(-1, CELLS * CELLS)
         curiosity = CURIOSITY * max(1.0 - over / EXPLORING, 0.0)
@@ -178,12 +180,12 @@ class MapActor(PipelinedPlanner):
         said = at_yaws(values, at, rows[:, 3])
         tried = trust * said + (1.0 - trust) * change + extra[at]
         found = int(np.argmin(tried))
-        # Beyond what was seen the network says inf.
+        # Outside the observed part of the map the network's value is inf.
         if not tried[found] > tried[0] - GAIN:
             known.send(camera, rows[found], looks[found])
 
     def _turned(self, camera: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Turn a camera all ways at places (M, 3): rows (M * H, 6), and the place of each."""
+        """Return the poses (M * H, 6) of all headings at places (M, 3), and the place of each."""
         headings = np.zeros((1, 3))
         if self.directional:
             headings = self.rig_state.headings(camera, YAWS, PITCHES)
@@ -191,15 +193,15 @@ class MapActor(PipelinedPlanner):
         return np.hstack([places[of_places], np.tile(headings, (len(places), 1))]), of_places
 
     def _kinds(self) -> np.ndarray | None:
-        """Tell which cameras may take each other's places: (K,); None for all."""
+        """Return the kind of each camera (K,), see :func:`kinds_of`; None for a single kind."""
         return None if self.rig_state is None else kinds_of(self.rig_state)[0]
 
 
 def _share(model: PartialMap, unseen: np.ndarray) -> float:
-    """Return the share of the air in the model that has not been seen."""
+    """Return the unseen share of the air in the model."""
     return int(count_bits(unseen)) / max(int(np.count_nonzero(model.cells != NO_CELL)), 1)
 
 
 def _nearby(share: np.ndarray, window: Window) -> np.ndarray:
-    """Return the mean of a share of the cells around each cell."""
+    """Return the mean share over the cells around each cell."""
     return uniform_filter(share, max(round(2.0 * AROUND / window.edge), 1), mode='constant')

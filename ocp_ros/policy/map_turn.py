@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A turn of the map actor: cameras choose, one after the other, where they go."""
+"""A time step of the map actor: cameras choose their targets one after the other."""
 
 import numpy as np
 from ocp_ros.geometry.cameras import Frustum
@@ -25,19 +25,19 @@ from ocp_ros.simulation.simulator import View
 
 class MapTurn:
     """
-    What is known at a turn, and where each camera goes as far as it has chosen.
+    The observation map of a time step, and the current targets of the cameras.
 
-    :param model: the engine on what has been seen.
-    :param space: where cameras may be, as far as has been seen.
+    :param model: partial map of the observed cloud.
+    :param space: feasible region of the cameras in the observed part of the room.
     :param unseen: packed bits of the model's cells of the air that no camera has covered yet.
-    :param plan: (K, 6) metres and radians: where each camera goes, and how it is turned there.
-    :param positions: (K, 3) metres: where the cameras are.
-    :param rig_state: how they stand and what each sees; None for 360-degree cameras.
+    :param plan: (K, 6) metres and radians: target pose of each camera.
+    :param positions: (K, 3) metres: current positions of the cameras.
+    :param rig_state: camera models and headings; None for omnidirectional cameras.
     :param max_range: of the cameras, metres.
-    :param reach: how far a camera may still go, metres.
-    :param aimed: whether cameras that do not see all around are valued by heading.
+    :param reach: distance that a camera can still move, metres.
+    :param aimed: whether the network values headings of cameras that are not omnidirectional.
     :ivar room: the map; see :class:`~ocp_ros.online.observation_map.ObservationMap`.
-    :ivar cells: (CELLS * CELLS, 2) metres: the middles of the cells of the map.
+    :ivar cells: (CELLS * CELLS, 2) metres: the centres of the cells of the map.
     """
 
     def __init__(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, plan: np.ndarray,
@@ -53,12 +53,12 @@ class MapTurn:
         self._views = [self.look(camera, row[None])[0] for camera, row in enumerate(plan)]
 
     def beside(self, camera: int) -> list[View]:
-        """Return what all others see, those in place included, from where they go."""
+        """Return the views of all other cameras at their targets, fixed cameras included."""
         return [view for k, view in enumerate(self._views) if k != camera] + self._fixed
 
     def inputs(self, camera: int) -> dict[str, np.ndarray]:
         """
-        Return what the network reads for a camera.
+        Return the network's inputs for a camera.
 
         :returns: ``room``, ``others``, ``numbers`` and ``lens``; see
             :class:`~ocp_ros.policy.value_network.ValueMap`.
@@ -69,27 +69,27 @@ class MapTurn:
 
     def experience(self, camera: int) -> dict[str, np.ndarray]:
         """
-        Return what soft actor-critic reads for a camera: :meth:`inputs` and the choices.
+        Return the inputs of soft actor-critic for a camera: :meth:`inputs` and the choices.
 
-        It learns where cameras go that see all around, so it reads of no lens.
+        It trains the network for omnidirectional cameras, so ``lens`` is left out.
         """
         inputs = self.inputs(camera)
         del inputs['lens']
         return inputs | {'choices': self.choices(camera)}
 
     def away(self, camera: int) -> np.ndarray:
-        """Return how far each cell is from a camera: (CELLS * CELLS,) metres."""
+        """Return the distance of each cell from a camera: (CELLS * CELLS,) metres."""
         return np.linalg.norm(self.cells - self.positions[camera, :2], axis=-1)
 
     def open_to(self, camera: int) -> np.ndarray:
-        """Return over which cells a camera may be and can be in time: (CELLS * CELLS,) bool."""
+        """Return the feasible cells that a camera reaches in time: (CELLS * CELLS,) bool."""
         return self._free & (self.away(camera) <= self._reach)
 
     def choices(self, camera: int) -> np.ndarray:
         """
         Return the cells among which a camera may choose: (CELLS, CELLS) uint8, 1 or 0.
 
-        There is one at least: the cell next to where it goes already.
+        There is at least one: without a feasible cell, it is the cell nearest to the target.
         """
         free = self.open_to(camera)
         if not free.any():
@@ -98,39 +98,38 @@ class MapTurn:
 
     def place(self, camera: int, action: np.ndarray) -> np.ndarray:
         """
-        Return the place that an action means: (2,) metres.
+        Return the place of an action: (2,) metres, the nearest of :meth:`choices`.
 
-        :param action: (2,) from the middle of the map, in units of half its side; where that is
-            none of the choices, the nearest of them is taken.
+        :param action: (2,) from the centre of the map, in units of half its side.
         """
         window = self.room.window
         wanted = window.low + 0.5 * CELLS * window.edge * (np.asarray(action, np.float64) + 1.0)
         return self.cells[self._next_to(wanted, self.choices(camera).ravel() > 0)]
 
     def _next_to(self, place: np.ndarray, free: np.ndarray) -> int:
-        """Return the cell of some (CELLS * CELLS,) that is next to a place."""
+        """Return the cell that is nearest to a place, among the free ones (CELLS * CELLS,)."""
         return int(np.argmin(np.where(free, np.linalg.norm(self.cells - place, axis=1), np.inf)))
 
     def send(self, camera: int, row: np.ndarray, view: View | None = None) -> None:
         """
-        Let a camera go somewhere; those that choose after it know.
+        Set the target pose of a camera; cameras that choose later use it.
 
         :param row: (6,) metres and radians.
-        :param view: what it will see there, if that is known.
+        :param view: the view from there; None to compute it.
         """
         self.plan[camera] = row
         self._views[camera] = self.look(camera, row[None])[0] if view is None else view
 
     def send_to(self, camera: int, action: np.ndarray) -> None:
-        """Let a camera go to the place that an action means, turned as it would be; see above."""
+        """Set the target of a camera to the place of an action; its heading does not change."""
         self.send(camera, np.concatenate([self.place(camera, action), self.plan[camera, 2:]]))
 
     def _lens(self, camera: int) -> Frustum | None:
-        """Return the lens of a camera; None for one that sees all around."""
+        """Return the frustum of a camera; None for an omnidirectional camera."""
         return None if self._sight is None else self._sight.lenses[camera]
 
     def look(self, camera: int, rows: np.ndarray) -> list[View]:
-        """Compute what a camera would see from rows (M, 6); those of a place are in a row."""
+        """Compute the views from poses (M, 6); poses at one position are consecutive rows."""
         lens = self._lens(camera)
         if lens is None:
             return [self.model.look(row[:3]) for row in rows]

@@ -15,9 +15,9 @@
 """
 The networks that read the observed cloud: three extraction units and an actor's head.
 
-``paper`` reads the cloud, its bounding box and all cameras, and one head answers for all cameras,
-as stable-baselines3 builds it: section III-C of arXiv 2110.11106. ``cloud`` is asked for one
-camera after the other; its weights serve any number of them.
+``paper`` reads the cloud, its bounding box and all cameras, and one head chooses the moves of all
+cameras, as stable-baselines3 builds it: section III-C of arXiv 2110.11106. ``cloud`` is evaluated
+for one camera after the other; its weights serve any number of cameras.
 """
 
 from ocp_ros.policy.agent_config import AgentConfig, PAPER
@@ -26,16 +26,16 @@ from ocp_ros.policy.value_network import ValueMapNetwork
 import torch
 from torch import nn, Tensor
 
-#: Bounds of the logarithm of the standard deviation of a move, as stable-baselines3 has them.
+#: Bounds of the logarithm of the standard deviation of a move, the same as in stable-baselines3.
 LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
 CAMERA_CHANNELS = 32
-#: What a camera knows of its own place: where it is between the walls and in the cloud, how far
-#: the four walls are, and how large the room is.
+#: Number of values for a camera's own position: its position relative to the walls (2) and in the
+#: cloud (3), the distances to the four walls (4), and half the size of the room (3).
 OWN_FEATURES = 2 + 3 + 4 + 3
 
 
 def perceptron(*widths: int) -> nn.Sequential:
-    """Stack linear layers, each with a ReLU behind it."""
+    """Stack linear layers, each followed by a ReLU."""
     layers = []
     for width_in, width_out in zip(widths[:-1], widths[1:]):
         layers += [nn.Linear(width_in, width_out), nn.ReLU()]
@@ -44,7 +44,7 @@ def perceptron(*widths: int) -> nn.Sequential:
 
 class ResidualBlock(nn.Module):
     """
-    A block of a head: what two layers make of the normalised input is added to it.
+    A block of a head: adds the output of two layers on the normalised input to the input.
 
     After SimBa (Lee et al., arXiv 2410.09754).
 
@@ -63,11 +63,11 @@ class ResidualBlock(nn.Module):
 
 def head(width: int, hidden: int, blocks: int) -> nn.Sequential:
     """
-    Return the layers between what is read and the last layer.
+    Return the layers between the features and the last layer.
 
-    :param width: of what is read.
+    :param width: of the features.
     :param hidden: of the output.
-    :param blocks: residual ones; 0 for two plain layers.
+    :param blocks: number of residual blocks; 0 for two plain layers.
     """
     if not blocks:
         return perceptron(width, hidden, hidden)
@@ -109,7 +109,7 @@ class ExtractionUnit(nn.Module):
         grouped = gather(points, groups) - centres[:, :, None]
         if features is not None:
             grouped = torch.cat([grouped, gather(features, groups)], dim=-1)
-        # The last ReLU and the maximum commute; in this order it has G times less to do.
+        # The last ReLU and the maximum commute; in this order the ReLU has G times less work.
         return self.layers[-1](self.norm(self.layers[:-1](grouped).amax(dim=2)))
 
 
@@ -117,11 +117,11 @@ class Extractor(nn.Module):
     """
     Features of an encoded observation; see :mod:`ocp_ros.policy.cloud_observation`.
 
-    The single key point of the last unit is the mean of those before, or, in ``cloud``, the
-    camera.
+    The single key point of the last unit is the mean of the key points of the unit before, or, in
+    ``cloud``, the camera.
 
-    :param config: which network, and its sizes.
-    :ivar width: F.
+    :param config: type and sizes of the network.
+    :ivar width: F, number of features.
     """
 
     def __init__(self, config: AgentConfig) -> None:
@@ -138,7 +138,7 @@ class Extractor(nn.Module):
             self.width += OWN_FEATURES + 2 * CAMERA_CHANNELS + OF_TURN
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
-        """Return (B, F)."""
+        """Return the features (B, F)."""
         cameras, half = observation['cameras'], observation['half_size']
         if self.paper:
             return torch.cat([self._cloud(observation, None), half, cameras.flatten(1)], dim=-1)
@@ -165,14 +165,14 @@ class Extractor(nn.Module):
 
 
 def pooled(features: Tensor, present: Tensor) -> Tensor:
-    """Pool features (..., N, C), not below 0, of what there is (..., N): (..., 2 C)."""
+    """Pool features (..., N, C) >= 0 where ``present`` (..., N) is 1, by mean and maximum."""
     features = features * present[..., None]
     count = present.sum(dim=-1, keepdim=True).clamp(min=1.0)
     return torch.cat([features.sum(dim=-2) / count, features.amax(dim=-2)], dim=-1)
 
 
 class Actor(nn.Module):
-    """The whole actor, what a robot runs: the layers of stable-baselines3's on the extractor."""
+    """The actor that a robot runs: the extractor and the layers of stable-baselines3's actor."""
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
@@ -194,5 +194,5 @@ class Actor(nn.Module):
 
 
 def actor_of(config: AgentConfig) -> nn.Module:
-    """Return what a robot runs, with random weights."""
+    """Return the network that a robot runs, with random weights."""
     return ValueMapNetwork(config) if config.map else Actor(config)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The policy: a trained network that turns what was seen into where each camera goes next."""
+"""The policy: a trained network that chooses moves or targets from the observed cloud."""
 
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint
@@ -29,7 +29,7 @@ class Policy:
     Run a checkpoint that reads the observed cloud; stable-baselines3 is not needed.
 
     :param checkpoint: weights and sizes.
-    :param encoder: what the rig is; by default that of the weights' own training.
+    :param encoder: with the properties of the rig; None for an encoder with its default values.
     """
 
     def __init__(self, checkpoint: Checkpoint, encoder: Encoder | None = None) -> None:
@@ -40,11 +40,11 @@ class Policy:
         self.actor.eval()
 
     def reset(self) -> None:
-        """Forget the last episode."""
+        """Discard the state of the last episode."""
         self.encoder.turns.reset()
 
     def replaced(self, checkpoint: Checkpoint) -> 'Policy':
-        """Return what runs other weights; what the encoder remembers is the episode's."""
+        """Return a policy with other weights; it keeps the encoder's state of the episode."""
         return type(self)(checkpoint, self.encoder)
 
     def act(self, cloud: np.ndarray, camera_positions: np.ndarray, turn: int = 0, turns: int = 30,
@@ -52,13 +52,13 @@ class Policy:
         """
         Choose the next move of each camera.
 
-        :param cloud: (N, 3) float32, metres, map frame: all points seen so far.
+        :param cloud: (N, 3) float32, metres, map frame: the observed cloud.
         :param camera_positions: (K, 3), metres, map frame.
-        :param turn: turns played so far.
-        :param turns: turns of the whole episode.
-        :param rng: draw the moves from the policy's distribution; None for the best ones.
+        :param turn: time steps taken so far.
+        :param turns: time steps of the whole episode.
+        :param rng: to draw the moves from the policy's distribution; None for its best moves.
         :returns: (K, 2) float32, in units of the longest step.
-        :raises ConfigurationError: if the weights serve another number of cameras alone.
+        :raises ConfigurationError: if the weights are for another number of cameras.
         """
         self.checkpoint.config.check_cameras(len(camera_positions))
         if not self.checkpoint.config.one_by_one:
@@ -97,21 +97,21 @@ class ValuePolicy:
         self._network = network.eval().to(memory_format=torch.channels_last)
 
     def replaced(self, checkpoint: Checkpoint) -> 'ValuePolicy':
-        """Return what runs other weights."""
+        """Return a policy with other weights."""
         return type(self)(checkpoint)
 
     def values(self, room: np.ndarray, others: np.ndarray, numbers: np.ndarray, lens: np.ndarray
                ) -> np.ndarray:
         """
-        Value all cells for one camera, given the others.
+        Return the values of all cells for one camera, given the other cameras.
 
         :param room: of :class:`~ocp_ros.online.observation_map.ObservationMap`.
         :param others: of its :meth:`~ocp_ros.online.observation_map.ObservationMap.others`.
-        :param numbers: of the same.
+        :param numbers: of the same method.
         :param lens: of the camera; see :func:`~ocp_ros.online.observation_map.lens_features`.
         :returns: (D, 64, 64) float32: ln((E with the camera + e) / (E of the others + e)) of the
             depth error E, for each heading of
-            :func:`~ocp_ros.online.observation_map.yaws_of`; inf beyond what was seen.
+            :func:`~ocp_ros.online.observation_map.yaws_of`; inf outside the observed part.
         """
         aimed = self._network.aimed
         network = self._network if aimed is None or lens.min() >= 1.0 else aimed
@@ -120,11 +120,11 @@ class ValuePolicy:
 
     def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
         """
-        Draw where a camera goes from the distribution that soft actor-critic trains.
+        Draw the target of a camera from the distribution that soft actor-critic trains.
 
-        :param inputs: of :meth:`values`, and ``choices`` (64, 64), not 0 where it may go.
-        :param rng: the only source of chance.
-        :returns: (2,) float32, from the map's middle in units of half its side.
+        :param inputs: of :meth:`values`, and ``choices`` (64, 64), not 0 for feasible cells.
+        :param rng: the only source of random numbers.
+        :returns: (2,) float32, from the centre of the map, in units of half its side.
         """
         free = torch.from_numpy(inputs['choices'])[None]
         with torch.random.fork_rng(devices=[]):
@@ -133,12 +133,12 @@ class ValuePolicy:
 
 
 def _valued(network: ValueMap, inputs: dict[str, np.ndarray]) -> torch.Tensor:
-    """Value all cells: (1, D, 64, 64)."""
+    """Return the values of all cells: (1, D, 64, 64)."""
     with torch.inference_mode():
         return valued(network, {name: torch.from_numpy(value)[None]
                                 for name, value in inputs.items()})
 
 
 def make_policy(checkpoint: Checkpoint) -> Policy | ValuePolicy:
-    """Return what runs a checkpoint."""
+    """Return the policy that runs a checkpoint."""
     return ValuePolicy(checkpoint) if checkpoint.config.map else Policy(checkpoint)

@@ -28,10 +28,10 @@ def _squared(one, other):
 @njit(cache=True, nogil=True)
 def farthest_points(points, count):
     """
-    Choose points one by one, each the farthest from those chosen before; the first is point 0.
+    Choose points one by one, each the farthest from the chosen points; the first is point 0.
 
     :param points: (N, 3) float32.
-    :param count: how many to choose; beyond N distinct places, points repeat.
+    :param count: number of points to choose; if it exceeds the distinct points, points repeat.
     :returns: (count,) int32 indices.
     """
     chosen = np.zeros(count, dtype=np.int32)
@@ -77,8 +77,8 @@ def nearest_in_ball(points, keys, radius, size):
     """
     Group the nearest points within a radius of each key point, the key point first.
 
-    Between keys that are spread evenly, nearly every point is in some group, however dense points
-    are: a ball query takes the same first points of a dense cloud again and again.
+    With evenly spread key points, nearly every point is in a group, also in a dense cloud; a ball
+    query would take the same first points for many groups.
 
     :param points: (N, 3) float32.
     :param keys: (K,) indices of the key points.

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-The network of the map actor: from a map of what was observed to what each place is worth.
+The network of the map actor: from the observation map to a value of each place.
 
-A small U-shaped network of convolutions (Ronneberger et al., 2015) of residual blocks; it is asked
-for one camera at a time, given the others, and answers for every cell at once.
+A small U-shaped convolutional network (Ronneberger et al., 2015) of residual blocks. It is
+evaluated for one camera at a time, given the other cameras, and returns the values of all cells.
 """
 
 from ocp_ros.online.observation_map import (
@@ -32,16 +32,16 @@ import torch
 from torch import nn, Tensor
 from torch.nn.functional import pixel_shuffle, pixel_unshuffle, relu
 
-#: Channels at half, a quarter and an eighth of the resolution, and the blocks on the way down.
+#: Channels at 1/2, 1/4 and 1/8 of the resolution, and the number of blocks in the encoder there.
 WIDTHS, DOWN = (32, 64, 96), (1, 2, 2)
-#: Cells along each side that the network takes together.
+#: The network merges blocks of this many cells along each side.
 TOGETHER = 2
-#: Differences of values by which the likelihoods of two cells differ by the factor e.
+#: Difference of values at which the probabilities of two cells differ by the factor e.
 TEMPERATURE = 0.05
 
 
 class ResidualBlock(nn.Module):
-    """Two convolutions whose result is added to what they read; at first they add nothing."""
+    """Two convolutions whose output is added to their input; with first weights it adds 0."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -51,18 +51,18 @@ class ResidualBlock(nn.Module):
         nn.init.zeros_(self.second.bias)
 
     def forward(self, values: Tensor) -> Tensor:
-        """Map (B, C, H, W) to as much."""
+        """Map (B, C, H, W) to (B, C, H, W)."""
         return values + self.second(relu(self.first(relu(values))))
 
 
 class ValueMap(nn.Module):
     """
-    What the depth error becomes if a camera goes to each cell of the map, by its heading there.
+    Predict the depth error if a camera goes to each cell of the map, for each heading there.
 
-    :param headings: D, how many there are; see
+    :param headings: D, number of headings; see
         :func:`~ocp_ros.online.observation_map.yaws_of`.
-    :param told: names of what it reads besides ``room`` and ``others``, and how many numbers each
-        of these is.
+    :param told: names of the scalar inputs besides the maps ``room`` and ``others``, and the
+        number of values of each.
     """
 
     def __init__(self, headings: int, told: dict[str, int]) -> None:
@@ -85,10 +85,10 @@ class ValueMap(nn.Module):
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """
-        Value all cells.
+        Return the values of all cells.
 
         :param observation: ``room`` (B, ``OF_ROOM``, H, W) and ``others`` (B, ``OF_OTHERS``, H, W)
-            uint8, ``numbers`` (B, ``NUMBERS``), and ``lens`` (B, ``OF_LENS``) where it is told.
+            uint8, ``numbers`` (B, ``NUMBERS``), and ``lens`` (B, ``OF_LENS``) if it is an input.
         :returns: (B, D, H, W): ln((E + e) / (E of the others + e)) of the depth error E; less is
             better.
         """
@@ -107,11 +107,11 @@ class ValueMap(nn.Module):
 
 class ValueMapNetwork(ValueMap):
     """
-    The map actor's network: a value map for cameras that see all around, and one for all others.
+    The map actor's network: a value map for omnidirectional cameras, and one for other cameras.
 
-    :param config: how many headings the other one has, if there is one; the sizes in it are those
-        of other networks.
-    :ivar aimed: it; None without.
+    :param config: its ``headings`` is the number of headings of the second value map, 0 without
+        one; its sizes belong to other networks.
+    :ivar aimed: the second value map; None without one.
     """
 
     def __init__(self, config: AgentConfig) -> None:
@@ -120,7 +120,7 @@ class ValueMapNetwork(ValueMap):
             if config.headings else None
 
     def begin_aimed(self) -> None:
-        """Let the one for all other cameras begin as the one for those that see all around."""
+        """Copy the weights of the omnidirectional value map into the second one."""
         own = self.state_dict()
         with torch.no_grad():
             for name, value in self.aimed.named_parameters():
@@ -129,17 +129,17 @@ class ValueMapNetwork(ValueMap):
                     value[:, :begun.shape[1]] = begun
                     value[:, begun.shape[1]:] = 0.0
                 else:
-                    # Only the last layer differs: it is the same for each heading.
+                    # Only the last layer has another shape: its weights repeat for each heading.
                     value.copy_(begun.repeat(len(value) // len(begun), *[1] * (value.dim() - 1)))
 
 
 def valued(network: nn.Module, observation: dict[str, Tensor]) -> Tensor:
     """
-    Value whole maps; the network reads no more of them than is used.
+    Return the values of whole maps; the network reads the used part of the maps alone.
 
     :param network: :class:`ValueMap`.
-    :param observation: of it, with maps of 64 x 64 cells, batched.
-    :returns: (B, D, 64, 64): inf beyond what was seen in any of the maps.
+    :param observation: its inputs, batched, with maps of 64 x 64 cells.
+    :returns: (B, D, 64, 64): inf for cells outside the union of the used parts.
     """
     rows, columns = used_part(observation['room'].amax(dim=0).cpu().numpy())
     part = network(observation | {name: observation[name][:, :, rows, columns]
@@ -151,20 +151,20 @@ def valued(network: nn.Module, observation: dict[str, Tensor]) -> Tensor:
 
 class CellChoices:
     """
-    How likely a camera goes to each cell: the softmax of what the network says, among some cells.
+    The distribution of a camera's target cell: the softmax of the negative values of free cells.
 
     :param values: (B, 1, 64, 64) from :func:`valued`.
-    :param free: (B, 64, 64), not 0 where it may go.
+    :param free: (B, 64, 64), not 0 for feasible cells.
     """
 
     def __init__(self, values: Tensor, free: Tensor) -> None:
-        # Cells beyond the map of a batch that was cut are as bad as they can be said to be.
+        # Cells outside the used part of the maps are inf and get the smallest logit.
         logits = (-values / TEMPERATURE).clamp(min=-1e4).flatten(1)
         self._log = logits.masked_fill(free.flatten(1) == 0, -1e9).log_softmax(dim=1)
 
     @property
     def shares(self) -> Tensor:
-        """Return the likelihood of each cell: (B, 64 * 64)."""
+        """Return the probability of each cell: (B, 64 * 64)."""
         return self._log.exp()
 
     @property
@@ -173,11 +173,11 @@ class CellChoices:
         return -(self.shares * self._log).sum(dim=1)
 
     def divergence(self, other: 'CellChoices') -> Tensor:
-        """Return the Kullback-Leibler divergence of others from these: (B,), in nats."""
+        """Return the Kullback-Leibler divergence from this to another one: (B,), in nats."""
         return (self.shares * (self._log - other._log)).sum(dim=1)
 
     def best(self) -> Tensor:
-        """Return the likeliest cells as actions: (B, 2)."""
+        """Return the most probable cells as actions: (B, 2)."""
         return action_of(self._log.argmax(dim=1))
 
     def sample(self) -> Tensor:
@@ -186,17 +186,17 @@ class CellChoices:
 
 
 def action_of(cells: Tensor) -> Tensor:
-    """Return the middles (B, 2) of cells (B,), from the map's middle in units of half its side."""
+    """Return the centres (B, 2) of cells (B,), from the map's centre in units of half its side."""
     at = torch.stack([cells // CELLS, cells % CELLS], dim=-1)
     return (2.0 * at + 1.0) / CELLS - 1.0
 
 
 def cell_of(actions: Tensor) -> Tensor:
-    """Return the numbers (B,) of the cells that actions (B, 2) mean."""
+    """Return the numbers (B,) of the cells of actions (B, 2)."""
     at = ((actions + 1.0) * (0.5 * CELLS)).long().clamp(0, CELLS - 1)
     return at[:, 0] * CELLS + at[:, 1]
 
 
 def _blocks(width: int, count: int) -> nn.Sequential:
-    """Put residual blocks one behind the other."""
+    """Stack residual blocks."""
     return nn.Sequential(*(ResidualBlock(width) for _ in range(count)))

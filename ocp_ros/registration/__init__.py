@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where a camera hangs: its live cloud registered to the scan of the room, without a target."""
+"""Find camera poses: register live clouds to the scan of the room, without a target."""

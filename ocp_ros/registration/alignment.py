@@ -15,8 +15,8 @@
 """
 Point-to-plane registration of points to surfaces, from many starts at once.
 
-Iteratively reweighted least squares (Chen and Medioni, 1992) with the kernel of Geman and McClure.
-A point is matched only to a surface that faces the camera as the point's own surface does.
+The method is iteratively reweighted least squares (Chen and Medioni, 1992) with the kernel of
+Geman and McClure. A point is matched only to a surface with a similar normal.
 """
 
 from typing import NamedTuple
@@ -25,11 +25,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-#: A point and its match may face so far apart: cosine of 60 degrees.
+#: The least cosine between the normals of a point and its match: 60 degrees.
 ALIKE = 0.5
-#: Share of the mean information that holds directions in which no surface does.
+#: The share of the mean information that is added in all directions, so that directions without
+#: surfaces stay solvable.
 DAMPING = 1e-4
-#: Steps end when none is longer than this: metres, and radians times one metre.
+#: The iteration ends when no step is longer than this: metres, and radians times one metre.
 STILL = 1e-5
 
 
@@ -45,18 +46,18 @@ class Poses(NamedTuple):
     positions: np.ndarray
 
     def only(self, which: np.ndarray) -> 'Poses':
-        """Return some of them."""
+        """Return a part of the arrays."""
         return Poses(self.rotations[which], self.positions[which])
 
 
 class Surfaces(NamedTuple):
     """
-    Points of a scan.
+    Points of a scan with normals.
 
     :ivar points: (N, 3) float64, metres, map frame.
     :ivar normals: (N, 3) unit vectors.
-    :ivar oriented: whether they look to where the surface can be seen from.
-    :ivar tree: of the points.
+    :ivar oriented: whether the normals point to the visible side of the surface.
+    :ivar tree: a tree of the points.
     """
 
     points: np.ndarray
@@ -66,17 +67,17 @@ class Surfaces(NamedTuple):
 
     @classmethod
     def of(cls, points: np.ndarray, normals: np.ndarray, oriented: bool) -> 'Surfaces':
-        """Build the tree."""
+        """Build the surfaces and their tree."""
         return cls(points, normals, oriented, cKDTree(points))
 
 
 class Patches(NamedTuple):
     """
-    What a camera sees, thinned.
+    The measured points of a camera, thinned.
 
     :ivar points: (M, 3) metres, body frame.
     :ivar normals: (M, 3) unit vectors towards the camera.
-    :ivar deviation: (M,) metres, how far off a point may be.
+    :ivar deviation: (M,) metres, the standard deviation of each point.
     """
 
     points: np.ndarray
@@ -84,7 +85,7 @@ class Patches(NamedTuple):
     deviation: np.ndarray
 
     def only(self, which: np.ndarray) -> 'Patches':
-        """Return some of them."""
+        """Return a part of the arrays."""
         return Patches(*(values[which] for values in self))
 
 
@@ -92,9 +93,11 @@ class AlignmentStage(NamedTuple):
     """
     One stage of a registration.
 
-    :ivar gate: metres between a point and its match at most, in the first step and the last.
-    :ivar kernel: width of the kernel in standard deviations, in the first step and the last.
-    :ivar steps: how many at most.
+    :ivar gate: the largest distance between a point and its match, metres, in the first and in the
+        last step.
+    :ivar kernel: the width of the kernel in standard deviations, in the first and in the last
+        step.
+    :ivar steps: the largest number of steps.
     """
 
     gate: tuple[float, float]
@@ -104,13 +107,13 @@ class AlignmentStage(NamedTuple):
 
 class Matches(NamedTuple):
     """
-    Points and what they lie on, for several poses.
+    Matches of points and surfaces, for several poses.
 
     :ivar residuals: (S, M) metres across the surface.
-    :ivar jacobians: (S, M, 6): what a residual gains by radians about the axes of the map through
-        the camera, and by metres along them.
-    :ivar found: (S, M) whether there is a match.
-    :ivar indices: (S, M) of the surface.
+    :ivar jacobians: (S, M, 6): the derivatives of the residuals by radians about the map axes
+        through the camera, and by metres along them.
+    :ivar found: (S, M) bool, whether there is a match.
+    :ivar indices: (S, M) indices of the matched surface points.
     """
 
     residuals: np.ndarray
@@ -120,7 +123,7 @@ class Matches(NamedTuple):
 
 
 def matched(surfaces: Surfaces, patches: Patches, poses: Poses, gate: float) -> Matches:
-    """Match points to the nearest surfaces that face as they do."""
+    """Match points to the nearest surface points with similar normals."""
     arms = np.einsum('sij,mj->smi', poses.rotations, patches.points)
     placed = arms + poses.positions[:, None]
     distance, index = surfaces.tree.query(placed, distance_upper_bound=gate)
@@ -155,11 +158,11 @@ def aligned(surfaces: Surfaces, patches: Patches, poses: Poses, stage: Alignment
     """
     Register points to surfaces from several starts.
 
-    :param surfaces: of the scan.
-    :param patches: what the camera sees.
-    :param poses: the starts.
-    :param stage: how.
-    :returns: where each start leads.
+    :param surfaces: the surfaces of the scan.
+    :param patches: the measured points of the camera.
+    :param poses: the start poses.
+    :param stage: the limits of the iteration.
+    :returns: the final pose of each start.
     """
     for step in range(stage.steps):
         along = min(step / max(0.7 * stage.steps, 1.0), 1.0)
@@ -174,7 +177,7 @@ def aligned(surfaces: Surfaces, patches: Patches, poses: Poses, stage: Alignment
 
 
 def solved(matches: Matches, weights: np.ndarray) -> np.ndarray:
-    """Return the steps (S, 6) that make the weighted residuals least."""
+    """Return the steps (S, 6) that minimise the weighted residuals."""
     weighted = matches.jacobians * weights[..., None]
     normal = np.swapaxes(weighted, 1, 2) @ matches.jacobians
     right = np.einsum('smi,sm->si', weighted, matches.residuals)

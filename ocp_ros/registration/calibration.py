@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The cameras of a placement, each registered to the scan, and the placement as it was built."""
+"""Register the cameras of a placement to the scan, and write the placement as built."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -30,27 +30,27 @@ from ocp_ros.rig.rig_file import Rig, rig_from
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.yaml_files import Document
 
-#: How else a camera may be mounted or its cloud be written, radians about its viewing direction,
-#: and the axes of its points.
+#: Alternatives to try: a description, a roll in radians about the viewing direction, and the axes
+#: of the cloud.
 OTHERWISE = (
     ('it is mounted upside down', np.pi, np.eye(3)),
     ('it is mounted on its side', 0.5 * np.pi, np.eye(3)),
     ('it is mounted on its other side', -0.5 * np.pi, np.eye(3)),
     ('its cloud has optical axes (--cloud-frame optical)', 0.0, OPTICAL_TO_BODY),
     ('its cloud has the axes of the body (--cloud-frame body)', 0.0, OPTICAL_TO_BODY.T))
-#: Metres and degrees from which on a camera has moved, and expected deviations.
+#: Metres and degrees, and multiples of the expected deviation, above which a camera has moved.
 MOVED, SURE = (0.02, 1.0), 3.0
 
 
 def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
               ) -> tuple[dict[str, Registration], dict[str, str]]:
     """
-    Register each camera that has a cloud, from where the placement has it.
+    Register each camera that has a cloud, starting at its pose in the placement.
 
-    :param scan: of the room, in the frame of the placement.
-    :param placement: planned or measured.
-    :param clouds: (N, 3) metres, body frame, by the camera's name.
-    :returns: what was found, and for cameras whose clouds cannot be used why, both by name.
+    :param scan: the scan of the room, in the frame of the placement.
+    :param placement: the planned or measured placement.
+    :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
+    :returns: the registrations, and for unusable clouds the reasons, both by the camera's name.
     """
     found, broken = {}, {}
     for placed in placement.cameras:
@@ -65,7 +65,7 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
 
 def _registered(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Registration:
     """
-    Register a camera; where the scan does not show what it sees, as it may be mounted otherwise.
+    Register a camera; if its cloud does not match the scan, try other mountings.
 
     :raises SceneError: if its cloud cannot be used.
     """
@@ -85,9 +85,10 @@ def _registered(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Regist
 def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
           ) -> list[str]:
     """
-    Tell which cameras no longer fit the scan where the placement has them, a sentence each.
+    Return which cameras no longer fit the scan at their poses, one sentence each.
 
-    What a scan cannot tell is not reported: a camera that it does not hold may stand still.
+    Only certain displacements are reported: a camera that the scan does not constrain may not have
+    moved.
     """
     moved = []
     for placed in placement.cameras:
@@ -113,7 +114,7 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
 
 def as_built(placement: Placement, found: Mapping[str, Registration], command: str) -> Placement:
     """
-    Return a placement with the cameras where they were found; those that were refused stay.
+    Return a placement with the cameras at the registered poses; refused ones keep theirs.
 
     :param command: the command line, for the record.
     """
@@ -122,14 +123,14 @@ def as_built(placement: Placement, found: Mapping[str, Registration], command: s
         placed for placed in cameras if placed.mount == FIXED])
     created = {**created_by(command, placement.created.get('planner', '')),
                'calibrated': ', '.join(name for name, one in found.items() if not one.refused)}
-    # Scores of the plan are not those of what was built.
+    # The scores of the plan do not hold for the placement as built.
     scores = {} if any(placed.planned for placed in cameras) else placement.scores
     return replace(placement, cameras=cameras, rig=rig, scores=scores, created=created,
                    document=None, ways=())
 
 
 def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
-    """Return what was found of a camera as plain data."""
+    """Return the registration of a camera as plain data."""
     held, start = found.certainty, Pose.of(placed.pose)
     row = {'camera': placed.camera.name, 'refused': found.refused,
            'residual': found.residual, 'overlap': found.overlap, 'violated': found.violated,
@@ -148,7 +149,7 @@ def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
 
 
 def _found(placed: Placed, found: Mapping[str, Registration]) -> Placed:
-    """Return a camera where it was found, if it was."""
+    """Return a camera at its registered pose, if it has one."""
     one = found.get(placed.camera.name)
     if one is None or one.refused:
         return placed
@@ -156,7 +157,7 @@ def _found(placed: Placed, found: Mapping[str, Registration]) -> Placed:
 
 
 def _with_fixed(rig: Rig, placed: list[Placed]) -> Rig:
-    """Return a rig whose cameras in place are where they were found."""
+    """Return a rig with the cameras in place at their registered poses."""
     if not any(one.planned for one in placed):
         return rig
     data = deepcopy(rig.document.data)

@@ -13,14 +13,13 @@
 # limitations under the License.
 
 """
-Register what a camera sees to the scan of its room, from about where it is planned to hang.
+Register the cloud of a camera to the scan of its room, starting near the planned pose.
 
-Many starts around that pose are registered coarsely; the best of those that end apart are
-registered finely: first to the surfaces of which the scan surely shows the right side, then to
-all that are where they are seen. The answer is the pose that explains most of what the camera sees
-with the fewest surfaces where it has looked through.
-It is refused where little is explained, where another pose explains as much, or where the
-surfaces do not hold the camera.
+Many starts around that pose are registered coarsely. The best of the distinct results are
+registered finely: first to the surfaces whose scanned side is certain, then to all visible ones.
+The answer is the pose that explains most of the cloud with the fewest surfaces in space that the
+camera has measured as free. It is refused if the scan explains little of the cloud, if another
+pose explains as much, or if the surfaces do not constrain the pose.
 """
 
 from typing import NamedTuple
@@ -44,53 +43,56 @@ from ocp_ros.registration.pose_certainty import axis_words, Certainty, certainty
 from ocp_ros.registration.scan_surfaces import ScanSurfaces, SurfacesInView
 from scipy.stats import qmc
 
-#: Metres and radians that starts are away from the planned pose, and how many there are.
+#: Two sets of starts: the largest metres and radians from the planned pose, and the number of
+#: starts.
 NEARBY, WIDE = (0.4, np.deg2rad(15.0), 32), (1.1, np.deg2rad(32.0), 64)
-#: Patches that starts are registered with, and the best of them again; how many those are.
+#: The number of patches for the registration of all starts and of the best ones, and the number of
+#: the best ones.
 SKETCH, OUTLINE, BEST = 160, 600, 12
-#: What becomes of a start, stage by stage.
+#: The stages of the registration of a start.
 ROUGH = AlignmentStage((1.0, 0.3), (40.0, 8.0), 14)
 BETTER = AlignmentStage((0.4, 0.2), (12.0, 5.0), 12)
 FINER = (AlignmentStage((0.15, 0.08), (4.0, 2.0), 16), AlignmentStage((0.1, 0.08), (2.0, 1.0), 16))
 FINEST = AlignmentStage((0.04, 0.03), (2.0, 0.7), 16)
-#: Metres that a pose is shifted in each of its six directions, metres of a turn by one radian,
-#: patches that judge it, and what a shift has to gain.
+#: Shifts in metres of a pose in each of its six directions, metres of a rotation by one radian,
+#: the number of patches for the comparison, and the least gain of a shifted pose.
 SHIFTS, ARM, JUDGES, GAIN = (0.02, 0.04, 0.06, 0.08), 2.5, 2000, 1e-3
-#: Poses are apart beyond so many metres or radians; farther from the start than this none is an
-#: answer.
+#: Metres and radians beyond which poses are distinct; the largest metres and radians of an answer
+#: from its start.
 APART, FARTHEST = (0.10, np.deg2rad(4.0)), (1.6, np.deg2rad(45.0))
-#: Metres and radians from which on two answers are not the same one.
+#: Metres and radians beyond which two answers are distinct.
 DISTINCT = 0.01, np.deg2rad(0.5)
-#: Poses that are refined at most, and how far behind the best they may be by then.
+#: The largest number of refined poses, and their largest distance in score from the best.
 MOST, MUCH_WORSE = 3, 0.2
-#: Standard deviations and metres across within which a surface explains a point, and metres along
-#: it; and standard deviations and metres from which on it stands beside it.
+#: A surface explains a point within a distance across the surface (standard deviations plus
+#: metres) and a distance to its nearest point (metres); from the other distance on (standard
+#: deviations plus metres) the surface has been displaced.
 EXPLAINED, NEAR, WITHIN = 3.0, 0.02, 0.15
 BESIDE, CLOSE = 2.0, 0.01
-#: Standard deviations and metres from which on a point lies behind a surface, and how many
-#: explained points such a one outweighs.
+#: A point lies behind a surface from this distance on (standard deviations plus metres); and the
+#: number of explained points that such a point outweighs.
 BEHIND, LITTLE, BLAME = 2.0, 0.006, 3.0
-#: What an answer needs: the share of what is seen that the scan explains, the shares of surfaces
-#: that may stand where the camera looked through and of points that may lie closely behind a
-#: surface, what another pose must be behind in score, and a near one as a share of the fit, and
-#: the largest doubted deviations, metres and degrees; chosen on validation rooms.
+#: Limits of an accepted answer, chosen on validation rooms: the least share of the cloud that the
+#: scan explains; the largest share of surfaces in space measured as free; the largest share of
+#: points closely behind a surface; the least lead in score over another pose, and over a nearby
+#: pose as a share of the fit; the largest deviations with doubt, metres and degrees.
 LEAST_OVERLAP, MOST_VIOLATED, MOST_BEHIND, LEAD, NEAR_LEAD = 0.35, 0.05, 0.025, 0.06, 0.003
 MOST_METRES, MOST_DEGREES = 0.0085, 0.45
 
 
 class Registration(NamedTuple):
     """
-    Where a camera hangs, by what it sees.
+    The registered pose of a camera and its quality.
 
-    :ivar pose: in the map frame; where it is refused, what was found best.
-    :ivar residual: root mean square distance of what was matched to the scan, metres.
-    :ivar overlap: the share of what the camera sees that the scan explains, 0 to 1.
-    :ivar violated: the share of the scan's surfaces in view that the camera looked through.
-    :ivar certainty: how well the pose is held.
-    :ivar beside: the share of the surfaces in view that stand beside where they were scanned.
-    :ivar behind: the share of what the camera sees that lies closely behind scanned surfaces.
-    :ivar refused: why the pose is not to be used; empty where it is.
-    :ivar otherwise: how it is mounted, or its cloud has axes, other than was said; else empty.
+    :ivar pose: the pose in the map frame; if it is refused, the best one found.
+    :ivar residual: the root mean square distance of matched points from the scan, metres.
+    :ivar overlap: the share of the cloud that the scan explains, 0 to 1.
+    :ivar violated: the share of the scan's surfaces in view that are in space measured as free.
+    :ivar certainty: the expected deviations of the pose.
+    :ivar beside: the share of the surfaces in view that are displaced against the scan.
+    :ivar behind: the share of the cloud that lies closely behind scanned surfaces.
+    :ivar refused: the reason why the pose must not be used; empty if it can be used.
+    :ivar otherwise: the actual mounting or axes of the cloud, if other than given; else empty.
     """
 
     pose: Pose
@@ -105,18 +107,18 @@ class Registration(NamedTuple):
 
     @property
     def unlike(self) -> bool:
-        """Return whether what is seen is not what the scan has there."""
+        """Return whether the cloud does not match the scan."""
         return self.overlap < LEAST_OVERLAP or self.violated > MOST_VIOLATED
 
 
 def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel) -> Registration:
     """
-    Find where a camera hangs.
+    Find the pose of a camera.
 
-    :param scan: of the room.
-    :param view: what the camera sees.
-    :param start: where it is planned to be; within about a metre and 30 degrees.
-    :param model: of the camera.
+    :param scan: the scan of the room.
+    :param view: the cloud of the camera.
+    :param start: the planned pose, accurate to about a metre and 30 degrees.
+    :param model: the model of the camera.
     """
     poses = [_refined(scan, view, pose, model) for pose in _apart(scan, view, start)]
     scores = [_score(scan, view, pose) for pose in poses]
@@ -132,26 +134,26 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
 
 def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
     """
-    Find where a camera hangs that hardly moved: cheaper than :func:`register`.
+    Find the pose of a camera that has hardly moved; cheaper than :func:`register`.
 
-    :param pose: where it hung before, to a few centimetres.
+    :param pose: the former pose, accurate to a few centimetres.
     """
     return _judged(scan, view, _refined(scan, view, pose, model), model)
 
 
 def _searched(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:
-    """Register starts around a pose coarsely, and return where the best of them end."""
+    """Register starts around a pose coarsely, and return the results of the best of them."""
     poses = _starts(start)
     sketch, outline = (_some(view.patches, count) for count in (SKETCH, OUTLINE))
     poses = aligned(scan.coarse, sketch, poses, ROUGH)
     best = np.argsort(-_explained(scan.coarse, sketch, poses, 5.0), kind='stable')[:BEST]
-    # The start itself may be the best one; few points tell badly.
+    # Few points rank poses badly, so the planned pose is always included.
     best = np.union1d(best, 0)
     return aligned(scan.coarse, outline, poses.only(best), BETTER)
 
 
 def _starts(start: Pose) -> Poses:
-    """Return a pose, and others around it."""
+    """Return a pose and the starts around it."""
     around = [np.zeros((1, 6))]
     for seed, (metres, radians, count) in enumerate((NEARBY, WIDE)):
         unit = 2.0 * qmc.Sobol(6, seed=seed).random(count) - 1.0
@@ -162,7 +164,7 @@ def _starts(start: Pose) -> Poses:
 
 
 def _some(patches: Patches, count: int) -> Patches:
-    """Return some of the patches, all over the view."""
+    """Return a random subset of the patches, from all parts of the view."""
     return patches.only(np.random.default_rng(0).permutation(len(patches.points))[:count])
 
 
@@ -173,7 +175,7 @@ def _explained(surfaces: Surfaces, patches: Patches, poses: Poses, kernel: float
 
 
 def _apart(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
-    """Return the poses around a start that explain best what is seen, all apart."""
+    """Return the distinct poses around a start that best explain the cloud."""
     poses = _searched(scan, view, start)
     scores = (_explained(scan.coarse, _some(view.patches, OUTLINE), poses, 5.0)
               - view.violated(scan.coarse.points, poses))
@@ -187,20 +189,20 @@ def _apart(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
 
 
 def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
-    """Tell how well a refined pose explains what is seen, at most 1."""
+    """Return the score of a refined pose, at most 1."""
     return float(_explained(scan.fine, view.patches, _one(pose), 3.0)[0]
                  - BLAME * _behind(scan.fine, view.patches, _one(pose))[0]
                  - view.violated(scan.points, _one(pose))[0])
 
 
 def _are_apart(one: Pose, other: Pose, apart: tuple[float, float] = APART) -> bool:
-    """Return whether two poses are not the same one, to some metres and radians."""
+    """Return whether two poses differ by more than given metres or radians."""
     metres, radians = one.away_from(other)
     return metres > apart[0] or radians > apart[1]
 
 
 def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Pose:
-    """Register finely from near."""
+    """Register finely from a nearby pose."""
     for stage in FINER:
         surfaces = scan.in_view(pose, model).sided
         if len(surfaces.points) < len(view.patches.points) // 50 + 1:
@@ -210,7 +212,7 @@ def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel)
 
 
 def _judged(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
-    """Register a pose as finely as can be, and judge the answer."""
+    """Register a pose as finely as possible, and decide whether to accept it."""
     inside = scan.in_view(pose, model)
     (pose, rival), surfaces = _shifted(inside, view.patches, pose), inside.every
     matches, weights = _matched(surfaces, view.patches, pose)
@@ -227,7 +229,7 @@ def _judged(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) 
 
 
 def _matched(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[Matches, np.ndarray]:
-    """Return the matches of a pose that was registered as finely as can be, and their weights."""
+    """Return the matches of a finely registered pose, and their weights."""
     matches = matched(surfaces, patches, _one(pose), FINEST.gate[1])
     return matches, weights_of(matches, patches.deviation, FINEST.kernel[1])
 
@@ -236,9 +238,10 @@ def _shifted(inside: SurfacesInView, patches: Patches, pose: Pose) -> tuple[Pose
     """
     Register a pose again from shifted ones.
 
-    A kernel as narrow as the noise holds a camera at the first pose where a few surfaces fit.
+    With a kernel as narrow as the noise, the registration may stay at a pose where only a few
+    surfaces fit.
 
-    :returns: the best fit, and another pose nearby that fits as well, if there is one.
+    :returns: the best pose, and another nearby pose that fits as well, if there is one.
     """
     surfaces = inside.every
     matches, weights = _matched(surfaces, patches, pose)
@@ -266,9 +269,9 @@ def _shifted(inside: SurfacesInView, patches: Patches, pose: Pose) -> tuple[Pose
 
 def _fits(inside: SurfacesInView, patches: Patches, poses: Poses) -> np.ndarray:
     """
-    Tell how well poses that were registered as finely as can be fit, (S,).
+    Return the fits of finely registered poses, (S,).
 
-    Surfaces whose side is sure count twice.
+    Surfaces whose scanned side is certain count twice.
     """
     return np.sum([_explained(surfaces, patches, poses, FINEST.kernel[1])
                    - BLAME * _behind(surfaces, patches, poses) for surfaces in inside], axis=0)
@@ -280,22 +283,22 @@ def _first(poses: Poses) -> Pose:
 
 
 def _one(pose: Pose) -> Poses:
-    """Return a pose as several."""
+    """Return a pose as an array of one pose."""
     return Poses(pose.rotation[None], pose.position[None])
 
 
 def _residual(matches: Matches, weights: np.ndarray) -> float:
-    """Return the weighted root mean square residual, metres; NaN where nothing was matched."""
+    """Return the weighted root mean square residual, metres; NaN without matches."""
     total = weights.sum()
     return float(np.sqrt((weights * matches.residuals ** 2).sum() / total)) if total else np.nan
 
 
 def _compared(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tuple[float, float]:
     """
-    Compare what is seen with the scan, whichever side of its surfaces it shows.
+    Compare the cloud with the scan, independently of the side of surfaces that it shows.
 
-    :returns: the share of what is seen that the scan explains; and how many surfaces stand beside
-        where they are seen, as a share of all that are seen and scanned.
+    :returns: the share of the cloud that the scan explains; and the share of displaced surfaces
+        among those both seen and scanned.
     """
     patches = view.patches
     placed = patches.points @ pose.rotation.T + pose.position
@@ -315,7 +318,8 @@ def _behind(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.ndarray:
     """
     Return the share of patches that lie closely behind a surface that faces the camera, (S,).
 
-    No side of a panel is seen there, and what was moved since the scan is mostly farther away.
+    Neither side of a panel can be seen there, and objects moved since the scan are mostly farther
+    away.
     """
     matches = matched(surfaces, patches, poses, WITHIN)
     behind = -matches.residuals > BEHIND * patches.deviation + LITTLE
@@ -323,7 +327,7 @@ def _behind(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.ndarray:
 
 
 def _as_well(pose: Pose, rival: Pose) -> str:
-    """Say that another pose fits as well."""
+    """Return the message that another pose fits as well."""
     away, turn = rival.away_from(pose)
     return (f'another pose, {away:.2f} m and {np.rad2deg(turn):.0f} degrees away, explains what '
             'it sees as well')
@@ -331,7 +335,7 @@ def _as_well(pose: Pose, rival: Pose) -> str:
 
 def _refusal(overlap: float, violated: float, behind: float, held: Certainty, beside: float
              ) -> str:
-    """Say why a pose is not to be used, if it is not."""
+    """Return the reason why a pose must not be used; empty if it can be used."""
     if overlap < LEAST_OVERLAP:
         return (f'the scan explains {100.0 * overlap:.0f} % of what it sees, '
                 f'{100.0 * LEAST_OVERLAP:.0f} % are needed')

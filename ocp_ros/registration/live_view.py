@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a camera sees from where it hangs: patches of surfaces, and the space that is free."""
+"""The live view of a camera: patches of surfaces, and the space measured as free."""
 
 from functools import cached_property
 
@@ -25,17 +25,18 @@ from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import MIN_POINTS, NEIGHBOURS, SceneError
 from scipy.ndimage import maximum_filter, minimum_filter
 
-#: Patches that a view is thinned to.
+#: The number of patches that a view is thinned to.
 PATCHES = 5000
-#: Rows of beams whose points are averaged: 0.6 degrees each; and metres of distance, beside noise,
-#: that part the points of a beam.
+#: The number of rows of beams in which points are averaged, 0.6 degrees each; and the gap in
+#: distance, in metres in addition to noise, that separates the points of a beam.
 BEAMS, GAP = 300, 0.03
-#: Rows of the map of free space: 1.5 degrees each.
+#: The number of rows of the map of free space, 1.5 degrees each.
 ROWS = 120
-#: Metres in front of what a camera sees where the space is surely free, beside its noise.
+#: Metres in front of a measured point, in addition to its noise, where the space is certainly
+#: free.
 MARGIN = 0.05
-#: Standard deviation of what registration takes a measured point for: at no distance, metres,
-#: and for each square metre of distance, 1/m; between a stereo camera's and a better one's.
+#: The assumed standard deviation of a measured point: a constant part in metres, and a part per
+#: square metre of distance in 1/m; between that of a stereo camera and a better one.
 NEAR, FARTHER = 0.005, 0.0015
 
 
@@ -43,10 +44,11 @@ class LiveView:
     """
     A live cloud of one camera.
 
-    :param points: (N, 3) metres, body frame (x forward, y left, z up); NaN and the origin are no
-        returns.
-    :param model: its ranges; farther points are left out, since they are measured badly.
-    :param name: what errors call it.
+    :param points: (N, 3) metres, body frame (x forward, y left, z up); NaN and the origin mean no
+        return.
+    :param model: the camera model; points out of its ranges are left out, since they are
+        inaccurate.
+    :param name: the name of the cloud in errors.
     :raises SceneError: if too few points are left.
     """
 
@@ -87,17 +89,17 @@ class LiveView:
 
     def violated(self, points: np.ndarray, poses: Poses) -> np.ndarray:
         """
-        Tell which share of the surfaces in view stands where the camera has looked through.
+        Return the share of the surfaces in view that are in space measured as free.
 
         :param points: (N, 3) of the scan, metres, map frame.
-        :param poses: where the camera may be.
+        :param poses: the candidate poses of the camera.
         :returns: (S,) from 0 to 1.
         """
         return np.array([self._violated((points - position) @ rotation)
                          for rotation, position in zip(*poses)])
 
     def _violated(self, points: np.ndarray) -> float:
-        """Return the share for points in the body frame."""
+        """Return this share for points in the body frame."""
         distance = np.maximum(np.linalg.norm(points, axis=1), 1e-6)
         cells = _cells(points, distance)
         low, high = (values[cells] for values in self._ranges)
@@ -108,15 +110,15 @@ class LiveView:
 
 
 def deviation(distance: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of points, metres, at some distances, metres."""
+    """Return the standard deviation of points, metres, at given distances, metres."""
     return np.hypot(NEAR, FARTHER * distance * distance)
 
 
 def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """
-    Average the points (N, 3) of each narrow beam, whose noise is along it.
+    Average the points (N, 3) of each narrow beam, since their noise is along the beam.
 
-    Voxels would cut what noise makes of a surface, a slab, into layers.
+    Noise turns a surface into a slab, which voxels would cut into layers.
 
     :param distance: (N,) metres, from the camera.
     :returns: (M, 3) metres, body frame.
@@ -124,7 +126,7 @@ def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
     row, column = _cells(points, distance, BEAMS)
     order = np.lexsort((distance, row * 2 * BEAMS + column))
     beam, near = (row * 2 * BEAMS + column)[order], distance[order]
-    # A gap in distance parts what stands behind each other.
+    # A gap in distance separates surfaces behind each other.
     apart = (np.diff(beam) != 0) | (np.diff(near) > GAP + 3.0 * deviation(near[1:]))
     group = np.concatenate([[0], np.cumsum(apart)])
     count = np.bincount(group)

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-How well surfaces hold a camera in each of the six directions in which it could be off.
+The certainty of a pose in each of the six directions in which it may be wrong.
 
-Neighbouring points err alike: they are of one panel, or of one frame of the scan. So what counts
-is the blocks of a metre that they lie in, not their number. The covariance is that of the
-delete-a-group jackknife over the blocks, plus that of blocks that each err on their own, by as
-much as the blocks at hand do.
+Neighbouring points have common errors, since they belong to one panel or one frame of the scan. So
+the number of one-metre blocks counts, not the number of points. The covariance is that of the
+delete-a-group jackknife over the blocks, plus that of blocks with independent errors as large as
+those observed.
 """
 
 from typing import NamedTuple
@@ -26,20 +26,21 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.registration.alignment import Matches
 
-#: Metres: edge of a block; and points that make a whole one.
+#: The edge of a block in metres, and the number of points of a whole block.
 BLOCK, WHOLE = 1.0, 8.0
-#: Metres that a block of a scan is off: at least, and where fewer whole blocks than so many tell.
+#: The standard deviation of a block of a scan in metres: the least value, and the value if there
+#: are fewer whole blocks than the last number.
 LEAST_DEVIATION, UNKNOWN_DEVIATION, TELLING = 0.003, 0.02, 4
 #: Standard deviation of a normal distribution over its median absolute deviation.
 NORMAL = 1.4826
-#: By how much a doubted deviation grows where the scan explains nothing; chosen on validation
-#: rooms.
+#: The factor by which a deviation grows with doubt if the scan explains nothing; chosen on
+#: validation rooms.
 DOUBT = 2.0
-#: Share of the variance within a block that is common to the block.
+#: The share of the variance within a block that is common to its points.
 UNEVEN = 0.2
-#: Metres and radians at most, where nothing holds a camera at all.
+#: The largest deviation in metres and radians, for an unconstrained camera.
 FREE = 10.0
-#: Metres and degrees within which a direction counts as held.
+#: Metres and degrees up to which a direction counts as constrained.
 HELD_METRES, HELD_DEGREES = 0.05, 2.0
 
 
@@ -47,10 +48,10 @@ class Certainty(NamedTuple):
     """
     Expected standard deviations of a pose.
 
-    :ivar along: (3, 3), a row each: directions in the map frame in which it may have slid.
-    :ivar metres: (3,) along these, the largest first.
-    :ivar about: (3, 3) axes in the map frame about which it may have turned.
-    :ivar degrees: (3,) about these, the largest first.
+    :ivar along: (3, 3), one row each: directions in the map frame of a possible displacement.
+    :ivar metres: (3,) deviations along these, the largest first.
+    :ivar about: (3, 3) axes in the map frame of a possible rotation.
+    :ivar degrees: (3,) deviations about these, the largest first.
     """
 
     along: np.ndarray
@@ -60,20 +61,20 @@ class Certainty(NamedTuple):
 
     def doubted(self, overlap: float, beside: float) -> 'Certainty':
         """
-        Return by how much the pose may be off where the scan is not to be trusted throughout.
+        Return the deviations of the pose if the scan may be partly wrong.
 
-        Surfaces that are seen beside where they were scanned may have been moved, or the scan may
-        show their other side; then so may others. Little overlap leaves few that say so.
+        Displaced surfaces may have been moved, or the scan may show their other side; then other
+        surfaces may be wrong as well. With little overlap, few surfaces reveal this.
 
-        :param overlap: the share of what is seen that the scan explains, 0 to 1.
-        :param beside: the share of the surfaces that stand beside, 0 to 1.
+        :param overlap: the share of the cloud that the scan explains, 0 to 1.
+        :param beside: the share of displaced surfaces, 0 to 1.
         """
         doubt = 1.0 + DOUBT * (1.0 - overlap + beside)
         return self._replace(metres=self.metres * doubt, degrees=self.degrees * doubt)
 
     @property
     def loose(self) -> list[str]:
-        """Say which directions nothing holds."""
+        """Return descriptions of the unconstrained directions."""
         return [*(f'can slide along {axis_words(axis)}' for axis, deviation
                   in zip(self.along, self.metres) if deviation > HELD_METRES),
                 *(f'can turn about {axis_words(axis)}' for axis, deviation
@@ -81,7 +82,7 @@ class Certainty(NamedTuple):
 
 
 def axis_words(axis: np.ndarray) -> str:
-    """Name a direction (3,) of the map, whichever way it points."""
+    """Return the name of a line with direction (3,) in the map, independently of its sign."""
     largest = int(np.abs(axis).argmax())
     if abs(axis[largest]) > 0.95:
         return ('the x direction', 'the y direction', 'the vertical')[largest]
@@ -96,11 +97,11 @@ def axis_words(axis: np.ndarray) -> str:
 def certainty(points: np.ndarray, normals: np.ndarray, matches: Matches, weights: np.ndarray
               ) -> Certainty:
     """
-    Tell how well a registration holds a camera.
+    Return the expected deviations of a registered pose.
 
-    :param points: (M, 3) the surfaces that were matched, metres, map frame.
+    :param points: (M, 3) the matched surface points, metres, map frame.
     :param normals: (M, 3) their normals.
-    :param matches: of one pose, with M points.
+    :param matches: the matches of one pose, with M points.
     :param weights: (1, M), see :func:`~ocp_ros.registration.alignment.weights_of`.
     """
     jacobians, weights = matches.jacobians[0], weights[0]
@@ -128,13 +129,13 @@ def certainty(points: np.ndarray, normals: np.ndarray, matches: Matches, weights
 
 
 def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
-    """Return how far blocks of the scan are off, metres, by the residuals (M,) in each of them."""
+    """Return the deviation of blocks of the scan, metres, given the residuals (M,)."""
     ends = np.cumsum(np.bincount(blocks))[:-1]
     parts = np.split(residuals[np.argsort(blocks, kind='stable')], ends)
     middles = [np.median(part) for part in parts if len(part) >= WHOLE]
     if len(middles) < TELLING:
         return UNKNOWN_DEVIATION
-    # Panels whose other side was scanned are few: the median leaves them out.
+    # Few panels were scanned from the other side, so the median ignores them.
     return max(NORMAL * float(np.median(np.abs(middles))), LEAST_DEVIATION)
 
 

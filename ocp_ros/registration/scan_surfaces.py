@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-The surfaces of a scan that a camera can be registered to, and which sides of them were scanned.
+Surfaces of a scan for registration, and which sides of them were scanned.
 
-A panel that was scanned from behind stands as far from what a camera in front of it sees as it is
-thick, and would pull the camera by that. Normals say which side was scanned. Without them only
-such surfaces count as can have but one side: those behind which the scan has nothing, such as
-outer walls, floor and ceiling, and those of which both sides are there.
+If a panel was scanned from behind, its scanned face differs from the face that a camera in front
+measures by the thickness of the panel, which would displace the camera. Normals show which side
+was scanned. Without normals, only two kinds of surfaces are used as one-sided: those with nothing
+behind them in the scan, such as outer walls, floor and ceiling, and those with both sides in the
+scan.
 """
 
 from functools import cached_property
@@ -35,30 +36,31 @@ from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import NEIGHBOURS, Scene
 from scipy.spatial import cKDTree
 
-#: Points that a scan is thinned to, and those of them that a search begins with.
+#: The number of points that a scan is thinned to, and the number used at the start of a search.
 FINE_POINTS, COARSE_POINTS = 100_000, 12_000
-#: Share of the outermost surfaces whose normals look inside where those of a file can be trusted.
+#: The least share of the outermost surfaces whose normals point inwards (or outwards) if the
+#: normals of a file are consistent.
 INWARD = 0.8
-#: Metres from the bounding box within which a surface is an outermost one.
+#: Metres: a surface this near to the bounding box is an outermost one.
 SHELL = 0.1
-#: Metres: how thick what has two sides is at most, the steps in which the other is sought, and
-#: how thick it has to be that a fused scan keeps its sides apart, and metres around what is not
-#: where the same face is not to be trusted.
+#: Metres: the largest thickness of an object with two sides; the step of the search for the other
+#: side; the thickness below which a fused scan mixes both sides; the radius around thin parts
+#: within which the same face is not used.
 THICK, STEP, THIN, RESTS = 0.4, 0.04, 0.15, 0.3
-#: Degrees of the cells in which is sought what stands behind a surface, and metres that it has to
-#: be behind.
+#: The size in degrees of the cells in which surfaces behind others are searched for, and the
+#: metres that they have to be behind.
 CELL, BEHIND = 6.0, 0.1
-#: Metres: nothing is matched to what is so far away.
+#: Metres: points this far away have no matches.
 OUT_OF_REACH = 1e6
 NOWHERE = np.empty((0, 3), dtype=np.float32)
 
 
 class SurfacesInView(NamedTuple):
     """
-    What of a scan a camera looks at.
+    The surfaces of a scan in the view of a camera.
 
-    :ivar sided: surfaces of which the scan shows the side that the camera sees.
-    :ivar every: also those of which it may show the other side.
+    :ivar sided: surfaces whose side towards the camera was scanned.
+    :ivar every: also surfaces whose other side may have been scanned.
     """
 
     sided: Surfaces
@@ -69,10 +71,10 @@ class ScanSurfaces:
     """
     A scan for registration.
 
-    :param scene: the room, as dense as it is known.
+    :param scene: the room, as dense as available.
     :ivar points: (N, 3) float64, metres, map frame.
     :ivar normals: (N, 3) float64 unit vectors; towards free space where they are ``oriented``.
-    :ivar oriented: whether the scan says which side of its surfaces was scanned.
+    :ivar oriented: whether the normals show which side of a surface was scanned.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -80,7 +82,7 @@ class ScanSurfaces:
         self.oriented = sign != 0.0
         edge = voxel_size_for(scene.points, FINE_POINTS)
         if self.oriented:
-            # Both sides of a thin panel share voxels, but no group.
+            # Both sides of a thin panel share voxels, but belong to different groups.
             normals = sign * scene.normals
             axis = np.abs(normals).argmax(axis=1)
             group = 2 * axis + (np.take_along_axis(normals, axis[:, None], 1)[:, 0] > 0.0)
@@ -97,28 +99,28 @@ class ScanSurfaces:
 
     @cached_property
     def coarse(self) -> Surfaces:
-        """Return some of the points, all over the room."""
+        """Return a random subset of the points, from all parts of the room."""
         few = np.random.default_rng(0).permutation(len(self.points))[:COARSE_POINTS]
         return Surfaces.of(self.points[few], self.normals[few], self.oriented)
 
     @cached_property
     def _visibility(self) -> SurfelVisibility:
-        """Return what tells which points a camera sees."""
+        """Return the visibility of the points."""
         return SurfelVisibility(self.points.astype(np.float32), self.normals.astype(np.float32),
                                 self._pitch, NOWHERE, FAST)
 
     @cached_property
     def _two_sided(self) -> np.ndarray:
-        """Tell of each point on which sides a surface like its own is close to it: (2, N)."""
+        """Return on which sides of each point a similar surface is close to it: (2, N)."""
         return np.stack([self._backed(-1.0, THICK), self._backed(1.0, THICK)])
 
     @cached_property
     def _thin(self) -> np.ndarray:
-        """Tell which points are of what is thinner than fused scans can tell, (N,) bool."""
+        """Return which points belong to objects too thin for fused scans, (N,) bool."""
         thin = self._backed(-1.0, THIN)
         if not thin.any():
             return thin
-        # Of a face that the other one has erased, rests are left around holes.
+        # If one face has erased the other in the fusion, remnants are left around holes.
         distance, index = cKDTree(self.points[thin]).query(
             self.points, k=4, distance_upper_bound=RESTS)
         hit = np.isfinite(distance)
@@ -127,7 +129,7 @@ class ScanSurfaces:
         return thin | (hit & alike).any(axis=1)
 
     def _backed(self, sign: float, thick: float) -> np.ndarray:
-        """Tell which points have a surface like theirs closely behind or before them, (N,)."""
+        """Return which points have a similar surface closely behind or in front of them, (N,)."""
         reach = max(0.5 * STEP, 1.5 * float(np.median(self._pitch)))
         found = np.zeros(len(self.points), dtype=bool)
         for away in np.arange(0.5 * STEP + reach, thick, STEP):
@@ -142,8 +144,8 @@ class ScanSurfaces:
         """
         Return the surfaces that a camera near a pose can be registered to.
 
-        :param pose: where it is, to a few decimetres and degrees.
-        :param model: its ranges.
+        :param pose: the pose, accurate to a few decimetres and degrees.
+        :param model: the camera model, for its range.
         """
         seen = Subset.none(self._visibility.order)
         around = CameraModel(0.0, model.max_range + 0.5)
@@ -158,13 +160,13 @@ class ScanSurfaces:
         return SurfacesInView(self._only(kept & sided), self._only(kept))
 
     def _only(self, kept: np.ndarray) -> Surfaces:
-        """Return some of the points, (N,) bool; where there are none, one that is out of reach."""
+        """Return the points that ``kept`` marks; if there are none, one that is out of reach."""
         if not kept.any():
             return Surfaces.of(np.full((1, 3), OUT_OF_REACH), np.array([[0.0, 0.0, 1.0]]), False)
         return Surfaces.of(self.points[kept], self.normals[kept], self.oriented)
 
     def _last_seen_from(self, position: np.ndarray, sign: np.ndarray) -> np.ndarray:
-        """Tell which points have nothing behind them as seen from a position, (N,) bool."""
+        """Return which points have nothing behind them as seen from a position, (N,) bool."""
         way = self.points - position
         distance = np.linalg.norm(way, axis=1)
         row = np.rad2deg(np.arcsin(way[:, 2] / np.maximum(distance, 1e-6))) // CELL
@@ -178,7 +180,7 @@ class ScanSurfaces:
 
 
 def inward_sign(scene: Scene) -> float:
-    """Return what turns the normals of a scan towards free space: 1, -1, or 0 if nobody knows."""
+    """Return the factor that turns normals towards free space: 1, -1, or 0 if unknown."""
     if scene.normals is None:
         return 0.0
     low, high = scene.bounds
@@ -191,7 +193,7 @@ def inward_sign(scene: Scene) -> float:
 
 def _thinned(points: np.ndarray, edge: float, signs: np.ndarray | None = None
              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Merge points in voxels; return them, normals of some signs, and what each stands for."""
+    """Merge points in voxels; return them, their normals with given signs, and their pitch."""
     merged = voxel_downsample(points, edge).astype(np.float64)
     distance, neighbours = nearest(merged, min(NEIGHBOURS, len(merged)))
     normals = edge_aware_normals(merged, neighbours).astype(np.float64)

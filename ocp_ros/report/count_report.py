@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How many cameras reach a target: the curve of error and coverage, as table and picture."""
+"""The number of cameras that reaches a target: errors and shares as table and picture."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -22,16 +22,16 @@ from ocp_ros.report.key_figures import percent
 from rich.console import Console
 from rich.table import Table
 
-#: What each share is called above its column: none is a share of all points.
+#: Column head of each share; none of them is a share of all points.
 HEADS = {'seen': 'of visible points', 'coverage': 'of reachable space',
          'error': 'of error reduction'}
-#: What each share is a share of.
+#: Denominator of each share, in words.
 SHARES = {'seen': 'points that can be seen', 'coverage': 'space that can be covered',
           'error': 'possible error reduction'}
 
 
 def show_curve(console: Console, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> None:
-    """Print what each number of cameras is worth, and how many reach the target."""
+    """Print the scores of each number of cameras, and the number that reaches the target."""
     table = Table('cameras', 'objective value', 'depth error', *HEADS.values(),
                   title='Number of cameras')
     for row in rows:
@@ -42,7 +42,7 @@ def show_curve(console: Console, rows: Sequence[dict[str, Any]], count: dict[str
 
 
 def sentence(count: dict[str, Any]) -> str:
-    """Say how many cameras reach the target; that fewer do not is not proved."""
+    """Return the number of cameras that reaches the target, in words, without claiming a proof."""
     asked, cameras = f'{percent(count["target"])} of the {SHARES[count["by"]]}', count['cameras']
     several = f'{cameras} camera{"s" * (cameras > 1)}'
     if not count['reached']:
@@ -54,7 +54,7 @@ def sentence(count: dict[str, Any]) -> str:
 
 def draw_curve(path: Path, rows: Sequence[dict[str, Any]], count: dict[str, Any]) -> Path:
     """Draw shares and depth error against the number of cameras as PNG."""
-    # What draws is slow to import, and most plans draw no curve.
+    # The import of the drawing modules is slow, and most plans draw no curve.
     from ocp_ros.report.drawing.figures import Figure, save_figure
     from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
     figure = Figure(figsize=(7.0, 4.5), dpi=100, facecolor='white')

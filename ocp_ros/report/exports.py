@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A placement for those who carry it out: files for people, spreadsheets and ROS 2."""
+"""Export of a placement: files for installers, spreadsheets and ROS 2."""
 
 from collections.abc import Collection, Iterator, Sequence
 import csv
@@ -31,14 +31,14 @@ from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import write_atomically
 import yaml
 
-#: Files of a placement that are read again, and all that :func:`export` writes.
+#: Placement files, which can be read again, and all files that :func:`export` writes.
 PLACEMENTS = ('placement.yaml', 'placement.json')
 FORMS = (*PLACEMENTS, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro', 'cameras.rviz',
          'installer.md', 'plan.png')
-#: From a camera's body (x forward, y left, z up) to its picture (z forward, x right, y down):
-#: roll, pitch, yaw in radians, REP-103.
+#: Rotation from a camera's body frame (x forward, y left, z up) to its optical frame (z forward,
+#: x right, y down): roll, pitch, yaw in radians, REP-103.
 OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
-#: The frame of the scan that the room was read from, in metres.
+#: Name of the frame of the room's scan, in metres.
 SCAN = 'scan'
 COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
            'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
@@ -78,14 +78,15 @@ JOINT = """    <link name="%s"/>
 
 def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]:
     """
-    Write a placement in all forms, the files of :data:`FORMS`, and yield each that is written.
+    Write a placement as all files of :data:`FORMS`, and yield the path of each.
 
-    Placement files are in the map frame, which scores are found in, and have the transform to that
-    of the scan; see :attr:`~ocp_ros.planning.assessment.Assessment.data_frame` for the others.
+    Placement files are in the map frame, in which scores are computed, and contain the transform
+    to the frame of the scan. The frame of the other files is
+    :attr:`~ocp_ros.planning.assessment.Assessment.data_frame`.
 
-    :param folder: it is made where it is not there.
-    :param prefix: of the names of frames, so that those of two rigs are told apart.
-    :raises OSError: if one cannot be written.
+    :param folder: it is created if it does not exist.
+    :param prefix: of the names of frames, so that the frames of two rigs have different names.
+    :raises OSError: if a file cannot be written.
     """
     placement, source = judged.placement, judged.scene.source
     for name in PLACEMENTS:
@@ -104,7 +105,7 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]
     for name, text in texts.items():
         write_atomically(folder / name, text)
         yield folder / name
-    # What draws is slow to import: a placement that is only printed needs none of it.
+    # The import of the drawing modules is slow, so other commands do not import them.
     from ocp_ros.report.drawing.assessment_pictures import draw_floor_plan
     draw_floor_plan(folder / 'plan.png', judged)
     yield folder / 'plan.png'
@@ -114,10 +115,10 @@ class Link(NamedTuple):
     """
     A transform between frames of a placement.
 
-    :ivar parent: frame that it is given in.
-    :ivar child: frame that it places.
-    :ivar position: metres.
-    :ivar angles: roll, pitch, yaw in radians.
+    :ivar parent: parent frame.
+    :ivar child: child frame.
+    :ivar position: of the child in the parent, metres.
+    :ivar angles: of the child in the parent: roll, pitch, yaw in radians.
     """
 
     parent: str
@@ -127,7 +128,7 @@ class Link(NamedTuple):
 
 
 def link_between(parent: str, child: str, rotation: np.ndarray, position: np.ndarray) -> Link:
-    """Return where a frame is in another, by its rotation (3, 3) and its position in metres."""
+    """Return the transform of a frame from its rotation (3, 3) and its position in metres."""
     yaw, pitch, roll = heading_of(rotation).tolist()
     return Link(parent, child, tuple(position.tolist()), (roll, pitch, yaw))
 
@@ -144,7 +145,7 @@ def placement_in(placement: Placement, source: SourceFrame) -> Placement:
 
 
 def link_of(number: int) -> str:
-    """Name the frame of a camera's body, as the nodes do: the first camera is number 0."""
+    """Return the name of a camera's body frame, as in the nodes: the first camera is number 0."""
     return f'camera_{number}'
 
 
@@ -171,7 +172,7 @@ def table_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
 def links_of(placement: Placement, prefix: str = '', without: Collection[str] = ()
              ) -> Iterator[Link]:
     """
-    Yield where camera_<i> and camera_<i>_optical are, i from 0.
+    Yield the transforms of camera_<i> and camera_<i>_optical, i from 0.
 
     :param prefix: of the names of frames.
     :param without: names of cameras to leave out.
@@ -179,7 +180,7 @@ def links_of(placement: Placement, prefix: str = '', without: Collection[str] = 
     for number, placed in enumerate(placement.cameras):
         if placed.camera.name not in without:
             body = prefix + link_of(number)
-            # Turns about the fixed axes x, y, z, as ROS has them.
+            # Rotations about the fixed axes x, y, z, as in ROS.
             yaw, pitch, roll = np.deg2rad(placed.angles).tolist()
             yield Link(placement.frame, body, placed.position, (roll, pitch, yaw))
             yield Link(body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL)

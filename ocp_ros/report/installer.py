@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The installer's page: how to hang up each camera, beside a plan with lettered walls."""
+"""The installer's page: mounting instructions for each camera, and a plan with lettered walls."""
 
 from html import escape
 import re
@@ -23,23 +23,23 @@ from ocp_ros.planning.camera_words import lens_of
 from ocp_ros.report.key_figures import expectation
 from ocp_ros.util.terminal_text import printable
 
-#: How a camera is rolled, unless its row says otherwise.
+#: Instruction for the roll of a camera.
 LEVEL = 'Unless the table gives a roll, keep the long side of the camera level, top side up. '
-#: What cameras hang on.
+#: Mount of the cameras in words, by the rig file's ``mount.on``.
 MOUNTED = {'walls': 'on walls', 'ceiling': 'under the ceiling',
            'plane': 'on stands, poles or rods, all at one height',
            'free': 'on stands, poles or rods'}
-#: What begins or ends markup within a line; an underscore between letters does not.
+#: Characters that begin or end markup within a line; an underscore between letters does not.
 MARKS = re.compile(r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@')
 
 
 def in_markdown(text: str) -> str:
-    """Return a text of others as Markdown that shows it, in one line, and never obeys it."""
+    """Return an untrusted text as one line of Markdown, with all markup escaped."""
     return MARKS.sub(r'\\\g<0>', escape(printable(text), quote=False))
 
 
 def frame_named(judged: Assessment) -> str:
-    """Say which frame coordinates are given in."""
+    """Return unit and frame of the coordinates in words."""
     frame = judged.frame
     if frame.is_map:
         return 'metres in the frame of the ' + ('scan' if judged.scene.source.is_map else 'map')
@@ -94,7 +94,7 @@ def instructions(judged: Assessment, plan: str) -> str:
 
 
 def _mounted(judged: Assessment) -> list[str]:
-    """Say what the cameras hang on, where the rig says so."""
+    """Return the lines on the mount of the cameras; [] if the rig does not define it."""
     rig = judged.objective.rig
     if 'mount' not in rig.document.data:
         return []
@@ -103,7 +103,7 @@ def _mounted(judged: Assessment) -> list[str]:
 
 
 def _corner_of(judged: Assessment) -> str:
-    """Say where a corner of the room is in the coordinates."""
+    """Return a sentence with the coordinates of a corner of the room."""
     at = judged.frame.to_source(np.append(judged.corner.at, judged.floor))
     return (f'The corner of walls {judged.corner.letters} is at '
             f'{", ".join(f"{value + 0.0:.2f}" for value in at.round(2))} on the floor; the plan '
@@ -111,7 +111,7 @@ def _corner_of(judged: Assessment) -> str:
 
 
 def _how_good(judged: Assessment) -> str:
-    """Say how much the cameras see, and whether others may see more."""
+    """Return sentences on the visible share, the expected depth error and the certificate."""
     scores = judged.found['scores']
     whose = 'a camera sees' if scores['seen_by'] == 1 else f'{scores["seen_by"]} cameras see'
     sentence = (f'**How good it is.** Of the points of the scan, {whose} '

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The key figures of a judged placement in words, for the sheet and the page."""
+"""The key figures of an assessment in words, for the sheet and the page."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -25,22 +25,22 @@ from ocp_ros.planning.rig_planning import gap_percent
 from ocp_ros.util.terminal_text import printable
 
 DISTANCES = 'distances are perpendicular to the walls, to the centre of the front of a camera'
-#: Folders before the name of a file, in a word of a command line.
+#: Folders before a file name, in a word of a command line.
 FOLDERS = re.compile(r'(?<![^=])[^=]*/(?=[^/])')
 
 
 class Figures(NamedTuple):
     """
-    What stands above and below the pictures.
+    The texts above and below the pictures.
 
-    :ivar title: which room and how many cameras.
+    :ivar title: name of the room and number of cameras.
     :ivar subtitle: sizes and sensors.
-    :ivar verdict: whether every constraint is kept, and whether the room is to be checked.
-    :ivar kept: whether nothing is wrong: every constraint is kept, and there are no doubts.
-    :ivar doubts: what may be wrong with the room or the file, a sentence each.
+    :ivar verdict: whether all constraints are satisfied, and whether the scan is doubtful.
+    :ivar kept: whether all constraints are satisfied and there are no doubts.
+    :ivar doubts: possible errors of the room or the file, a sentence each.
     :ivar cards: label, value and a remark of each key figure.
-    :ivar foot: two lines: by which planner, by what command and when; what was mended, and what
-        distances mean.
+    :ivar foot: two lines: planner, command and date; corrections of the scan, and the definition
+        of distances.
     """
 
     title: str
@@ -53,7 +53,7 @@ class Figures(NamedTuple):
 
 
 def figures_of(judged: Assessment) -> Figures:
-    """Put the key figures of a placement into words."""
+    """Return the key figures of a placement in words."""
     scene, broken = judged.scene, judged.found['broken']
     cameras = judged.placement.cameras
     width, depth = (wall.length for wall in judged.walls[:2])
@@ -78,7 +78,7 @@ def figures_of(judged: Assessment) -> Figures:
 
 
 def without_folders(command: str) -> str:
-    """Return a command with the names of files alone, without their folders."""
+    """Return a command with file names without their folders."""
     try:
         parts = shlex.split(command)
     except ValueError:
@@ -126,12 +126,12 @@ def _cards(judged: Assessment) -> list[tuple[str, str, str]]:
 
 
 def metres(length: float) -> str:
-    """Return a length with as many digits as matter."""
+    """Return a length in metres as text, with fewer decimals for larger lengths."""
     return f'{length:.{3 if length < 1.0 else 2 if length < 10.0 else 1}f} m'
 
 
 def expectation(expected: Mapping[str, float]) -> str:
-    """Say what depth error is expected in the room itself, and within which interval."""
+    """Return the expected depth error in the room itself and its interval in words."""
     return (f'{metres(expected["depth_error"])} ({metres(expected["low"])} to '
             f'{metres(expected["high"])} in nine of ten rooms)')
 

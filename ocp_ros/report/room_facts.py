@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What there is to know of a room before cameras are planned for it."""
+"""Facts of a room: size, floor, ceiling, openings and notes, before cameras are planned."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -27,14 +27,14 @@ from ocp_ros.simulation.viewpoints import viewpoints_of
 from rich.console import Console
 from rich.table import Table
 
-#: Rows of the depth maps that openings are looked for in; half the side of a
-#: point's cube in multiples of the square that it stands for.
+#: Rows of the depth maps for openings; half the side of a point's cube, in multiples of the edge
+#: of the square that the point represents.
 ROWS, CUBE = 64, 0.75
-#: Degrees of elevation from which on a direction is above or below.
+#: Elevation from which on a direction counts as above or below, degrees.
 STEEP = 30.0
-#: The directions that openings are told apart by.
+#: Directions of openings.
 SIDES = ('+x', '+y', '-x', '-y', 'above', 'below')
-#: Shares of a side that are not worth a word.
+#: Smallest open share of a side that is printed.
 LITTLE = 0.005
 #: Names of common units, by metres.
 UNITS = {1.0: 'metres', 0.001: 'millimetres', 0.01: 'centimetres', 0.0254: 'inches',
@@ -46,10 +46,10 @@ def facts_of(scene: Scene) -> dict[str, Any]:
     Measure a room.
 
     :returns: plain data: ``name``, ``points`` and their median ``spacing``; ``bounds`` and
-        ``size``, metres; ``floor`` and ``ceiling``, their heights in metres, the second None where
-        there is none; ``floor_area``, square metres that are free for cameras; ``openings``, the
-        share of the view from inside that meets no surface, by direction; ``source``: unit, up
-        direction and the transform from the map to the file; ``notes`` and ``remarks``.
+        ``size``, metres; ``floor`` and ``ceiling``, their heights in metres, None without a
+        ceiling; ``floor_area``, square metres that are free for cameras; ``openings``, the share
+        of directions from inside that meet no surface, by side; ``source``: unit, up direction and
+        the transform from the map to the file; ``notes`` and ``remarks``.
     """
     floor, source = floor_height(scene), scene.source
     ceiling = ceiling_of(scene).points
@@ -67,18 +67,18 @@ def facts_of(scene: Scene) -> dict[str, Any]:
 
 def openings_of(scene: Scene, air: Air) -> dict[str, float]:
     """
-    Measure which share of the view from inside a room meets no surface.
+    Measure the share of directions from inside a room that meet no surface.
 
     :param air: of the room.
-    :returns: shares of the solid angle: ``all``, and those of each of the six ``SIDES``; empty
-        where the room has no inside.
+    :returns: shares of the solid angle: ``all``, and one for each of the six ``SIDES``; empty if
+        the room has no inside.
     """
     if len(air.cells(float(scene.bounds[:, 2].mean()))) == 0:
         return {}
     places = viewpoints_of(scene)
     maps = DepthError(scene.points, CUBE * scene.pitch, scene.diameter, places, ROWS)
     rows, columns = maps.shape
-    # Row 0 is straight down, column 0 begins at the direction opposite to x: as cell_of has it.
+    # As in cell_of, row 0 is straight down, and column 0 begins at the direction -x.
     elevation = (np.arange(rows) + 0.5) * 180.0 / rows - 90.0
     azimuth = (np.arange(columns) + 0.5) * 360.0 / columns - 180.0
     side = np.empty((rows, columns), dtype=int)
@@ -93,7 +93,7 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
 
 
 def show_facts(console: Console, found: Mapping[str, Any]) -> None:
-    """Print what was measured of a room."""
+    """Print the facts of a room."""
     low, high = found['bounds']
     ceiling, openings, source = found['ceiling'], found['openings'], found['source']
     unit = UNITS.get(source['metres_per_unit'], f'{source["metres_per_unit"]:g} m')
@@ -102,7 +102,7 @@ def show_facts(console: Console, found: Mapping[str, Any]) -> None:
     table.add_row('size', ' x '.join(f'{edge:.2f}' for edge in found['size']) + ' m')
     table.add_row('bounds', ', '.join(f'{axis} {first:.2f} to {last:.2f}' for axis, first, last
                                       in zip('xyz', low, high)) + ' m')
-    # Without the sign of a zero.
+    # Adding 0 turns -0.0 into 0.0.
     floor = round(found['floor'], 2) + 0.0
     table.add_row('floor', f'z = {floor:.2f} m, {found["floor_area"]:.1f} m²')
     table.add_row('ceiling', 'not found' if ceiling is None else
@@ -119,7 +119,7 @@ def show_facts(console: Console, found: Mapping[str, Any]) -> None:
 
 
 def show_notes(console: Console, found: Mapping[str, Any]) -> None:
-    """Print what was mended, and what makes a room or an answer doubtful."""
+    """Print corrections of the scan, and doubts about a room or a result."""
     for remark in found.get('remarks', ()):
         console.print(remark, markup=False, highlight=False)
     for note in found['notes']:
@@ -127,5 +127,5 @@ def show_notes(console: Console, found: Mapping[str, Any]) -> None:
 
 
 def _percent(share: float) -> str:
-    """Return a share as words."""
+    """Return a share as per cent."""
     return f'{100.0 * share:.0f} %'

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A verdict and a plan as tables and sentences on a terminal."""
+"""Scores and plans as tables and sentences on a terminal."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 import io
@@ -27,19 +27,19 @@ from ocp_ros.search.registry import OBSERVED, planner_names
 from rich.console import Console
 from rich.table import Table
 
-#: Columns of a terminal, and that of the installer's table that it has no room for.
+#: Width of plain text, characters, and the column of the installer's table that is left out.
 WIDTH, SENSOR = 100, 'sensor'
 
 
 def as_text(show: Callable[[Console, Mapping[str, Any]], None], found: Mapping[str, Any]) -> str:
-    """Return what is shown of a verdict or a plan as plain text."""
+    """Return the output of a function such as :func:`show_verdict` as plain text."""
     text = io.StringIO()
     show(Console(width=WIDTH, file=text, force_terminal=False, color_system=None), found)
     return '\n'.join(line.rstrip() for line in text.getvalue().splitlines())
 
 
 def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
-    """Print a verdict."""
+    """Print the scores and findings of a placement."""
     scores = found['scores']
     cameras = Table('camera', 'position (m)', 'yaw, pitch, roll', 'error reduction',
                     'seen by this camera only', title='Cameras')
@@ -75,7 +75,7 @@ def show_verdict(console: Console, found: Mapping[str, Any]) -> None:
 
 
 def links_line(links: Mapping[str, Any]) -> str:
-    """Say which cameras can be calibrated to each other."""
+    """Return the pairs of cameras that can be calibrated to each other, in words."""
     pairs = ', '.join(f'{" and ".join(pair["cameras"])} {percent(pair["overlap"])}'
                       for pair in links['pairs'] if pair['linked'])
     return (f'calibratable: overlaps of {percent(links["overlap"])} or more under at most '
@@ -83,7 +83,7 @@ def links_line(links: Mapping[str, Any]) -> str:
 
 
 def _show_rest(console: Console, found: Mapping[str, Any]) -> None:
-    """Print what is wrong and what would be better."""
+    """Print violated constraints, missed points, one more camera and notes."""
     broken, missed, more = found['broken'], found['missed'], found['one_more']
     kept = 'all constraints are satisfied' + (
         ', but the scan is doubtful (notes below)' if found['notes'] else '')
@@ -106,7 +106,7 @@ def _show_rest(console: Console, found: Mapping[str, Any]) -> None:
 
 
 def show_plan(console: Console, found: Mapping[str, Any]) -> None:
-    """Print a plan."""
+    """Print a plan: scores, installer's table, and quality of the result."""
     show_verdict(console, found)
     titles = [title for title in COLUMNS if title != SENSOR]
     table = Table('', *titles, title='How to mount the cameras')
@@ -121,7 +121,7 @@ def show_plan(console: Console, found: Mapping[str, Any]) -> None:
 
 
 def quality(search: dict[str, Any]) -> Iterator[str]:
-    """Say how good an answer is, by what it was compared with, and what limits it."""
+    """Yield sentences on the quality of a result: comparisons, bounds and certificate."""
     loss, random, everywhere = search['loss'], search['random'], search['everywhere']['loss']
     what = 'turns' if search['planner'] in planner_names(OBSERVED) else 'placements'
     yield (f'{search["planner"]}: {search["evaluations"]:,} {what} in {search["seconds"]:.1f} s'
@@ -139,7 +139,7 @@ def quality(search: dict[str, Any]) -> Iterator[str]:
 
 
 def _others(losses: Sequence[float]) -> str:
-    """Say what the other searches ended with, where there were several."""
+    """Return the results of the other searches in words."""
     if len(losses) == 1:
         return ' (one search)'
     best, second, *_ = losses

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A page without a server: a room to turn around, with what a placement sees in it."""
+"""An interactive 3D page of a room and a placement, which needs no server."""
 
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
@@ -44,24 +44,24 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
 import plotly.graph_objects as go
 
-#: Points that the page shows: more take longer to turn than they tell.
+#: Largest number of points on the page: more points make the rotation slow.
 SHOWN = 40000
-#: Metres: grid of positions in the page, which keeps it small.
+#: Decimals of positions in metres on the page, which limit its size.
 ROUND = 3
-#: What is seen, or right, and how much of a wall's votes has to point one way.
+#: Colour of seen points and of points without error; smallest share of a wall's votes for a side.
 PLAIN, WALL = '#dcdcd6', 0.3
-#: How far a cone is drawn, as a share of the room's diagonal.
+#: Length of a drawn frustum, as a share of the room's diagonal.
 CONE = 0.12
 REGION, KEEP_OUT, MOUNTING, MORE = '#009e73', '#cc79a7', '#0072b2', '#e69f00'
 
 
 class Layer(NamedTuple):
     """
-    What can be switched on and off.
+    A part of the picture that can be switched on and off.
 
-    :ivar name: what the switch is called.
-    :ivar traces: what is drawn.
-    :ivar shown: whether it is at first.
+    :ivar name: label of the switch.
+    :ivar traces: plotly traces.
+    :ivar shown: whether it is visible at first.
     """
 
     name: str
@@ -73,11 +73,11 @@ class Paint(NamedTuple):
     """
     A way to colour the points.
 
-    :ivar name: what its switch is called.
+    :ivar name: label of the switch.
     :ivar values: (N,) from 0 to 1, of all points of the scene.
-    :ivar scale: what these stand for, as plotly has it.
-    :ivar legend: colours and what they mean; empty for a scale from low to high.
-    :ivar ends: what 0 and 1 mean, where there is no legend.
+    :ivar scale: plotly colour scale of the values.
+    :ivar legend: names and their colours; empty for a scale from low to high.
+    :ivar ends: labels of 0 and 1, if there is no legend.
     """
 
     name: str
@@ -89,10 +89,10 @@ class Paint(NamedTuple):
 
 def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None) -> None:
     """
-    Write a room as an HTML page that contains all it needs.
+    Write a room as a self-contained HTML page.
 
-    :param path: file to write; its folder is made.
-    :param judged: a placement in the room, to be shown as well.
+    :param path: file to write; its folder is created.
+    :param judged: a placement in the room to show; None for the room alone.
     """
     points = scene.points.astype(np.float64)
     some = some_of(len(points), SHOWN)
@@ -136,11 +136,11 @@ def _lay_out(figure: go.Figure, scene: Scene) -> None:
 
 def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
     """
-    Sort points by the side of the room that has to go for somebody to look inside.
+    Group points by the wall of the room that must be hidden for a view inside.
 
     :param points: (N, 3) metres.
-    :returns: indices of what always stays, of walls that face each of four ways, and of the
-        ceiling; and these four ways, x and y.
+    :returns: indices of the points that are always visible, of the walls that face each of four
+        directions, and of the ceiling; and these four directions, x and y.
     """
     room = room_of(points, np.arange(len(points))[:, None])
     ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
@@ -152,7 +152,7 @@ def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
 
 
 def paints_of(scene: Scene, judged: Assessment | None) -> list[Paint]:
-    """Return the ways to colour the points, the one that is shown at first in front."""
+    """Return the ways to colour the points; the first one is shown first."""
     low, high = np.percentile(scene.points[:, 2], [2.0, 98.0])
     height = Paint('height', heights_of(scene.points), _scale(HEIGHTS), (),
                    tuple(f'{value + 0.0:.1f} m' for value in np.round([low, high], 1)))
@@ -172,19 +172,19 @@ def paints_of(scene: Scene, judged: Assessment | None) -> list[Paint]:
 
 
 def _banded(name: str, values: np.ndarray, legend: tuple[tuple[str, str], ...]) -> Paint:
-    """Return a way to colour points by a legend, whose colours share 0 to 1 equally."""
+    """Return a way to colour points by a legend; its colours divide 0 to 1 into equal parts."""
     bands = [[(k + edge) / len(legend), colour] for k, (_, colour) in enumerate(legend)
              for edge in (0, 1)]
     return Paint(name, values, bands, legend)
 
 
 def _bytes_of(shares: np.ndarray) -> str:
-    """Return shares from 0 to 1 as one byte each, base64."""
+    """Return shares from 0 to 1 as base64 with one byte for each."""
     return b64encode(np.rint(255.0 * shares).astype(np.uint8).tobytes()).decode()
 
 
 def layers_of(judged: Assessment) -> Iterator[Layer]:
-    """Return the cameras, what they could see, the rig's zones and where one more would help."""
+    """Yield layers: cameras, fields of view, ranges, the rig's zones and one more camera."""
     placed, scene, rig = judged.placement.cameras, judged.scene, judged.objective.rig
     yield Layer('cameras', [_cameras(judged)])
     longest = float(np.linalg.norm(scene.size))
@@ -197,7 +197,7 @@ def layers_of(judged: Assessment) -> Iterator[Layer]:
     yield Layer('fields of view', cones(CONE))
     balls = [_ball(one.position, one.camera.model.max_range, camera_colour(number))
              for number, one in enumerate(placed) if one.camera.model.omnidirectional]
-    # Cones as long as the range hide the room where there are several.
+    # Several frusta with their full range would hide the room, so they are off at first.
     yield Layer('ranges', [*balls, *cones(1.0)], len(balls) == len(placed))
     for name, zones, colour in (
             ('regions', {region.name: region.zone for region in rig.regions}, REGION),
@@ -217,21 +217,21 @@ def layers_of(judged: Assessment) -> Iterator[Layer]:
 
 
 def _scale(colours: Any) -> list[list[Any]]:
-    """Return a colour map as plotly has it."""
+    """Return a colour map as a plotly colour scale."""
     return [[share, 'rgb({:.0f},{:.0f},{:.0f})'.format(*(255 * value for value in
                                                          colours(share)[:3]))]
             for share in np.linspace(0.0, 1.0, 12).tolist()]
 
 
 def _cloud(points: np.ndarray, colour: str) -> go.Scatter3d:
-    """Draw points."""
+    """Return the trace of points (N, 3) in a colour."""
     x, y, z = np.round(points, ROUND).astype(np.float32).T
     return go.Scatter3d(x=x.copy(), y=y.copy(), z=z.copy(), mode='markers', hoverinfo='skip',
                         marker={'size': 2.8, 'color': colour, 'line': {'width': 0}})
 
 
 def _cameras(judged: Assessment) -> go.Scatter3d:
-    """Draw cameras with their numbers, and how to hang them up where one points at them."""
+    """Return the trace of the cameras with numbers, and mounting instructions on hover."""
     x, y, z = judged.positions.T
     numbers = range(len(judged.positions))
     about = [' <br>'.join(escape(part) for part in words) for words in judged.words]
@@ -245,14 +245,14 @@ def _cameras(judged: Assessment) -> go.Scatter3d:
 
 
 def _line(points: np.ndarray, colour: str, label: str) -> go.Scatter3d:
-    """Draw lines (M, 3); rows of NaN end them."""
+    """Return the trace of lines (M, 3), separated by rows of NaN."""
     x, y, z = np.round(points, ROUND).T
     return go.Scatter3d(x=x, y=y, z=z, mode='lines', line={'color': colour, 'width': 3},
                         hovertemplate=f'{escape(label)}<extra></extra>')
 
 
 def _ball(centre: Sequence[float], radius: float, colour: str) -> go.Mesh3d:
-    """Draw the range of an omnidirectional camera."""
+    """Return the trace of an omnidirectional camera's range, a sphere."""
     azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 37),
                                      np.linspace(-np.pi / 2, np.pi / 2, 19))
     way = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
@@ -262,7 +262,7 @@ def _ball(centre: Sequence[float], radius: float, colour: str) -> go.Mesh3d:
 
 
 def _outline(zone: Zone, scene: Scene, floor: float) -> np.ndarray:
-    """Return the edges of a zone (M, 3), as far as the room goes."""
+    """Return the edges of a zone (M, 3), with its heights clipped to the room."""
     lift = floor if zone.above_floor else 0.0
     bottom, top = np.clip([zone.low[2] + lift, zone.high[2] + lift], *scene.bounds[:, 2])
     corners = corners_of(zone)
@@ -283,7 +283,7 @@ def _head(scene: Scene, judged: Assessment | None) -> tuple[str, str]:
 
 
 def _paint_switch(paint: Paint, number: int) -> str:
-    """Return the switch of a way to colour the points, and what its colours mean."""
+    """Return the HTML of the switch of a way to colour the points, with its legend."""
     legend = ''.join(f'<i style="background:{colour}"></i>{escape(name)} '
                      for name, colour in paint.legend)
     if not paint.legend:
@@ -295,7 +295,7 @@ def _paint_switch(paint: Paint, number: int) -> str:
 
 
 def _layer_switch(layer: Layer, numbers: list[int]) -> str:
-    """Return the switch of a layer, which knows its traces by number."""
+    """Return the HTML of the switch of a layer with the numbers of its traces."""
     return (f'<label><input type="checkbox" data-traces="{numbers}"'
             f'{" checked" if layer.shown else ""}> {escape(layer.name)}</label>')
 

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Cameras, their mounts and constraints, and the region in which they may hang."""
+"""Rigs of cameras: mounts, constraints, and the feasible region of camera poses."""

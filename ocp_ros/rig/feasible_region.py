@@ -38,36 +38,39 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial import cKDTree
 
-#: Metres and radians that a camera may be off its height and its pitch, and metres that distances
-#: may fall short: who hangs exactly where it is asked for is not a rounding away from it.
+#: Tolerances: metres and radians of a camera's height and pitch; metres by which distances may
+#: fall short; metres of rounding, which must not matter for an exact mount.
 LEEWAY, SHORT, ROUNDING = 0.01, 0.001, 1e-5
-#: Radians that a camera may be off the rolls of its mount: brackets are turned by hand.
+#: Radians: the tolerance of the roll, since brackets are turned by hand.
 ROLL_LEEWAY = np.deg2rad(10.0)
-#: Fewer places leave no room for several cameras.
+#: The least number of positions among which several cameras find room.
 FEW_PLACES = 48
-#: Radians: steps of yaw and pitch of few poses, and of a dense grid of them.
+#: Radians: steps of yaw and pitch, for a few poses and for a dense grid.
 COARSE, DENSE = np.deg2rad((30.0, 19.0)), np.deg2rad((15.0, 9.5))
-#: Metres above the floor from which on something stands there: a skirting board does not.
+#: Metres: a point must be higher than this above the floor to count as an obstacle there, so that
+#: skirting boards do not.
 SKIRTING = 0.15
-#: Metres: places that differ by less are one, where it is asked what stands there.
+#: Metres: points that differ by less are merged when obstacles on the floor are searched for.
 FINE = 0.02
-#: What messages call the constraint that a ball can be carried to a camera.
+#: The names in messages of the constraints that there is floor, and that a ball can be moved to
+#: the camera.
 FLOOR, FREE_SPACE = 'the floor', 'free space'
-#: Metres from a camera on a wall into the room, where there has to be floor.
+#: Metres: at this distance from a camera on a wall into the room there has to be floor.
 INTO_THE_ROOM = 0.3
-#: Neighbours that are looked at first where some belong to the surface that a camera hangs on.
+#: The first number of neighbours examined if some belong to the surface that the camera is mounted
+#: on.
 FIRST_NEIGHBOURS = 16
-#: Least height above the floor that floor is looked for from, metres.
+#: The least height above the floor from which floor is searched for, metres.
 LEAST_VIEW = 1.0
 
 
 class Check(NamedTuple):
     """
-    One constraint for each of some cameras.
+    One constraint, checked for several cameras.
 
-    :ivar name: what it is called where it leaves no place at all.
-    :ivar broken: (M,) bool.
-    :ivar says: what is wrong with the camera of a number.
+    :ivar name: the name of the constraint in the message that no position is feasible.
+    :ivar broken: (M,) bool, whether each camera violates the constraint.
+    :ivar says: returns the message about a violation, given the number of the camera.
     """
 
     name: str
@@ -77,14 +80,13 @@ class Check(NamedTuple):
 
 class FeasibleRegion:
     """
-    Judge whether cameras may hang where they are.
+    Check whether cameras satisfy the constraints of a rig in a room.
 
     :param scene: the room.
-    :param rig: the cameras and what is asked of their places.
-    :param top: z up to where the room goes at least, metres: where cameras stand is air, though
-        those that look down do not see what is above them.
-    :raises ConfigurationError: if a height, a camera in place or the mount does not go with the
-        room.
+    :param rig: the cameras and their constraints.
+    :param top: the least z of the top of the room, metres: the cameras' own height is air, even if
+        cameras that look down do not see above themselves.
+    :raises ConfigurationError: if a height, a camera in place or the mount does not fit the room.
     """
 
     def __init__(self, scene: Scene, rig: Rig, top: float | None = None) -> None:
@@ -117,7 +119,7 @@ class FeasibleRegion:
                 f'{0.7 * height:.1f}}} in a rig file (--rig)')
 
     def _find_surface(self) -> MountSurface | None:
-        """Find what the cameras hang on, where it is something."""
+        """Find the surface that the cameras are mounted on; None for mounts without one."""
         on = self.rig.mount.on
         if on in ('plane', 'free'):
             return None
@@ -130,11 +132,11 @@ class FeasibleRegion:
 
     def candidates(self, model: CameraModel, most: int) -> np.ndarray:
         """
-        Return poses that a search may choose from, all of them allowed.
+        Return feasible candidate poses for a search.
 
         :param model: the camera.
-        :param most: how many at most, above 0; places are spread evenly, each with all headings,
-            or, where these would be few places, with some.
+        :param most: the largest number of poses, above 0. Positions are spread evenly, each with
+            all headings, or with some headings if there would be too few positions.
         :returns: (M, 6) metres, map frame, and radians.
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
@@ -149,13 +151,14 @@ class FeasibleRegion:
     def pose_grid(self, model: CameraModel, step: float, most: int
                   ) -> tuple[np.ndarray, np.ndarray, float]:
         """
-        Return a dense grid of poses, all of them allowed.
+        Return a dense grid of feasible poses.
 
         :param model: the camera.
-        :param step: metres between places, less where all its headings are one.
-        :param most: poses at most; places are farther apart where there would be more.
-        :returns: places (P, 3), metres, map frame, headings (P, H, 3), radians, and how far
-            feasible places are from the nearest of these at most, metres.
+        :param step: metres between positions; half of it for cameras with a single heading.
+        :param most: the largest number of poses; positions are farther apart if there would be
+            more.
+        :returns: positions (P, 3), metres, map frame, headings (P, H, 3), radians, and the largest
+            distance of a feasible position from the nearest of these, metres.
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
         headings = headings_of(self.rig, model, *DENSE)
@@ -163,7 +166,7 @@ class FeasibleRegion:
 
     def _poses(self, model: CameraModel, headings: np.ndarray, most: int, apart: float = ALIKE
                ) -> tuple[np.ndarray, np.ndarray, float]:
-        """Spread places, with headings (H, 3); see :meth:`pose_grid`."""
+        """Spread positions, with headings (H, 3); see :meth:`pose_grid`."""
         places, away = self.places(model, max(most // len(headings), 1), apart)
         turned = np.repeat(headings[None], len(places.positions), axis=0)
         turned[..., 0] += places.inwards[:, None]
@@ -172,12 +175,13 @@ class FeasibleRegion:
     def places(self, model: CameraModel, most: int, apart: float = ALIKE
                ) -> tuple[MountPlaces, float]:
         """
-        Spread places where a camera may hang, whatever its yaw.
+        Spread feasible positions of a camera, independently of its yaw.
 
         :param model: the camera.
-        :param most: how many at most, above 0.
-        :param apart: metres; places that are nearer to another are left out.
-        :returns: places, and how far others are from the nearest of these at most, metres.
+        :param most: the largest number of positions, above 0.
+        :param apart: metres; positions nearer to a chosen one are left out.
+        :returns: positions, and the largest distance of other feasible ones from the nearest of
+            these, metres.
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
         offered = places_in(self.rig, self.scene, self.space, self.surface)
@@ -186,7 +190,7 @@ class FeasibleRegion:
                 ('keep_in',), f'no place of the mount {self.rig.mount.on} in any zone over the '
                 f'floor of {self.scene.name}', 'one at least', 'correct the corners of the zones, '
                 'or the mount or its height')
-        # A pitch and a roll that are allowed, so that only the place is judged.
+        # Use an allowed pitch and roll, so that only the position is checked.
         level = np.zeros((len(offered.positions), 6))
         level[:, :3], level[:, 4] = offered.positions, np.clip(0.0, *self.rig.pitch)
         level[:, 5] = self.rig.rolls[0]
@@ -200,12 +204,12 @@ class FeasibleRegion:
         return MountPlaces(*(part[good][chosen] for part in offered)), away
 
     def _bites(self, poses: np.ndarray, model: CameraModel) -> str:
-        """Name the constraint without which most of some poses, all broken, would be allowed."""
+        """Return the constraint that alone rejects the most of some infeasible poses."""
         if len(poses) == 0:
             return ': the mount has none above the floor'
         checks = list(self._checks(poses, [model] * len(poses), ROUNDING))
         count = np.sum([check.broken for check in checks], axis=0)
-        # Where no constraint alone is to blame, the one that most break.
+        # Ties are decided by the number of all poses that violate the constraint.
         bites = max(checks, key=lambda check: (np.count_nonzero(check.broken & (count == 1)),
                                                np.count_nonzero(check.broken)))
         number = np.count_nonzero(bites.broken)
@@ -215,10 +219,10 @@ class FeasibleRegion:
 
     def onto_mount(self, positions: np.ndarray) -> np.ndarray:
         """
-        Move positions to the nearest places that the mount offers; they need not be allowed.
+        Move positions to the nearest positions on the mount, which may violate other constraints.
 
         :param positions: (M, 3) metres, map frame.
-        :returns: (M, 3); as it was where there is no ceiling or wall near.
+        :returns: (M, 3); unchanged if no ceiling or wall is near.
         """
         on, heights, _ = self.rig.mount
         moved = (nearest_of(self.rig.keep_in, positions, self.floor) if self.rig.keep_in
@@ -236,11 +240,11 @@ class FeasibleRegion:
 
     def broken(self, poses: np.ndarray, cameras: Sequence[int] | None = None) -> list[str]:
         """
-        Say what is wrong with a placement.
+        Return the constraint violations of a placement.
 
         :param poses: (K, 6) metres, map frame, and radians; (K, 3) where no camera has a heading.
-        :param cameras: which cameras of the rig the rows are; the first K by default.
-        :returns: one sentence for each broken constraint.
+        :param cameras: the camera of the rig for each row; the first K by default.
+        :returns: one sentence for each violation.
         :raises ValueError: for another shape, or more rows than cameras.
         """
         poses = _checked(poses)
@@ -249,7 +253,7 @@ class FeasibleRegion:
             raise ValueError(f'poses: found {len(poses)} cameras; expected at most '
                              f'{len(self.rig.cameras)}, those of the rig that are to be placed')
         chosen = [self.rig.cameras[camera] for camera in cameras]
-        # The floor that is known ends up to a cell before the walls.
+        # The known floor may end up to one cell before the walls.
         checks = list(self._checks(poses, [camera.model for camera in chosen], EDGE))
         found = [f'{camera.name}: {check.says(k)}' for k, camera in enumerate(chosen)
                  for check in checks if check.broken[k]]
@@ -263,15 +267,15 @@ class FeasibleRegion:
     def allowed(self, poses: np.ndarray, model: CameraModel | None = None,
                 unknown: bool = False) -> np.ndarray:
         """
-        Tell where one camera may hang; how far it is from others is not looked at.
+        Return which poses of one camera are feasible; distances to other cameras are not checked.
 
-        What is allowed breaks nothing. A search is held to the floor that is known, while whoever
-        hangs already has the benefit of the doubt next to walls: through one whose glass no scan
-        shows there is much to be seen.
+        A feasible pose violates no constraint. Only :meth:`broken` accepts positions up to a cell
+        off the known floor, since that ends before the walls. A search must not use this
+        tolerance: behind glass walls, which scans do not show, a camera would seem to see much.
 
         :param poses: (M, 6) metres, map frame, and radians, or (M, 3).
-        :param model: the camera; one whose pitch matters by default.
-        :param unknown: whether it may be where the scan shows neither floor nor free space.
+        :param model: the camera; by default one with a limited field of view.
+        :param unknown: whether poses without known floor or free space are feasible.
         :returns: (M,) bool.
         """
         poses = _checked(poses)
@@ -281,11 +285,11 @@ class FeasibleRegion:
 
     def clear(self, positions: np.ndarray, points: np.ndarray) -> np.ndarray:
         """
-        Tell where a camera keeps clear of points that the room may not show yet.
+        Return where a camera keeps its distance from points that the scene may not contain yet.
 
         :param positions: (M, 3) metres.
-        :param points: (N, 3) float32, metres; those of the surface that a camera hangs on do not
-            count.
+        :param points: (N, 3) float32, metres; points of the surface that a camera is mounted on
+            are ignored.
         :returns: (M,) bool.
         """
         contact = None if self.surface is None else self.surface.at(positions)
@@ -293,7 +297,7 @@ class FeasibleRegion:
 
     def _checks(self, poses: np.ndarray, models: Sequence[CameraModel | None], beyond: float
                 ) -> Iterator[Check]:
-        """Yield all constraints of single cameras, so many metres beyond the floor included."""
+        """Yield all checks of single cameras; ``beyond`` is the floor's tolerance, metres."""
         positions = poses[:, :3]
         contact = None if self.surface is None else self.surface.at(positions)
         yield (outside := self._outside(positions, contact, beyond))
@@ -327,7 +331,7 @@ class FeasibleRegion:
                 self._too_near(away[k], fixed.camera.name)))
 
     def _outside(self, positions: np.ndarray, contact: Contact | None, beyond: float) -> Check:
-        """Check that there is floor below or, for walls, in front, and the room's own height."""
+        """Check that there is floor below or, on walls, in front, and that z is in the room."""
         places, z = positions[:, :2], positions[:, 2]
         if self.rig.mount.on == 'walls':
             places = places + INTO_THE_ROOM * contact.normals[:, :2]
@@ -339,7 +343,7 @@ class FeasibleRegion:
 
     def _too_close(self, positions: np.ndarray, contact: Contact | None, points: np.ndarray,
                    tree: cKDTree) -> Check:
-        """Check that surfaces are far enough, but for the one that a camera hangs on."""
+        """Check the distance to all surfaces except the one that a camera is mounted on."""
         least = self.rig.keep_clear
         nearest, left = np.full(len(positions), np.inf), np.arange(len(positions))
         count = 1 if contact is None else FIRST_NEIGHBOURS
@@ -353,7 +357,7 @@ class FeasibleRegion:
                 ways = points[np.minimum(index, len(points) - 1)] - positions[left, None]
                 others &= ~contact.own(left, ways)
             nearest[left] = np.where(others, away, np.inf).min(axis=1)
-            # All neighbours so far belong to the surface itself: look at more.
+            # All neighbours so far belong to the mounting surface: examine more.
             left, count = left[full & ~others.any(axis=1)], 4 * count
         return Check('keep_clear', nearest < least - SHORT, lambda k: (
             f'found {nearest[k]:.2f} m to the nearest surface; expected at least {least:.2f} m '
@@ -361,15 +365,15 @@ class FeasibleRegion:
 
     @cached_property
     def _standing(self) -> cKDTree:
-        """Return what stands on the floor and is lower than the cameras, seen from above."""
+        """Return the points of obstacles on the floor below the cameras, seen from above."""
         points = self.scene.points
         above = points[:, 2] - self.floor
         low = points[(above > SKIRTING) & (above < self.rig.mount.heights[1] - SKIRTING), :2]
-        # Where there are many points, one in each small cell will do.
+        # One point in each small cell is enough.
         return cKDTree(FINE * np.unique(np.rint(low / FINE), axis=0))
 
     def _on_furniture(self, positions: np.ndarray) -> Check:
-        """Check that nothing stands where the feet of a tripod are, below the camera."""
+        """Check that there are no obstacles within the footprint of a tripod."""
         radius = self.rig.mount.footprint
         away, _ = self._standing.query(positions[:, :2], distance_upper_bound=radius)
         return Check('mount.footprint', np.isfinite(away), lambda k: (
@@ -377,7 +381,7 @@ class FeasibleRegion:
             f'within {radius:g} m (mount.footprint); move it away'))
 
     def _off_mount(self, positions: np.ndarray, contact: Contact | None) -> Iterator[Check]:
-        """Check the height and that there is something to hang on."""
+        """Check the height, and that there is a surface to mount the camera on."""
         on, heights, _ = self.rig.mount
         if heights is not None:
             low, high = heights
@@ -390,7 +394,7 @@ class FeasibleRegion:
         if contact is not None:
             on_it = contact.on
             if on == 'ceiling':
-                # Where a height says so, cameras hang lower, on rods.
+                # With a given height, cameras hang lower, on rods.
                 below = self.surface.height_above(positions[:, :2]) - positions[:, 2]
                 on_it = (below > 0.0) & (below <= (REACH if heights is None else np.inf))
             surface = 'wall' if on == 'walls' else on
@@ -401,7 +405,7 @@ class FeasibleRegion:
                 'shows; mount it there'))
 
     def _turned(self, poses: np.ndarray, models: Sequence[CameraModel | None]) -> Iterator[Check]:
-        """Check pitch, and roll where the rig file has some, unless all look everywhere."""
+        """Check pitch, and roll if the file gives any, of cameras that have a heading."""
         if poses.shape[1] == 3:
             return
         aimed = np.array([model is None or not model.omnidirectional for model in models],
@@ -421,17 +425,17 @@ class FeasibleRegion:
             'it about its viewing direction'))
 
     def _too_near(self, away: float, other: str) -> str:
-        """Say that two cameras are too near to each other."""
+        """Return the message that two cameras are too near to each other."""
         return (f'found {away:.2f} m to {other}; expected at least {self.rig.spacing:.2f} m '
                 '(spacing); move one of the two')
 
 
 def floor_space(scene: Scene, rig: Rig, floor: float, top: float) -> FreePlane:
     """
-    Return where cameras of a rig have floor below them.
+    Return the space where cameras of a rig have floor below them.
 
-    :param floor: of the room, metres, map frame.
-    :param top: of the room, the same.
+    :param floor: z of the floor, metres, map frame.
+    :param top: z of the top of the room, metres, map frame.
     """
     high = top - floor if rig.mount.heights is None else rig.mount.heights[1]
     return FreePlane.of(scene.points, floor + max(high, LEAST_VIEW), len(rig.cameras), 0.0,
@@ -439,7 +443,7 @@ def floor_space(scene: Scene, rig: Rig, floor: float, top: float) -> FreePlane:
 
 
 def _place(position: np.ndarray) -> str:
-    """Return a position as messages show it."""
+    """Return a position as text for messages."""
     return '(' + ', '.join(f'{value:.2f}' for value in position) + ')'
 
 
@@ -454,10 +458,10 @@ def _checked(poses: np.ndarray) -> np.ndarray:
 
 def satisfies_spacing(places: np.ndarray, others: np.ndarray, spacing: float) -> np.ndarray:
     """
-    Tell which places are far enough from all cameras.
+    Return which positions are far enough from all cameras.
 
     :param places: (M, 3) metres.
-    :param others: (C, 3) metres, where the cameras are.
+    :param others: (C, 3) metres, the positions of the cameras.
     :param spacing: metres.
     :returns: (M,) bool.
     """

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where cameras may be: over the floor of a room, at one height."""
+"""The free plane: where cameras may be over the floor of a room, at one height."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -26,35 +26,36 @@ from ocp_ros.rig.motion import kept_inside, ROUNDING, towards
 from ocp_ros.scenes.scene import LARGEST
 from scipy import ndimage
 
-#: Metres: edge of a cell of the floor, and how far below the cameras things are that count as it.
+#: Metres: the edge of a cell of the floor, and how far below the cameras points have to be to
+#: count as floor or furniture.
 EDGE, BELOW = 0.2, 0.3
-#: Radii, in cells, of the gaps between points that are closed: furniture's shadows, and where
-#: points are few all that lies between them. The least is taken whose floor is worth such a share
-#: of that of the largest.
+#: Radii in cells of the gaps that are closed: the occlusion shadows of furniture, and in sparse
+#: scans the space between points. The smallest radius is used whose floor has at least this share
+#: of the floor of the largest radius.
 RADII, LEAST_SHARE = (1, 2, 3, 5), 0.6
-#: Square metres: larger holes are no shadows, and the smallest floor that counts.
+#: Square metres: larger holes are not occlusion shadows; and the smallest floor that counts.
 HOLE, LEAST = 10.0, 1.0
-#: Metres that cameras keep from every surface that has been scanned, unless a setting says
-#: otherwise: one inside a thin panel sees both sides of it.
+#: Metres: the default distance of cameras from every scanned surface. A camera inside a thin panel
+#: would see both its sides.
 CLEARANCE = 0.15
-#: Metres: edge of the cells that are closed near surfaces, and how much farther than the clearance
-#: these are, for rounding. Where there are more cells than so many, their edge is doubled.
+#: Metres: the edge of the cells that are closed near surfaces, and the rounding margin added to
+#: the clearance. The edge is doubled if there are more cells than the last number.
 FINE_EDGE, SLACK, MOST_CELLS = 0.05, 1e-4, 100_000
-#: How many cells a step has to be long for ways over cells, and the moves of the longest way that
-#: is sought: who is farther away goes straight on.
+#: The least length of a step in cells for paths over cells, and the largest number of moves of a
+#: path; a camera farther away moves straight on.
 CELLS_A_STEP, MOST_MOVES = 2, 60
-#: Shares of a way that are tried one after the other where its end is too near to a surface.
+#: Shares of a move that are tried in turn if its end is too near to a surface.
 SHORTENED = (1.0, 0.75, 0.5, 0.25, 0.0)
 
 
 @dataclass(frozen=True)
 class Floor:
     """
-    The cells of a grid that have a room below them.
+    The cells of a grid that have floor below them.
 
     :ivar low: (2,) metres, corner of the first cell.
     :ivar open: (X, Y) bool; at least one cell is open.
-    :ivar edge: of the cells, metres.
+    :ivar edge: the edge of a cell, metres.
     """
 
     low: np.ndarray
@@ -68,7 +69,7 @@ class Floor:
 
     @cached_property
     def _nearest(self) -> np.ndarray:
-        """Return (X, Y) which open cell of its column is nearest to each."""
+        """Return the nearest open cell in the column of each cell: (X, Y)."""
         return nearest_rows(self.open)
 
     def inside(self, positions: np.ndarray) -> np.ndarray:
@@ -79,11 +80,11 @@ class Floor:
 
     @property
     def _middles(self) -> list[np.ndarray]:
-        """Return the x (X,) and the y (Y,) of the middles of the cells, metres."""
+        """Return x (X,) and y (Y,) of the cell centres, metres."""
         return [self.low[k] + self.edge * (np.arange(self.open.shape[k]) + 0.5) for k in (0, 1)]
 
     def within(self, low: np.ndarray, high: np.ndarray) -> 'Floor | None':
-        """Keep the cells whose middle is in a rectangle; None if there is none."""
+        """Keep the cells with their centre in a rectangle; None if there are none."""
         middles = self._middles
         within = np.logical_and.outer(*((middles[k] > low[k]) & (middles[k] < high[k])
                                         for k in (0, 1)))
@@ -91,26 +92,26 @@ class Floor:
         return floor if floor.open.any() else None
 
     def near(self, place: np.ndarray, reach: float) -> 'Floor':
-        """Keep the cells whose middle is no farther than a reach, metres, from a place (2,)."""
+        """Keep the cells with their centre within a distance, metres, of a position (2,)."""
         x, y = self._middles
         away = np.hypot.outer(x - place[0], y - place[1])
         return replace(self, open=self.open & (away <= reach + ROUNDING))
 
     def nearest_middle(self, place: np.ndarray) -> np.ndarray:
-        """Return the middle of the open cell that is nearest to a place: (2,) metres."""
+        """Return the centre of the open cell nearest to a position: (2,) metres."""
         cell = np.floor((self.inside(place) - self.low) / self.edge)
         return self.low + self.edge * (cell + 0.5)
 
     def reached(self, place: np.ndarray, step: float) -> Iterator['Floor']:
         """
-        Tell where a camera can be after one move, after two and so on.
+        Yield the cells that a camera can reach with one move, with two moves and so on.
 
-        A move ends over an open cell; what is on its way does not matter.
+        A move ends over an open cell; obstacles on its way are ignored.
 
         :param place: (2,) metres, where it is.
         :param step: no move is longer, metres.
-        :returns: one after the other, until no cell is added any more; none where the first move
-            leads nowhere.
+        :returns: the floors in turn, until no cell is added; none if the first move reaches no
+            cell.
         """
         cells, count = self.near(place, step).open, 0
         while np.count_nonzero(cells) > count:
@@ -122,14 +123,14 @@ class Floor:
     def cleared(self, points: np.ndarray, heights: np.ndarray, clearance: float
                 ) -> 'Floor | None':
         """
-        Close what is too near to surfaces, and what these cut off: the inside of furniture.
+        Close the cells too near to surfaces, and separated parts such as the inside of furniture.
 
         :param points: (N, 3) metres.
-        :param heights: (2,) metres, lowest and highest of the cameras.
-        :param clearance: metres; all places of the cells that stay open are as far from all
+        :param heights: (2,) metres, the lowest and the highest camera.
+        :param clearance: metres; every position in the open cells is at least this far from all
             points.
-        :returns: the parts that are no smaller than the smallest floor that counts, or the
-            largest one; None if nothing stays open.
+        :returns: the parts of at least the least floor area, or else the largest part; None if no
+            cell stays open.
         """
         cells = self.open.copy()
         close_near(points, heights, clearance + SLACK, self.low, self.edge, cells)
@@ -144,15 +145,15 @@ class Floor:
 
 def floor_of(points: np.ndarray, height: float) -> Floor | None:
     """
-    Find where a room is: things lie below, or in small gaps between them; walls are a cell away.
+    Find the floor of a room: cells with points below, small gaps closed, a cell away from walls.
 
-    Rooms fill their bounding boxes badly where they are L-shaped or stand askew, and a camera
-    outside would look through the back of a wall.
+    Rooms with an L-shape or at an angle do not fill their bounding boxes, and a camera outside the
+    room would look through the back of a wall.
 
     :param points: (N, 3) metres, z up.
-    :param height: of the cameras, metres.
-    :returns: the largest connected part; None if there is hardly any floor to be seen, only scraps
-        of it, or points so far apart that they are no room.
+    :param height: the height of the cameras, metres.
+    :returns: the largest connected part; None if there is too little floor, or if the points are
+        too far apart to be a room.
     """
     below = points[np.flatnonzero(points[:, 2] < height - BELOW), :2]
     if len(below) == 0:
@@ -162,7 +163,7 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
         return None
     low = lowest - 4.0 * EDGE
     cell = np.floor((below - low) / EDGE).astype(np.int64)
-    # Cells at the edge of the grid would not be closed.
+    # A margin is needed, since cells at the edge of the grid would not be closed.
     cell, low = cell + max(RADII), low - max(RADII) * EDGE
     seen = np.zeros(corners_of(cell)[1] + max(RADII) + 5, dtype=bool)
     seen[cell[:, 0], cell[:, 1]] = True
@@ -174,7 +175,7 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
 
 
 def _closed(seen: np.ndarray, radius: int) -> np.ndarray:
-    """Close gaps up to a radius, and what holes are then left but for large ones."""
+    """Close gaps up to a radius, then all holes except large ones."""
     x, y = np.ogrid[-radius:radius + 1, -radius:radius + 1]
     closed = ndimage.binary_closing(seen, x * x + y * y <= radius ** 2)
     holes, _ = ndimage.label(ndimage.binary_fill_holes(closed) & ~closed)
@@ -194,12 +195,12 @@ def _largest_part(seen: np.ndarray, radius: int) -> np.ndarray:
 
 def _fine(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor | None:
     """
-    Divide a floor, or all of a rectangle, into cells small enough to be closed one by one.
+    Divide a floor, or a whole rectangle, into cells small enough to be closed one by one.
 
-    :param floor: None where none is known.
+    :param floor: the floor; None if it is unknown.
     :param low: (2,) metres, corner of the rectangle.
     :param high: (2,) metres, the other corner.
-    :returns: the cells whose middle is in the rectangle; None if there is none.
+    :returns: the cells with their centre in the rectangle; None if there are none.
     """
     if floor is None:
         edge = FINE_EDGE
@@ -219,7 +220,7 @@ def _fine(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor | Non
 
 def _around(cells: Floor, position: np.ndarray, target: np.ndarray, straight: np.ndarray,
             step: float) -> np.ndarray:
-    """Return the end of a move towards a target, next to a straight one: (2,) metres."""
+    """Return the end of a move on a path to a target, near the straight move: (2,) metres."""
     for floor in islice(cells.reached(target, step), MOST_MOVES):
         near = floor.near(position, step)
         if near.open.any():
@@ -230,15 +231,15 @@ def _around(cells: Floor, position: np.ndarray, target: np.ndarray, straight: np
 @dataclass(frozen=True)
 class FreePlane:
     """
-    Where cameras may be: in a rectangle at a height, and over the floor where it is known.
+    The space of cameras: a rectangle at a height, over the floor if it is known.
 
     :ivar low: (2,) lowest x and y, metres, map frame.
     :ivar high: (2,) highest x and y, metres.
     :ivar height: z, metres.
-    :ivar cameras: K, how many there are.
-    :ivar floor: the cells they may be over; None for the whole rectangle.
-    :ivar clearance: metres that all places of the plane are from all points at least; 0 if they
-        may be anywhere.
+    :ivar cameras: K, the number of cameras.
+    :ivar floor: the cells that cameras may be over; None for the whole rectangle.
+    :ivar clearance: the least distance of all positions of the plane from all points, metres; 0
+        for no limit.
     """
 
     low: np.ndarray
@@ -255,15 +256,14 @@ class FreePlane:
         """
         Build the space of a room.
 
-        Where no place is as far from all surfaces as asked, the plane is as if nothing were asked.
+        If no position has the required clearance, the clearance is ignored.
 
         :param points: (N, 3) metres, the room.
         :param height: z of the cameras, metres.
         :param cameras: K.
         :param margin: cameras stay this far inside the bounding box, metres.
-        :param clearance: cameras stay this far from all points, metres; 0 for those that may
-            stand anywhere.
-        :param heights: of the lowest and the highest camera, metres, where they differ.
+        :param clearance: cameras keep this distance from all points, metres; 0 for no limit.
+        :param heights: the heights of the lowest and the highest camera, metres, if they differ.
         """
         bounds = corners_of(points).astype(np.float64)
         corners, _ = kept_inside(bounds, bounds, margin)
@@ -282,12 +282,12 @@ class FreePlane:
     def around(cls, cloud: np.ndarray, positions: np.ndarray, margin: float, clearance: float
                ) -> 'FreePlane':
         """
-        Build the space of cameras from what they have seen, at their median height.
+        Build the space of cameras from the points they have seen, at their median height.
 
         :param cloud: (M, 3) metres: the points seen so far, M >= 1.
-        :param positions: (K, 3) metres: where the cameras are.
-        :param margin: of :meth:`of`.
-        :param clearance: of :meth:`of`; it holds at the height of each camera.
+        :param positions: (K, 3) metres: the positions of the cameras.
+        :param margin: as in :meth:`of`.
+        :param clearance: as in :meth:`of`; it holds at the height of each camera.
         """
         z = positions[:, 2]
         return cls.of(cloud, float(np.median(z)), len(positions), margin, clearance,
@@ -300,7 +300,7 @@ class FreePlane:
 
     @property
     def area(self) -> float:
-        """Return how much floor there is to be over, square metres."""
+        """Return the area that cameras may be over, square metres."""
         return float(np.prod(self.size)) if self.floor is None else self.floor.area
 
     def random(self, rng: np.random.Generator, cameras: int | None = None) -> np.ndarray:
@@ -312,22 +312,22 @@ class FreePlane:
         return drawn
 
     def inside(self, positions: np.ndarray) -> np.ndarray:
-        """Move positions (..., 2) to the nearest place where cameras may be, roughly."""
+        """Move positions (..., 2) to approximately the nearest allowed positions."""
         if self.floor is not None:
             positions = self.floor.inside(positions)
         return np.clip(positions, self.low, self.high)
 
     def contains(self, positions: np.ndarray) -> np.ndarray:
-        """Tell of positions (..., 2) whether cameras may be there: (...) bool."""
+        """Return whether cameras may be at positions (..., 2): (...) bool."""
         return (np.abs(self.inside(positions) - positions) <= 1e-5).all(axis=-1)
 
     def moved(self, positions: np.ndarray, moves: np.ndarray, max_step: float) -> np.ndarray:
         """
-        Move cameras, but none away from where it may be.
+        Move cameras so that a camera at an allowed position ends at one.
 
-        :param positions: (K, 2) metres; who is not where it may be, and does not reach a place
-            near its way where it may, goes as it likes.
-        :param moves: (K, 2) metres; who does not move stays, wherever it is.
+        :param positions: (K, 2) metres; a camera at a forbidden position that cannot reach an
+            allowed one near its way moves freely.
+        :param moves: (K, 2) metres; a camera with a zero move stays, also at a forbidden position.
         :param max_step: no camera moves farther, metres.
         :returns: (K, 2) metres.
         """
@@ -337,7 +337,7 @@ class FreePlane:
         return self._beside(positions, ended, max_step) if self.clearance else ended
 
     def _beside(self, positions: np.ndarray, ended: np.ndarray, reach: float) -> np.ndarray:
-        """Move ends of ways (K, 2) that are too near to surfaces to places that are not."""
+        """Move those ends of moves (K, 2) that are too near to surfaces to allowed positions."""
         ended, moving = ended.copy(), (ended != positions).any(axis=1)
         for camera in np.flatnonzero(moving & ~self.contains(ended)):
             here = positions[camera]
@@ -349,14 +349,14 @@ class FreePlane:
 
     def reached(self, position: np.ndarray, step: float, turns: int) -> 'FreePlane':
         """
-        Return where a camera can be in time, to about a cell.
+        Return the space that a camera can reach in a number of turns, to about a cell.
 
-        Where steps are short for the cells, or where the first move leads nowhere, that is the
-        square around it with edges of twice so many steps.
+        If a step is too short for the cells, or the first move reaches no cell, the result is the
+        square around the camera whose half edge is ``turns`` steps.
 
         :param position: (2,) metres, where it is.
         :param step: no move is longer, metres.
-        :param turns: that many moves at most, 1 or more.
+        :param turns: the largest number of moves, 1 or more.
         """
         cells = self._cells_for(step)
         floors = [] if cells is None else list(islice(cells.reached(position, step), turns))
@@ -368,10 +368,10 @@ class FreePlane:
 
     def on_way(self, positions: np.ndarray, targets: np.ndarray, step: float) -> np.ndarray:
         """
-        Go from positions (K, 2) to targets (K, 2), metres, by one move no longer than a step.
+        Move from positions (K, 2) towards targets (K, 2), metres, by one move of at most a step.
 
-        It is the straight one where no other leads there in fewer turns, or where steps are short
-        for the cells, and otherwise the one next to it that does.
+        The move is straight if no path needs fewer turns, or if a step is too short for the cells.
+        Otherwise it is the move nearest to the straight one that lies on the shortest path.
 
         :returns: (K, 2) metres.
         """
@@ -385,11 +385,11 @@ class FreePlane:
         return ended
 
     def _straight(self, positions: np.ndarray, targets: np.ndarray, step: float) -> np.ndarray:
-        """Go straight from positions (K, 2) to targets (K, 2), metres, by one move."""
+        """Move straight from positions (K, 2) towards targets (K, 2), metres, by one move."""
         return self.moved(positions, towards(positions, targets, step) - positions, step)
 
     def _arrives(self, position: np.ndarray, target: np.ndarray, step: float, off: float) -> bool:
-        """Return whether a straight way, in as few turns as can be, ends next to a target."""
+        """Return whether straight moves reach a target, to ``off`` metres, in the fewest turns."""
         turns = int(np.ceil(np.linalg.norm(target - position) / step))
         place, goal = position[None], target[None]
         for _ in range(turns):
@@ -400,30 +400,30 @@ class FreePlane:
         return bool(np.linalg.norm(place - goal) <= off)
 
     def _cells_for(self, step: float) -> Floor | None:
-        """Return the cells that ways lead over; None where they are too large for such a step."""
+        """Return the cells of paths; None if they are too large for such a step."""
         cells = self._cells
         return cells if cells is not None and step >= CELLS_A_STEP * cells.edge else None
 
     @cached_property
     def _cells(self) -> Floor | None:
-        """Return the cells that cameras may be over; None if there is none."""
+        """Return the cells that cameras may be over; None if there are none."""
         return self.floor or _fine(None, self.low, self.high)
 
     def folded(self, positions: np.ndarray) -> np.ndarray:
-        """Fold positions (..., 2) back at the rectangle's edges: a symmetric step stays so."""
+        """Reflect positions (..., 2) at the rectangle's edges, which keeps steps symmetric."""
         size = np.maximum(self.size, 1e-12)
         folded = np.mod(positions - self.low, 2.0 * size)
         return self.low + np.minimum(folded, 2.0 * size - folded)
 
     def reflected(self, positions: np.ndarray) -> np.ndarray:
-        """Fold positions (..., 2) back at the edges and move them to where cameras may be."""
+        """Reflect positions (..., 2) at the edges and move them to allowed positions."""
         return self.inside(self.folded(positions))
 
     def grid(self, most: int) -> np.ndarray:
         """
-        Return a regular grid of at most so many places: (M, 2), M >= 1.
+        Return a regular grid of at most ``most`` positions: (M, 2), M >= 1.
 
-        The cells that the places are the middles of are as square as can be.
+        The cells around the positions are as square as possible.
         """
         if self.floor is None:
             return self._lattice(most)
@@ -433,7 +433,7 @@ class FreePlane:
         return places if len(places) else self.inside(0.5 * (self.low + self.high))[None]
 
     def _over_floor(self, count: int) -> np.ndarray:
-        """Return the places of a grid of the rectangle where cameras may be."""
+        """Return the positions of a grid of the rectangle that cameras may be at."""
         places = self._lattice(max(count, 1))
         return places[self.contains(places)]
 
@@ -446,5 +446,5 @@ class FreePlane:
         return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 2)
 
     def placement(self, positions: np.ndarray) -> np.ndarray:
-        """Put positions (n, 2) at the height of the cameras: (n, 3)."""
+        """Add the height of the cameras to positions (n, 2): (n, 3)."""
         return np.column_stack([positions, np.full(len(positions), self.height)])

@@ -12,16 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Moves and turns of cameras: bounded in length, kept inside the room."""
+"""Moves and rotations of cameras, bounded in length and kept inside the room."""
 
 from collections.abc import Callable
 
 import numpy as np
 
-#: Places from the middle to the edge of the disc that a turn reaches, and how often they are
-#: sought again, each time so many times nearer together.
+#: The number of positions from the centre to the edge of the disc that one turn reaches, and the
+#: scales of the disc in successive, finer searches.
 ACROSS, FINER = 10, (1.0, 0.15)
-#: Metres that a number may be off by rounding.
+#: Metres: the tolerance for rounding.
 ROUNDING = 1e-9
 
 
@@ -39,18 +39,18 @@ def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
 
 
 def order_of(turn: int, cameras: int) -> np.ndarray:
-    """Return the order in which cameras are asked at a turn: nobody is always the first."""
+    """Return the order of the cameras at a turn, rotated so that each one is first in turn."""
     return np.roll(np.arange(cameras), turn)
 
 
 def drawn_near(rng: np.random.Generator, count: int, radius: float) -> np.ndarray:
-    """Draw ways (count, 2), metres, evenly from a disc."""
+    """Draw offsets (count, 2), metres, uniformly from a disc."""
     length, angle = radius * np.sqrt(rng.random(count)), rng.uniform(-np.pi, np.pi, count)
     return length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def outwards(count: int, pitch: float) -> np.ndarray:
-    """Turn cameras to all sides: (count, 3) yaw, pitch and roll in radians."""
+    """Return headings evenly spread over all yaws: (count, 3) yaw, pitch and roll in radians."""
     headings = np.zeros((count, 3))
     headings[:, 0] = 2.0 * np.pi * np.arange(count) / count
     headings[:, 1] = pitch
@@ -58,14 +58,14 @@ def outwards(count: int, pitch: float) -> np.ndarray:
 
 
 def shortened(ways: np.ndarray, longest: float) -> np.ndarray:
-    """Shorten ways (K, D) that are longer than some length, in the same unit."""
+    """Shorten vectors (K, D) to at most a given length."""
     length = np.linalg.norm(ways, axis=1, keepdims=True)
     return ways * np.minimum(longest / np.maximum(length, 1e-12), 1.0)
 
 
 def towards(positions: np.ndarray, targets: np.ndarray, reach: float) -> np.ndarray:
     """
-    Go from positions (K, 2) to targets (K, 2), metres, but no farther than some reach, metres.
+    Move from positions (K, 2) towards targets (K, 2), metres, by at most ``reach`` metres.
 
     :returns: (K, 2) metres.
     """
@@ -74,15 +74,15 @@ def towards(positions: np.ndarray, targets: np.ndarray, reach: float) -> np.ndar
 
 def turned_towards(headings: np.ndarray, goals: np.ndarray, reach: float) -> np.ndarray:
     """
-    Turn cameras towards goals, but no farther than some angle.
+    Rotate cameras towards goals by at most a given angle.
 
-    A yaw and a pitch are legs of a right-angled triangle on the sphere of rotations, so the
-    rotation is at most the square root of the sum of their squares.
+    A yaw and a pitch are the legs of a right-angled triangle on the sphere of rotations, so the
+    rotation is at most the root of the sum of their squares.
 
     :param headings: (K, 3) yaw, pitch, roll in radians.
-    :param goals: (K, 3) the same; the roll is not looked at.
+    :param goals: (K, 3) the same; the roll is ignored.
     :param reach: radians.
-    :returns: (K, 3) radians: the yaw changes the shorter way, the roll stays.
+    :returns: (K, 3) radians: the yaw changes in the shorter direction, the roll stays.
     """
     turned = headings.copy()
     turned[:, :2] += shortened(way_between(headings, goals), reach)
@@ -91,18 +91,18 @@ def turned_towards(headings: np.ndarray, goals: np.ndarray, reach: float) -> np.
 
 
 def wrapped(angles: np.ndarray) -> np.ndarray:
-    """Return angles in radians as -pi up to pi; those that are stay as they are."""
+    """Wrap angles in radians to -pi up to pi; angles in this range stay unchanged."""
     return np.where(np.abs(angles) <= np.pi, angles,
                     np.mod(angles + np.pi, 2.0 * np.pi) - np.pi)
 
 
 def way_between(headings: np.ndarray, goals: np.ndarray) -> np.ndarray:
     """
-    Tell by how much cameras have to be turned.
+    Return the rotations from headings to goals.
 
     :param headings: (..., 3) yaw, pitch, roll in radians.
     :param goals: (..., 3) the same.
-    :returns: (..., 2) yaw, the shorter way, and pitch, radians.
+    :returns: (..., 2) yaw, in the shorter direction, and pitch, radians.
     """
     way = goals[..., :2] - headings[..., :2]
     way[..., 0] = wrapped(way[..., 0])
@@ -116,7 +116,7 @@ def kept_inside(positions: np.ndarray, bounds: np.ndarray, margin: float
 
     :param positions: (K, 3) metres.
     :param bounds: (2, 3) metres, lowest and highest corner.
-    :param margin: metres to keep from the box's sides; at most to its middle.
+    :param margin: the distance to keep from the box's sides, metres, at most up to its middle.
     :returns: positions (K, 3) float64, and whether any of them was outside the box itself.
     """
     low, high = bounds[0, :2], bounds[1, :2]
@@ -132,14 +132,14 @@ def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
                   mounted: Callable[[np.ndarray], np.ndarray],
                   allowed: Callable[[np.ndarray], np.ndarray]) -> np.ndarray | None:
     """
-    Find the allowed place that is nearest to a target, among those that one turn reaches.
+    Find the allowed position nearest to a target that one turn reaches.
 
     :param position: (3,) metres, where the camera is.
-    :param target: (3,) metres, where it was to go.
-    :param reach: farthest that it moves in one turn, metres.
-    :param mounted: brings places (P, 3) to what the camera hangs on.
-    :param allowed: tells at which places (P, 3) it may be: (P,) bool.
-    :returns: (3,) metres, found to about a seventieth of the reach; None if there is none.
+    :param target: (3,) metres, the target of the camera.
+    :param reach: the largest move in one turn, metres.
+    :param mounted: moves positions (P, 3) onto the mount of the camera.
+    :param allowed: returns which positions (P, 3) are allowed: (P,) bool.
+    :returns: (3,) metres, accurate to about a seventieth of the reach; None if there is none.
     """
     def usable(places: np.ndarray) -> np.ndarray:
         places = mounted(places)
@@ -160,7 +160,7 @@ def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
 
 
 def _disc(middle: np.ndarray, radius: float) -> np.ndarray:
-    """Return places (P, 3) in a level disc."""
+    """Return positions (P, 3) in a horizontal disc."""
     steps = np.linspace(-radius, radius, 2 * ACROSS + 1)
     x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
     within = np.hypot(x, y) <= radius
@@ -169,12 +169,12 @@ def _disc(middle: np.ndarray, radius: float) -> np.ndarray:
 
 def mounted(placement: np.ndarray, off: float, count: int, seed: int) -> np.ndarray:
     """
-    Mount cameras a little off, in the same ways for every placement.
+    Displace cameras by mounting errors, which are the same for every placement.
 
     :param placement: (K, 3) or (K, 6), metres and radians.
-    :param off: how far each camera is off, seen from above, metres.
-    :param count: how many ways of being off, M.
-    :param seed: of these ways.
+    :param off: the horizontal displacement of each camera, metres.
+    :param count: the number M of sets of mounting errors.
+    :param seed: the seed of these errors.
     :returns: (M, K, 3) or (M, K, 6).
     """
     angles = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (count, len(placement)))

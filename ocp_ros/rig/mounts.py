@@ -26,24 +26,24 @@ from ocp_ros.rig.structure import floor_height, MountSurface, STAND_OFF
 from ocp_ros.rig.zones import lattice_of, nearest_of, Zone
 from ocp_ros.scenes.scene import Scene
 
-#: Places that are looked at, and metres between the levels where cameras may hang at any height.
+#: The number of positions examined, and metres between the levels if any height is allowed.
 DENSE, LEVELS = 4000, 0.3
-#: Points of a wall as far as this above or below a height stand for it, metres.
+#: Metres: points of a wall within this distance above or below a height count as at this height.
 BAND = 0.2
-#: Radians: how far to either side a camera on a wall looks, and how far down one looks at most
-#: unless the rig says so.
+#: Radians: the largest yaw to either side of a camera on a wall, and the largest default pitch.
 SIDEWAYS, STEEPEST = np.deg2rad(60.0), np.deg2rad(38.0)
-#: Metres: places this near to each other are one.
+#: Metres: positions this near to each other count as one.
 ALIKE = 0.02
 FULL_TURN = 2.0 * np.pi
 
 
 class MountPlaces(NamedTuple):
     """
-    Where cameras may hang.
+    The positions that a mount offers.
 
     :ivar positions: (P, 3) metres, map frame.
-    :ivar inwards: (P,) radians, the yaw of looking into the room; 0 where there is no wall.
+    :ivar inwards: (P,) radians, the yaw of a camera that looks into the room; 0 if there is no
+        wall.
     """
 
     positions: np.ndarray
@@ -53,10 +53,10 @@ class MountPlaces(NamedTuple):
 def places_in(rig: Rig, scene: Scene, space: FreePlane,
               surface: MountSurface | None) -> MountPlaces:
     """
-    List the places that a mount offers.
+    List the positions that a mount offers.
 
-    :param space: where there is floor.
-    :param surface: the ceiling or the walls; None for mounts without.
+    :param space: the space with floor.
+    :param surface: the ceiling or the walls; None for mounts without a surface.
     """
     on, heights, _ = rig.mount
     floor = floor_height(scene)
@@ -84,7 +84,7 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
 
 def _along_walls(heights: np.ndarray, space: FreePlane, walls: MountSurface,
                  zones: Sequence[Zone], ground: float) -> MountPlaces:
-    """List places on the side of walls that faces the floor, in zones where there are some."""
+    """List positions on the side of walls that faces the floor, in the zones if there are any."""
     low, high = heights
     z = walls.points[:, 2]
     near = np.flatnonzero((z >= low - BAND) & (z <= high + BAND))
@@ -107,11 +107,11 @@ def _along_walls(heights: np.ndarray, space: FreePlane, walls: MountSurface,
 
 def pitches_of(rig: Rig, step: float) -> np.ndarray:
     """
-    Return the pitches that are worth a look.
+    Return the candidate pitches.
 
-    Steeper ones than 38 degrees show little of a room; they count where the rig asks for them.
+    Pitches above 38 degrees show little of a room; they are included if the rig asks for them.
 
-    :param step: radians between them, about.
+    :param step: the approximate step, radians.
     :returns: (P,) radians.
     """
     low, high = rig.pitch
@@ -122,16 +122,16 @@ def pitches_of(rig: Rig, step: float) -> np.ndarray:
 
 def headings_of(rig: Rig, model: CameraModel, step: float, tilt: float) -> np.ndarray:
     """
-    Return the ways a camera may be turned, relative to looking into the room.
+    Return the candidate headings of a camera, relative to looking into the room.
 
-    :param step: of yaw, radians.
-    :param tilt: of pitch, radians.
+    :param step: the step of yaw, radians.
+    :param tilt: the step of pitch, radians.
     :returns: (H, 3) yaw, pitch, roll in radians; one for an omnidirectional camera.
     """
     if model.omnidirectional:
         return np.zeros((1, 3))
     if model.horizontal_fov >= FULL_TURN - 1e-9:
-        # As level as may be.
+        # The pitch is as level as the rig allows.
         return np.array([[0.0, np.clip(0.0, *rig.pitch), rig.rolls[0]]])
     yaws = np.arange(0.0, FULL_TURN - 1e-9, step)
     if rig.mount.on == 'walls':
@@ -142,7 +142,7 @@ def headings_of(rig: Rig, model: CameraModel, step: float, tilt: float) -> np.nd
 
 def first_headings(rig: Rig, positions: np.ndarray, middle: np.ndarray) -> np.ndarray:
     """
-    Turn cameras to begin with: outwards, or from walls to the middle.
+    Return the first headings of cameras: outwards, or from walls towards the middle.
 
     :param positions: (K, 3) metres.
     :param middle: (2,) metres, of the room.
@@ -158,13 +158,13 @@ def first_headings(rig: Rig, positions: np.ndarray, middle: np.ndarray) -> np.nd
 
 def spread(positions: np.ndarray, count: int, apart: float = ALIKE) -> tuple[np.ndarray, float]:
     """
-    Choose some of many places, each time the one farthest from those before.
+    Choose positions one by one, each time the one farthest from those chosen before.
 
     :param positions: (P, 3) metres, P >= 1.
-    :param count: the most to choose.
-    :param apart: metres; places that are nearer to a chosen one are not chosen.
-    :returns: indices, the place nearest to the middle first, and how far the farthest place is
-        from the nearest chosen one, metres.
+    :param count: the largest number to choose.
+    :param apart: metres; positions nearer to a chosen one are not chosen.
+    :returns: indices, the position nearest to the mean first, and the largest distance of a
+        position from the nearest chosen one, metres.
     """
     nearest = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
     chosen = [int(np.argmin(nearest))]

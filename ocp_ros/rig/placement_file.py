@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Where the cameras of a rig hang, as a file: what a planner writes and an installer carries out.
+Placement files: the poses of a rig's cameras, written by a planner for the installer.
 
-A file holds all that its scores depend on: the sensors' numbers, the rig, the engine's settings
-and the hash of the room. Its numbers are rounded before they are judged, so that who reads it
-gets the same scores. docs/reference/placement.md explains every key.
+A file contains everything that its scores depend on: the sensor parameters, the rig, the engine's
+settings and the hash of the room. Its numbers are rounded before the placement is evaluated, so
+that a reader of the file gets the same scores. docs/reference/placement.md explains every key.
 """
 
 from collections.abc import Sequence
@@ -46,26 +46,27 @@ from ocp_ros.util.files import write_atomically
 from ocp_ros.util.yaml_files import Document, read_document, timestamp, Way, written
 
 VERSION, FRAME, FIXED = 1, 'map', 'fixed'
-#: Decimals of metres and of degrees in files: nobody mounts a camera to the tenth of a millimetre.
+#: Decimals of metres and of degrees in files: cameras are mounted less accurately than this.
 METRES, DEGREES = 4, 3
-#: Metres from surfaces where no rig says how far: less than a camera's own size.
+#: Metres: the default distance from surfaces without a rig, less than a camera's own size.
 TOUCHING = 0.05
-#: Degrees that further cameras may look down where no rig says how far.
+#: Degrees: the default largest pitch of further cameras without a rig.
 MORE_PITCH = 60.0
-#: Metres and radians that a camera in place may be off where rig and placement both have it.
+#: The tolerance, in metres and in entries of the rotation matrix, between a camera in place in the
+#: rig and in the placement.
 SAME = 1e-3
 ANGLES = ('yaw', 'pitch', 'roll')
 
 
 class Placed(NamedTuple):
     """
-    A camera where it hangs.
+    A camera with its pose.
 
     :ivar camera: the camera.
     :ivar position: x, y, z, metres.
     :ivar angles: yaw, pitch, roll, degrees.
-    :ivar mount: what it hangs on, or ``fixed`` if it hung there before.
-    :ivar planned: position and angles that were planned, if it was found to hang elsewhere.
+    :ivar mount: the surface it is mounted on, or ``fixed`` if it was in place before.
+    :ivar planned: the planned position and angles, if the camera was found to hang elsewhere.
     """
 
     camera: Camera
@@ -75,7 +76,7 @@ class Placed(NamedTuple):
     planned: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
     def found_at(self, pose: np.ndarray) -> 'Placed':
-        """Return the camera where it was found to hang: (6,) metres and radians."""
+        """Return the camera at its measured pose (6,), metres and radians."""
         return _rounded(self.camera, pose, self.mount)._replace(
             planned=self.planned or (self.position, self.angles))
 
@@ -90,15 +91,15 @@ class Placement:
     """
     A placement of a rig.
 
-    :ivar cameras: those that were to be placed, then those that hung there before.
-    :ivar rig: what was asked for; None where the file does not say.
-    :ivar room: which room, as the file has it: file or seed, sha256, points, scale, up.
-    :ivar engine: settings that the scores were found with.
-    :ivar scores: figures, as the file has them.
-    :ivar created: date, command and version, as the file has them.
+    :ivar cameras: the cameras that were to be placed, then those in place before.
+    :ivar rig: the rig; None if the file does not contain it.
+    :ivar room: the room, as in the file: file or seed, sha256, points, scale, up.
+    :ivar engine: the engine settings of the scores.
+    :ivar scores: the scores, as in the file.
+    :ivar created: date, command and version, as in the file.
     :ivar frame: the frame of all poses.
-    :ivar document: what it was read from, if it was.
-    :ivar ways: where each camera stands in that document.
+    :ivar document: the document it was read from, or None.
+    :ivar ways: the keys of each camera in that document.
     """
 
     cameras: tuple[Placed, ...]
@@ -113,13 +114,13 @@ class Placement:
 
     @property
     def poses(self) -> np.ndarray:
-        """Return the cameras that were to be placed: (K, 6) metres and radians."""
+        """Return the poses of the cameras that were to be placed: (K, 6) metres and radians."""
         return np.array([placed.pose for placed in self.cameras
                          if placed.mount != FIXED]).reshape(-1, 6)
 
     @property
     def planned_poses(self) -> np.ndarray | None:
-        """Return the poses as they were planned, (K, 6), where one was found to be another."""
+        """Return the planned poses (K, 6) if any camera was measured elsewhere, else None."""
         moved = [placed for placed in self.cameras if placed.mount != FIXED]
         if not any(placed.planned for placed in moved):
             return None
@@ -128,7 +129,7 @@ class Placement:
 
     def rig_in(self, scene: Scene) -> Rig:
         """
-        Return the rig, or one like it that asks for nothing but what these cameras have.
+        Return the rig, or a rig with no other constraints than these cameras fulfil.
 
         :param scene: the room, for heights above its floor.
         """
@@ -136,18 +137,18 @@ class Placement:
 
 
 def created_by(command: str, planner: str = '') -> dict[str, str]:
-    """Return who made a placement, and which planner found it if any did, for its file."""
+    """Return the origin of a placement for its file: date, command, version and planner."""
     return {'date': timestamp(), 'command': command, 'version': __version__,
             **({'planner': planner} if planner else {})}
 
 
 def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:
     """
-    Make the placement of a rig, rounded as its file will be.
+    Make the placement of a rig, rounded as in its file.
 
     :param poses: (K, 6) metres, map frame, and radians; (K, 3) where no camera has a heading.
     :param more: other fields of :class:`Placement`.
-    :raises ValueError: if there are not as many poses as cameras to be placed.
+    :raises ValueError: if the number of poses differs from that of the cameras to be placed.
     """
     poses = np.asarray(poses, dtype=np.float64)
     if len(poses) != len(rig.cameras):
@@ -161,22 +162,22 @@ def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:
 
 
 def _rounded(camera: Camera, pose: np.ndarray, mount: str) -> Placed:
-    """Return a camera where it hangs, with as many decimals as its file will have."""
+    """Return a camera with its pose rounded as in its file."""
     position, angles = _rounded_numbers(np.asarray(pose)[None])
     return Placed(camera, tuple(position[0].tolist()), tuple(angles[0].tolist()), mount)
 
 
 def _rounded_numbers(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions in metres and angles in degrees, (M, 3) each, as files have them."""
+    """Return positions in metres and angles in degrees, (M, 3) each, rounded as in files."""
     angles = np.rad2deg(poses[:, 3:])
     angles[:, [0, 2]] = (angles[:, [0, 2]] + 180.0) % 360.0 - 180.0
-    # No minus zeros.
+    # Adding 0.0 turns -0.0 into 0.0.
     return np.round(poses[:, :3], METRES) + 0.0, np.round(angles, DEGREES) + 0.0
 
 
 def as_written(poses: np.ndarray) -> np.ndarray:
     """
-    Return poses as they come back from a file, so that a search can judge what it will write.
+    Return poses rounded as in a file, so that a search evaluates the poses that it will write.
 
     :param poses: (M, 6) metres, map frame, and radians.
     """
@@ -189,8 +190,8 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
     Read a placement.
 
     :param path: a YAML or JSON file; docs/reference/placement.md explains its keys.
-    :param rig: what is asked for, in place of what the file says.
-    :raises ConfigurationError: if the file cannot be used or is not of this rig: one sentence
+    :param rig: the rig to use instead of the one in the file.
+    :raises ConfigurationError: if the file cannot be used or does not match this rig: one sentence
         with file, line and key.
     """
     return placement_from(read_document(path, PLACEMENT), rig)
@@ -198,10 +199,10 @@ def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
 
 def placement_from(document: Document, rig: Rig | None = None) -> Placement:
     """
-    Build a placement from a document that its schema holds for.
+    Build a placement from a document that is valid under its schema.
 
-    :param rig: what is asked for, in place of what the document says.
-    :raises ConfigurationError: if it is not of this rig.
+    :param rig: the rig to use instead of the one in the document.
+    :raises ConfigurationError: if it does not match this rig.
     """
     data = document.data
     if rig is None and 'rig' in data:
@@ -230,20 +231,20 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
 
 
 def _placed(document: Document, way: Way, camera: Camera, mount: str) -> Placed:
-    """Read where a camera hangs, and on what unless the file does not say."""
+    """Read the pose and the mount of a camera; ``mount`` is the default mount."""
     data = document.value(*way)
     planned = _numbers_at(data['planned']) if 'planned' in data else None
     return Placed(camera, *_numbers_at(data), data.get('mount', mount), planned)
 
 
 def _numbers_at(data: dict[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return position and angles as a file has them."""
+    """Return the position and the angles of an entry of a file."""
     return (tuple(float(value) for value in data['position']),
             tuple(float(data.get(angle, 0.0)) for angle in ANGLES))
 
 
 def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way, str]) -> Rig:
-    """Return the rig with the names of the file; its cameras have to be the same, in order."""
+    """Return the rig with the names of the file; the cameras have to match in order."""
     if len(ways) != len(rig.cameras):
         raise document.error(
             ('cameras',), f'{len(ways)} cameras that may be moved', f'{len(rig.cameras)}, as in '
@@ -266,7 +267,7 @@ def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way,
 
 
 def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
-    """Refuse cameras in place that are not those of the rig; they may be left out."""
+    """Refuse cameras in place that differ from those of the rig; they may be left out."""
     for k, way in enumerate(ways):
         data = document.value(*way)
         if (len(ways) != len(rig.fixed) or not _sees_as(document, way, rig.fixed[k].camera.model)
@@ -276,7 +277,7 @@ def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
 
 
 def _sees_as(document: Document, way: Way, model: CameraModel) -> bool:
-    """Return whether a camera of a file has the numbers of a model; files round angles."""
+    """Return whether a camera of a file has the parameters of a model, up to rounding."""
     found = model_of(document, way)
     return found.resolution == model.resolution and all(
         math.isclose(getattr(found, key), getattr(model, key))
@@ -284,13 +285,13 @@ def _sees_as(document: Document, way: Way, model: CameraModel) -> bool:
 
 
 def _alike(pose: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two poses are the same, whatever their angles are called."""
+    """Return whether two poses are the same, also if their angles differ in representation."""
     turns = rotation_matrix(*pose[3:]) - rotation_matrix(*other[3:])
     return max(np.abs(pose[:3] - other[:3]).max(), np.abs(turns).max()) <= SAME
 
 
 def _rig_like(placement: Placement, floor: float) -> Rig:
-    """Describe the rig of a placement's cameras: more of them may hang as these do."""
+    """Return a rig for a placement without one, with mount, heights and pitches of its cameras."""
     placed = placement.cameras
     moved = [one for one in placed if one.mount != FIXED]
     heights = [max(one.position[2] - floor, 0.0) for one in moved]
@@ -311,7 +312,7 @@ def _rig_like(placement: Placement, floor: float) -> Rig:
 
 
 def _made_of(placement: Placement, data: dict[str, Any], lowest: int) -> Document:
-    """Return a rig that a placement stands for; its errors name the placement's keys."""
+    """Return a document of rig data whose errors name the keys of the placement."""
     document, ways = placement.document, placement.ways
     if document is None:
         return Document('placement', data)
@@ -323,7 +324,7 @@ def _made_of(placement: Placement, data: dict[str, Any], lowest: int) -> Documen
 
 
 def numbers_of(camera: Camera) -> dict[str, Any]:
-    """Return a camera's sensor and numbers as files have them, angles in degrees."""
+    """Return a camera's sensor and parameters for a file, angles in degrees."""
     model: CameraModel = camera.model
     numbers: dict[str, Any] = {'sensor': camera.sensor} if camera.sensor else {}
     for key in ('horizontal_fov', 'vertical_fov'):
@@ -335,7 +336,7 @@ def numbers_of(camera: Camera) -> dict[str, Any]:
 
 
 def _entry(placed: Placed, mount: bool = True) -> dict[str, Any]:
-    """Return a camera as files have it."""
+    """Return the entry of a camera for a file."""
     entry = {'name': placed.camera.name, **numbers_of(placed.camera),
              **_numbers(placed.position, placed.angles),
              **({'mount': placed.mount} if mount else {})}
@@ -345,12 +346,12 @@ def _entry(placed: Placed, mount: bool = True) -> dict[str, Any]:
 
 
 def _numbers(position: Sequence[float], angles: Sequence[float]) -> dict[str, Any]:
-    """Return position and angles as files have them."""
+    """Return position and angles for a file."""
     return {'position': list(position), **dict(zip(ANGLES, angles))}
 
 
 def data_of(placement: Placement) -> dict[str, Any]:
-    """Return a placement as plain data, as its file has it."""
+    """Return a placement as plain data for its file."""
     data = {'version': VERSION, 'frame': placement.frame, 'room': placement.room,
             'cameras': [_entry(placed) for placed in placement.cameras],
             'engine': asdict(placement.engine),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Whether a scan looks like a room: level, upright, in metres, of one storey, and closed."""
+"""Check whether a scan looks like a room: level, upright, in metres, of one storey, and closed."""
 
 from typing import NamedTuple
 
@@ -23,28 +23,31 @@ from ocp_ros.scenes.scene import Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-#: Share of the floor plan that a level layer has to fill to be a floor, a ceiling or a storey.
+#: The least share of the floor plan that a level layer fills if it is a floor or a ceiling, or a
+#: storey.
 LAYER_SHARE, STOREY_SHARE = 0.2, 0.4
-#: Metres: layers that are nearer to each other are the two sides of one slab; edge of a cell of
-#: the floor plan.
+#: Metres: layers nearer to each other are the two sides of one slab; the edge of a cell of the
+#: floor plan.
 SLAB, CELL = 1.2, 0.25
-#: Degrees: how far a floor may be tilted, and how far from upright normals are looked at.
+#: Degrees: the largest tilt of a floor, and the largest angle to the vertical of normals examined.
 TILTED, LEANING = 3.0, 30.0
-#: Metres between the lowest and the highest tenth of a ceiling that is level.
+#: Metres: the largest difference of the lowest and highest tenths of a level ceiling.
 SLOPED = 0.3
-#: Metres: rooms are seldom higher; and heights that rooms mostly have.
+#: Metres: rooms are seldom higher than the first; the second is the usual range of heights.
 HIGH, USUAL = 6.0, (2.1, 4.0)
-#: Metres in units that are mistaken for others: feet read as metres, a factor of ten or hundred.
+#: Scale factors of units that are mistaken for metres, such as feet, or by a factor of ten or a
+#: hundred.
 FACTORS = {0.3048: 'feet', 0.1: 'a unit ten times smaller', 0.01: 'centimetres',
            0.001: 'millimetres', 0.0254: 'inches'}
-#: Metres off floor and ceiling that are compared, square metres that say nothing, and the evidence
-#: from which on a room lies upside down; and the share of a room's height at either end that a
-#: wall has upright surfaces in.
+#: The range of distances in metres from floor and ceiling that are compared; square metres added
+#: to both areas so that small ones are no evidence; the evidence below which a room is upside
+#: down; the share of the room's height at either end in which a wall has upright surfaces.
 NEAR, TRIFLE, OVERTURNED, LOWER = (0.15, 0.8), 0.2, -0.45, 0.35
-#: Square metres of a scan without a ceiling that may be outdoors, and of its walls in that.
+#: Square metres above which a scan without a ceiling may be outdoors, and the wall area as a share
+#: of the plan below which it is.
 LARGE, ENCLOSED = 300.0, 0.3
-#: Metres from the edge of the floor to a wall, how much more for each metre between points, and
-#: the share of the edge that may have none.
+#: Metres: the largest distance from the edge of the floor to a wall, plus this factor times the
+#: point spacing; and the share of the edge that may have no wall.
 BESIDE, THIN, OPEN = 0.6, 3.0, 0.2
 
 
@@ -52,9 +55,9 @@ class _Layers(NamedTuple):
     """
     The level surfaces of a room by height.
 
-    :ivar z: (M,) metres, points with level surfaces.
+    :ivar z: (M,) metres, the heights of points on level surfaces.
     :ivar areas: (M,) square metres.
-    :ivar plan: square metres that the room takes seen from above.
+    :ivar plan: the area of the room seen from above, square metres.
     """
 
     z: np.ndarray
@@ -67,14 +70,14 @@ class _Layers(NamedTuple):
 
 
 def missing_surfaces(scene: Scene) -> tuple[str, ...]:
-    """Return which of ``ceiling`` and ``floor`` a scan does not show."""
+    """Return which of ``ceiling`` and ``floor`` are missing in a scan."""
     return _missing(scene, _layers_of(scene), ceiling_of(scene).points, _lean(scene))
 
 
 def _missing(scene: Scene, layers: _Layers, ceiling: np.ndarray, lean: float) -> tuple[str, ...]:
-    """Return the same for the level surfaces, the points of the ceiling and the lean, degrees."""
+    """Return the missing surfaces, given level surfaces, ceiling points and tilt in degrees."""
     floor, least = floor_height(scene), LAYER_SHARE * layers.plan
-    # A floor that slopes is at many heights.
+    # A sloping floor covers a range of heights.
     thick = LAYER if lean < TILTED else SLAB
     lacking = {'ceiling': _area(scene, ceiling) < least,
                'floor': layers.within(floor - thick, floor + thick) < least}
@@ -83,17 +86,17 @@ def _missing(scene: Scene, layers: _Layers, ceiling: np.ndarray, lean: float) ->
 
 def room_notes(scene: Scene) -> list[str]:
     """
-    Say what makes a scan unlike a room, or unlike one that was read as it is meant.
+    Return notes on properties of a scan that are unusual for a room or suggest a reading error.
 
-    :returns: sentences that say what was found, what was expected and what to do; none for a room
-        as the engine and the planners expect it.
+    :returns: sentences that say what was found, what was expected and what to do; none for a usual
+        room.
     """
     layers, floor = _layers_of(scene), floor_height(scene)
     top = float(np.percentile(scene.points[:, 2], 99.5))
     ceiling, lean = ceiling_of(scene).points, _lean(scene)
     missing = _missing(scene, layers, ceiling, lean)
     bare, lidless = 'floor' in missing, 'ceiling' in missing
-    # Where walls are plumb the floor slopes, as in a lecture room or on a ramp.
+    # If the walls are plumb, the floor itself slopes, as in a lecture room or on a ramp.
     tilt = lean >= TILTED and not _plumb(scene)
     notes = [] if lean < TILTED else [
         f'found floor and ceiling tilted by {lean:.0f} degrees; expected them level; level the '
@@ -101,7 +104,7 @@ def room_notes(scene: Scene) -> list[str]:
         f'found a floor that slopes by {lean:.0f} degrees between plumb walls; expected it level; '
         'heights above the floor are those above its largest level part']
     notes += [*_height(top - floor), *_storeys(layers)]
-    # What is tilted has neither a floor nor a ceiling at one height.
+    # A tilted scan has no floor or ceiling at one height.
     if bare and lean < TILTED:
         notes.append('found no floor; expected a level one below everything; check which axis is '
                      'up (--up), or scan the floor as well')
@@ -124,23 +127,23 @@ def room_notes(scene: Scene) -> list[str]:
 
 
 def _open(scene: Scene, walls: np.ndarray) -> float:
-    """Return the share of the edge of a room's floor that no wall is near to."""
+    """Return the share of the edge of a room's floor without a wall nearby."""
     floor = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0).floor
     if floor is None:
         return 0.0
     whole = ndimage.binary_fill_holes(np.pad(floor.open, 1))
     edge = np.argwhere(whole & ~ndimage.binary_erosion(whole)) - 0.5
     away = cKDTree(walls[:, :2]).query(floor.low + floor.edge * edge)[0] if len(walls) else np.inf
-    # Thin scans do not show every part of a wall.
+    # Sparse scans do not show every part of a wall.
     beside = BESIDE + THIN * float(np.median(scene.pitch))
     return float(np.mean(away > beside * np.ones(len(edge))))
 
 
 def _layers_of(scene: Scene) -> _Layers:
-    """Gather the level surfaces of a room."""
+    """Return the level surfaces of a room."""
     level = np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
     cells = np.floor(scene.points[:, :2] / CELL).astype(np.int64)
-    # Of sparse scans not every cell has a point; each point stands for its square.
+    # In sparse scans some cells have no point; each point stands for its square.
     plan = max(len(np.unique(cells, axis=0)) * CELL ** 2, 1e-9)
     return _Layers(scene.points[level, 2], scene.pitch[level].astype(np.float64) ** 2, plan)
 
@@ -151,7 +154,7 @@ def _area(scene: Scene, points: np.ndarray) -> float:
 
 
 def _lean(scene: Scene) -> float:
-    """Return how far most level surfaces lean in the lower half of a room, degrees."""
+    """Return the dominant tilt of level surfaces in the lower half of a room, degrees."""
     normals = scene.normals_or_estimate * np.sign(scene.normals_or_estimate[:, 2:])
     upright = normals[:, 2] > np.cos(np.deg2rad(LEANING))
     upright &= scene.points[:, 2] < scene.bounds[:, 2].mean()
@@ -169,17 +172,17 @@ def _lean(scene: Scene) -> float:
 
 
 def _plumb(scene: Scene) -> bool:
-    """Return whether walls that face different ways all stand plumb."""
+    """Return whether the walls of all directions are plumb."""
     normals, areas = scene.normals_or_estimate, scene.pitch.astype(np.float64) ** 2
     leaning = np.abs(normals[:, 2]) < np.sin(np.deg2rad(LEANING))
-    # What is across all of them is the way up.
+    # The direction perpendicular to all their normals is the vertical.
     spread = (normals[leaning] * areas[leaning, None]).T @ normals[leaning]
     lean = np.rad2deg(np.arccos(min(abs(float(np.linalg.eigh(spread)[1][2, 0])), 1.0)))
     return bool(lean < 0.5 * TILTED)
 
 
 def _height(height: float) -> list[str]:
-    """Say so where a room is higher than most, and by which unit it would not be."""
+    """Return a note if a room is unusually high, and the unit that would explain it."""
     if height <= HIGH:
         return []
     factor = next((factor for factor in FACTORS if USUAL[0] <= factor * height <= USUAL[1]), None)
@@ -190,7 +193,7 @@ def _height(height: float) -> list[str]:
 
 
 def _storeys(layers: _Layers) -> list[str]:
-    """Say so where there are more large level layers than a floor and a ceiling."""
+    """Return a note if there are more large level layers than a floor and a ceiling."""
     if len(layers.z) == 0:
         return []
     heights = np.arange(layers.z.min() - 0.5 * LAYER, layers.z.max() + LAYER, LAYER)
@@ -207,10 +210,10 @@ def _overturned(scene: Scene, floor: float, heights: np.ndarray) -> bool:
     """
     Return whether a room lies upside down.
 
-    Furniture stands low and hides the foot of walls, which have doors there: there is more surface
-    low than high, and more of a wall high than low. Only clear evidence counts: of 60 generated
-    rooms that the limit was not made on one looks overturned, and of the same turned over 14 do.
-    Below a roof that slopes nothing is clear.
+    Furniture stands low and hides the lower parts of walls, which also have doors. So there is
+    more surface low than high, and more wall area high than low. Only clear evidence counts: of 60
+    generated rooms that the limit was not tuned on, one is wrongly reported; of the same rooms
+    turned over, 14 are found. Below a sloping roof there is no clear evidence.
 
     :param heights: (C,) z of the points of the ceiling, metres.
     """
@@ -227,7 +230,7 @@ def _overturned(scene: Scene, floor: float, heights: np.ndarray) -> bool:
 
 
 def _over_walls(scene: Scene, floor: float, ceiling: float) -> np.ndarray:
-    """Tell which points lie on walls or beside: where upright surfaces are low and high: (N,)."""
+    """Return which points are in or beside cells with upright surfaces low and high: (N,)."""
     cells = np.floor((scene.points[:, :2] - scene.bounds[0, :2]) / CELL).astype(int) + 1
     share = (scene.points[:, 2] - floor) / max(ceiling - floor, 1e-6)
     walls = np.ones(cells.max(axis=0) + 2, dtype=bool)

@@ -41,7 +41,7 @@ class RigConfig:
         0.0, 'pitch of the cameras, radians; positive looks down', -1.5708, 1.5708)
 
     def __post_init__(self) -> None:
-        """Refuse ranges that exclude each other and sensors that do not exist."""
+        """Refuse contradictory ranges and unknown sensors."""
         if self.min_range >= self.max_range:
             raise ConfigurationError(
                 f'rig.min_range: found {self.min_range} m with rig.max_range {self.max_range} m; '
@@ -60,7 +60,7 @@ class RigConfig:
 
     @property
     def models(self) -> tuple[CameraModel, ...]:
-        """Return the model that all cameras share, or one for each."""
+        """Return one model for all cameras, or one for each camera."""
         own = CameraModel(self.min_range, self.max_range)
         return tuple(own if name == OMNIDIRECTIONAL else SENSORS[name].model
                      for name in self._names)

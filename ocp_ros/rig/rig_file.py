@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-A rig: its cameras, where they may hang and what they shall see, mostly read from a YAML file.
+A rig: its cameras, their constraints and their tasks, mostly read from a YAML file.
 
-In files angles are degrees, here they are radians; docs/reference/rig.md explains every key.
+Angles are degrees in files and radians here; docs/reference/rig.md explains every key.
 """
 
 from collections import Counter
@@ -33,16 +33,16 @@ from ocp_ros.rig.zones import Zone, zone_of, zones_of
 from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
 from ocp_ros.util.yaml_files import check, describe, Document, nearest, read_document, Way
 
-#: Share of a region's points that has to be seen where it says ``must_see: true``: some are
-#: noise, and some lie behind others wherever the cameras hang.
+#: The share of a region's points that has to be seen with ``must_see: true``: some points are
+#: noise, and some are occluded from everywhere.
 MUST_SEE = 0.95
-#: Metres between two cameras where a file does not say: the body of most.
+#: Metres: the default distance between two cameras, the size of most camera bodies.
 SPACING = 0.2
-#: Share of points and degrees that link two cameras where a file does not say.
+#: The default share of points and the default angle in degrees that link two cameras.
 OVERLAP, ANGLE = 0.2, 60.0
-#: Metres: planners count on no view that is longer than this.
+#: Metres: planners use no longer range than this.
 FARTHEST = 100.0
-#: Metres above the floor where a file names none; on the ceiling it is the ceiling's own.
+#: The default heights above the floor in metres; a ceiling mount has the height of the ceiling.
 HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
 
 
@@ -50,9 +50,9 @@ class Camera(NamedTuple):
     """
     A camera of a rig.
 
-    :ivar name: what tables call it; no other camera of the rig has it.
-    :ivar sensor: its preset, or '' for numbers of one's own.
-    :ivar model: what it sees.
+    :ivar name: its unique name in tables.
+    :ivar sensor: its preset, or '' for parameters given directly.
+    :ivar model: its camera model.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Camera(NamedTuple):
 
 class Fixed(NamedTuple):
     """
-    A camera that hangs already and stays.
+    A camera that is in place already and stays.
 
     :ivar camera: the camera.
     :ivar pose: (6,) x, y, z, yaw, pitch, roll: metres, map frame, and radians.
@@ -76,14 +76,14 @@ class Fixed(NamedTuple):
 
 class Mount(NamedTuple):
     """
-    What cameras hang on.
+    The mount of cameras.
 
-    :ivar on: ``plane``, ``ceiling``, ``walls`` or ``free``; ``box``, which no file says, for any
-        place at a height within the bounding box of the room.
-    :ivar heights: the lowest and highest metres above the floor, above the lowest point of the
-        room for a ``box``; None for just below the ceiling.
-    :ivar footprint: metres around the place below a camera that have to be floor: the feet of a
-        tripod; 0 for cameras on poles and rods.
+    :ivar on: ``plane``, ``ceiling``, ``walls`` or ``free``; or ``box``, which files cannot
+        contain, for any position at a height within the bounding box of the room.
+    :ivar heights: the lowest and the highest height above the floor, or for a ``box`` above the
+        lowest point of the room, metres; None for just below the ceiling.
+    :ivar footprint: the radius around the point below a camera that has to be free floor, metres:
+        the feet of a tripod; 0 for cameras on poles and rods.
     """
 
     on: str
@@ -93,10 +93,10 @@ class Mount(NamedTuple):
 
 class Watched(NamedTuple):
     """
-    When a place in the air counts as seen.
+    The condition for a position in the air to count as seen.
 
-    :ivar seen_by: by so many cameras.
-    :ivar angle: radians, the least between the lines of sight of any two of these.
+    :ivar seen_by: the number of cameras that have to see it.
+    :ivar angle: the least angle between the lines of sight of any two of these cameras, radians.
     """
 
     seen_by: int
@@ -105,12 +105,13 @@ class Watched(NamedTuple):
 
 class Region(NamedTuple):
     """
-    A part of the room that matters more than the rest.
+    A part of the room with an additional weight or requirement.
 
-    :ivar weight: how much, the whole room being 1.
-    :ivar must_see: the share of its points, or of its air, that has to be seen; 0 where none has.
+    :ivar weight: the weight in the objective; the whole room has 1.
+    :ivar must_see: the share of its points, or of its air, that has to be seen; 0 for none.
     :ivar where: the place in the file, for messages.
-    :ivar air: when its air counts as seen; None for a region whose points do.
+    :ivar air: the condition for its air to count as seen; None for a region whose points have to
+        be seen.
     """
 
     name: str
@@ -122,16 +123,18 @@ class Region(NamedTuple):
 
     @property
     def parts(self) -> str:
-        """Say in a word what of the region is to be seen."""
+        """Return the kind of parts of the region that have to be seen."""
         return 'points' if self.air is None else 'air'
 
 
 class Calibratable(NamedTuple):
     """
-    What pairs of cameras share that can be calibrated to each other.
+    The condition for two cameras to be calibrated to each other.
 
-    :ivar overlap: least share of the points that the camera which sees fewer sees, above 0.
-    :ivar angle: radians, the most between the lines of sight of both to a shared point.
+    :ivar overlap: the least number of shared points as a share of the points of the camera that
+        sees fewer, above 0.
+    :ivar angle: the largest angle between the lines of sight of both cameras to a shared point,
+        radians.
     """
 
     overlap: float
@@ -141,20 +144,21 @@ class Calibratable(NamedTuple):
 @dataclass(frozen=True, eq=False)
 class Rig:
     """
-    Cameras that are to be placed, those that hang already, and what is asked of a placement.
+    Cameras to be placed, cameras in place, and the constraints and tasks of a placement.
 
-    :ivar cameras: K, to be placed.
-    :ivar fixed: F, in place.
-    :ivar mount: what the K cameras hang on.
-    :ivar pitch: radians, the least and the most that cameras look down.
-    :ivar keep_clear: metres from a camera to any surface but the one it hangs on.
-    :ivar spacing: metres, least distance of two cameras.
-    :ivar keep_out: where no camera may be.
-    :ivar keep_in: zones of which each camera has to be in one; none where they may be anywhere.
-    :ivar regions: what matters more than the rest.
-    :ivar seen_by: how many cameras have to see a place.
-    :ivar calibratable: what pairs of cameras share that link all of them; None if not required.
-    :ivar document: what the rig was read from; empty where it was not.
+    :ivar cameras: the K cameras to be placed.
+    :ivar fixed: the F cameras in place.
+    :ivar mount: the mount of the K cameras.
+    :ivar pitch: the least and the largest pitch, radians; positive looks down.
+    :ivar keep_clear: the least distance of a camera from any surface except its mount, metres.
+    :ivar spacing: the least distance of two cameras, metres.
+    :ivar keep_out: zones in which no camera may be.
+    :ivar keep_in: zones, of which each camera has to be in one; empty for no limit.
+    :ivar regions: the regions with additional weights or requirements.
+    :ivar seen_by: the number of cameras that have to see a point.
+    :ivar calibratable: the condition for links between cameras, which have to connect all of them;
+        None if not required.
+    :ivar document: the document that the rig was read from; empty if there is none.
     """
 
     cameras: tuple[Camera, ...]
@@ -174,9 +178,9 @@ class Rig:
     @classmethod
     def plane(cls, config: RigConfig) -> 'Rig':
         """
-        Describe the simplest rig: cameras that move freely on a horizontal plane.
+        Build the simplest rig: cameras that move freely on a horizontal plane.
 
-        They stay turned as they are, unless whoever moves them turns them too.
+        Their headings change only if the caller changes them.
         """
         models = config.models * (config.cameras // len(config.models))
         cameras = tuple(Camera(f'camera_{k}', '', model) for k, model in enumerate(models))
@@ -185,21 +189,21 @@ class Rig:
 
     @property
     def free(self) -> bool:
-        """Return whether its cameras move freely on a plane, without any constraint."""
+        """Return whether its cameras move freely on a plane without any constraint."""
         return self.mount.on == 'box'
 
     @property
     def farthest(self) -> float:
-        """Return how far planners count on its cameras to see, metres."""
+        """Return the largest range of its cameras that planners use, metres."""
         return min(max(camera.model.max_range for camera in self.cameras), FARTHEST)
 
     @property
     def clearance(self) -> float | None:
         """
-        Return how far a horizontal plane of places has to be from surfaces, metres.
+        Return the clearance from surfaces of a horizontal plane of positions, metres.
 
-        :returns: 0 where cameras hang on a surface, which a plane cannot tell from the others;
-            None where the rig asks for nothing and a setting says it.
+        :returns: 0 for cameras mounted on a surface, which the plane cannot distinguish from
+            others; None if the rig has no clearance and a setting gives it.
         """
         if self.free:
             return None
@@ -223,10 +227,10 @@ class Rig:
     @property
     def axes(self) -> tuple[str, ...]:
         """
-        Return what an action changes of a camera that is to be placed.
+        Return the components of an action on a camera to be placed.
 
-        :returns: ``x`` and ``y``; ``z`` where the mount leaves a choice of height; ``yaw`` and
-            ``pitch`` where a camera is not omnidirectional.
+        :returns: ``x`` and ``y``; ``z`` if the mount allows a range of heights; ``yaw`` and
+            ``pitch`` if a camera is not omnidirectional.
         """
         if self.free:
             return 'x', 'y'
@@ -237,12 +241,12 @@ class Rig:
 
     def check_rotations(self, degrees: Iterable[float], found: str, expected: str) -> None:
         """
-        Refuse rooms that are turned where places in the map, which are not, belong to the rig.
+        Refuse rotated rooms for a rig with poses or zones in the map, which do not rotate.
 
-        :param degrees: by which rooms are turned.
-        :param found: the setting that says so and its value, as the message begins.
-        :param expected: the value that goes with this rig.
-        :raises ConfigurationError: if there are such places, and rooms are turned.
+        :param degrees: the rotations of rooms.
+        :param found: the setting of the rotations and its value, with which the message begins.
+        :param expected: the value that fits this rig.
+        :raises ConfigurationError: if the rig has such poses or zones, and rooms are rotated.
         """
         if any(degrees) and (
                 self.fixed or self.keep_out or self.keep_in or self.regions):
@@ -268,10 +272,10 @@ def load_rig(path: str | Path) -> Rig:
 
 def rig_of(cameras: int, sensor: str = OMNIDIRECTIONAL, **more: Any) -> Rig:
     """
-    Describe a rig of equal cameras without a file.
+    Build a rig of equal cameras without a file.
 
-    :param cameras: how many.
-    :param sensor: a preset, or a part of the name of one only, such as ``d455``.
+    :param cameras: the number of cameras.
+    :param sensor: a preset, or a unique part of its name, such as ``d455``.
     :param more: other keys of a rig file.
     :raises ConfigurationError: for an unknown or ambiguous sensor, or another bad value.
     """
@@ -283,10 +287,10 @@ def rig_of(cameras: int, sensor: str = OMNIDIRECTIONAL, **more: Any) -> Rig:
 
 def with_count(rig: Rig, count: int) -> Rig:
     """
-    Return a rig with another number of cameras that are to be placed.
+    Return a rig with another number of cameras to be placed.
 
-    :param rig: one whose cameras are of one group.
-    :param count: how many, above 0.
+    :param rig: a rig whose cameras are of one group.
+    :param count: the number of cameras to be placed, above 0.
     :raises ConfigurationError: if its cameras are of several groups, or too few or too many.
     """
     document = rig.document
@@ -299,9 +303,9 @@ def with_count(rig: Rig, count: int) -> Rig:
 
 def sensor_named(name: str) -> str:
     """
-    Find a preset by its name or a part of it that no other has.
+    Find a preset by its name or a unique part of it.
 
-    :raises ConfigurationError: if none or several have it; the message lists them.
+    :raises ConfigurationError: if no preset or several match; the message lists them.
     """
     if not isinstance(name, str):
         raise ConfigurationError(f'sensor: found {name!r}; expected the name of one, such as d455')
@@ -319,10 +323,10 @@ def sensor_named(name: str) -> str:
 
 def model_of(document: Document, way: Way) -> CameraModel:
     """
-    Read what a camera sees: the numbers of its sensor, and those given beside it in their place.
+    Read a camera model: the parameters of its sensor, overridden by those given beside it.
 
-    :param way: where the camera stands in the document.
-    :raises ConfigurationError: if numbers are missing or exclude each other.
+    :param way: the path of the camera in the document.
+    :raises ConfigurationError: if parameters are missing or contradict each other.
     """
     data = document.value(*way)
     given = {key: data[key] for key in MODEL if key in data}
@@ -353,7 +357,7 @@ def model_of(document: Document, way: Way) -> CameraModel:
 
 
 def _lens(document: Document, way: Way, given: dict[str, Any]) -> dict[str, float]:
-    """Take the keys of a plain lens out, and return the field of view of a pinhole with it."""
+    """Remove the keys of a lens from ``given``, and return the field of view of its pinhole."""
     focal, size = given.pop('focal_length', None), given.pop('sensor_size', None)
     if focal is None and size is None:
         return {}
@@ -375,14 +379,14 @@ def _lens(document: Document, way: Way, given: dict[str, Any]) -> dict[str, floa
 
 
 def pose_of(data: dict[str, Any]) -> np.ndarray:
-    """Return position, yaw, pitch and roll of a file as a pose: (6,) metres and radians."""
+    """Return the pose of an entry of a file: (6,) metres and radians."""
     angles = np.deg2rad([float(data.get(key, 0.0)) for key in ('yaw', 'pitch', 'roll')])
     return np.array([*data['position'], *angles], dtype=np.float64)
 
 
 def rig_from(document: Document) -> Rig:
     """
-    Build a rig from a document that its schema holds for.
+    Build a rig from a document that is valid under its schema.
 
     :raises ConfigurationError: for values that contradict each other.
     """
@@ -402,7 +406,7 @@ def rig_from(document: Document) -> Rig:
 
 
 def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]:
-    """Read the cameras of both kinds, each with a name of its own."""
+    """Read the cameras to be placed and those in place, with unique names."""
     groups, fixed = document.data['cameras'], document.data.get('fixed', [])
     movable = [('cameras', k) for k, group in enumerate(groups)
                for _ in range(group.get('count', 1))]
@@ -419,10 +423,10 @@ def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]
 
 def cameras_at(document: Document, ways: list[Way]) -> Iterator[Camera]:
     """
-    Read cameras, each with a name of its own.
+    Read cameras with unique names.
 
-    :param ways: where each stands in the document; those of one group have one way.
-    :raises ConfigurationError: where a name is given twice or a camera makes no sense.
+    :param ways: the path of each camera in the document; cameras of one group share a path.
+    :raises ConfigurationError: if a name is given twice or a camera is invalid.
     """
     for way, name in zip(ways, names_of(document, ways)):
         yield Camera(name, document.value(*way).get('sensor', ''), model_of(document, way))
@@ -430,10 +434,10 @@ def cameras_at(document: Document, ways: list[Way]) -> Iterator[Camera]:
 
 def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
     """
-    Name cameras by their name, sensor or kind, numbered where several have it.
+    Yield unique camera names from name, sensor or kind, numbered if several share one.
 
-    :param ways: where each stands in the document; those of one group have one way.
-    :raises ConfigurationError: where a name is given twice.
+    :param ways: the path of each camera in the document; cameras of one group share a path.
+    :raises ConfigurationError: if a name is given twice.
     """
     entries = [document.value(*way) for way in ways]
     stems = [entry.get('name', entry.get('sensor', 'camera')) for entry in entries]
@@ -443,7 +447,7 @@ def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
     for way, entry, stem in zip(ways, entries, stems):
         used[stem] += 1
         named = 'name' in entry
-        # Cameras of one group share a name, and have a number behind it.
+        # Cameras of one group share a name, followed by a number.
         number = '' if totals[stem] == 1 else f'_{used[stem]}'
         name = stem[:LONGEST_NAME - len(number)] + number
         if name in taken or (named and given.setdefault(stem, way) != way):
@@ -455,7 +459,7 @@ def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
 
 
 def _mount(document: Document) -> Mount:
-    """Read what the cameras hang on."""
+    """Read the mount of the cameras."""
     data = document.data.get('mount', {'on': 'plane'})
     on, given, footprint = data['on'], data.get('height'), data.get('footprint', 0.0)
     if footprint and on not in ('plane', 'free'):
@@ -479,14 +483,14 @@ def _range(document: Document, way: Way, value: Any) -> tuple[float, float]:
 
 
 def _calibratable(data: dict[str, Any]) -> Calibratable | None:
-    """Read what links cameras, where the file asks for it."""
+    """Read the condition for links between cameras, if the file has one."""
     asked = data.get('calibratable')
     return None if asked is None else Calibratable(
         float(asked.get('overlap', OVERLAP)), float(np.deg2rad(asked.get('angle', ANGLE))))
 
 
 def _regions(document: Document, most: int) -> Iterator[Region]:
-    """Read the regions, each with a name of its own, of a rig of so many cameras."""
+    """Read the regions, with unique names; ``most`` is the number of cameras."""
     names = set()
     for k, data in enumerate(document.data.get('regions', [])):
         if data['name'] in names:
@@ -501,7 +505,7 @@ def _regions(document: Document, most: int) -> Iterator[Region]:
 
 
 def _watched(document: Document, way: Way, most: int) -> Watched | None:
-    """Read when the air of a region counts as seen, where it is asked for its air."""
+    """Read the condition for the air of a region to count as seen, if it has one."""
     data = document.value(*way[:-1]).get('air')
     if data is None:
         return None

@@ -15,8 +15,8 @@
 """
 JSON Schemas of rig files and placement files: every key, its unit, its range, an example.
 
-Editors complete and check files with them (docs/rig.schema.json, docs/placement.schema.json); the
-messages about a file that breaks one are made of their descriptions and examples.
+Editors complete and check files with them (docs/rig.schema.json, docs/placement.schema.json).
+Messages about an invalid file use their descriptions and examples.
 """
 
 from ocp_ros.geometry.visibility import MESH, PRESETS
@@ -36,11 +36,11 @@ from ocp_ros.util.yaml_files import (
 )
 
 MOUNTS = ('plane', 'ceiling', 'walls', 'free')
-#: Metres that nothing in a room exceeds.
+#: Metres: the limit of all coordinates in a room.
 FAR = 1000.0
-#: Letters of a name.
+#: The largest number of letters of a name.
 LONGEST_NAME = 60
-#: Degrees: no depth camera sees less.
+#: Degrees: the least field of view of a depth camera.
 NARROWEST = 1.0
 POINT = {'type': 'number', 'minimum': -FAR, 'maximum': FAR}
 

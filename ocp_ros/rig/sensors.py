@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Depth sensors one can buy, as camera models.
+Depth sensors on the market, as camera models.
 
-Each number is the manufacturer's; the source is named with it. Where a sheet gives an ideal range,
-that is the range here: beyond it a sensor still measures, but worse than its sheet promises. A
-field of view given without tolerance is the nominal one.
+Each number is the manufacturer's, with its source. The range is the ideal range if a data sheet
+gives one: beyond it a sensor still measures, but less accurately than promised. A field of view
+without tolerance is the nominal one.
 """
 
 from dataclasses import dataclass
@@ -37,8 +37,8 @@ class Sensor:
     A depth sensor.
 
     :ivar title: maker, model and mode.
-    :ivar model: what it sees.
-    :ivar source: where its numbers come from.
+    :ivar model: its camera model.
+    :ivar source: the source of its numbers.
     """
 
     title: str

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Structure of a room, found in its points: floor, ceiling, walls and free space."""
+"""Find the structure of a room in its points: floor, ceiling, walls and free space."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -26,33 +26,37 @@ from ocp_ros.scenes.scene import Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-#: Metres: how far off its surface a camera is hung, and how far off it still counts as on it.
+#: Metres: the distance of a mounted camera from its surface, and the largest distance at which it
+#: still counts as mounted there.
 STAND_OFF, REACH = 0.1, 0.25
-#: Metres: what is as near as this to the plane of a surface belongs to the surface.
+#: Metres: points this near to the plane of a surface belong to the surface.
 FLAT = 0.08
-#: Points that the plane of a surface is taken from, and the least cosine between their normals.
+#: The number of points that define the plane of a surface, and the least cosine between their
+#: normals.
 VOTERS, ALIKE = 8, 0.9
-#: Metres, and shares of the room's height: ceilings are higher than a head, walls go up to them.
+#: The least height of a ceiling in metres and as a share of the room's height; the least height of
+#: walls as a share of it.
 HEADROOM, HEADROOM_SHARE, WALL_SHARE = 2.0, 0.8, 0.8
-#: Metres that what stands in the way is high, such as a knee wall, a fence or a cupboard.
+#: Metres: the least height of a standing obstacle, such as a knee wall, a fence or a cupboard.
 STANDING = 1.0
-#: Metres: least edge of the columns that a ceiling or wall is looked for in; how far below the
-#: highest point around it a ceiling, and the top of a wall, may be.
+#: Metres: the least edge of the columns in which a ceiling or wall is searched for; how far a
+#: ceiling, and the top of a wall, may lie below the highest point around it.
 COLUMN, CEILING_DROP, WALL_DROP = 0.2, 0.25, 0.5
-#: Share of a room's height that its floor is looked for in, and metres that it is thick.
+#: The lower share of a room's height in which its floor is searched for, and the thickness of the
+#: floor in metres.
 LOWER_PART, LAYER = 0.4, 0.1
-#: Square metres: what is smaller is no ceiling and no wall.
+#: Square metres: smaller surfaces are not ceilings or walls.
 LEAST_AREA = 1.0
-#: Metres: the ball that is carried through the air of a room.
+#: Metres: the least radius of the ball that is moved through the air of a room.
 BALL = 0.2
 
 
 class Contact(NamedTuple):
     """
-    Where positions are relative to a surface.
+    The location of positions relative to a surface.
 
     :ivar normals: (M, 3) unit vectors from the surface to the positions.
-    :ivar distances: (M,) metres from the surface's plane; inf where there is no surface.
+    :ivar distances: (M,) metres from the surface's plane; inf if there is no surface.
     """
 
     normals: np.ndarray
@@ -60,15 +64,15 @@ class Contact(NamedTuple):
 
     @property
     def on(self) -> np.ndarray:
-        """Return which positions hang on the surface: (M,) bool."""
+        """Return which positions are near enough to be mounted on the surface: (M,) bool."""
         return self.distances <= REACH
 
     def own(self, which: np.ndarray, ways: np.ndarray) -> np.ndarray:
         """
-        Tell which points belong to the surface that a position hangs on.
+        Return which points belong to the surface that a position is mounted on.
 
         :param which: (L,) positions by number.
-        :param ways: (L, P, 3) metres, from each to the points near it.
+        :param ways: (L, P, 3) metres, the vectors from each position to the points near it.
         :returns: (L, P) bool.
         """
         off = np.einsum('lpk,lk->lp', ways, self.normals[which]) + self.distances[which, None]
@@ -82,7 +86,8 @@ class MountSurface:
 
     :ivar points: (P, 3) metres, map frame.
     :ivar normals: (P, 3) unit vectors of either sign.
-    :ivar gap: metres between neighbours; where there are none as near, the surface has a hole.
+    :ivar gap: the largest distance between neighbours, metres; where it is larger, the surface has
+        a hole.
     """
 
     points: np.ndarray
@@ -91,11 +96,11 @@ class MountSurface:
 
     @cached_property
     def _tree(self) -> cKDTree:
-        """Return the points for queries."""
+        """Return a tree of the points."""
         return cKDTree(self.points)
 
     def at(self, positions: np.ndarray) -> Contact:
-        """Return where positions (M, 3), metres, are relative to the surface."""
+        """Return the location of positions (M, 3), metres, relative to the surface."""
         if len(self.points) == 0:
             return Contact(np.zeros((len(positions), 3)), np.full(len(positions), np.inf))
         count = min(VOTERS, len(self.points))
@@ -108,7 +113,7 @@ class MountSurface:
         ways = positions[:, None] - self.points[index]
         distances = np.einsum('mvk,mk,mv->m', ways, normal, votes) / votes.sum(axis=1)
         normal *= np.where(distances < 0.0, -1.0, 1.0)[:, None]
-        # What a camera is screwed to is behind it, not beside it.
+        # The surface that a camera is screwed to is behind it, not beside it.
         off = np.einsum('mk,mk->m', ways[:, 0], normal)
         hole = (away[:, 0] > np.hypot(REACH, self.gap)) | (
             away[:, 0] ** 2 - off ** 2 > (0.5 * self.gap) ** 2)
@@ -116,10 +121,10 @@ class MountSurface:
 
     def height_above(self, places: np.ndarray) -> np.ndarray:
         """
-        Return how high a ceiling is above places.
+        Return the height of the ceiling above positions.
 
         :param places: (M, 2) metres.
-        :returns: (M,) z, metres; -inf where there is none.
+        :returns: (M,) z, metres; -inf if there is no ceiling.
         """
         count = min(VOTERS, len(self.points))
         away, index = self._plan.query(places, k=np.arange(1, count + 1))
@@ -128,7 +133,7 @@ class MountSurface:
 
     @cached_property
     def _plan(self) -> cKDTree:
-        """Return the points seen from above for queries."""
+        """Return a tree of the points seen from above."""
         return cKDTree(self.points[:, :2])
 
 
@@ -136,9 +141,9 @@ def floor_height(scene: Scene) -> float:
     """
     Find the floor: the fullest level layer in the lower part of a room.
 
-    Its lowest point is not: scans have stray points, and reflections below the floor.
+    The lowest point is not used, since scans contain stray points and reflections below the floor.
 
-    :returns: z of its middle, metres, map frame.
+    :returns: z of the middle of this layer, metres, map frame.
     """
     z, level = scene.points[:, 2], np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
     low, high = np.percentile(z, [0.1, 99.9])
@@ -153,12 +158,12 @@ def floor_height(scene: Scene) -> float:
 
 
 def gap_of(scene: Scene) -> float:
-    """Return how far apart the points of a closed surface may be, metres."""
+    """Return the largest distance of neighbouring points of a closed surface, metres."""
     return max(COLUMN, 2.0 * float(np.median(scene.pitch)))
 
 
 class _Columns:
-    """The highest points of a scene in square columns as wide as its surfaces have gaps."""
+    """The highest points of a scene in square columns, which are as wide as the allowed gaps."""
 
     def __init__(self, scene: Scene) -> None:
         self.low, self.edge = scene.bounds[0, :2], gap_of(scene)
@@ -179,9 +184,9 @@ class _Columns:
 
 def ceiling_of(scene: Scene) -> MountSurface:
     """
-    Find the ceiling: level, higher than a head, and with nothing higher around it.
+    Find the ceiling: level surfaces above head height with nothing higher around them.
 
-    :returns: its points; none where the scan shows no ceiling.
+    :returns: its points; empty if the scan has no ceiling.
     """
     points, columns = scene.points, _Columns(scene)
     top = ndimage.maximum_filter(columns.highest(points), 3)[columns.of(points)]
@@ -195,7 +200,7 @@ def ceiling_of(scene: Scene) -> MountSurface:
 
 def walls_of(scene: Scene) -> MountSurface:
     """
-    Find the walls: upright and going up to the ceiling, which furniture hardly does.
+    Find the walls: upright surfaces up to the ceiling, which furniture hardly reaches.
 
     :returns: their points with level normals.
     """
@@ -209,9 +214,9 @@ def walls_of(scene: Scene) -> MountSurface:
 
 def standing_of(scene: Scene) -> MountSurface:
     """
-    Find what stands in a room and is a metre high: walls, fences, partitions, cupboards.
+    Find standing obstacles of at least a metre: walls, fences, partitions, cupboards.
 
-    :returns: its upright points with level normals.
+    :returns: their upright points with level normals.
     """
     high = min(floor_height(scene) + STANDING, np.percentile(scene.points[:, 2], 99.0))
     columns = _Columns(scene)
@@ -219,7 +224,7 @@ def standing_of(scene: Scene) -> MountSurface:
 
 
 def _upright(scene: Scene, columns: _Columns, least: np.ndarray) -> MountSurface:
-    """Find what is upright and goes up to some height, z in metres by column."""
+    """Find upright surfaces that reach a height, given as z in metres by column."""
     steep = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
     high = columns.highest(scene.points[steep]) >= least
     chosen = steep & high[columns.of(scene.points)]
@@ -227,7 +232,7 @@ def _upright(scene: Scene, columns: _Columns, least: np.ndarray) -> MountSurface
 
 
 def _surface(scene: Scene, chosen: np.ndarray, normals: np.ndarray) -> MountSurface:
-    """Return some points of a scene as a surface; none where they are too few to be one."""
+    """Return some points of a scene as a surface; empty if their area is too small."""
     if (scene.pitch[chosen] ** 2).sum() < LEAST_AREA:
         chosen = np.zeros_like(chosen)
     normals = normals[chosen]
@@ -237,28 +242,28 @@ def _surface(scene: Scene, chosen: np.ndarray, normals: np.ndarray) -> MountSurf
 
 class Air:
     """
-    The air of a room: where a ball can be carried to, from where there is most of it.
+    The air of a room: the largest connected space through which a ball can be moved.
 
-    What is left is inside of furniture, or behind it. Scans show the outside of things alone, so
-    the distance to the nearest point does not tell.
+    The remaining space is inside or behind furniture. The distance to the nearest point does not
+    separate the two, since scans show only the outside of objects.
 
     :param scene: the room.
-    :param space: where its floor is.
-    :param centred: whether its cells lie about the middle of the room, so that those of a mirrored
-        room are mirrored.
+    :param space: the space with floor.
+    :param centred: whether the grid is centred on the room, so that a mirrored room has mirrored
+        cells.
     """
 
     def __init__(self, scene: Scene, space: FreePlane, centred: bool = False) -> None:
         self.grid = CellGrid.over(scene.bounds, centred)
         edge, shape = self.grid.edge, self.grid.shape
-        # A ball that does not fit through the gaps between the points of a surface.
+        # The ball must not fit through the gaps between the points of a surface.
         self.ball = max(BALL, 1.5 * float(np.median(scene.pitch)))
         free = ndimage.distance_transform_edt(~self.grid.taken(scene.points)) * edge > self.ball
         middles = [self.grid.low[k] + edge * (np.arange(shape[k]) + 0.5) for k in (0, 1)]
         columns = np.stack(np.meshgrid(*middles, indexing='ij'), axis=-1)
         free &= space.contains(columns)[..., None]
         parts, count = ndimage.label(free)
-        #: Whether there is any.
+        #: Whether there is any free cell.
         self._found = count > 0
         largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else 0
         self._away = edge * ndimage.distance_transform_edt(
@@ -266,9 +271,9 @@ class Air:
 
     def cells(self, height: float | None = None) -> np.ndarray:
         """
-        Return the middles of the cells of the air: (M, 3) metres.
+        Return the centres of the cells of the air: (M, 3) metres.
 
-        :param height: z of all of them, metres; None for the cells of all heights.
+        :param height: z of the cells, metres; None for the cells of all heights.
         """
         free = self._away == 0.0 if self._found else np.zeros(self._away.shape, dtype=bool)
         if height is None:
@@ -279,7 +284,7 @@ class Air:
         return np.column_stack([flat, np.full(len(flat), height)])
 
     def closed(self, positions: np.ndarray) -> np.ndarray:
-        """Tell which positions (M, 3), metres, the ball does not come near: (M,) bool."""
+        """Return which positions (M, 3), metres, the ball does not come near: (M,) bool."""
         away = self._away[tuple(self.grid.cells(positions))]
-        # In a corner of three walls the ball's middle stays root 3 radii away.
+        # In a corner of three walls the ball's centre stays root 3 radii away.
         return away > max(self.ball + self.grid.edge, np.sqrt(3.0) * (self.ball - 0.5 * BALL))

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Parts of a room: boxes, and polygons between two heights."""
+"""Zones, which are parts of a room: boxes, and polygons between two heights."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,11 +20,12 @@ from dataclasses import dataclass
 import numpy as np
 from ocp_ros.util.yaml_files import describe, Document, Way
 
-#: Square metres: polygons of less have no inside.
+#: Square metres: smaller polygons have no inside.
 LEAST_AREA = 1e-6
-#: Metres from the faces of a zone to what is brought inside: files round to a tenth of it.
+#: Metres: positions moved into a zone keep this distance from its faces; files round to a tenth of
+#: it.
 INSIDE = 0.001
-#: Metres between places that fill a zone, at least.
+#: Metres: the least distance between positions that fill a zone.
 FINEST = 0.1
 
 
@@ -36,7 +37,7 @@ class Zone:
     :ivar low: (3,) metres, lowest corner of the box around it.
     :ivar high: (3,) metres, highest corner.
     :ivar polygon: (P, 2) metres, its corners seen from above; None for a box.
-    :ivar above_floor: whether its heights are above the floor, rather than in the map frame.
+    :ivar above_floor: whether its heights are relative to the floor instead of the map frame.
     """
 
     low: np.ndarray
@@ -45,12 +46,12 @@ class Zone:
     above_floor: bool = False
 
     def corners(self, floor: float) -> np.ndarray:
-        """Return the box around it over a floor of some height: (2, 3) metres, map frame."""
+        """Return its bounding box, given the height of the floor: (2, 3) metres, map frame."""
         return np.stack([self.low, self.high]) + [0.0, 0.0, floor if self.above_floor else 0.0]
 
     def contains(self, points: np.ndarray, floor: float) -> np.ndarray:
         """
-        Tell which points are inside; the faces of a box are.
+        Return which points are inside; the faces of a box belong to it.
 
         :param points: (M, 3) metres, map frame.
         :param floor: height of the floor, metres, map frame.
@@ -64,11 +65,11 @@ class Zone:
 
     def nearest(self, points: np.ndarray, floor: float) -> np.ndarray:
         """
-        Bring points inside, each to the place there that is about the nearest.
+        Move points into the zone, each to approximately the nearest position there.
 
         :param points: (M, 3) metres, map frame.
         :param floor: height of the floor, metres, map frame.
-        :returns: (M, 3), a millimetre from the faces; those inside stay.
+        :returns: (M, 3), a millimetre from the faces; points inside stay.
         """
         low, high = self.corners(floor)
         inset = np.minimum(INSIDE, 0.5 * (high - low))
@@ -92,7 +93,7 @@ def _onto_edge(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def nearest_of(zones: Sequence[Zone], points: np.ndarray, floor: float) -> np.ndarray:
-    """Bring points (M, 3), metres, into the nearest of some zones; see :meth:`Zone.nearest`."""
+    """Move points (M, 3), metres, into the nearest of some zones; see :meth:`Zone.nearest`."""
     moved = np.stack([zone.nearest(points, floor) for zone in zones])
     away = np.linalg.norm(moved - points, axis=2)
     return moved[np.argmin(away, axis=0), np.arange(len(points))]
@@ -101,11 +102,11 @@ def nearest_of(zones: Sequence[Zone], points: np.ndarray, floor: float) -> np.nd
 def lattice_of(zones: Sequence[Zone], low: np.ndarray, high: np.ndarray, floor: float, most: int,
                flat: bool) -> np.ndarray:
     """
-    Fill what zones have in a box with places: (P, 3) metres, about as many as asked for.
+    Fill the zones within a box with positions: (P, 3) metres, about ``most`` of them.
 
     :param low: (3,) metres, map frame, lowest corner of the box.
     :param high: (3,) metres, its highest corner.
-    :param flat: whether one level will do.
+    :param flat: whether one level is enough.
     """
     found = [np.empty((0, 3))]
     for zone in zones:
@@ -126,7 +127,7 @@ def lattice_of(zones: Sequence[Zone], low: np.ndarray, high: np.ndarray, floor: 
 
 
 def _in_polygon(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Tell which points (M, 2) a ray to the right leaves an odd number of times: (M,) bool."""
+    """Return which points (M, 2) are inside: a ray crosses an odd number of edges: (M,) bool."""
     x, y = points[:, :1], points[:, 1:]
     (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
     crosses = (y0 > y) != (y1 > y)
@@ -136,17 +137,17 @@ def _in_polygon(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 
 def _crosses_itself(corners: np.ndarray) -> bool:
-    """Return whether two edges of a polygon (P, 2) cross; that they touch does not matter."""
+    """Return whether two edges of a polygon (P, 2) cross; touching is allowed."""
     along = np.roll(corners, -1, axis=0) - corners
     away = corners[None] - corners[:, None]
-    # Of each edge: on which side of its line each corner is.
+    # For each edge, the side of its line on which each corner is.
     side = np.sign(along[:, :1] * away[..., 1] - along[:, 1:] * away[..., 0])
     parted = side * np.roll(side, -1, axis=1) < 0.0
     return bool((parted & parted.T).any())
 
 
 def zones_of(document: Document, key: str) -> tuple[Zone, ...]:
-    """Read the zones of a list; none where there is no list."""
+    """Read the zones of a list; empty if there is no list."""
     return tuple(zone_of(document, (key, k)) for k in range(len(document.data.get(key, ()))))
 
 
@@ -154,8 +155,8 @@ def zone_of(document: Document, way: Way) -> Zone:
     """
     Read a zone.
 
-    :param way: where it stands in the document.
-    :raises ConfigurationError: if it is no box and no polygon, or has no inside.
+    :param way: the path of the zone in the document.
+    :raises ConfigurationError: if it is not exactly one box or polygon, or has no inside.
     """
     data = document.value(*way)
     if ('box' in data) == ('polygon' in data):

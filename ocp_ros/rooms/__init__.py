@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Generated rooms, and rooms by their names."""
+"""Generated rooms, and rooms given by a name (a seed or a file)."""

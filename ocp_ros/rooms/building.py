@@ -12,21 +12,21 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What is built in a room before it is furnished: walls, columns, ceiling, doors and windows."""
+"""Build the fixed parts of a room: walls, columns, ceiling, doors and windows."""
 
 import numpy as np
 from ocp_ros.rooms.furniture import placed, solid
 from ocp_ros.rooms.room_plan import RoomPlan, RoomWall, WALL_GAP
 
-#: The floor in front of a door that stays free.
+#: Metres of floor in front of a door that stay free.
 DOORWAY = 0.9
 
 
 def shell(plan: RoomPlan, corner: float) -> None:
     """
-    Build the walls, perhaps with a corner taken away.
+    Build the walls of a rectangular or an L-shaped room.
 
-    :param corner: the chance of an L-shape.
+    :param corner: the probability of an L-shape.
     """
     (w, d, _), rng = plan.size, plan.rng
     if rng.random() < corner:
@@ -44,7 +44,7 @@ def shell(plan: RoomPlan, corner: float) -> None:
 
 
 def _block(plan: RoomPlan, low, high, kind: str = 'wall', top: float | None = None) -> bool:
-    """Build something from the floor to the ceiling, or to a top, if the place is free."""
+    """Build a box from the floor to the ceiling, or to ``top``, if the floor there is free."""
     low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     if not plan.claim(low, high, 0.0):
         return False
@@ -53,7 +53,7 @@ def _block(plan: RoomPlan, low, high, kind: str = 'wall', top: float | None = No
 
 
 def niches(plan: RoomPlan) -> None:
-    """Let pieces of a wall stand forward, with niches between them."""
+    """Build projections along a wall, with niches between them."""
     wall = plan.walls[plan.rng.integers(len(plan.walls))]
     depth, shift = plan.rng.uniform(0.2, 0.7), plan.rng.uniform(0.0, 1.0)
     while shift + 0.5 < wall.length:
@@ -65,7 +65,7 @@ def niches(plan: RoomPlan) -> None:
 
 
 def columns(plan: RoomPlan, count: int) -> None:
-    """Stand columns."""
+    """Build columns at random positions."""
     for _ in range(count):
         side = plan.rng.uniform(0.3, 0.6)
         low = plan.rng.uniform(0.15, 0.85, 2) * (plan.size[:2] - side)
@@ -73,7 +73,7 @@ def columns(plan: RoomPlan, count: int) -> None:
 
 
 def partition(plan: RoomPlan, top: float | None = None) -> None:
-    """Stand a thin wall on one side of the room, across 35 to 65 per cent of it."""
+    """Build a thin wall from one side of the room, across 35 to 65 per cent of it."""
     rng = plan.rng
     axis = int(rng.integers(2))
     length = rng.uniform(0.35, 0.65) * plan.size[1 - axis]
@@ -86,7 +86,7 @@ def partition(plan: RoomPlan, top: float | None = None) -> None:
 
 
 def ceiling(plan: RoomPlan) -> None:
-    """Hang beams, ducts and lamps."""
+    """Add beams, ducts and lamps to the ceiling."""
     (w, d, h), rng = plan.size, plan.rng
     along = int(rng.integers(2))
     for _ in range(rng.choice([0, 0, 1, 2, 3])):
@@ -103,7 +103,7 @@ def ceiling(plan: RoomPlan) -> None:
 
 
 def openings(plan: RoomPlan, doors: int, windows: int, boards: int) -> None:
-    """Hang doors, some of them open, windows and boards."""
+    """Add doors, some of them open, windows and boards."""
     rng = plan.rng
     for _ in range(doors):
         opened = rng.random() < 0.3
@@ -119,7 +119,7 @@ def openings(plan: RoomPlan, doors: int, windows: int, boards: int) -> None:
         start = wall.start + rng.uniform(0.2, wall.length - wide - 0.2) * wall.along
         end = start + wide * wall.along
         high = min(low + rng.uniform(0.9, 1.6), plan.size[2] - 0.2)
-        # Glass returns nothing, a blind does, and so do sill and frame.
+        # Glass gives no returns; a blind, the sill and the frame do.
         if rng.random() < 0.4:
             plan.windows.append(np.array([[*(np.minimum(start, end) - 0.01), low],
                                           [*(np.maximum(start, end) + 0.01), high]]))
@@ -141,7 +141,7 @@ def openings(plan: RoomPlan, doors: int, windows: int, boards: int) -> None:
 
 
 def fittings(plan: RoomPlan) -> None:
-    """Fix to the walls what is found on walls: panels, pictures, pipes, heaters, boxes."""
+    """Add objects to the walls: panels, pictures, pipes, heaters, boxes."""
     rng = plan.rng
     for wall in plan.walls:
         for _ in range(rng.poisson(0.5 * wall.length)):

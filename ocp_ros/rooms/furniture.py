@@ -15,8 +15,8 @@
 """
 Furniture of generated rooms, as solid boxes in metres.
 
-Each piece stands on the floor around its own origin, its back to -y; sizes are those of common
-office furniture. Kinds are the classes of S3DIS.
+Each piece stands on the floor around its own origin, with its back to -y; sizes are those of
+common office furniture. Kinds are the classes of S3DIS.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 
-#: What a solid is; the room's shell is ceiling, floor and wall.
+#: The kinds of solids; the room's shell is ceiling, floor and wall.
 KINDS = ('ceiling', 'floor', 'wall', 'beam', 'column', 'window', 'door', 'table', 'chair', 'sofa',
          'bookcase', 'board', 'clutter')
 
@@ -37,7 +37,7 @@ class Solid(NamedTuple):
     :ivar kind: one of ``KINDS``.
     :ivar centre: (3,) metres.
     :ivar size: (3,) metres, along its own axes.
-    :ivar yaw: radians, how it is turned about the vertical axis.
+    :ivar yaw: radians, the rotation about the vertical axis.
     """
 
     kind: str
@@ -57,7 +57,7 @@ def solid(kind: str, low: Sequence[float], high: Sequence[float]) -> Solid:
 
 
 def placed(piece: Piece, at: Sequence[float], yaw: float, lift: float = 0.0) -> Piece:
-    """Return a piece turned by radians about its origin and moved to (x, y) and up, metres."""
+    """Return a piece rotated about its origin, radians, and moved to (x, y) and up, metres."""
     rotation = rotation_matrix(yaw)
     offset = np.array([at[0], at[1], lift])
     return [Solid(part.kind, rotation @ part.centre + offset, part.size, part.yaw + yaw)
@@ -65,7 +65,7 @@ def placed(piece: Piece, at: Sequence[float], yaw: float, lift: float = 0.0) -> 
 
 
 def table(rng: np.random.Generator, width: float, depth: float) -> Piece:
-    """Build a slab on four legs or on two panels."""
+    """Build a table: a slab on four legs or on two panels."""
     top, thick = rng.uniform(0.70, 0.77), 0.04
     x, y = 0.5 * width, 0.5 * depth
     piece = [solid('table', (-x, -y, top - thick), (x, y, top))]
@@ -82,7 +82,7 @@ def table(rng: np.random.Generator, width: float, depth: float) -> Piece:
 
 
 def desk(rng: np.random.Generator) -> Piece:
-    """Build a desk with drawers, and mostly a screen and things on it; its user sits at +y."""
+    """Build a desk, mostly with drawers, screens and objects on it; its user sits at +y."""
     width, depth = rng.uniform([1.2, 0.65], [1.8, 0.8])
     piece = table(rng, width, depth)
     top = float(piece[0].centre[2] + 0.02)
@@ -100,7 +100,7 @@ def desk(rng: np.random.Generator) -> Piece:
 
 def things(rng: np.random.Generator, width: float, depth: float, lift: float,
            count: int) -> Piece:
-    """Scatter small boxes over a rectangle around the origin at some height."""
+    """Scatter small boxes over a rectangle around the origin at a height in metres."""
     piece = []
     for _ in range(count):
         size = rng.uniform([0.12, 0.12, 0.05], [0.5, 0.4, 0.45])
@@ -111,7 +111,7 @@ def things(rng: np.random.Generator, width: float, depth: float, lift: float,
 
 
 def chair(rng: np.random.Generator) -> Piece:
-    """Build a chair on four legs or on a post; who sits on it looks to +y."""
+    """Build a chair on four legs or on a post; it faces +y."""
     seat, wide = rng.uniform(0.42, 0.50), rng.uniform(0.42, 0.52)
     x = 0.5 * wide
     piece = [solid('chair', (-x, -x, seat - 0.06), (x, x, seat)),
@@ -128,7 +128,7 @@ def chair(rng: np.random.Generator) -> Piece:
 
 
 def bookcase(rng: np.random.Generator, width: float, depth: float, height: float) -> Piece:
-    """Build open shelves, filled in part; a low one has a closed front."""
+    """Build partly filled open shelves; a low bookcase has a closed front."""
     x, y, board = 0.5 * width, 0.5 * depth, 0.03
     if height < 1.0:
         return [solid('bookcase', (-x, -y, 0.0), (x, y, height))]
@@ -148,14 +148,14 @@ def bookcase(rng: np.random.Generator, width: float, depth: float, height: float
 
 
 def cabinet(rng: np.random.Generator, width: float, depth: float, height: float) -> Piece:
-    """Build a closed cabinet, perhaps with things on it."""
+    """Build a closed cabinet, sometimes with objects on it."""
     piece = [solid('clutter', (-0.5 * width, -0.5 * depth, 0.0),
                    (0.5 * width, 0.5 * depth, height))]
     return piece + things(rng, width, depth, height, rng.integers(0, 5))
 
 
 def sofa(rng: np.random.Generator, width: float) -> Piece:
-    """Build a sofa, or an armchair where it is narrow."""
+    """Build a sofa, or an armchair if it is narrow."""
     x, y, seat = 0.5 * width, 0.42, rng.uniform(0.38, 0.46)
     return [solid('sofa', (-x, -y, 0.05), (x, y, seat)),
             solid('sofa', (-x, -y, seat), (x, -y + 0.22, seat + rng.uniform(0.3, 0.45))),

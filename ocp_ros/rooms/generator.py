@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Generated rooms: offices and what is around them, scanned, with the mesh behind the points."""
+"""Generate rooms such as offices and hallways as scans, with the mesh behind the points."""
 
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
@@ -22,7 +22,7 @@ from ocp_ros.rooms.scanning import sample, scan
 from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene
 from ocp_ros.util.settings import check_whole
 
-#: The triangles of a box whose corners are numbered by the bits x, y, z.
+#: The triangles of a box; the bits of a corner's number stand for x, y, z.
 TRIANGLES = np.array([(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
                       (2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)])
 
@@ -34,14 +34,14 @@ def plan_of(seed: int) -> RoomPlan:
 
 def generate_room(seed: int, n_points: int = 15000, scanned: bool = True) -> Scene:
     """
-    Make an office, a conference room, a lounge, a hallway, a storage room or an open office.
+    Generate an office, a conference room, a lounge, a hallway, a storage room or an open office.
 
-    The same seed gives the same room, whatever the number of points.
+    The same seed gives the same room for any number of points.
 
     :param seed: any non-negative integer.
-    :param n_points: how many points the scan has, to a few per cent.
-    :param scanned: whether the points are those of a scan, with noise and shadows, or exactly and
-        evenly on all surfaces.
+    :param n_points: the number of points, to a few per cent.
+    :param scanned: whether the points are those of a scan, with noise and occlusion, or lie
+        exactly and evenly on all surfaces.
     :returns: a scene with its mesh, called ``room-<seed>``.
     :raises ConfigurationError: for a seed below 0 or too few points.
     """

@@ -15,7 +15,7 @@
 """
 The kinds of generated rooms, and how each is furnished.
 
-The kinds and the range of sizes are those of S3DIS that four cameras can cover roughly. All
+The kinds and the range of sizes are those of S3DIS rooms that four cameras can roughly cover. All
 lengths are metres.
 """
 
@@ -48,28 +48,28 @@ from ocp_ros.rooms.room_plan import footprint, mirrored, RoomPlan
 
 
 def _chairs(plan: RoomPlan, count: int) -> None:
-    """Leave chairs anywhere."""
+    """Place chairs at random positions."""
     for _ in range(count):
         plan.stand(lambda: placed(chair(plan.rng), (0.0, 0.0), plan.rng.uniform(-1.0, 1.0)),
                    0.6, 0.6)
 
 
 def _shelves(plan: RoomPlan, count: int, low: float = 0.7, high: float = 2.2) -> None:
-    """Stand bookcases along the walls."""
+    """Place bookcases along the walls."""
     for _ in range(count):
         width, depth, height = plan.rng.uniform([0.8, 0.28, low], [1.3, 0.42, high])
         plan.lean(lambda w=width, d=depth, h=height: bookcase(plan.rng, w, d, h), width, depth)
 
 
 def _cabinets(plan: RoomPlan, count: int) -> None:
-    """Stand cabinets along the walls."""
+    """Place cabinets along the walls."""
     for _ in range(count):
         width, depth, height = plan.rng.uniform([0.5, 0.4, 0.7], [1.8, 0.65, 2.1])
         plan.lean(lambda w=width, d=depth, h=height: cabinet(plan.rng, w, d, h), width, depth)
 
 
 def _desks(plan: RoomPlan, count: int) -> None:
-    """Stand desks along the walls, each with its chair."""
+    """Place desks along the walls, each with its chair."""
     def workplace() -> Piece:
         seat = placed(chair(plan.rng), (plan.rng.uniform(-0.25, 0.25), 0.75),
                       np.pi + plan.rng.normal(0.0, 0.5))
@@ -79,7 +79,7 @@ def _desks(plan: RoomPlan, count: int) -> None:
 
 
 def _clutter(plan: RoomPlan, count: int) -> None:
-    """Leave boxes, bins and bags on the floor."""
+    """Place boxes, bins and bags on the floor."""
     for _ in range(count):
         size = plan.rng.uniform(0.2, 0.6)
         plan.stand(lambda s=size: things(plan.rng, s, s, 0.0, 1), size, size)
@@ -90,13 +90,13 @@ PIECES = {'desks': _desks, 'shelves': _shelves, 'cabinets': _cabinets, 'chairs':
 
 
 def _fill(plan: RoomPlan, **counts: tuple[int, int]) -> None:
-    """Add pieces by kind, one kind after the other: from the first to below the second number."""
+    """Add pieces kind by kind; each count is drawn from the first to below the second number."""
     for kind, (low, high) in counts.items():
         PIECES[kind](plan, plan.rng.integers(low, high))
 
 
 def _seated_table(plan: RoomPlan, width: float, depth: float, every: float) -> None:
-    """Stand a table with chairs on both long sides."""
+    """Place a table with chairs on both long sides."""
     def group() -> Piece:
         piece = table(plan.rng, width, depth)
         for side in (-1, 1):
@@ -207,11 +207,11 @@ class RoomKind(NamedTuple):
     """
     A kind of room.
 
-    :ivar share: how often it is drawn, relative to the others.
-    :ivar low: least width, depth and height, metres.
-    :ivar high: the largest.
-    :ivar corner: chance of an L-shape.
-    :ivar furnish: fills it.
+    :ivar share: the probability of the kind, relative to the others.
+    :ivar low: the least width, depth and height, metres.
+    :ivar high: the largest width, depth and height, metres.
+    :ivar corner: the probability of an L-shape.
+    :ivar furnish: the function that furnishes the room.
     """
 
     share: float

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-The plan of a room: its walls, what was put where, and what of the floor is still free.
+The plan of a room: its walls, its solids, and the free floor.
 
 All lengths are metres; a room spans from the origin to its size.
 """
@@ -25,9 +25,9 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.rooms.furniture import Piece, placed, Solid
 
-#: Free floor around what stands in the room, and air between furniture and the wall behind it.
+#: Free floor around objects, and the gap between furniture and the wall behind it.
 CLEARANCE, WALL_GAP = 0.12, 0.03
-#: How often a place is sought before a piece is left out.
+#: The number of attempts to place a piece before it is left out.
 TRIES = 25
 
 
@@ -35,7 +35,7 @@ class RoomWall(NamedTuple):
     """
     An inner side of a wall.
 
-    :ivar start: (2,) where it begins.
+    :ivar start: (2,) the start of the wall.
     :ivar along: (2,) unit vector; the room is on its left.
     :ivar length: metres.
     """
@@ -57,8 +57,8 @@ class RoomPlan:
 
     :ivar kind: one of :data:`ocp_ros.rooms.room_kinds.ROOMS`.
     :ivar size: (3,) metres.
-    :ivar rng: draws what is put into it.
-    :ivar solids: what is built and stands in it.
+    :ivar rng: the random generator for the contents of the room.
+    :ivar solids: the boxes of the building and the furniture.
     :ivar windows: (2, 3) boxes around parts of walls that return no light.
     :ivar walls: inner sides to lean things against.
     """
@@ -85,10 +85,10 @@ class RoomPlan:
     def stand(self, make: Callable[[], Piece], width: float, depth: float,
               turns: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5)) -> bool:
         """
-        Stand a piece somewhere free.
+        Place a piece at a random free position.
 
         :param make: builds it.
-        :param width: of its footprint along its own x, metres.
+        :param width: the extent of its footprint along its own x, metres.
         :param depth: the same along y.
         :param turns: yaws to choose from, in units of pi.
         """
@@ -106,12 +106,12 @@ class RoomPlan:
     def lean(self, make: Callable[[], Piece], width: float, depth: float,
              front: float = 0.0) -> bool:
         """
-        Stand a piece with its back to a wall.
+        Place a piece with its back to a wall.
 
         :param make: builds it.
         :param width: along the wall, metres.
-        :param depth: away from it.
-        :param front: metres of floor before it that stay free.
+        :param depth: the extent away from the wall, metres.
+        :param front: metres of floor in front of it that stay free.
         """
         for _ in range(TRIES):
             wall = self.walls[self.rng.integers(len(self.walls))]
@@ -128,13 +128,13 @@ class RoomPlan:
 
 
 def footprint(width: float, depth: float, yaw: float) -> np.ndarray:
-    """Return the edges (2,) of the axis-aligned rectangle around a turned one."""
+    """Return the edges (2,) of the axis-aligned rectangle around a rotated rectangle."""
     c, s = abs(np.cos(yaw)), abs(np.sin(yaw))
     return np.array([c * width + s * depth, s * width + c * depth])
 
 
 def mirrored(plan: RoomPlan, flip: np.ndarray) -> RoomPlan:
-    """Return a finished room mirrored along x, y or both, (2,) bool; nothing can be added."""
+    """Return a room mirrored along x, y or both, (2,) bool; nothing can be added to it."""
     size, sign = plan.size[:2], np.where(flip, -1.0, 1.0)
     solids = []
     for part in plan.solids:

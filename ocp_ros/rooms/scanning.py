@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Scan a plan as a depth camera on a few tripods would: what no tripod sees is missing.
+Simulate a scan of a plan by a depth camera on a few tripods, with occlusion.
 
-Density falls with distance and slant, returns are off along the ray, glass and dark things return
-nothing.
+The density of points falls with distance and slant, returns have errors along the ray, and glass
+and dark surfaces give no returns.
 """
 
 from collections.abc import Callable
@@ -28,26 +28,27 @@ from ocp_ros.rooms.furniture import KINDS
 from ocp_ros.rooms.room_plan import RoomPlan, WALL_GAP
 from ocp_ros.util.kernels import njit
 
-#: A tripod for so many square metres, within limits; its height, and the air around it.
+#: Square metres of floor per tripod, and the range of the number of tripods; below: the range of
+#: their heights, and the free air around them, metres.
 FLOOR_PER_TRIPOD, TRIPODS = 10.0, (2, 10)
 TRIPOD_HEIGHTS, TRIPOD_CLEARANCE = (1.3, 1.7), 0.3
-#: Standard deviation of a return along its ray: at no distance, and for each metre.
+#: The standard deviation of a return along its ray, metres: constant part, and part per metre.
 NOISE, NOISE_PER_METRE = 0.002, 0.001
-#: Least chance of a return, as a share of that of the places that were scanned well.
+#: The least probability of a return, relative to well-scanned surfaces.
 LEAST_DENSITY = 0.4
-#: One dark or shiny patch for so many square metres of floor, and its radius.
+#: Square metres of floor per dark or shiny patch, and the range of its radius, metres.
 FLOOR_PER_PATCH, PATCH = 12.0, (0.12, 0.45)
-#: How near to the end of a ray something may be that still does not hide it.
+#: Metres: an object this near to the end of a ray does not occlude it.
 TOLERANCE = 0.01
 
 
 class ScannedSurface(NamedTuple):
     """
-    Points on what a plan is made of.
+    Points on the surfaces of a plan.
 
     :ivar points: (N, 3) float64, metres.
     :ivar normals: (N, 3) unit vectors.
-    :ivar owner: (N,) int64, number of the solid, -1 for the shell.
+    :ivar owner: (N,) int64, the number of the solid; -1 for the shell.
     :ivar kind: (N,) int64, index into ``KINDS``.
     """
 
@@ -88,8 +89,8 @@ def scan(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> tuple[np.nd
     Scan a room.
 
     :param plan: the room.
-    :param n_points: how many returns are wanted, to a few per cent.
-    :param rng: where tripods and patches are, and the noise.
+    :param n_points: the number of returns wanted, to a few per cent.
+    :param rng: the random generator for tripods, patches and noise.
     :returns: (N, 3) float32, metres, and (N,) the kind of surface, an index into ``KINDS``.
     """
     boxes = boxes_of(plan)
@@ -108,7 +109,7 @@ def scan(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> tuple[np.nd
 
 def sample(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> np.ndarray:
     """
-    Sample all surfaces of a room evenly and exactly, but for those that touch another one.
+    Sample all exposed surfaces of a room evenly and exactly.
 
     :returns: (N, 3) float32, metres.
     """
@@ -119,7 +120,7 @@ def sample(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> np.ndarra
 
 def _near_count(n_points: int, rng: np.random.Generator,
                 take: Callable[[float, np.random.Generator], ScannedSurface]) -> ScannedSurface:
-    """Take points at the pitch that gives about ``n_points`` of them."""
+    """Sample points at the pitch that gives about ``n_points`` of them."""
     pitch = 0.2
     for _ in range(4):
         found = take(pitch, np.random.default_rng(0))
@@ -129,14 +130,14 @@ def _near_count(n_points: int, rng: np.random.Generator,
 
 def _outside(plan: RoomPlan, boxes: Boxes, pitch: float,
              rng: np.random.Generator) -> ScannedSurface:
-    """Sample the surfaces at a pitch, without what is inside or against another one."""
+    """Sample the surfaces at a pitch, except parts inside or against another solid."""
     surface = surface_of(plan, pitch, rng)
     return surface.only(exposed(surface.points, surface.owner, plan.size, *boxes, WALL_GAP))
 
 
 def _returns(plan: RoomPlan, boxes: Boxes, tripods: np.ndarray, patches: np.ndarray, pitch: float,
              rng: np.random.Generator) -> ScannedSurface:
-    """Sample the surfaces at a pitch and keep what comes back to a tripod."""
+    """Sample the surfaces at a pitch and keep the points that return a signal to a tripod."""
     surface = _outside(plan, boxes, pitch, rng)
     density = densities(surface.points, surface.normals, surface.owner, tripods, *boxes)
     for low, high in plan.windows:
@@ -157,7 +158,7 @@ def surface_of(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> Scanne
         for axis in range(3):
             u, v = (axis + 1) % 3, (axis + 2) % 3
             size = plan.size if owner < 0 else plan.solids[owner].size
-            # What is narrower than the pitch has a point now and then.
+            # Faces narrower than the pitch get a row of points with a probability below 1.
             count = [int(size[k] / pitch + rng.random()) for k in (u, v)]
             if not count[0] * count[1]:
                 continue
@@ -182,13 +183,13 @@ def surface_of(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> Scanne
 
 
 def _tripods(plan: RoomPlan, boxes: Boxes, rng: np.random.Generator) -> np.ndarray:
-    """Stand tripods where there is room for them: (T, 3) metres."""
+    """Place tripods where there is room for them: (T, 3) metres."""
     count = int(np.clip(np.prod(plan.size[:2]) / FLOOR_PER_TRIPOD, *TRIPODS))
     found: list[np.ndarray] = []
     for trial in range(200 * count):
         low = min(TRIPOD_CLEARANCE, 0.4 * plan.size[:2].min())
         at = np.append(rng.uniform(low, plan.size[:2] - low), rng.uniform(*TRIPOD_HEIGHTS))
-        # Where it is too full for that, less air must do.
+        # In a crowded room the required free air decreases with the attempts.
         air = TRIPOD_CLEARANCE * (1.0 - trial / (200.0 * count))
         apart = min((np.linalg.norm(at[:2] - other[:2]) for other in found), default=np.inf)
         if free(at, air, *boxes) and apart > 1.2 * (1.0 - trial / (200.0 * count)):
@@ -199,7 +200,7 @@ def _tripods(plan: RoomPlan, boxes: Boxes, rng: np.random.Generator) -> np.ndarr
 
 
 def _patches(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
-    """Draw patches that return nothing: (P, 4) centre and radius, metres."""
+    """Draw patches that give no returns: (P, 4) centre and radius, metres."""
     surface = surface_of(plan, 0.3, rng)
     count = rng.poisson(np.prod(plan.size[:2]) / FLOOR_PER_PATCH)
     centres = surface.points[rng.integers(len(surface.points), size=count)]
@@ -208,7 +209,7 @@ def _patches(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def exposed(points, owner, size, centre, half, turn, gap):
-    """Tell which points (N, 3) are farther than a gap, metres, from other solids and the shell."""
+    """Return which points (N, 3) are more than ``gap`` metres from other solids and the shell."""
     keep = np.ones(len(points), dtype=np.bool_)
     for i in range(len(points)):
         x, y, z = points[i]
@@ -232,7 +233,7 @@ def exposed(points, owner, size, centre, half, turn, gap):
 
 @njit(cache=True, nogil=True)
 def free(at, air, centre, half, turn):
-    """Return whether a place (3,) has some air around it, metres."""
+    """Return whether a position (3,) is farther than ``air`` metres from all solids."""
     for k in range(len(centre)):
         dx, dy = at[0] - centre[k, 0], at[1] - centre[k, 1]
         along = abs(dx * turn[k, 0] + dy * turn[k, 1]) - half[k, 0]
@@ -246,10 +247,10 @@ def free(at, air, centre, half, turn):
 @njit(cache=True, nogil=True)
 def densities(points, normals, owner, tripods, centre, half, turn):
     """
-    Return how densely the tripods sample each point (N,): the sum of cosine over distance squared.
+    Return the sampling density of each point (N,): the sum of cosine over squared distance.
 
-    What is nearer than half a metre counts as that far. A point that is hidden from all of them
-    has 0, and so has one that they hardly see.
+    Distances below half a metre count as half a metre. Points that are occluded from all tripods,
+    or nearly invisible to them, have 0.
     """
     density = np.zeros(len(points))
     reach = np.sqrt((half ** 2).sum(axis=1))
@@ -258,7 +259,7 @@ def densities(points, normals, owner, tripods, centre, half, turn):
         for k in range(len(centre)):
             way[k] = centre[k] - tripods[t]
             far[k] = np.sqrt((way[k] ** 2).sum())
-            # The cosine of the cone around the ball around the solid.
+            # The cosine of the cone around the bounding sphere of the solid.
             cone[k] = -1.0 if far[k] <= reach[k] else np.sqrt(1.0 - (reach[k] / far[k]) ** 2)
             way[k] /= max(far[k], 1e-9)
         for i in range(len(points)):
@@ -274,7 +275,7 @@ def densities(points, normals, owner, tripods, centre, half, turn):
                 ahead = (d0 * way[k, 0] + d1 * way[k, 1] + d2 * way[k, 2])
                 if ahead < cone[k] * distance or far[k] - reach[k] > distance:
                     continue
-                # The ray enters the solid where it is between all three pairs of faces.
+                # The ray is inside the solid where it is between all three pairs of faces.
                 along = way[k, 0] * turn[k, 0] + way[k, 1] * turn[k, 1]
                 across = way[k, 1] * turn[k, 0] - way[k, 0] * turn[k, 1]
                 start = (along * far[k], across * far[k], way[k, 2] * far[k])

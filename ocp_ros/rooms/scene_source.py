@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where a scene comes from: a file or the generator."""
+"""Make scenes from a file or the generator."""
 
 from dataclasses import dataclass
 import hashlib
@@ -26,15 +26,15 @@ from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import FEWEST_POINTS, LARGEST_SEED, MOST_POINTS, setting
 
-#: Points of a room that placements are judged in, where nobody says.
+#: The default number of points of a room in which placements are evaluated.
 ROOM_POINTS = 60_000
-#: How a scan is read, as command lines, parameters and placement files say it.
+#: The options of reading a scan, as in command lines, parameters and placement files.
 READING = ('scale', 'up', 'drop_nonfinite', 'all_rooms')
 
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """A room from a file, or from the generator where no file is named."""
+    """Settings of a room: a file, or the generator if no file is named."""
 
     file: str = setting('', 'scan to read; empty for a generated room')
     seed: int = setting(1, 'seed of the generated room', 0, LARGEST_SEED)
@@ -69,7 +69,7 @@ def seed_named(name: str) -> int:
 
     :raises SceneError: if it is too large.
     """
-    # Thousands of digits are more than Python reads.
+    # Python refuses to convert numbers of thousands of digits.
     if len(name) > 20 or int(name) > LARGEST_SEED:
         shown = name if len(name) <= 20 else f'{name[:20]}...'
         raise SceneError(f'{shown}: found no seed of a room; expected one of at most '
@@ -79,12 +79,12 @@ def seed_named(name: str) -> int:
 
 def make_room(name: str, rotation: float, points: int = 15000, **reading: Any) -> Scene:
     """
-    Make one of many rooms.
+    Make a room from its name.
 
     :param name: the seed of a generated room, or the path of a scan.
     :param rotation: degrees about the vertical axis.
-    :param points: of a generated room; a larger scan is thinned to as many.
-    :param reading: of a scan, those of ``READING``; see
+    :param points: the number of points of a room; larger scans are thinned to it.
+    :param reading: options of a scan, those of ``READING``; see
         :func:`~ocp_ros.scenes.scene_files.load_scene`.
     :raises SceneError: if the scan cannot be used.
     """
@@ -98,10 +98,10 @@ def make_room(name: str, rotation: float, points: int = 15000, **reading: Any) -
 def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
                ) -> tuple[Scene, dict[str, Any]]:
     """
-    Read or generate a room, and say which it is as placement files do.
+    Read or generate a room, and return its description for placement files too.
 
     :param name: path of a scan, or seed of a generated room.
-    :param reading: of a scan; see :func:`make_room`.
+    :param reading: options of a scan; see :func:`make_room`.
     :raises SceneError: if the scan cannot be used.
     """
     scene = make_room(name, 0.0, points, **reading)

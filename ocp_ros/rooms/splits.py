@@ -15,12 +15,12 @@
 """
 The generated rooms of each set, frozen by seed; no two sets share a room.
 
-In each of them four cameras can do neither everything nor nothing: the best placement of a short
-search leaves at least 5 % of the depth error that random ones leave on average; longer searches
-leave less. Of the seeds in a row that were looked at, these are the ones: 128 of 310 to learn in,
-36 of 102 to choose the best weights by, 10 of 26 that planners are compared in and 40 of 132 fresh
-ones for paired tests. Chosen by
-``python -m benchmarks.room_sets`` on 2026-11-21.
+In each room, the best placement of four cameras in a short search leaves at least 5 % of the mean
+depth error of random placements, so that the task is neither trivial nor hopeless; longer searches
+leave less. The sets contain the seeds of consecutive ranges that fulfil this condition: 128 of 310
+for training, 36 of 102 for the choice of the best weights, 10 of 26 for the comparison of planners
+and 40 of 132 fresh ones for paired tests. They were chosen by ``python -m benchmarks.room_sets``
+on 2026-11-21.
 """
 
 TRAINING = (
@@ -42,6 +42,6 @@ FRESH = (
     4001, 4003, 4005, 4006, 4008, 4009, 4012, 4015, 4016, 4019, 4020, 4022, 4027, 4034, 4035,
     4037, 4043, 4044, 4053, 4059, 4061, 4062, 4069, 4078, 4079, 4080, 4081, 4095, 4103, 4106,
     4107, 4108, 4109, 4110, 4113, 4115, 4119, 4120, 4127, 4131)
-#: Rooms to learn in beyond those, not chosen by this criterion.
+#: More training rooms, not chosen by this condition.
 MORE_TRAINING = range(1310, 3000)
 SETS = {'fresh': FRESH, 'test': TEST, 'training': TRAINING, 'validation': VALIDATION}

@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-``policy_node``: answers each observation with where the cameras shall go.
+``policy_node``: answer each observation with the target poses of the cameras.
 
-The turns are those of a simulation, or of live cameras: see
-:mod:`ocp_ros.ros.policy.simulated_turns` and :mod:`ocp_ros.ros.policy.live_turns`. It starts
-without open3d, stable-baselines3, matplotlib or, with lookahead, PyTorch. Whatever it needs to
-know about an episode comes with each turn, and what it remembers of the turns before only makes
-its answers better, so it can be killed and restarted at any time.
+The turns come from a simulation or from live cameras: see
+:mod:`ocp_ros.ros.policy.simulated_turns` and :mod:`ocp_ros.ros.policy.live_turns`. The node does
+not import open3d, stable-baselines3 or matplotlib; with lookahead it does not import PyTorch
+either. Each turn brings all the data that the node needs about the episode. Data from earlier
+turns only improve its answers, so the node can be killed and restarted at any time.
 """
 
 import os
@@ -67,12 +67,12 @@ if TYPE_CHECKING:
 
 
 def load_checkpoint(path: Path) -> 'Checkpoint':
-    """Read weights; only here is PyTorch needed, which takes long to import."""
+    """Read weights; only this function imports PyTorch, which takes long."""
     from ocp_ros.policy.checkpoint import Checkpoint
     return Checkpoint.load(path)
 
 
-#: Seconds that a planner may think about the next turn, whoever waits: it takes a tenth of that.
+#: Seconds that a planner may plan the next turn although messages wait: it needs a tenth of that.
 UNDISTURBED = 2.0
 
 
@@ -80,10 +80,10 @@ class PolicyNode(ManagedNode):
     """
     Answer turns with a planner.
 
-    The placement is final when the turns are used up. A policy that plays alone can be done
-    earlier, when its cameras stand still; where lookahead plays the last turns, they are all
-    played, since it refines what the policy has settled on, and cameras that stand still for some
-    turns of its search may yet move.
+    The placement is final when all turns are used up. A policy without lookahead can finish
+    earlier, when its cameras stand still. With lookahead the node plays all turns: lookahead
+    refines the placement that the policy has reached, and cameras that stand still for some turns
+    of this search may still move later.
     """
 
     def __init__(self, **kwargs) -> None:
@@ -94,7 +94,7 @@ class PolicyNode(ManagedNode):
         super().__init__('policy_node', PolicyNodeConfig, {'manual': BY_HAND}, **kwargs)
 
     def configure(self) -> None:
-        """Read weights and rig, and listen; nothing is commanded yet."""
+        """Read the weights and the rig, and subscribe to the topics; send no command yet."""
         set_threads(self.config.threads)
         path = None if self.config.weightless else find_model(self.config.model)
         self._decider = Decider(
@@ -108,7 +108,7 @@ class PolicyNode(ManagedNode):
         self._experiences = None
         if self.config.explore:
             from ocp_ros.ros.policy.experiences import Experiences
-            # Who explores has a policy that records what it chooses.
+            # With ``explore`` the policy is one that records its choices.
             self._experiences = Experiences(
                 self, lambda: self.policy, self._go_on)  # type: ignore[return-value]
         if self.config.clouds:
@@ -139,29 +139,29 @@ class PolicyNode(ManagedNode):
         self.get_logger().info(f'{planner}, {weights}, {cameras}')
 
     def activate(self) -> None:
-        """Command the cameras, unless somebody else does."""
+        """Command the cameras, unless another node does."""
         self._commands.begin(self._go_on)
 
     def deactivate(self) -> None:
-        """Leave the cameras where they are, and let others command."""
+        """Leave the cameras where they are, and let other nodes command them."""
         self._hold()
         self._commands.end()
 
     def release(self) -> None:
-        """Forget weights, rig and all that was seen."""
+        """Drop the weights, the rig and all observations."""
         if self._calibrator is not None:
             self._calibrator.close()
         self._live = self._turns = self._experiences = self._calibrator = None
         self._paused = False
 
     def _reflect(self) -> None:
-        """Let the planner think about the next turn, in the end until a message waits."""
+        """Let the planner plan the next turn ahead; stop late if a message waits."""
         alone = time.monotonic() + UNDISTURBED
         self._decider.plan_ahead(lambda: time.monotonic() > alone and has_news(self))
 
     @property
     def planner(self) -> Online:
-        """Return what chooses the moves."""
+        """Return the planner that chooses the moves."""
         return self._decider.planner
 
     @property
@@ -175,16 +175,16 @@ class PolicyNode(ManagedNode):
         return bool(self._finality.why)
 
     def _start_episode(self, episode: int) -> None:
-        """Forget the turns of the last episode."""
+        """Drop the data of the last episode and begin a new one."""
         self._decider.reset()
         self._episode, self._step, self._over = episode, 0, False
-        #: The final placement, once there is one.
+        #: The final placement; None while there is none.
         self._held: PoseArray | None = None
         self._finality.begin()
         self._finality.say(self._step, self.config)
 
     def change(self, config: PolicyNodeConfig) -> None:
-        """Go on with other parameters."""
+        """Continue with other parameters."""
         self._decider.change(config)
         self._views.change(self._decider.models)
         if self._live is not None:
@@ -193,8 +193,8 @@ class PolicyNode(ManagedNode):
             self._calibrator.change(config)
 
     def _tell(self, told: TurnInfo) -> None:
-        """Learn from a simulation which turn it is."""
-        # Step 0 is a new episode in any case: a restarted simulation counts from 1 again.
+        """Take the number and the state of a turn from a simulation."""
+        # Step 0 always begins a new episode: a restarted simulation counts episodes from 1 again.
         if told.episode != self._episode or told.step == 0:
             self._start_episode(told.episode)
         self._step, self._over = told.step, told.over
@@ -204,12 +204,12 @@ class PolicyNode(ManagedNode):
             self._step += 1
 
     def _hold(self) -> None:
-        """Tell cameras that may be on their way to stay where they are."""
+        """Command cameras that may be moving to stay where they are."""
         if self._live is not None and self.active and not self._commands.waits:
             self._live.hold()
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Hold, or go on."""
+        """Pause or continue, as the request says."""
         if request.data and not self._paused:
             self._hold()
         self._paused = request.data
@@ -218,7 +218,7 @@ class PolicyNode(ManagedNode):
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
-        """Begin a new placement of live cameras from where they are."""
+        """Begin a new placement of live cameras from their present poses."""
         if self._live is None:
             response.message = ('turns come from a simulation; expected live cameras; call '
                                 '~/reset of sim_node')
@@ -229,25 +229,31 @@ class PolicyNode(ManagedNode):
         return response
 
     def _waits(self) -> bool:
-        """Return whether others command, or have to catch up, before this turn is answered."""
+        """Return whether the answer has to wait: inactive, paused, other commander or trainer."""
         return bool(not self.active or self._paused or self._commands.waits or (
             self._experiences and self._experiences.held))
 
     def _go_on(self) -> None:
-        """Answer the turn that has waited, if there is one."""
+        """Answer the turn that waits, if there is one."""
         if self._turns is not None:
             self._turns.act()
 
     def _play(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
-        """Answer a turn: the points (N, 3) seen so far, and where the cameras are."""
+        """
+        Answer a turn.
+
+        :param cloud: (N, 3) float32, metres: the points observed so far.
+        :param poses: of the cameras.
+        :returns: the poses that the cameras are commanded to.
+        """
         positions = msg_to_positions(poses)
         self._decider.check(cloud, poses)
         if self._why():
             self._settle(poses)
             if self._experiences:
-                # What would be chosen now belongs to the choice before: see what it led to.
+                # The experience of the last choice needs the observation that it led to.
                 self._decider.plan(cloud, poses, self._step)
-        # What was decided is held, wherever the cameras are measured to be.
+        # A final placement stays as it is, even if measured poses differ from it.
         answer = self._decider.decide(cloud, poses, self._step) if self._held is None else \
             PoseArray(header=poses.header, poses=self._held.poses)
         target = msg_to_positions(answer)
@@ -255,7 +261,7 @@ class PolicyNode(ManagedNode):
             self._finality.moved(np.linalg.norm(target - positions, axis=1).max(),
                                  self._decider.widest, self.config)
         if self._experiences:
-            # Cameras in place come last, and nobody chooses for them.
+            # Fixed cameras come last; the policy chooses nothing for them.
             moved = target[:self._decider.movable(poses)]
             self._experiences.tell(stamp_to_ns(poses.header.stamp), self._step, moved)
         self._counts['turns_answered'] += 1
@@ -265,11 +271,11 @@ class PolicyNode(ManagedNode):
         return answer
 
     def _why(self) -> str:
-        """Say why the cameras shall stay where they are; nothing while they shall not."""
+        """Return why the placement is final; empty while it is not."""
         return self._finality.reason(self._step, self._over, self._decider.alone, self.config)
 
     def _settle(self, poses: PoseArray) -> None:
-        """Publish the placement, once per episode, and say why it is final."""
+        """Publish the final placement, once per episode, and the reason why it is final."""
         if not self._settled:
             self._finality.why, self._held = self._why(), poses
             self._finality.gaps = self._live.gaps if self._live else ''
@@ -281,7 +287,7 @@ class PolicyNode(ManagedNode):
                 self._keep(self.config.placement_file, poses)
 
     def _keep(self, path: str, poses: PoseArray) -> None:
-        """Write the placement to a file; where that fails it is on its topic alone."""
+        """Write the placement to a file; log an error if that fails."""
         try:
             save_placement(path, placement_from(poses, self._decider, '; '.join(filter(None, (
                 self._finality.why, self._finality.gaps)))))
@@ -292,7 +298,7 @@ class PolicyNode(ManagedNode):
             self.get_logger().info(f'wrote {path}')
 
     def _on_weights(self, message: UInt8MultiArray) -> None:
-        """Check new weights and swap them in whole, or keep those that run."""
+        """Check new weights and use them, or keep the weights that run."""
         from ocp_ros.policy.checkpoint import Checkpoint
         running = self.policy.checkpoint
         try:
@@ -309,13 +315,13 @@ class PolicyNode(ManagedNode):
             f'weights swapped: {running.updates} -> {checkpoint.updates} updates')
 
     def _refuse(self, error: MessageError) -> None:
-        """Count a message that cannot be used and say why."""
+        """Count a message that cannot be used, and log why."""
         self._counts['refused_messages'] += 1
         self.get_logger().warning(
             f'message refused: {shortened(error)}', throttle_duration_sec=1.0)
 
     def _status(self) -> diagnostics.Status:
-        """Say what the planner is doing."""
+        """Return the status of the planner for diagnostics."""
         message, gaps = 'answering turns', self._finality.gaps
         if self._settled:
             message = 'placement is final'
@@ -340,7 +346,7 @@ class PolicyNode(ManagedNode):
 def main(args: list[str] | None = None) -> int:
     """Run the node."""
     # The network is small: more threads would only take cores from the rest of the robot. PyTorch
-    # reads this when it is imported, which with lookahead is never.
+    # reads this variable when it is imported; with lookahead alone it is not imported.
     os.environ['OMP_NUM_THREADS'] = '1'
     return run(PolicyNode, args)
 
@@ -350,7 +356,7 @@ if __name__ == '__main__':
 
 
 def has_news(node: Node) -> bool:
-    """Return whether a message waits on a subscription of a node; it is not taken."""
+    """Return whether a message waits on a subscription of a node; leave the message there."""
     subscriptions = list(node.subscriptions)
     with node.context.handle:
         waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0,
@@ -364,11 +370,11 @@ def has_news(node: Node) -> bool:
 
 def placement_from(poses: PoseArray, decider: Decider, why: str) -> Placement:
     """
-    Make a placement of where cameras are.
+    Make a placement from camera poses.
 
     :param poses: of the cameras, in the order of the rig.
-    :param decider: knows the rig file, and what each camera sees where there is none.
-    :param why: the placement is final.
+    :param decider: has the rig, or without a rig file the model of each camera.
+    :param why: reason why the placement is final.
     """
     created = {**created_by('policy_node'), 'final': why}
     frame = poses.header.frame_id

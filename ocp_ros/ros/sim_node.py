@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-``sim_node``: a simulated rig in a room, in lock-step with whoever commands it.
+``sim_node``: a simulated rig in a room, in lock-step with the node that commands it.
 
-A turn is known by its stamp. The rig moves when a command for its latest turn arrives, sends that
-turn again when none comes, and ignores commands for older ones; so either side can be killed and
-restarted and the loop goes on.
+The stamp identifies a turn. The rig moves when a command with the stamp of its latest turn
+arrives. It sends that turn again when no command comes, and ignores commands for older turns. So
+either side can be killed and restarted, and the loop continues.
 """
 
 from dataclasses import dataclass
@@ -76,13 +76,13 @@ class SimNodeConfig(SimulationConfig):
 
 
 class SimNode(ManagedNode):
-    """Publish what a rig sees, covers and misses; move it as commanded."""
+    """Publish a rig's observations, space coverage and depth error; move it as commanded."""
 
     def __init__(self, **kwargs) -> None:
         super().__init__('sim_node', SimNodeConfig, **kwargs)
 
     def configure(self) -> None:
-        """Read the room and place the cameras; no turn is sent yet."""
+        """Read the room and place the cameras; send no turn yet."""
         self.problem = make_problem(make_scene(self.config.scene), self.config)
         self.simulator = self.problem.simulator
         self._rng = np.random.default_rng(self.config.seed)
@@ -108,7 +108,7 @@ class SimNode(ManagedNode):
                 'the cameras')
 
     def activate(self) -> None:
-        """Send the turn at hand."""
+        """Send the latest turn."""
         if self._stamp:
             self._send_turn()
         else:
@@ -148,9 +148,9 @@ class SimNode(ManagedNode):
         self._publish_turn()
 
     def _publish_turn(self) -> None:
-        """Give the turn a stamp of its own and send it."""
+        """Give the turn a new stamp and send it."""
         self._previous = self._stamp
-        # Strictly later than the one before, whatever the clock does.
+        # Strictly later than the last stamp, even if the clock stops or is set back.
         self._stamp = max(self.get_clock().now().nanoseconds, self._stamp + 1)
         self._answered = False
         header, turn, rows = self._header(), self.episode.turn, self.episode.placement
@@ -166,7 +166,7 @@ class SimNode(ManagedNode):
         self._cloud_view.turn(header)
 
     def _camera_poses(self) -> list[Pose]:
-        """Return where the cameras are and how they are turned."""
+        """Return the poses of the cameras."""
         return [Pose.of(row) for row in self.episode.placement]
 
     def _reward_fields(self) -> dict[str, float]:
@@ -181,24 +181,24 @@ class SimNode(ManagedNode):
         return dict(zip(topics.REWARD_FIELDS, values, strict=True)) | shares
 
     def _send_turn(self) -> None:
-        """Send the latest turn, and wait anew for its command."""
+        """Send the latest turn, and start the timer for its command again."""
         for publisher, message in self._turn_messages:
             publisher.publish(message)
         self._resend.reset()
 
     def change(self, config: SimNodeConfig) -> None:
-        """Go on with other parameters, those of the episode included."""
+        """Continue with other parameters, also within the episode."""
         self.simulator.config = config
         self.episode.config = config.episode
         self._resend.timer_period_ns = int(config.resend_period * 1e9)
         self._resend.reset()
 
     def _on_silence(self) -> None:
-        """Send the turn again: its messages or the answer may have been lost."""
+        """Send the turn again: its messages or the command may have been lost."""
         if self.active:
             now = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.config.frame_id)
             self._frames.publish(now, self._camera_poses())
-        # The last turn leads nowhere, but whoever commands has to know that it is the last.
+        # No turn follows the last one, but the policy has to receive the message that it is last.
         if self.active and not (self._answered and self.episode.turn.truncated):
             self._counts['resent_turns'] += 1
             self._send_turn()
@@ -222,7 +222,7 @@ class SimNode(ManagedNode):
         self._answered = True
         if self.episode.turn.truncated:
             return
-        # Cameras in place stay, whatever a command says of them.
+        # Fixed cameras stay: their entries in a command are ignored.
         positions = self.episode.turn.positions
         self.episode.move(target[:len(positions)] - positions, headings)
         self._publish_turn()
@@ -231,10 +231,10 @@ class SimNode(ManagedNode):
 
     def _commanded(self, message: PoseArray) -> np.ndarray:
         """
-        Return how a command turns the cameras: (K, 3) yaw, pitch, roll in radians.
+        Return the headings that a command asks for: (K, 3) yaw, pitch, roll in radians.
 
-        How an omnidirectional camera is turned makes no difference, and one whose quaternion
-        is that of the turn stays as it is, to the last bit.
+        The orientation of an omnidirectional camera is ignored. A camera whose commanded
+        quaternion equals the one that the turn sent keeps its heading exactly.
         """
         headings, (_, (_, sent), _) = self.episode.turn.headings.copy(), self._turn_messages
         cameras = zip(message.poses[:len(headings)], sent.poses, self.problem.models)
@@ -255,7 +255,7 @@ class SimNode(ManagedNode):
         return response
 
     def _status(self) -> diagnostics.Status:
-        """Say how the loop is."""
+        """Return the status of the loop for diagnostics."""
         turn = self.episode.turn
         waiting = 'episode over' if turn.truncated else 'waiting for commands'
         if not self.active:

@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-What the scripts of the nodes call: they begin and end without ado.
+Entry points of the node scripts: start and end fast, and without a traceback on Ctrl-C.
 
-Imports take a second or more; a Ctrl-C in the middle of them would be a page of traceback. From
-then on :mod:`ocp_ros.ros.runtime.node_main` handles the signals. When it has saved all and taken
-ROS down, the process ends at once: the interpreter would take up to a second of processor time to
-free what the system frees anyway, and ``ros2 launch`` on a busy machine does not wait for that.
+Imports take a second or more, and a Ctrl-C during them would print a page of traceback. After the
+imports :mod:`ocp_ros.ros.runtime.node_main` handles the signals. When it has saved all data and
+shut ROS down, the process ends at once: the interpreter would take up to a second of processor
+time to free memory that the system frees anyway, and ``ros2 launch`` on a busy machine does not
+wait for that.
 """
 
 from importlib import import_module
@@ -28,15 +29,15 @@ import signal
 import sys
 from typing import NoReturn
 
-#: Ctrl-C and a polite kill.
+#: Ctrl-C and a plain ``kill``.
 EARLY = (signal.SIGINT, signal.SIGTERM)
 
 
 def _started(module: str) -> NoReturn:
-    """Import a node, run it and end the process with its code."""
+    """Import a node, run it and end the process with its exit code."""
     for number in EARLY:
-        # Nothing has begun yet that would have to be ended, and some libraries take an error that
-        # is raised while they are imported for one of their own.
+        # Nothing has started that would have to be ended. Raising an error would be wrong: some
+        # libraries catch errors that are raised during their import as their own.
         signal.signal(number, lambda *_: os._exit(0))
     code = import_module(f'ocp_ros.ros.{module}').main()
     logging.shutdown()

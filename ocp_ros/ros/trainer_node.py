@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-``trainer_node``: learns from the turns of policies that explore and publishes better weights.
+``trainer_node``: learn from the turns of policies that explore, and publish better weights.
 
-Each policy plays in a namespace of its own, on this machine or another, and tells what it read and
-chose; what that was worth comes from its simulation. Training runs in a thread of its own, so that
-no message waits for a gradient step; where turns come faster than they can be learned from, the
-policies are asked to wait.
+Each policy runs in a namespace of its own, on this machine or another. It publishes what it
+observed and chose; its simulation publishes the rewards. Training runs in a separate thread, so
+that no message waits for a gradient step. Where turns come faster than the trainer can learn from
+them, the trainer asks the policies to wait.
 """
 
 from collections import Counter
@@ -46,12 +46,13 @@ from rclpy.node import Node
 import torch
 import yaml
 
-#: Seconds between two looks for weights, and looks until the policies are told anew how it is.
+#: Seconds between two checks for new weights, and the number of checks between two status messages
+#: to the policies.
 TICK, STATUS = 0.1, 10
-#: The most namespaces that are learned from, and seconds without a transition after which one
-#: makes room for others, or goes where nobody publishes there any more.
+#: Largest number of namespaces to learn from, and seconds without a transition after which a
+#: namespace is dropped, if it has no publisher any more or if others need its place.
 MOST_SOURCES, SILENT = 256, 60.0
-#: The most namespaces of which it is known that they were silent.
+#: Largest number of dropped namespaces for which the time of dropping is kept.
 LET_GO = 10_000
 
 
@@ -69,7 +70,7 @@ class TrainerNodeConfig(LearnerConfig):
 
 
 class TrainerNode(Node):
-    """Learn from many sources, train, publish weights."""
+    """Collect transitions from many namespaces, train, publish weights."""
 
     def __init__(self, **kwargs) -> None:
         super().__init__('trainer_node', **kwargs)
@@ -77,18 +78,18 @@ class TrainerNode(Node):
         folder_to_write(Path(self.config.folder), 'folder')
         torch.set_num_threads(self.config.threads)
         start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
-        # Weights bring the settings of their network.
+        # A checkpoint contains the settings of its network.
         self.agent = self.config.agent if start is None else start.config
         self.learner = Learner(self.config, self.agent, self.config.sac, start)
         write_atomically(self.learner.folder / 'config.yaml',
                          yaml.safe_dump(to_nested(self.config), sort_keys=False))
         self.sources: dict[str, Source] = {}
-        #: Counts of the sources that were let go, and when each was.
+        #: Counts of the dropped sources together, and the time at which each was dropped.
         self._gone: Counter[str] = Counter()
         self._let_go: dict[str, float] = {}
         self._published = self._ticks = 0
         self._hold = self._told = False
-        #: The latest weights, for namespaces that are found later.
+        #: The latest weights, for namespaces that are found later; empty while there are none.
         self._blob = b''
         names = [name.strip().strip('/') for name in self.config.sources.split(',')]
         for name in [name for name in names if name] or [self.get_namespace().strip('/')]:
@@ -100,20 +101,20 @@ class TrainerNode(Node):
             f'{self.learner.transitions} transitions, checkpoints in {self.learner.folder}')
 
     def _add(self, namespace: str) -> None:
-        """Learn from a namespace from now on."""
+        """Subscribe to a namespace to learn from it."""
         source = self.sources[namespace] = Source(
             self, namespace, self.agent, self.learner.add)
         if self._blob:
             source.send_weights(self._blob)
 
     def _discover(self) -> None:
-        """Look for namespaces in which somebody explores, and leave those that are silent."""
+        """Add namespaces in which a policy explores, and drop silent namespaces."""
         if self.config.sources:
             return
         found = [name.rpartition('/')[0] or '/' for name, kinds in self.get_topic_names_and_types()
                  if name.rpartition('/')[2] == topics.EXPERIENCE
                  and kinds == ['std_msgs/msg/UInt8MultiArray'] and self.count_publishers(name)]
-        # Those that were silent before come after all others.
+        # Namespaces that were dropped before come after all others.
         new = sorted((name for name in found if name not in self.sources),
                      key=lambda name: self._let_go.get(name, 0.0))
         silent = time.monotonic() - SILENT
@@ -126,7 +127,7 @@ class TrainerNode(Node):
             self.get_logger().info(f'learning from {name}')
 
     def _leave(self, namespace: str) -> None:
-        """Learn from a namespace no more."""
+        """Drop a namespace: stop learning from it."""
         source = self.sources.pop(namespace)
         self._gone.update(source.status())
         source.close()
@@ -137,11 +138,11 @@ class TrainerNode(Node):
                                f'{SILENT:g} s')
 
     def _tick(self) -> None:
-        """Publish new weights, and tell the policies whether to wait."""
+        """Publish new weights, and publish to the policies whether they have to wait."""
         self._publish_weights()
         learner, most = self.learner, self.config.most_behind
         before = self._hold
-        # Until half of it is done: whoever waits shall not be told so at every turn.
+        # Policies wait until half of the backlog is done, so that they do not stop at every turn.
         self._hold = learner.failure is None and learner.behind > (most / 2 if before else most)
         self._ticks += 1
         due = self._ticks % STATUS == 0
@@ -152,7 +153,7 @@ class TrainerNode(Node):
                 source.send_status(self._hold, learner.updates, max(learner.behind, 0.0))
 
     def _publish_weights(self) -> None:
-        """Publish what the learner has made since the last look, or say why nothing comes."""
+        """Publish the weights that the learner made since the last check, or log its failure."""
         if self.learner.failure is not None and not self._told:
             self._told = True
             self.get_logger().error(f'training stopped: {self.learner.failure!r}')
@@ -164,12 +165,12 @@ class TrainerNode(Node):
                 source.send_weights(self._blob)
 
     def totals(self) -> dict[str, int]:
-        """Return the counts of all sources together."""
+        """Return the sums of the counts over all sources."""
         counts = [self._gone, *(source.status() for source in self.sources.values())]
         return {name: sum(one[name] for one in counts) for name in counts[-1]}
 
     def _status(self) -> diagnostics.Status:
-        """Say how the training is."""
+        """Return the status of the training for diagnostics."""
         learner, totals, losses = self.learner, self.totals(), list(self.learner.losses)
         values = {'run': learner.run, 'stored_transitions': learner.transitions, **totals,
                   'refused_messages': totals['refused'], 'updates': learner.updates,
@@ -183,11 +184,11 @@ class TrainerNode(Node):
         return diagnostics.OK, 'training', values
 
     def stop(self) -> None:
-        """Stop training and save, before anything of ROS is taken down."""
+        """Stop training and save, before ROS is shut down."""
         self.learner.close()
 
     def destroy_node(self) -> None:
-        """Save before the node goes."""
+        """Save, then destroy the node."""
         self.stop()
         super().destroy_node()
 

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One rig and its policy, as a trainer hears them: a namespace, its topics and its counts."""
+"""One source of transitions for the trainer: the topics of one namespace, and its counts."""
 
 from collections.abc import Callable
 import time
@@ -44,21 +44,21 @@ REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec
                  'reward', 'terminated')
 #: The largest experience that is read, bytes.
 LARGEST = 1 << 24
-#: The largest reward that is learned from: the paper's penalty, at the most that it can be set to.
-#: Much larger ones make the networks' numbers overflow, and all that was learned is lost.
+#: The largest reward that is accepted: the paper's penalty at its largest setting. Much larger
+#: rewards make the networks' weights overflow, and the training is lost.
 LARGEST_REWARD = 1e9
-#: Actions are moves in units of the longest step; chance may take them a little beyond.
+#: Actions are moves in units of the longest step; random ones may be a little longer than 1.
 LARGEST_ACTION = 10.0
 
 
 def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-    """Return shape and type of each array of an observation."""
+    """Return the shape and the type of each array of an observation."""
     return {name: (space.shape, space.dtype)
             for name, space in encoded_space(agent).spaces.items()}
 
 
 def ends_of(agent: AgentConfig) -> dict[str, tuple[float, float]]:
-    """Return the lowest and the highest number of each array of an experience."""
+    """Return the lowest and the highest value of each array of an experience."""
     return {'actions': (-LARGEST_ACTION, LARGEST_ACTION), **{
         name: (space.low.min(), space.high.max())  # type: ignore[attr-defined]
         for name, space in encoded_space(agent).spaces.items()}}
@@ -66,11 +66,11 @@ def ends_of(agent: AgentConfig) -> dict[str, tuple[float, float]]:
 
 def check_ends(experience: Experience, ends: dict[str, tuple[float, float]]) -> Experience:
     """
-    Refuse numbers that no policy reads or chooses: one of them can undo a whole training.
+    Refuse values that no policy reads or chooses: one such value can ruin a whole training.
 
     :param ends: see :func:`ends_of`.
     :returns: the experience.
-    :raises ExperienceError: if there is one.
+    :raises ExperienceError: if there is such a value.
     """
     for choice in experience.choices:
         for name, values in {**choice.observation, 'actions': choice.actions}.items():
@@ -89,14 +89,14 @@ def topic_of(namespace: str, name: str) -> str:
 
 class Source:
     """
-    Put the transitions of one namespace together.
+    Assemble the transitions of one namespace.
 
-    :param node: gets the subscriptions and publishers, and tells its log what goes wrong.
+    :param node: gets the subscriptions and publishers; its log gets the warnings.
     :param namespace: full name.
-    :param agent: what the policies read.
+    :param agent: defines the observations that the policies read.
     :param learn: takes a transition; returns whether there was room for it.
-    :ivar counts: what was heard.
-    :ivar heard: when a transition came last, seconds of a steady clock.
+    :ivar counts: numbers of transitions that were learned, refused and dropped.
+    :ivar heard: when the last transition came, seconds of a steady clock.
     """
 
     def __init__(self, node: Node, namespace: str, agent: AgentConfig,
@@ -124,7 +124,7 @@ class Source:
                 kind, topic(name), self._guarded(callback), RECORDER))
 
     def _guarded(self, callback):
-        """Let a callback refuse its message with a reason; the node lives on."""
+        """Wrap a callback: log why it refuses a message, so that the node continues."""
         def guarded(message):
             try:
                 for transition in callback(message):
@@ -138,7 +138,7 @@ class Source:
         return guarded
 
     def _on_experience(self, message: UInt8MultiArray) -> list[Transition]:
-        """Take what the policy chose in a turn."""
+        """Take the choices of the policy in a turn."""
         if len(message.data) > LARGEST:
             raise MessageError(f'experience: found {len(message.data)} bytes; expected at most '
                                f'{LARGEST}')
@@ -146,16 +146,16 @@ class Source:
         return self.assembler.add_experience(check_ends(found, self._ends))
 
     def _on_poses(self, message: PoseArray) -> list[Transition]:
-        """Take where the cameras are in a turn."""
+        """Take the camera positions of a turn."""
         return self.assembler.add_positions(
             stamp_to_ns(message.header.stamp), msg_to_positions(message))
 
     def _on_reward(self, message: Float64MultiArray) -> list[Transition]:
-        """Take the reward of a turn; the first one of an episode has none."""
+        """Take the reward of a turn; the first turn of an episode has no reward."""
         fields = msg_to_fields(message, REWARD_FIELDS)
         stamp, previous = ns_of(fields, 'stamp'), ns_of(fields, 'previous')
         if stamp < self._newest:
-            # A restarted simulation on a clock that began anew: its stamps are other turns.
+            # The simulation was restarted with a reset clock: equal stamps mean other turns now.
             self.assembler.clear()
         self._newest = stamp
         if fields['step'] < 1:
@@ -164,7 +164,7 @@ class Source:
         while (name := topics.share(len(shares))) in fields:
             shares.append(fields[name])
         worth = [fields['reward'], *shares]
-        # NaN is within nothing, and refused as well.
+        # Comparisons with NaN are false, so NaN is refused as well.
         if not (np.abs(worth) <= LARGEST_REWARD).all():
             raise MessageError(
                 f'reward: found reward and shares from {min(worth):g} to {max(worth):g}; expected '
@@ -174,7 +174,7 @@ class Source:
             bool(fields['terminated'])))
 
     def close(self) -> None:
-        """Hear and say nothing any more."""
+        """Destroy the subscriptions and publishers."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
         for publisher in (self._weights, self._training):
@@ -185,7 +185,7 @@ class Source:
         self._weights.publish(bytes_to_msg(blob))
 
     def send_status(self, hold: bool, updates: int, behind: float) -> None:
-        """Publish how the training is, and what has come from here."""
+        """Publish the state of the training, and the counts of this namespace."""
         self._training.publish(fields_to_msg(dict(zip(topics.TRAINING_FIELDS, (
             hold, updates, behind, *self.status().values()), strict=True))))
 

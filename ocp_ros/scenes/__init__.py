@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where rooms come from: files and the generator."""
+"""Sources of rooms: files and the generator."""

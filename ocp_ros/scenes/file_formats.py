@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The formats of files that rooms are read from, by suffix."""
+"""File formats of rooms and their readers, by file name suffix."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -30,14 +30,15 @@ from ocp_ros.util.terminal_text import printable
 #: The largest step between two float32 coordinates, as a share of the extent of a scan: 2 mm in
 #: 10 m.
 COARSE = 2e-4
-#: Rooms from measures. Other files have these suffixes as well: no list of scans has them.
+#: Suffixes of measured rooms. Other kinds of files have these suffixes too, so
+#: :func:`~ocp_ros.scenes.scene_files.scans_in` leaves them out.
 MEASURED = ('.yaml', '.yml')
-#: What columns of normals are called.
+#: Names of the columns that hold normals.
 NORMALS = (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z'))
 
 
 def _from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """Take points, and normals where there are any, out of named columns."""
+    """Return the points, and the normals if the file has them, from named columns."""
     missing = [axis for axis in 'xyz' if axis not in fields]
     if missing:
         raise SceneError(f'{name}: found the fields {" ".join(fields) or "(none)"} and no '
@@ -50,7 +51,7 @@ def _from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
 
 
 def _check_rounding(column: np.ndarray, axis: str, name: str) -> None:
-    """Refuse coordinates so far from the origin that float32 has rounded them: walls are steps."""
+    """Refuse float32 coordinates that are rounded because they are far from the origin."""
     if column.dtype.kind != 'f' or column.dtype.itemsize > 4:
         return
     finite = column[np.isfinite(column)].astype(np.float64)
@@ -94,12 +95,12 @@ def _read_pcd(path: Path) -> np.ndarray:
 
 class Declared(NamedTuple):
     """
-    What a file says of its own unit and axes.
+    The unit, the axes and the solids that a file declares.
 
-    :ivar metres: per unit.
-    :ivar up: the direction that points up.
-    :ivar remark: what it says, where that is not metres and z.
-    :ivar solids: (S, 2, 3) two corners of each box that is solid; None where it says nothing.
+    :ivar metres: metres per unit of the file.
+    :ivar up: the axis direction of the file that points up.
+    :ivar remark: a description of the declared unit or axis, if it is not metres or z.
+    :ivar solids: (S, 2, 3) two opposite corners of each solid box; None if the file declares none.
     """
 
     metres: float = 1.0
@@ -109,7 +110,7 @@ class Declared(NamedTuple):
 
 
 def declared_by(path: Path) -> Declared:
-    """Return what a file says of its own unit and axes; metres and z where it says nothing."""
+    """Return the unit and the axes that a file declares; the default is metres and z up."""
     suffix = path.suffix.lower()
     if suffix in ('.glb', '.gltf'):
         return Declared(up='y', remark='up: y (glTF)')
@@ -121,8 +122,8 @@ def declared_by(path: Path) -> Declared:
     return Declared()
 
 
-#: Each returns points (N, 3), points and normals (N, 6), or the corners of triangles (T, 9),
-#: float64, in the unit and the axes of the file.
+#: The reader of each suffix. A reader returns float64 points (N, 3), points and normals (N, 6), or
+#: triangle corners (T, 9), in the unit and the axes of the file.
 READERS = {'.las': read_las_points, '.laz': read_las_points, '.npy': _read_npy, '.pcd': _read_pcd,
            '.ply': _read_ply, '.ptx': read_ptx_points, '.e57': read_e57_points,
            **dict.fromkeys(('.asc', '.csv', '.pts', '.txt', '.xyz'), read_points),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Scans and meshes, read by a library that hostile bytes can crash, in a process with limits."""
+"""Read scans and meshes in a process with limits, since bad files can crash libraries."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,15 +27,15 @@ COSTS = {'e57': ReadingCost(600_000_000, 20, 10), 'las': ReadingCost(600_000_000
 def read_guarded(kind: str, path: Path, columns: int, rows: int, more: Sequence[str] = ()
                  ) -> np.ndarray:
     """
-    Read a file in a process of its own, which costs about half a second.
+    Read a file in a separate process, which takes about half a second.
 
-    :param kind: of file: a key of ``COSTS`` and ``READ`` in
+    :param kind: the kind of file, a key of ``COSTS`` and of ``READ`` in
         :mod:`~ocp_ros.scenes.reading_process`.
-    :param columns: of each row.
-    :param rows: how many there may be.
-    :param more: arguments of what reads this kind.
+    :param columns: the number of columns of each row.
+    :param rows: the largest number of rows accepted.
+    :param more: more arguments for the reader of this kind.
     :returns: (N, columns) float64.
-    :raises ValueError: if the file cannot be read, or needs more than it may.
+    :raises ValueError: if the file cannot be read, or exceeds a limit.
     """
     most = 8 * columns * rows
     with GuardedProcess('ocp_ros.scenes.reading_process', [kind, str(path.absolute()), *more],

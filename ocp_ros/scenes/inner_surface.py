@@ -13,13 +13,14 @@
 # limitations under the License.
 
 """
-What a model shows to its room: the surface that the enclosed air sees.
+The inner surface of a model: the surface that is visible from the enclosed air.
 
-Models of buildings and robot cells are made of solid bodies. Walls have two faces, slabs an
-underside, and outside there may be ground. A scan of the same room would show none of these. The
-air of a room has something below and above it and hardly a level way out. The largest part of it
-that hangs together is the room of a mesh, and a side of a face counts where this air is seen from
-it. Of points that were taken from such a model those are left out that others hide from the air.
+Models of buildings and robot cells consist of solid bodies. Walls have two faces, slabs have an
+underside, and there may be ground outside. A scan of the same room contains none of these outer
+surfaces. Air belongs to a room if it has a surface below and above it, and surfaces in most level
+directions. The room of a mesh is the largest connected part of this air. A side of a face is kept
+if this air is visible from it. Of points sampled from such a model, those are left out that other
+points hide from the air.
 """
 
 from dataclasses import replace
@@ -38,59 +39,67 @@ from ocp_ros.util.kernels import njit
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-#: Points on the faces that the air is looked for between: at least, and for each square metre.
+#: Sample points on the faces that the air is found between: the least number, and the number per
+#: square metre.
 PILOT, DENSE = 150_000, 60.0
-#: Points that are taken at most.
+#: The largest number of sample points.
 MOST = 2_000_000
-#: Metres: the ball that has to fit in the air.
+#: Metres: the least distance of enclosed air from any surface.
 BALL = 0.2
-#: Of eight level directions from a cell, how many have to end at a surface.
+#: The least number of the eight level directions from a cell that have to end at a surface.
 SHUT = 5
-#: Ways up from what has a roof, and how many of them have to end at it.
+#: Upward directions, and the least number of them that have to hit a surface for a point to count
+#: as roofed.
 UP, ROOFED = np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0.5, 1)]), 3
 WAYS = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
-#: Cubic metres: what is smaller is no room.
+#: Cubic metres: a smaller volume of air is not a room.
 LEAST = 2.0
-#: Share of the largest air with or without a ceiling that the largest air with one has at least.
+#: The roofed air is used if its largest part has at least this share of the largest volume without
+#: the roof condition.
 ROOFED_SHARE = 0.4
-#: Metres: how far from a side the air is looked for, and how far beside the air a face may be.
-#: What doors and windows show of the world outside is not of the room.
+#: Metres: how far from a side of a face the air is searched for, and how far beside the air a face
+#: may lie. Surfaces outside that are visible through doors and windows do not belong to the room.
 REACH, BESIDE = 2.0, 0.45
-#: Metres: points are this far before their face, so that the sides of a thin one differ.
+#: Metres: points are placed this far in front of their face, so that the two sides of a thin face
+#: differ.
 BEFORE = 0.001
-#: Angles to the normal, and how many directions at each, in which a side looks for the air.
+#: The directions in which a side is tested for air: angles to the normal in radians, and the
+#: number of directions at each angle.
 TILTS = ((0.0, 1), (np.deg2rad(35.0), 4), (np.deg2rad(65.0), 7))
-#: How many more points are taken than seem to be needed.
+#: The factor by which more points are sampled than the estimate requires.
 ENOUGH = 1.05
-#: Share of the faces of which one side is shut in, from which on a model is made of solid bodies.
+#: The least share of faces with one closed-in side for which a model counts as solid bodies.
 SOLID = 0.9
-#: Share of the faces that is not worth a remark.
+#: The share of hidden faces below which no remark is made.
 NONE = 0.005
-#: Looks around in a cloud, by the cubic metre of air at least and at most, and the share of the
-#: surface that all of them miss from which on it is no scan; real ones were at 8 % or less.
+#: The least and the largest number of test positions in the air, one per cubic metre; and the
+#: share of the surface that is invisible from all of them, from which on a cloud is not a scan.
+#: Real scans had 8 % or less.
 LOOKS, MISSED = (40, 300), 0.14
-#: Metres from a point at which others before it begin to hide it, and by how much the next place
-#: that is tried is farther; shares of that distance, and multiples of the edge of the square that
-#: the point stands for, within which there has to be one.
+#: Metres in front of a point at which the search for points that hide it starts, and the factor to
+#: the next distance. A point hides it if it lies within both limits: a share of that distance, and
+#: a multiple of the edge of the square that the hidden point stands for.
 HIDING, NEXT, ASIDE, SQUARE = 0.05, 1.25, 0.6, 1.0
-#: Least cosine between the normal of a point and the way to the air across its plane.
+#: The least cosine between the normal of a point and the direction to the air, for air across its
+#: plane.
 ACROSS = 0.7
-#: Points, itself included, among which one is hidden where more than such a share of them are.
+#: The number of neighbours, including the point, and the share of hidden ones above which the
+#: point is hidden too.
 AMONG, MOST_OF = 9, 0.6
-#: Metres that a wall or a slab is thick at most, and the share of what is missed that is behind
-#: one.
+#: Metres: the largest thickness of a wall or slab; and the least share of the invisible surface
+#: that has to lie behind one.
 THICK, BACKS = 0.6, 0.4
-#: Of the looks, the share by which a point is no longer hidden.
+#: A point that is visible from this share of the test positions is not hidden.
 OFTEN = 0.5
 
 
 class InnerSurface(NamedTuple):
     """
-    What a room shows.
+    The surface points that are visible from the air of a room.
 
-    :ivar points: (N, 3) float64, metres, a millimetre before the faces.
+    :ivar points: (N, 3) float64, metres, a millimetre in front of the faces.
     :ivar normals: (N, 3), unit vectors into the air.
-    :ivar remarks: what was left out, a sentence each.
+    :ivar remarks: what was left out, one sentence each.
     """
 
     points: np.ndarray
@@ -101,16 +110,17 @@ class InnerSurface(NamedTuple):
 def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
                   solids: np.ndarray | None = None) -> InnerSurface | None:
     """
-    Find what the enclosed air of a mesh sees.
+    Find the surface of a mesh that is visible from its enclosed air.
 
     :param mesh: metres, z up.
-    :param samples: points wanted.
-    :param apart: metres between them; 0 for as many as are wanted.
-    :param name: what the message calls it.
-    :param solids: (S, 2, 3) metres, two opposite corners of boxes that hold no air, of a room of
-        which nothing else is solid; None where that is not known.
-    :returns: None where no air is enclosed, as in a mesh of one wall and the floor before it.
-    :raises SceneError: if that is so of solid bodies: they have an outside alone.
+    :param samples: the number of points wanted.
+    :param apart: the distance between points, metres; 0 uses ``samples`` alone.
+    :param name: the name of the room in messages.
+    :param solids: (S, 2, 3) metres, two opposite corners of each solid box, if nothing else in the
+        room is solid; None if the solids are not given.
+    :returns: None if no air is enclosed, as in a mesh of one wall and the floor in front of it.
+    :raises SceneError: if no air is enclosed and the mesh consists of solid bodies: these have
+        only an outside.
     """
     rays, corners = MeshRays(mesh), mesh.corners
     area = _area(corners)
@@ -125,7 +135,7 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
                 'the ceiling that it lacks')
         return None
     seen = air.seen_from(some, rays)
-    # Sides that are seen for each point on a face.
+    # Mean number of visible sides per point on a face.
     share = float(seen.sum(axis=1).mean())
     if share == 0.0:
         return None
@@ -138,7 +148,7 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
     found = np.vstack(sides)
     count = min(samples, len(found))
     points, normals = np.hsplit(found[np.arange(count) * len(found) // count], 2)
-    # Nobody needs to be told that a cupboard stands on the floor.
+    # Hidden faces of given boxes, such as the underside of a cupboard, need no remark.
     remarks = () if hidden < NONE or solids is not None else (
         f'{100.0 * hidden:.0f} % of the faces left out: the air of the room does not see them',)
     if air.rooms:
@@ -154,14 +164,14 @@ def _area(corners: np.ndarray) -> float:
 
 
 def _solid(rows: np.ndarray, rays: MeshRays) -> bool:
-    """Return whether one side of most faces is shut in, given points and normals (N, 6)."""
+    """Return whether most faces have a closed-in side, given points and normals (N, 6)."""
     shut = [np.all([np.isfinite(rays.lengths(_before(rows, sign), _ways(rows, sign, *way)))
                     for way in _directions()], axis=0) for sign in (1.0, -1.0)]
     return float(np.logical_or(*shut).mean()) >= SOLID
 
 
 def _directions() -> list[tuple[float, float]]:
-    """Return directions to one side of a face: angles to the normal and around it, radians."""
+    """Return directions from one side of a face: angles to the normal and around it, radians."""
     return [(tilt, 2.0 * np.pi * k / count) for tilt, count in TILTS for k in range(count)]
 
 
@@ -172,7 +182,7 @@ def _ways(rows, sign, tilt, turn):
     up, one, two = np.cos(tilt), np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn)
     for row in range(len(rows)):
         x, y, z = sign * rows[row, 3], sign * rows[row, 4], sign * rows[row, 5]
-        # Any direction along the face will do as long as it is not the normal.
+        # Any vector that is not parallel to the normal gives a direction along the face.
         if abs(z) < 0.9:
             level = np.sqrt(x * x + y * y)
             along = (y / level, -x / level, 0.0)
@@ -187,21 +197,22 @@ def _ways(rows, sign, tilt, turn):
 
 
 def _before(rows: np.ndarray, sign: float) -> np.ndarray:
-    """Return the places (N, 3) before one side of faces, given points and normals (N, 6)."""
+    """Return points (N, 3) in front of one side of faces, given points and normals (N, 6)."""
     return rows[:, :3] + sign * BEFORE * rows[:, 3:]
 
 
 class EnclosedAir(NamedTuple):
     """
-    The enclosed air.
+    The enclosed air of a room as cells of a grid.
 
-    :ivar grid: of its cells.
-    :ivar cells: (X, Y, Z) bool, those of the largest part that hangs together.
-    :ivar beside: (X, Y) metres from each column to the nearest one with such cells.
-    :ivar others: (X, Y, Z) bool, the cells of the other parts that are large enough for a room.
-    :ivar rooms: cubic metres of each of these, the largest first.
-    :ivar roofed: whether there is a ceiling.
-    :ivar ball: metres that all of it is from surfaces.
+    :ivar grid: the grid of the cells.
+    :ivar cells: (X, Y, Z) bool, the cells of the largest connected part.
+    :ivar beside: (X, Y) metres from each column to the nearest column that contains such cells.
+    :ivar others: (X, Y, Z) bool, the cells of the other connected parts that are large enough for
+        a room.
+    :ivar rooms: the volume of each of these other parts, cubic metres, the largest first.
+    :ivar roofed: whether the air was found under a ceiling.
+    :ivar ball: the least distance of the air from surfaces, metres.
     """
 
     grid: CellGrid
@@ -216,15 +227,15 @@ class EnclosedAir(NamedTuple):
     def of(cls, points: np.ndarray, spacing: float, solids: np.ndarray | None = None
            ) -> 'EnclosedAir | None':
         """
-        Find it between points (N, 3) of surfaces, a spacing apart, metres.
+        Find the enclosed air between surface points (N, 3) with a given spacing, metres.
 
         :param solids: see :func:`inner_surface`.
-        :returns: None where none is large enough for a room.
+        :returns: None if no part is large enough for a room.
         """
         grid = CellGrid.over(corners_of(points))
         edge = grid.edge
         away = ndimage.distance_transform_edt(~grid.taken(points)) * edge
-        # However few points there are, they shut what is between them.
+        # Sparse points still close the gaps between them.
         ball = max(BALL, 1.5 * spacing)
         taken, free = away <= 1.5 * spacing, away > ball
         free &= np.logical_or.accumulate(taken, axis=2)
@@ -234,7 +245,8 @@ class EnclosedAir(NamedTuple):
         roofed = free & np.logical_or.accumulate(taken[:, :, ::-1], axis=2)[:, :, ::-1]
         shut = sum(_ends(taken, x, y).astype(np.int8) for x, y in WAYS) >= SHUT
         found = [_parts(cells & shut, edge) for cells in (roofed, free)]
-        # A room without a ceiling is closed in around, and furniture in it may be hollow.
+        # Without the roof condition, rooms without a ceiling are found. With it, hollow furniture
+        # in such a room could count as the room: hence the comparison of volumes.
         most = [volumes.max(initial=0.0) for _, volumes in found]
         parts, volumes = found[0 if most[0] >= ROOFED_SHARE * most[1] else 1]
         order = np.argsort(-volumes, kind='stable')
@@ -248,10 +260,10 @@ class EnclosedAir(NamedTuple):
 
     def seen_from(self, rows: np.ndarray, rays: MeshRays) -> np.ndarray:
         """
-        Tell from which sides of faces the air is seen.
+        Return from which sides of faces the air is visible.
 
-        :param rows: (N, 6) metres: points on the faces, and their unit normals.
-        :returns: (N, 2) bool: the side of the normal, and the other one.
+        :param rows: (N, 6) metres: points on the faces and their unit normals.
+        :returns: (N, 2) bool: the side of the normal, and the opposite side.
         """
         found = np.zeros((len(rows), 2), dtype=bool)
         column = self.grid.cells(rows[:, :3])
@@ -263,7 +275,7 @@ class EnclosedAir(NamedTuple):
                 some = rows[left]
                 ways = _ways(some, sign, *way)
                 first = self._first(some[:, :3], ways)
-                # Rays cost most: only those are cast that would come into the air.
+                # Ray casting is the slowest step: only rays that would reach the air are cast.
                 reached = np.isfinite(first)
                 reached[reached] = first[reached] < rays.lengths(
                     _before(some[reached], sign), ways[reached])
@@ -274,7 +286,7 @@ class EnclosedAir(NamedTuple):
         return found
 
     def _first(self, points: np.ndarray, ways: np.ndarray) -> np.ndarray:
-        """Return after how many metres ways from points (N, 3) come into the air; inf: never."""
+        """Return how far rays from points (N, 3) go until they enter the air, metres; else inf."""
         reach = max(REACH, 3.0 * (self.ball + self.grid.edge))
         return self.grid.edge * _steps_into(
             self.cells, (points - self.grid.low) / self.grid.edge, ways, reach / self.grid.edge)
@@ -283,13 +295,13 @@ class EnclosedAir(NamedTuple):
 @njit(cache=True, nogil=True)
 def _steps_into(cells, points, ways, most):
     """
-    Count the steps until ways come into some cells.
+    Count the steps along rays until they enter marked cells.
 
     :param cells: (X, Y, Z) bool.
-    :param points: (N, 3) where they begin, in edges of a cell from the lowest corner.
-    :param ways: (N, 3) unit vectors; a step is an edge of a cell long.
-    :param most: fewer steps than this are taken.
-    :returns: (N,) steps; inf where they do not come into one.
+    :param points: (N, 3) the start points, in cell edges from the lowest corner of the grid.
+    :param ways: (N, 3) unit direction vectors; a step is one cell edge long.
+    :param most: the steps of a ray stay below this number.
+    :returns: (N,) steps; inf for rays that do not enter a marked cell.
     """
     steps = np.full(len(points), np.inf)
     shape = np.array(cells.shape)
@@ -306,7 +318,7 @@ def _steps_into(cells, points, ways, most):
 
 
 def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRays) -> np.ndarray:
-    """Tell which sides of faces (N, 6) have something above them; only some are asked."""
+    """Return which of the sides of faces (N, 6) that ``asked`` marks have a surface above them."""
     starts, count = _before(rows[asked], sign), np.zeros(len(rows), int)
     for way in UP:
         count[asked] += np.isfinite(rays.lengths(starts, np.broadcast_to(way, starts.shape)))
@@ -314,7 +326,7 @@ def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRa
 
 
 def _parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """Give numbers to the parts of cells that hang together; return their volumes too, 0 for 0."""
+    """Number the connected parts of cells; return the numbers and the volumes, 0 for number 0."""
     parts, _ = ndimage.label(cells)
     volumes = np.bincount(parts.ravel()) * edge ** 3
     volumes[0] = 0.0
@@ -322,7 +334,7 @@ def _parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _ends(taken: np.ndarray, x: int, y: int) -> np.ndarray:
-    """Tell from which cells a level way in steps of (x, y) cells ends at one that is taken."""
+    """Return from which cells a level path in steps of (x, y) cells ends at a taken cell."""
     if x == 0:
         return _ends(taken.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
     ends = taken.copy()
@@ -340,9 +352,9 @@ def _ends(taken: np.ndarray, x: int, y: int) -> np.ndarray:
 
 def without_outside(scene: Scene) -> Scene:
     """
-    Leave out what the air of a room does not see of points that were taken from a solid model.
+    Leave out points of a solid model that are not visible from the air of the room.
 
-    :returns: the same scene where its points are those of a scan: a scanner stood in the air.
+    :returns: the same scene if its points are those of a scan, since a scanner stands in the air.
     """
     points, area = scene.points.astype(np.float64), scene.pitch.astype(np.float64) ** 2
     air = EnclosedAir.of(points, float(np.median(scene.pitch)))
@@ -357,7 +369,8 @@ def without_outside(scene: Scene) -> Scene:
         return scene
     hidden, across = _hidden(scene, air)
     kept = ~(hidden & (count < OFTEN * len(chosen)))
-    # What is missed in a yard that was scanned too is not behind a wall's other face.
+    # Points of a yard that was scanned too are invisible from the air, but do not lie behind a
+    # wall.
     backs = area[hidden & across & (count == 0)].sum()
     if backs < BACKS * missed or np.count_nonzero(kept) < MIN_POINTS:
         return scene
@@ -367,7 +380,7 @@ def without_outside(scene: Scene) -> Scene:
 
 
 def _counted(scene: Scene, places: np.ndarray) -> np.ndarray:
-    """Return from how many places (M, 3), metres, each point of a scene is seen: (N,)."""
+    """Return the number of positions (M, 3), metres, from which each point is visible: (N,)."""
     visibility = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch,
                                   np.empty((0, 3), dtype=np.float32), FINE)
     lens, count = CameraModel(0.0, 2.0 * scene.diameter).lens, np.zeros(len(scene), dtype=int)
@@ -380,9 +393,9 @@ def _counted(scene: Scene, places: np.ndarray) -> np.ndarray:
 
 def _hidden(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
     """
-    Tell which points have others between them and the nearest enclosed air.
+    Return which points have other points between them and the nearest enclosed air.
 
-    :returns: (N,) bool, and (N,) bool, whether that air lies across the plane of each.
+    :returns: (N,) bool, and (N,) bool: whether that air lies across the plane of the point.
     """
     points, pitch = scene.points.astype(np.float64), scene.pitch
     index = ndimage.distance_transform_edt(
@@ -397,5 +410,5 @@ def _hidden(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
                                 distance_upper_bound=2.0 * float(np.median(pitch)))
         hidden[left] = nearest < np.minimum(ASIDE * away, SQUARE * pitch[left])
         away *= NEXT
-    # Some look through the gaps between the points before them.
+    # Some hidden points pass the test through gaps between the points in front of them.
     return hidden | (hidden[tree.query(points, AMONG)[1]].mean(axis=1) > MOST_OF), across

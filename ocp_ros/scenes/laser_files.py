@@ -26,26 +26,27 @@ from ocp_ros.util.terminal_text import printable
 
 _log = logging.getLogger(__name__)
 
-#: Bytes of the headers that are looked at.
+#: Bytes of the file headers that are checked.
 LAS_HEADER, E57_HEADER = 255, 48
-#: Bytes of a page of an E57 file, of which the last ones are its checksum, and of XML that a file
-#: may have: thousands of scans need a tenth of it.
+#: Bytes of a page of an E57 file, of its checksum at the end of the page, and of the largest XML
+#: section accepted: files with thousands of scans need a tenth of it.
 PAGE, CHECKSUM, XML = 1024, 4, 50_000_000
-#: What XML may have to do with other files: the reader would open them, and those of other
-#: machines. Without the first there are no entities.
+#: XML constructs that refer to other files, which the reader would open, also on other machines.
+#: XML without a DOCTYPE has no entities.
 REFERENCES = re.compile('<!DOCTYPE|<!ENTITY|schemaLocation', re.IGNORECASE)
 ENCODING = re.compile(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)')
-#: Bytes of a record before the points, at least.
+#: The least size in bytes of a record before the points.
 RECORD = 54
-#: Records of the projection of a LAS file: as text and as numbers; bytes of them that are read;
-#: the units of length in the first, and key and codes of those in the second.
+#: Record ids of the projection of a LAS file, as text (WKT) and as numbers (GeoTIFF keys); the
+#: bytes of records that are read. Below: the units of length in WKT, and the key and the codes of
+#: the unit in the GeoTIFF keys.
 WKT, GEO_KEYS, PROJECTION = 2112, 34735, 1_000_000
 UNITS = re.compile(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)')
 LENGTHS = re.compile('met(?:er|re)|f(?:oo|ee)t|ft', re.IGNORECASE)
 METRE = ('metre', 1.0)
 LINEAR, CODES = 3076, {9001: METRE, 9002: ('foot', 0.3048),
                        9003: ('US survey foot', 1200.0 / 3937.0)}
-#: Points that a byte may hold where they are compressed; real scans need one byte or more each.
+#: The largest number of compressed points per byte; real scans need one byte or more per point.
 PER_BYTE = 4
 
 
@@ -53,8 +54,8 @@ def read_las_points(path: Path) -> np.ndarray:
     """
     Read a LAS file, compressed or not.
 
-    False sizes are found before anything is read; other errors end in a process of their own,
-    since lazrs ends the process that it runs in when it is asked for more memory than there is.
+    Wrong sizes are found before anything is read. The file is read in a separate process, since
+    lazrs ends its process if a file asks for more memory than there is.
 
     :returns: (N, 3) float64, in the file's unit.
     :raises ValueError: if the file is broken.
@@ -78,7 +79,8 @@ def las_unit(path: Path) -> tuple[str, float]:
     """
     Return the unit of length that a LAS file names.
 
-    :returns: its name and its metres; the metre where it names none, or is broken.
+    :returns: the name of the unit and its length in metres; the metre if the file names none, or
+        is broken.
     """
     with path.open('rb') as file:
         head = file.read(LAS_HEADER)
@@ -109,7 +111,7 @@ def las_unit(path: Path) -> tuple[str, float]:
 
 
 def _declared(path: Path, size: int) -> tuple[int, bool]:
-    """Return how many points a file says it has, if they can be in it, and if they are packed."""
+    """Return the declared number of points, if plausible, and whether they are compressed."""
     with path.open('rb') as file:
         head = file.read(LAS_HEADER)
     if head[:4] != b'LASF' or len(head) < 227:
@@ -130,7 +132,7 @@ def read_e57_points(path: Path) -> np.ndarray:
     """
     Read all scans of an E57 file, each at its pose in the file.
 
-    It is read in a process of its own, since broken files may crash the library.
+    The file is read in a separate process, since broken files may crash the library.
 
     :returns: (N, 3) float64, in the file's unit, which is the metre by the standard.
     :raises ValueError: if the file is broken.
@@ -154,7 +156,7 @@ def read_e57_points(path: Path) -> np.ndarray:
 
 
 def _xml_of(path: Path, start: int, length: int) -> bytes:
-    """Return the XML of an E57 file: so many bytes from a place on, without the checksums."""
+    """Return ``length`` bytes of XML of an E57 file from ``start`` on, without checksums."""
     if length > XML:
         raise ValueError(f'{length:,} bytes of XML')
     with path.open('rb') as file:
@@ -168,7 +170,7 @@ def _xml_of(path: Path, start: int, length: int) -> bytes:
 
 
 def _check_xml(content: bytes) -> None:
-    """Refuse XML that names other files, or is written so that this cannot be seen."""
+    """Refuse XML that names other files, or has an encoding in which this cannot be checked."""
     text = content.decode('utf-8')
     encoding = ENCODING.match(text)
     if '\0' in text or encoding and encoding[1].lower() != 'utf-8':

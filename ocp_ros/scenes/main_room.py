@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-The room that a scan is of: what lies behind its doors belongs to others.
+Find the main room of a scan: points behind its doors belong to other rooms.
 
-Walls reach up to the ceiling, and so do lintels over doors: on a plan of both the free floor
-falls apart into rooms. A beam over the whole width of a corridor is no lintel, and a strip behind
-a shelf no room.
+Walls and the lintels over doors reach up to the ceiling. On a plan of both, the free floor
+separates into rooms. A beam over the whole width of a corridor is not a lintel, and a strip behind
+a shelf is not a room.
 """
 
 from collections.abc import Callable
@@ -30,47 +30,54 @@ from ocp_ros.scenes.scene import MIN_POINTS, Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-#: Metres: the edge of a cell of the plan, and of the largest one with which rooms are told apart;
-#: in multiples of the points' spacing.
+#: Metres: the usual edge of a cell of the plan, and the largest one at which rooms can be
+#: separated; the least edge in multiples of the point spacing.
 CELL, COARSEST, SPACINGS = 0.1, 0.2, 1.5
-#: Metres: the edge of the cubes whose points are merged for it; points whose spacing is measured,
-#: and among how many.
+#: Metres: the edge of the voxels for the plan; the number of points at which the spacing is
+#: measured, and the number of neighbours of each.
 VOXEL, TRIED, AMONG = 0.04, 2000, 9
-#: How much finer walls are split between the rooms on both sides, and cells of that at most.
+#: The factor by which cells are subdivided to split walls between the rooms on both sides, and the
+#: largest number of these cells.
 FINER, MOST = 4, 4_000_000
-#: Metres above the floor that a wall reaches through, in bands, all of which but one have points,
-#: and under the ceiling; above the floor where lintels are and beams are not.
+#: Metres above the floor at which the bands begin through which a wall reaches (all but one have
+#: to contain points); range under the ceiling in which walls have points; range above the floor
+#: that contains lintels but not beams.
 BANDS, UNDER_CEILING, LINTEL = (0.9, 1.2, 1.5, 1.8), (0.12, 0.5), (2.0, 2.35)
 BAND = 0.3
-#: The same as a share of a high room; metres under a low ceiling from which on lintels are looked
-#: for, and where their faces end; cells that a face is high at least, since a ceiling is flat.
+#: The top of the lintel range as a share of the height of a high room; metres under a low ceiling
+#: from which on lintels are searched for, and metres under the ceiling where their faces end; the
+#: least height of a face in cells, since a ceiling is flat.
 HIGH, UNDER_LOW, BELOW, UPRIGHT = 0.78, 0.35, 0.03, 1.3
-#: Metres: layers in which a ceiling stands out, above which height, by how many times.
+#: Metres: the thickness of the layers in which the ceiling is found, and the height above which
+#: they are examined; how many times more points than the median layer the ceiling layer has.
 LAYER, OVERHEAD, FULLER = 0.1, 1.9, 3.0
-#: Metres that a lintel reaches from the next wall at most, that gaps in a floor are closed over,
-#: and half of the width of an opening up to the ceiling that parts two rooms.
+#: Metres: the largest distance of a lintel from the nearest wall, the gaps in a floor that are
+#: closed, and half the width of the narrowest opening up to the ceiling that still joins two
+#: spaces.
 REACH, GAP, NARROW = 1.0, 0.4, 0.25
-#: Half of the width of a room at least, and of a door at most, metres; the most that a door is
-#: wide as a share of the rooms on both sides, and a wider one.
+#: Metres: half the least width of a room, and ratios: the width of an opening to the width of the
+#: narrower room above which two spaces are one room, for narrow openings (up to ``HALF``) and for
+#: wider ones.
 HALF, DOOR, GATE = 0.6, 0.75, 0.5
-#: Square metres of a room's floor, and its share of the points; of a hole in what is seen that is
-#: no unseen room.
+#: The least floor area of a room in square metres and its least share of the points; the largest
+#: area in square metres of a hole in the scanned floor that is filled.
 FLOOR, SHARE, HOLE = 1.0, 0.02, 1.0
-#: The thickest wall, metres, whose two faces are told apart, how far from a room in cells, and
-#: how near to a place, in multiples of the points' spacing, something stands there.
+#: The largest thickness in metres of a wall whose two faces are separated; the largest distance of
+#: a wall point from the room in cells; the radius in multiples of the point spacing within which a
+#: position is occupied.
 THICK, ASIDE, NEAR = 0.3, 3.5, 0.6
-#: A scan is of a building where so many rooms are beside the one with the most points, or where
-#: that has less than such a share of them.
+#: A scan shows a building if at least this many other rooms are beside the main room, or if the
+#: main room has less than this share of the points.
 MANY, BUILDING = 4, 0.45
-#: Square metres of the largest plan on which rooms are looked for.
+#: The largest plan in square metres on which rooms are searched for.
 LARGEST_PLAN = 5000.0
 
 
 def main_room(scene: Scene, points: np.ndarray) -> Scene:
     """
-    Leave out what belongs to other rooms, with a note; the same scene where there is none.
+    Leave out the points of other rooms and add a note; return the same scene if there are none.
 
-    :param points: (N, 3) metres, those of the file before any were merged.
+    :param points: (N, 3) metres, the points of the file before merging.
     """
     thin = voxel_downsample(points, VOXEL)
     corner = np.append(thin[:, :2].min(axis=0) - 2.0 * GAP, np.percentile(thin[:, 2], 1))
@@ -85,7 +92,7 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
         return scene
     nearest = _nearest(rooms, cell)
     counts = np.bincount(nearest(thin), minlength=rooms.max() + 1)
-    # What is seen of a room through a door has hardly any walls around it.
+    # A part of a room that is visible only through a door has few walls around it.
     weights = counts * closed
     main, floors = int(weights.argmax()), np.bincount(rooms.ravel()) * cell * cell
     others = [room for room in np.flatnonzero(counts >= SHARE * len(thin))
@@ -105,12 +112,13 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
 
 def _nearest(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarray]:
     """
-    Return a function that finds the nearest room of places.
+    Return a function that finds the nearest room of positions.
 
-    :param rooms: (X, Y) their numbers on the plan, whose cells have this edge, metres.
-    :returns: of places (N, 3), metres from the corner of the plan, the numbers (N,).
+    :param rooms: (X, Y) room numbers on the plan.
+    :returns: a function from positions (N, 3), metres from the corner of the plan, to room numbers
+        (N,).
     """
-    # On the two faces of a wall there are points of two rooms.
+    # The two faces of a wall belong to two rooms, so the cells are subdivided.
     finer = int(np.clip(np.sqrt(MOST / rooms.size), 1, FINER))
     fine = rooms.repeat(finer, axis=0).repeat(finer, axis=1)
     _, (x, y) = ndimage.distance_transform_edt(fine == 0, return_indices=True)
@@ -125,9 +133,9 @@ def _nearest(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarra
 def _faces(points: np.ndarray, room: np.ndarray, cell: float, tree: cKDTree,
            radius: float) -> np.ndarray:
     """
-    Tell which points of walls beside a room nothing stands before: of a wall of one face, that.
+    Return which wall points beside a room have no points between them and the room.
 
-    :param points: (N, 3) metres from the corner of the plan, as in ``tree``.
+    :param points: (N, 3) metres from the corner of the plan, in the frame of ``tree``.
     :param room: (X, Y) bool.
     """
     away, (x, y) = ndimage.distance_transform_edt(~room, return_indices=True)
@@ -145,10 +153,10 @@ def _faces(points: np.ndarray, room: np.ndarray, cell: float, tree: cKDTree,
 
 
 def _ceiling(height: np.ndarray) -> float:
-    """Return how high the ceiling is, of heights above the floor, metres."""
+    """Return the height of the ceiling, given heights of points above the floor, metres."""
     top = float(np.percentile(height, 99))
     layers = np.bincount(((height[height > OVERHEAD] - OVERHEAD) / LAYER).astype(int), minlength=2)
-    # It may be on both sides of the border of two layers.
+    # The ceiling may lie across the border of two layers.
     layers[1:] += layers[:-1].copy()
     if layers.max() <= FULLER * np.median(layers):
         return top
@@ -157,11 +165,11 @@ def _ceiling(height: np.ndarray) -> float:
 
 def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Tell rooms apart on a plan of points.
+    Separate rooms on a plan of points.
 
-    :param points: (N, 3) metres above the floor, from the lowest corner of the plan.
-    :returns: (X, Y), the number of a room from 1, 0 in walls and outside, and the share of the
-        border of each that is walls.
+    :param points: (N, 3) metres, from the lowest corner of the plan, z above the floor.
+    :returns: (X, Y) room numbers from 1, 0 in walls and outside; and per room the share of its
+        border that is wall.
     """
     place = (points[:, :2] / cell).astype(int)
     shape = tuple(place.max(axis=0) + 1 + int(2.0 * GAP / cell))
@@ -188,7 +196,7 @@ def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     lintels = ndimage.binary_dilation(faces, near) & high & ~upright & (aside <= REACH)
     known = ndimage.binary_closing(seen(), _disc(GAP / cell))
     holes, _ = ndimage.label(ndimage.binary_fill_holes(known) & ~known)
-    # A larger one is of walls, and of rooms, that are not seen.
+    # A larger hole consists of walls and rooms that were not scanned.
     small = np.bincount(holes.ravel()) * cell * cell <= HOLE
     known |= small[holes] & (holes > 0)
     barrier = walls | lintels
@@ -199,14 +207,14 @@ def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     numbers = np.arange(1, count + 1)
     widths = np.append(0.0, ndimage.maximum(half, rooms, numbers))
     joined = _joined(rooms, lintels, half, widths, NARROW / cell + 1.5)
-    # What is seen through a door is narrower than the room that it is a part of.
+    # A part that is visible only through a door is narrower than the room that it belongs to.
     widths = np.append(0.0, ndimage.maximum(aside, rooms, numbers))
     rooms = joined[rooms]
     wide = np.zeros(count + 1, dtype=bool)
     wide[joined[widths >= HALF]] = True
     rooms[~wide[rooms]] = 0
     _, (x, y) = ndimage.distance_transform_edt(rooms == 0, return_indices=True)
-    # Within a thick wall there is no room.
+    # The inside of a thick wall is not a room.
     parts, _ = ndimage.label(free)
     rooms = np.where(np.isin(parts, parts[rooms > 0]) & free, rooms[x, y], 0)
     border = np.zeros((2, rooms.max() + 1))
@@ -221,17 +229,17 @@ def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
 def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np.ndarray,
             reach: float) -> np.ndarray:
     """
-    Join rooms between which there are beams.
+    Join spaces that are separated only by beams.
 
-    :param rooms: (X, Y) numbers.
-    :param lintels: (X, Y), what may be one or a beam.
-    :param half: (X, Y) metres to the next wall.
-    :param widths: of the rooms by their number, the most of ``half``.
-    :param reach: cells from a lintel to the rooms that it parts.
-    :returns: the number of the room that each is a part of.
+    :param rooms: (X, Y) room numbers.
+    :param lintels: (X, Y) bool, cells of possible lintels or beams.
+    :param half: (X, Y) metres to the nearest wall.
+    :param widths: the largest value of ``half`` in each room, by room number.
+    :param reach: the distance in cells from a lintel to the spaces that it separates.
+    :returns: for each number, the number of the joined room.
     """
     joined, near, margin = np.arange(len(widths)), _disc(reach), int(reach) + 1
-    # A beam has two faces, and its underside between them; in a thick wall nothing hangs.
+    # A beam has two faces and an underside between them; cells inside thick walls are excluded.
     between = ndimage.binary_closing(lintels, near) & ~ndimage.binary_closing(half == 0.0, near)
     blobs, _ = ndimage.label(lintels | between)
     openings: dict[tuple[int, int], float] = {}
@@ -240,7 +248,7 @@ def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np
         blob = blobs[around] == number
         parted = np.setdiff1d(rooms[around][ndimage.binary_dilation(blob, near)], [0])
         for pair in combinations(parted.tolist(), 2):
-            # Between columns there are many beams.
+            # The openings of several beams between columns add up.
             opening = half[around][blob & lintels[around]].max(initial=0.0)
             openings[pair] = openings.get(pair, 0.0) + opening
     for pair, opening in openings.items():
@@ -251,6 +259,6 @@ def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np
 
 
 def _disc(radius: float) -> np.ndarray:
-    """Return the cells within a radius, in cells."""
+    """Return the mask of a disc with a radius in cells."""
     reach = np.arange(-int(radius), int(radius) + 1)
     return np.hypot(reach[:, None], reach) <= radius

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Rooms from measures: a box with doors, windows and furniture, or the corners of a room.
+Rooms from measurements: a box with doors, windows and furniture, or the corners of a room.
 
-x runs along the length, y along the width, z up, from the south-west corner of the floor. The
+x runs along the length, y along the width and z up, from the south-west corner of the floor. The
 walls are south (y = 0), east, north and west (x = 0).
 """
 
@@ -36,11 +36,12 @@ from ocp_ros.util.yaml_files import (
 )
 from scipy.spatial import ConvexHull, QhullError
 
-#: Walls, and where each is: its axis, and whether it is at the far end of it.
+#: The walls: the axis normal to each, and whether the wall is at the far end of that axis.
 WALLS = {'south': (1, False), 'east': (0, True), 'north': (1, True), 'west': (0, False)}
-#: Metres: no room is larger.
+#: Metres: the largest room.
 LARGEST = 100.0
-#: How many points are the corners of a room, and the least cosine between two parts of a side.
+#: The number of corners of a room, and the least cosine between the normals of two triangles of
+#: one flat side.
 CORNERS, FLAT = 8, np.cos(np.deg2rad(3.0))
 LENGTH: Schema = {'type': 'number', 'minimum': 0.0, 'maximum': LARGEST}
 OPENING = mapping(
@@ -62,17 +63,17 @@ ROOM = mapping(
     openings=many('a list of doors and windows that let one look out', OPENING,
                   [{'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1}], 0, 100),
     boxes=many('a list of boxes', BOX, [{'box': [[1, 1, 0], [2, 1.8, 0.75]]}], 0, 1000))
-#: Corners of a box by number: x counts 1, y 2, z 4.
+#: Corners of each face of a box. The number of a corner is 1 (x high) + 2 (y high) + 4 (z high).
 FACES = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2],
                   [1, 3, 7, 5]])
 
 
 def read_measured_room(path: Path) -> np.ndarray:
     """
-    Read a room file, see docs/reference/room.md, as the triangles of its surfaces.
+    Read a room file (see docs/reference/room.md) as the triangles of its surfaces.
 
     :returns: (T, 9) float64, the corners of each triangle, metres, z up.
-    :raises ConfigurationError: if it is none, in one sentence.
+    :raises ConfigurationError: if the file is not a valid room; the message is one sentence.
     """
     return triangles_of(read_document(path, ROOM)).reshape(-1, 9)
 
@@ -87,9 +88,9 @@ def triangles_of(document: Document) -> np.ndarray:
     """
     Return the surfaces of a room.
 
-    :param document: that :data:`ROOM` holds for.
+    :param document: a document that is valid under :data:`ROOM`.
     :returns: (T, 3, 3) metres, the corners of triangles.
-    :raises ConfigurationError: for what is not inside the room.
+    :raises ConfigurationError: if a box or an opening is not inside the room.
     """
     size = np.array(document.data['size'], dtype=np.float64)
     floor, ceiling = _box(np.zeros(3), size)[:2]
@@ -113,7 +114,7 @@ def _box(low: np.ndarray, high: np.ndarray) -> np.ndarray:
 
 
 def _wall(document: Document, wall: str, size: np.ndarray) -> list[np.ndarray]:
-    """Return what openings leave of a wall: rectangles (4, 3) metres."""
+    """Return a wall without its openings, as rectangles (4, 3), metres."""
     axis, far = WALLS[wall]
     length, height = size[1 - axis], size[2]
     openings = []
@@ -143,10 +144,10 @@ def _wall(document: Document, wall: str, size: np.ndarray) -> list[np.ndarray]:
 
 def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
     """
-    Return the surfaces of a room whose eight corners some points are.
+    Return the surfaces of a convex room, given its eight corners.
 
     :param points: (8, 3), in any unit.
-    :returns: (T, 3, 3) corners of triangles, and whether these are six flat sides; None where the
+    :returns: (T, 3, 3) corners of triangles, and whether they form six flat sides; None if the
         points are not the corners of a convex room.
     """
     try:
@@ -155,7 +156,7 @@ def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
         return None
     if len(hull.vertices) < CORNERS:
         return None
-    # The two triangles of a side have one normal.
+    # The two triangles of a flat side have the same normal.
     alike = hull.equations[:, :3] @ hull.equations[:, :3].T >= FLAT
     return points[hull.simplices], bool((alike.sum(axis=1) >= 2).all())
 
@@ -163,12 +164,13 @@ def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
 def document_of(size: Sequence[str], openings: Sequence[Sequence[str]],
                 boxes: Sequence[Sequence[str]]) -> Document:
     """
-    Return a room file of what somebody has typed.
+    Return the room document of typed values.
 
     :param size: length, width and height, metres.
-    :param openings: the wall of each, and at, width, height and sill, metres, the last may lack.
-    :param boxes: x, y, z of the lowest corner of each and of the highest one, metres.
-    :raises ConfigurationError: if it is none.
+    :param openings: the wall of each opening, then at, width, height and, optionally, sill,
+        metres.
+    :param boxes: x, y, z of the lowest and then of the highest corner of each box, metres.
+    :raises ConfigurationError: if the values are not a valid room.
     """
     document = Document('room', {
         'size': list(map(_number, size)),
@@ -182,7 +184,7 @@ def document_of(size: Sequence[str], openings: Sequence[Sequence[str]],
 
 
 def _number(text: str) -> float | str:
-    """Read a number; what is none stays, for the schema to refuse."""
+    """Convert text to a number; return other text unchanged, so that the schema refuses it."""
     try:
         value = float(text)
     except ValueError:

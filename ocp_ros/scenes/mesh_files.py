@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Meshes, read with Open3D, and points on their faces, as even as those of a careful scan."""
+"""Read meshes with Open3D and sample points on their faces, evenly like a careful scan."""
 
 from contextlib import suppress
 from importlib import import_module
@@ -23,13 +23,13 @@ from threading import Thread
 import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
 
-#: Formats of meshes. PLY files are meshes where they have faces.
+#: Suffixes of meshes. PLY files with faces are meshes too.
 MESHES = ('.glb', '.gltf', '.obj', '.off', '.stl')
-#: Points on a mesh, whatever its size: 2 cm apart in an office, 5 cm in a hall.
+#: The number of sample points on a mesh of any size: 2 cm apart in an office, 5 cm in a hall.
 SAMPLES = 300_000
-#: Triangles that a small file may have: its parts may stand in many places.
+#: The largest number of triangles of a small file: a scene graph may place one part many times.
 INSTANCES = 2_000_000
-#: Shares whose multiples fill a square evenly (M. Roberts, 2018: the sequence R2).
+#: Increments whose multiples fill the unit square evenly (M. Roberts, 2018: the sequence R2).
 SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
 
 
@@ -37,11 +37,11 @@ def read_mesh(path: Path) -> np.ndarray:
     """
     Read the faces of a mesh as triangles.
 
-    All parts of a scene graph are placed as it says; textures do not matter. Open3D runs in a
-    process of its own, which takes about two seconds.
+    All parts are placed as the scene graph says; textures are ignored. Open3D runs in a separate
+    process, which takes about two seconds.
 
-    :returns: (T, 9) float64, the three corners of each triangle in the file's unit and axes; of an
-        OBJ file without faces its vertices (N, 3).
+    :returns: (T, 9) float64, the three corners of each triangle in the file's unit and axes; for
+        an OBJ file without faces, its vertices (N, 3).
     :raises ValueError: if the file is broken or has no faces.
     :raises ImportError: if there is no Open3D.
     """
@@ -49,24 +49,25 @@ def read_mesh(path: Path) -> np.ndarray:
         return vertices
     if not find_spec('open3d'):
         raise ImportError('open3d; pip install open3d')
-    # This process casts rays at the faces: it imports Open3D while the other one reads.
+    # This process casts rays at the faces later, so it imports Open3D while the other process
+    # reads.
     ahead = Thread(target=_import_open3d)
     ahead.start()
     try:
-        # A face takes a byte or more, unless one part stands in many places.
+        # A face takes a byte or more, unless one part is placed many times.
         return read_guarded('mesh', path, 9, max(path.stat().st_size, INSTANCES))
     finally:
         ahead.join()
 
 
 def _import_open3d() -> None:
-    """Import Open3D; where that fails, whoever needs it says why."""
+    """Import Open3D; ignore errors, since the later import reports them."""
     with suppress(Exception):
         import_module('open3d')
 
 
 def _bare_vertices(path: Path) -> np.ndarray | None:
-    """Return the vertices (N, 3) of an OBJ file without faces or lines; None with them."""
+    """Return the vertices (N, 3) of an OBJ file without faces or lines; None if it has any."""
     found = []
     with path.open('rb') as file:
         for line in file:
@@ -81,15 +82,14 @@ def _bare_vertices(path: Path) -> np.ndarray | None:
 
 def sampled(corners: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
     """
-    Spread points evenly by area over the faces of a mesh; the same mesh gives the same points.
+    Sample points evenly by area over the faces of a mesh; the same mesh gives the same points.
 
-    A face with NaN or inf gives one point of NaN: whoever reads the points refuses those, or
-    leaves them out.
+    A face with NaN or inf gives one point of NaN, which the caller refuses or leaves out.
 
-    :param corners: (T, 3, 3), those of the triangles, in any unit.
-    :param samples: how many points.
-    :returns: (N, 6) float64, points and unit normals of their faces.
-    :raises ValueError: if there are no faces, or they have no area.
+    :param corners: (T, 3, 3), the corners of the triangles, in any unit.
+    :param samples: the number of points.
+    :returns: (N, 6) float64, points and the unit normals of their faces.
+    :raises ValueError: if there are no faces, or no face has an area.
     """
     if len(corners) == 0:
         raise ValueError('no faces')
@@ -109,16 +109,17 @@ def sampled(corners: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
 
 def _spread(corners: np.ndarray, areas: np.ndarray, samples: int
             ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (N, 3) on triangles (T, 3, 3) of some areas (T,), and which each is on."""
+    """Return points (N, 3) on triangles with areas (T,), and the triangle of each point."""
     if len(areas) == 0:
         return np.empty((0, 3)), np.empty(0, dtype=np.int64)
     ends = np.cumsum(areas / areas.max())
-    # One point in each of as many equal shares of the area, in the order of the faces.
+    # The area is split into ``samples`` equal shares in the order of the faces, with one point in
+    # each.
     within = np.random.default_rng(0).random(samples)
     places = (np.arange(samples) + within) * (ends[-1] / samples)
     faces = np.minimum(np.searchsorted(ends, places, side='right'), len(ends) - 1)
     shares = np.arange(samples)[:, None] * SPREAD % 1.0
-    # What lies beyond the diagonal of the square is turned into the triangle.
+    # Points beyond the diagonal of the square are mirrored into the triangle.
     shares = np.where(shares.sum(axis=1, keepdims=True) > 1.0, 1.0 - shares, shares)
     first, second, third = (corners[faces, corner] for corner in range(3))
     return (first + shares[:, :1] * (second - first) + shares[:, 1:] * (third - first)), faces

@@ -12,16 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Rays against a mesh, with Embree behind Open3D: the truth for visibility."""
+"""Rays cast at a mesh, with Embree through Open3D: the reference for visibility."""
 
 import numpy as np
 from ocp_ros.scenes.scene import Mesh
 
-#: A ray that ends this near to a point has reached it, metres: three times the noise of a scan,
-#: and rounding where the points lie on the mesh.
+#: Metres: a ray that ends this near to a point has reached it. The first is three times the noise
+#: of a scan; the second allows for rounding if the points lie on the mesh.
 TOLERANCE, ROUNDING = 0.03, 0.0005
 
-#: A point that is no farther from a camera has no direction, metres.
+#: Metres: a point within this distance of the camera has no direction.
 TINY = 1e-9
 
 
@@ -33,7 +33,7 @@ class MeshRays:
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        # Open3D takes long to import, and what only reads scenes does without it.
+        # Open3D takes long to import, and code that only reads scenes does not need it.
         import open3d as o3d
         self._tensor = o3d.core.Tensor
         self._tolerance = ROUNDING if mesh.exact else TOLERANCE
@@ -43,12 +43,12 @@ class MeshRays:
 
     def lengths(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """
-        Measure how far rays go until they hit the mesh.
+        Measure the lengths of rays until they hit the mesh.
 
-        :param origin: (3,), metres, or (..., 3), one for each.
+        :param origin: (3,), or (..., 3) with one for each direction, metres.
         :param directions: (..., 3).
-        :returns: (...) float32, in lengths of the directions: metres where those are unit
-            vectors; inf where there is nothing.
+        :returns: (...) float32, in multiples of the length of the direction, which is metres for
+            unit vectors; inf if nothing is hit.
         """
         rays = np.empty((*directions.shape[:-1], 6), dtype=np.float32)
         rays[..., :3], rays[..., 3:] = origin, directions
@@ -56,7 +56,7 @@ class MeshRays:
 
     def visible(self, points: np.ndarray, position: np.ndarray, max_range: float) -> np.ndarray:
         """
-        Tell which points nothing of the mesh hides from a camera.
+        Return which points are visible from a camera position, with the mesh as the occluder.
 
         :param points: (N, 3) float32, metres.
         :param position: (3,), metres.

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Mirror images in a scan: a room that a laser has seen in a mirror stands behind its wall.
+Mirror images in a scan: a laser beam that hits a mirror yields points behind the wall.
 
-Behind the plane of a wall with a mirror there are points, each of which has one at the mirrored
-place before it. Next to the wall there are few: a mirror is smaller than its wall. A real second
-room has its floor and walls there, even where it is the same room the other way round.
+Behind the plane of a wall with a mirror, each point has a counterpart at the mirrored position in
+front of the plane. Near the wall there are few such points, since a mirror is smaller than its
+wall. A real second room has its floor and walls there, even if it is the same room mirrored.
 """
 
 from collections.abc import Iterator
@@ -28,29 +28,30 @@ from ocp_ros.geometry.normals import LEVEL, STEEP
 from ocp_ros.scenes.scene import MIN_POINTS, Scene
 from scipy.spatial import cKDTree
 
-#: Degrees and metres by which planes differ, how many are tried, and square metres that
-#: one has at least.
+#: Degrees and metres between candidate planes, the largest number of planes tested, and the least
+#: area of a plane in square metres.
 TURN, APART, PLANES, LEAST = 2.0, 0.1, 24, 1.0
-#: Metres behind a plane from which on points are behind it, up to which they are beside it, and
-#: from which on half of them are; how many are beside it, as a share of those before it, but for
-#: points with a normal like that of the plane.
+#: Metres: beyond ``BEHIND`` points are behind a plane, up to ``BESIDE`` they are near it, and the
+#: median of those behind it has to lie beyond ``DEEP``. The largest ratio of near points behind to
+#: near points in front; points whose normal has at least the last cosine to that of the plane do
+#: not count.
 BEHIND, BESIDE, DEEP, LESS, ALONG = 0.1, 0.4, 0.5, 0.6, 0.9
-#: Points that are tried, and how near there is one before the plane: metres at least, and in
-#: multiples of the spacing.
+#: The largest number of points tested; the largest distance of a mirrored point from its
+#: counterpart: metres at least, and in multiples of the spacing.
 TRIED, NEAR, SPACINGS = 4000, 0.08, 1.5
-#: Metres: where points are as far apart, mirror images look like a room.
+#: Metres: with a larger match distance, mirror images look like a real room.
 SPARSE = 0.3
-#: Metres that a mirror hangs before its wall.
+#: Metres: the tested distances of a mirror from its wall.
 HUNG = (0.0, 0.03, 0.06)
-#: The fewest points that are not level.
+#: The least number of points with non-vertical normals.
 FEWEST = 50
-#: Share of the points behind a mirror that have one before it, and of all points that have to be
-#: behind it.
+#: The least share of the points behind a mirror that have a counterpart, and the least share of
+#: all points that are behind it.
 MATCHED, SHARE = 0.85, 0.005
 
 
 def without_mirror_images(scene: Scene) -> Scene:
-    """Leave out what stands behind mirrors, with a note; the same scene where there is none."""
+    """Leave out the points behind mirrors, with a note; return the same scene if none."""
     points, normals = scene.points.astype(np.float64), scene.normals_or_estimate
     area = scene.pitch.astype(np.float64) ** 2
     near = max(NEAR, SPACINGS * float(np.median(scene.pitch)))
@@ -64,13 +65,13 @@ def without_mirror_images(scene: Scene) -> Scene:
         if (not SHARE * len(points) <= count < 0.5 * len(points)
                 or np.median(away[behind]) < DEEP):
             continue
-        # A passage to another half of the room begins with as much floor and wall on either side.
+        # A real passage has about as much floor and wall near the plane on both sides.
         across = kept & (np.abs(normals @ normal) < ALONG)
         sides = [np.count_nonzero(across & (side > BEHIND) & (side < BESIDE))
                  for side in (away, -away)]
         if sides[0] > LESS * sides[1]:
             continue
-        # Floors and ceilings mirror themselves everywhere.
+        # Floors and ceilings match their mirror images everywhere, so they are excluded.
         some = np.flatnonzero(behind & (np.abs(normals[:, 2]) < LEVEL))
         some = some[np.random.default_rng(0).permutation(len(some))[:TRIED]]
         if len(some) < FEWEST:
@@ -91,7 +92,7 @@ def without_mirror_images(scene: Scene) -> Scene:
 
 def _planes(points: np.ndarray, normals: np.ndarray, area: np.ndarray
             ) -> Iterator[tuple[np.ndarray, float]]:
-    """Yield the largest upright planes, each from both sides: unit normal (3,) and offset."""
+    """Yield the largest vertical planes, each from both sides: unit normal (3,) and offset."""
     steep = np.flatnonzero(np.abs(normals[:, 2]) <= STEEP)
     angle = np.rad2deg(np.arctan2(normals[steep, 1], normals[steep, 0])) % 180.0
     bins = np.round(angle / TURN).astype(int) % round(180.0 / TURN)

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Nearest neighbours of all points of a cloud among themselves.
+Find the nearest neighbours of all points within a cloud.
 
-Clouds that were thinned on a voxel grid are even: the points nearest to one lie in the few cells
-of a coarse grid around it, which are looked through faster than a tree is built. What is not found
-so, and clouds that are not even, are left to a k-d tree.
+Clouds that were thinned on a voxel grid have an even density: the nearest points of a point lie in
+the few cells of a coarse grid around it, and searching these cells is faster than building a tree.
+Points whose neighbours are not found there, and uneven clouds, are searched with a k-d tree.
 """
 
 from itertools import product
@@ -28,13 +28,13 @@ from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 from scipy.spatial import cKDTree
 
-#: Points that an occupied cell should hold, as a share of the neighbours that are sought: most of
-#: these then lie in the 27 cells around a point.
+#: Points per cell, as a share of the neighbours that are searched for: most of the neighbours then
+#: lie in the 27 cells around a point.
 SHARE = 0.5
-#: A cloud is not even if its fullest cell holds so many times as many, or if there are so many
-#: cells per point.
+#: A cloud counts as uneven if its fullest cell has this many times the usual number of points, or
+#: if the grid has more than this many cells per point.
 CROWDED, SPARSE = 16.0, 16.0
-#: Parts of the points whose neighbours are sought at once.
+#: The number of parts that are searched in parallel.
 PARTS = 4
 
 
@@ -43,17 +43,17 @@ def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     Find the points nearest to each point, itself first.
 
     :param points: (N, 3), metres, N >= 1.
-    :param count: how many to find, K.
+    :param count: the number K of points to find.
     :returns: distances (N, K) float64, metres, ascending, and indices (N, K) int64; infinity and N
-        where there are fewer points than that.
+        if there are fewer points.
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     low, high = corners_of(points)
     extent = high - low
-    # A room has about the surface of its bounding box.
+    # The surface area of a room is about that of its bounding box.
     surface = 2.0 * float(extent @ np.roll(extent, 1))
     edge = np.sqrt(max(surface, 1e-12) * SHARE * count / len(points))
-    # A border of empty cells: every cell of a point has all its neighbours.
+    # A border of empty cells: each cell with points has all its neighbour cells.
     shape = np.floor(extent / edge) + 3
     if len(points) > count and np.prod(shape) <= SPARSE * len(points):
         shape = shape.astype(np.int64)
@@ -79,25 +79,26 @@ def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _by_tree(points: np.ndarray, of: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Find the points nearest to some (M, 3); see :func:`nearest`."""
+    """Find the points nearest to the points ``of`` (M, 3); see :func:`nearest`."""
     return cKDTree(points).query(of, k=np.arange(1, count + 1))
 
 
 @njit(cache=True, nogil=True)
 def _search(points, order, numbers, starts, around, count, first, end, distances, indices):
     """
-    Look through the 27 cells around some of the points.
+    Search the 27 cells around each of some points.
 
     :param points: (N, 3) float64, metres, in the order of their cells.
-    :param order: (N,) int64, what their indices are among the caller's points.
+    :param order: (N,) int64, the index of each point among the caller's points.
     :param numbers: (N,) int64, the cell of each.
     :param starts: (C + 1,) int64, where each cell begins.
-    :param around: (27,) int64, the way from the number of a cell to those around it.
-    :param count: how many to find, K.
+    :param around: (27,) int64, the offsets from the number of a cell to those of the cells around
+        it.
+    :param count: the number K of points to find.
     :param first: the first of these points.
-    :param end: that after the last.
-    :param distances: (N, K) out, in the caller's order; a last distance of more than the edge
-        says that nearer ones may lie elsewhere.
+    :param end: the index after the last of these points.
+    :param distances: (N, K) out, in the caller's order; if the last distance exceeds the edge of a
+        cell, nearer points may lie in other cells.
     :param indices: (N, K) out.
     """
     squares, found = np.empty(count), np.empty(count, dtype=np.int64)

@@ -22,13 +22,14 @@ from ocp_ros.scenes.text_tables import read_table, TableForm
 from ocp_ros.util.terminal_text import printable
 from scipy.spatial.transform import Rotation
 
-#: Bytes of a line of the header, and lines of a header.
+#: The largest number of bytes of a header line, and of lines of a header.
 LONGEST, LINES = 1 << 16, 1000
-#: Bytes that LibLZF makes of one, at most: it copies up to 264 bytes for three.
+#: The largest number of bytes that LibLZF unpacks from one byte: it copies up to 264 bytes for
+#: three.
 EXPANSION = 88
-#: Points that a byte may hold at most.
+#: The largest number of points per byte of a file.
 PER_BYTE = 4
-#: The VIEWPOINT of points that are in the frame of the map.
+#: The VIEWPOINT of points that are already in the map frame.
 STILL = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
 _log = logging.getLogger(__name__)
@@ -38,8 +39,8 @@ def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
     """
     Read a PCD file: ascii, binary or binary_compressed.
 
-    Not with open3d: it fills a truncated ascii file with whatever was in memory and takes 8-byte
-    coordinates for 4-byte ones, both without a word (0.20), and costs a second to import.
+    Open3D is not used: without a warning it fills a truncated ascii file with random memory and
+    reads 8-byte coordinates as 4-byte ones (0.20), and it takes a second to import.
 
     :param path: a .pcd file.
     :returns: each field by its name, (N, count) or (N,).
@@ -49,7 +50,8 @@ def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
         header, skip = _pcd_header(file)
         body = file.read()
     layout, count = _pcd_layout(header), int(header['POINTS'][0])
-    # Each number of a text takes two bytes; real files need one for each point, packed or not.
+    # Each number in a text takes two bytes; real binary files need a byte or more per point,
+    # packed or not.
     size = path.stat().st_size
     if count > PER_BYTE * size or header['DATA'] == ['ascii'] and (
             2 * count * len(layout.names) > size):
@@ -70,10 +72,11 @@ def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
 def _placed(fields: dict[str, np.ndarray], viewpoint: list[str], name: str
             ) -> dict[str, np.ndarray]:
     """
-    Move points from the frame of the sensor to that of the map, where the header says how.
+    Move points from the sensor frame to the map frame if the header gives the pose.
 
     :param viewpoint: x y z in the unit of the file, and a quaternion w x y z.
-    :returns: of points that were moved, their coordinates alone: normals are found anew.
+    :returns: the fields; for moved points only the coordinates, since the normals are estimated
+        anew.
     """
     numbers = np.array([float(number) for number in viewpoint])
     if len(numbers) != 7 or np.array_equal(numbers, STILL) or not fields.keys() >= set('xyz'):
@@ -125,7 +128,7 @@ def _pcd_ascii(path: Path, layout: np.dtype, skip: int) -> dict[str, np.ndarray]
 
 
 def _pcd_compressed(body: bytes, layout: np.dtype, count: int) -> dict[str, np.ndarray]:
-    """Unpack the fields of a compressed PCD file, which lie one after the other."""
+    """Unpack the fields of a compressed PCD file, which are stored one after the other."""
     packed, size = (int(number) for number in np.frombuffer(body, '<u4', 2))
     if size > EXPANSION * len(body) or layout.itemsize * count > size:
         raise ValueError(f'{count:,} points in {size:,} bytes, packed to {len(body):,}')
@@ -138,7 +141,7 @@ def _pcd_compressed(body: bytes, layout: np.dtype, count: int) -> dict[str, np.n
 
 
 def _lzf(packed: bytes, size: int) -> bytes:
-    """Unpack LibLZF: a control byte below 32 precedes literals, any other a copy from before."""
+    """Unpack LibLZF: a control byte below 32 precedes literals, any other a copy."""
     out, i = bytearray(), 0
     while i < len(packed) and len(out) <= size:
         control = packed[i]
@@ -156,7 +159,7 @@ def _lzf(packed: bytes, size: int) -> bytes:
         if start < 0:
             raise ValueError('a copy from before the start')
         piece = out[start:start + length + 2]
-        # A copy may reach into what it writes: then it repeats.
+        # A copy may overlap its own output: then the piece repeats.
         out += (piece * ((length + 2) // len(piece) + 1))[:length + 2]
     if len(out) != size:
         raise ValueError(f'{len(out):,} of {size:,} bytes')

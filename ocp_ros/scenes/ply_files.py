@@ -22,21 +22,21 @@ import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
 from plyfile import PlyData
 
-#: Bytes in which the header has to end: plyfile reads it letter by letter.
+#: The largest size of a header in bytes, since plyfile reads it byte by byte.
 HEADER = 1 << 18
-#: Rows with lists that are read one by one, which takes a microsecond or two and 100 bytes each.
+#: The largest number of rows with lists: each takes a microsecond or two and 100 bytes.
 LISTS = 1_000_000
-#: The columns of a room's points, those of normals where there are any.
+#: The columns of a room's points, with normals if there are any.
 COLUMNS = ('x', 'y', 'z', 'nx', 'ny', 'nz')
 
 
 class PlyPart(NamedTuple):
     """
-    What a header says of one element.
+    An element as the header declares it.
 
-    :ivar count: rows.
-    :ivar kinds: of the properties of each row by name; ``b'list'`` for lists.
-    :ivar end: of what the header says of it, bytes.
+    :ivar count: the number of rows.
+    :ivar kinds: the type of each property by its name; ``b'list'`` for lists.
+    :ivar end: where its declaration ends in the header, bytes.
     """
 
     name: str
@@ -54,11 +54,11 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     """
     Read a PLY file, ascii or binary.
 
-    What comes after the vertices is not read; where lists come before them, a process of its own
+    Elements after the vertices are not read. If lists come before the vertices, a separate process
     reads the file.
 
-    :returns: each column of the vertices by its name, (N,); nothing where there are no vertices.
-        Of a file with lists before its vertices, only the columns that a room needs.
+    :returns: each column of the vertices by its name, (N,); nothing if there are no vertices. From
+        a file with lists before its vertices, only the columns that a room needs.
     :raises ValueError: if the file is broken.
     """
     header, end_of_line, parts = _parts(path)
@@ -98,10 +98,10 @@ def has_faces(path: Path) -> bool:
 
 
 def _parts(path: Path) -> tuple[bytes, bytes, list[PlyPart]]:
-    """Return the header, how its lines end, and the elements, if the file has room for them."""
+    """Return the header, its line ending, and its elements; refuse a file too small for them."""
     with path.open('rb') as file:
         head = file.read(HEADER)
-    # The first line shows how lines end.
+    # The first line shows the line ending.
     end_of_line = b'\r\n' if head[3:5] == b'\r\n' else head[3:4]
     header, end, _ = head.partition(end_of_line + b'end_header' + end_of_line)
     if head[:3] != b'ply' or not end:
@@ -116,7 +116,7 @@ def _parts(path: Path) -> tuple[bytes, bytes, list[PlyPart]]:
         elif words[:1] == [b'property'] and parts:
             parts[-1].kinds[words[-1].decode('ascii')] = b''.join(words[1:2])
             parts[-1] = parts[-1]._replace(end=at)
-    # Each number takes a byte or more, and a row without any is none.
+    # Each number takes a byte or more, and each row has at least one number.
     least = sum(part.count * max(len(part.kinds), 1) for part in parts)
     if min((part.count for part in parts), default=0) < 0 or least > path.stat().st_size:
         raise ValueError('more rows than the file has room for')

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-A process that reads a file with a library that hostile bytes can crash, hang or fill with memory.
+Read a file in a separate process, since broken or hostile bytes can crash or hang a library.
 
-:mod:`~ocp_ros.scenes.guarded_reading` starts it and says what it may use. It writes rows of
-float64 numbers to its standard output, or one line about what is wrong to its standard error.
-It imports what reads the file, then gives up all else (:mod:`~ocp_ros.util.confinement`), and
-only then opens it.
+The module :mod:`~ocp_ros.scenes.guarded_reading` starts the process with limits of memory, time
+and output. The process writes rows of float64 numbers to its standard output, or one line about
+the error to its standard error. It imports the library, then gives up all other rights
+(:mod:`~ocp_ros.util.confinement`), and only then opens the file.
 """
 
 from collections.abc import Iterator
@@ -34,12 +34,12 @@ from urllib.parse import unquote
 import numpy as np
 from ocp_ros.util.confinement import confine, limit
 
-#: Classes of LAS points that are no surface: low and high noise.
+#: LAS classes that are not surfaces: low and high noise.
 NOISE = (7, 18)
-#: Bytes of points that are unpacked at once.
+#: Bytes of points that are processed at once.
 PART = 1 << 25
-#: Formats that Open3D reads better itself; all others go through the library Assimp, which holds
-#: coordinates as float32.
+#: Formats that Open3D reads with its own, better reader; all others go through the library Assimp,
+#: which stores coordinates as float32.
 OWN = ('.ply', '.off')
 #: The largest step between two float32 coordinates, as a share of the extent of the mesh.
 COARSE = 1e-4
@@ -49,7 +49,7 @@ def las_rows(path: str) -> Iterator[np.ndarray]:
     """
     Yield the points (N, 4) of a LAS or LAZ file, in the file's unit.
 
-    The last column is 1 for points of a surface, 0 for noise and those that are withheld.
+    The last column is 1 for points of a surface, 0 for noise and withheld points.
     """
     import laspy
     with laspy.open(path, read_evlrs=False) as file:
@@ -69,7 +69,7 @@ def e57_rows(path: str) -> Iterator[np.ndarray]:
 
 def mesh_rows(path: str) -> Iterator[np.ndarray]:
     """Yield the corners (T, 9) of the triangles of a mesh, in the file's unit and axes."""
-    # The web server of its viewer is not used, and takes a third of the time.
+    # The web server of Open3D's viewer is not used, and takes a third of the import time.
     sys.modules['dash'] = SimpleNamespace(html=None, dcc=None, Dash=None)
     import open3d
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
@@ -85,7 +85,7 @@ def _mesh(io, path: str) -> tuple[np.ndarray, np.ndarray]:
     if path.lower().endswith(OWN):
         meshes = [io.read_triangle_mesh(path)]
     else:
-        # Not read_triangle_mesh: it leaves out faces with more than three corners (0.20).
+        # read_triangle_mesh is not used: it leaves out faces with more than three corners (0.20).
         meshes = [part.mesh for part in io.read_triangle_model(path).meshes]
     parts = [(np.asarray(mesh.vertices), np.asarray(mesh.triangles)) for mesh in meshes]
     if not parts:
@@ -117,9 +117,9 @@ def ply_rows(path: str, *columns: str) -> Iterator[np.ndarray]:
 
 def named_files(path: str) -> list[str]:
     """
-    Return the files of its own folder that a glTF file has its numbers in.
+    Return the files in the folder of a glTF file that contain its buffers.
 
-    :raises ValueError: if they are elsewhere.
+    :raises ValueError: if a buffer is outside of the folder or does not exist.
     """
     if not path.lower().endswith(('.gltf', '.glb')):
         return []
@@ -131,7 +131,7 @@ def named_files(path: str) -> list[str]:
         uri = buffer.get('uri', 'data:')
         if uri.startswith('data:'):
             continue
-        # Not all readers know that %20 is a blank.
+        # Some readers do not decode %20 as a blank.
         named = [(folder / name).resolve() for name in (uri, unquote(uri))]
         if not all(name.parent == folder for name in named):
             raise ValueError(f'it names {uri[:60]!r}, which is not in its folder')
@@ -141,7 +141,8 @@ def named_files(path: str) -> list[str]:
     return found
 
 
-#: Of each kind, what reads it, and the packages that it needs before it gives up the others.
+#: The reader of each kind, and the packages that it imports before the process gives up its
+#: rights.
 READ = {'e57': (e57_rows, 'pye57'), 'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
         'mesh': (mesh_rows, 'open3d'),
         'ply': (ply_rows, 'plyfile', 'encodings.ascii')}
@@ -151,15 +152,15 @@ def main(arguments: list[str]) -> int:
     """
     Read a file.
 
-    :param arguments: the most bytes of memory, seconds of all cores and bytes that are written,
-        key of ``READ``, path, and more for what reads it.
+    :param arguments: the limits (bytes of memory, seconds of all cores, bytes written), a key of
+        ``READ``, the path, and more arguments of the reader.
     :returns: the exit code: 1 if the file cannot be read.
     """
     limit(*map(int, arguments[:3]))
     kind, path, *more = arguments[3:]
     read, *packages = READ[kind]
     with os.fdopen(os.dup(1), 'wb') as rows:
-        # What libraries print is no row.
+        # Text that libraries print must not mix with the rows.
         os.dup2(2, 1)
         try:
             for package in packages:
@@ -171,7 +172,7 @@ def main(arguments: list[str]) -> int:
         except MemoryError:
             print('more memory than such a file needs', file=sys.stderr)
             return 1
-        except BaseException as error:  # Of broken files, and lazrs raises what is no Exception.
+        except BaseException as error:  # Broken files; lazrs raises a BaseException.
             print((str(error).splitlines() or [''])[0] or type(error).__name__, file=sys.stderr)
             return 1
     return 0

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-The rooms of S3DIS (Armeni et al., 2016) where a user has them, chosen by the rules of the paper.
+Rooms of S3DIS (Armeni et al., 2016), if the user has them, chosen by the rules of the paper.
 
-The data set's terms forbid passing it on: ``S3DIS_DIR`` names the folder that it was unpacked to,
-``Stanford3dDataset_v1.2`` with ``Area_1`` to ``Area_6`` in it.
+The terms of the data set forbid passing it on. ``S3DIS_DIR`` names the folder it was unpacked to,
+``Stanford3dDataset_v1.2``, with ``Area_1`` to ``Area_6`` in it.
 """
 
 import os
@@ -27,20 +27,22 @@ import numpy as np
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 
-#: Areas to be judged by, the others being to learn from, and how many rooms of each.
+#: The test areas (the others are for training), and the number of rooms used per area.
 TEST_AREAS, PER_AREA = (6,), 10
 #: Rooms whose floor is not flat.
 NOT_FLAT = ('stairs', 'auditorium')
-#: Square metres of bounding box that four cameras cover roughly.
+#: The least and the largest floor area of the bounding box in square metres that four cameras
+#: roughly cover.
 FLOOR = (20.0, 130.0)
-#: The share of a closed room's floor that has a ceiling above it, over cells of this edge, metres.
+#: The least share of a closed room's floor with a ceiling above it, and the edge of the cells of
+#: this test in metres.
 CLOSED, CELL = 0.9, 0.25
-#: Points that a room is thinned to.
+#: The number of points that a room is thinned to.
 POINTS = 15000
 
 
 def s3dis_folder() -> Path | None:
-    """Return the folder that ``S3DIS_DIR`` names, None where it is not set."""
+    """Return the folder that ``S3DIS_DIR`` names; None if it is not set."""
     named = os.environ.get('S3DIS_DIR')
     return Path(named) if named else None
 
@@ -49,8 +51,8 @@ def rooms_of_area(folder: Path, area: int) -> list[Path]:
     """
     List the rooms of an area.
 
-    :param folder: with ``Area_1`` to ``Area_6``.
-    :returns: their files, ``Area_1/office_2/office_2.txt`` before ``office_10``.
+    :param folder: the folder that contains ``Area_1`` to ``Area_6``.
+    :returns: their files in numeric order: ``Area_1/office_2/office_2.txt`` before ``office_10``.
     :raises SceneError: if there are none.
     """
     # One of them is called Area_6/copyRoom_1/copy_Room_1.txt.
@@ -66,10 +68,10 @@ def rooms_of_area(folder: Path, area: int) -> list[Path]:
 
 def chosen_rooms(folder: Path, area: int) -> list[Path]:
     """
-    Choose the rooms of an area that cameras on a plane can be compared in.
+    Choose the rooms of an area in which cameras on a plane can be compared.
 
-    Their floor is flat and neither too small nor too large; those to learn from are closed as
-    well. Of these, the ten of the largest bounding boxes.
+    Their floor is flat and neither too small nor too large; training rooms are closed as well. Of
+    these, the ten rooms with the largest bounding boxes are taken.
 
     :raises SceneError: if the area is not there or a room cannot be read.
     """

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A scene: the points of a room and what the engine needs to know about them."""
+"""A scene: the points of a room and their properties that the engine needs."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -29,20 +29,20 @@ from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
 MIN_POINTS = 100
-#: Nearest points that a point's plane is fitted to, itself included.
+#: The number of nearest points, including the point, to which its plane is fitted.
 NEIGHBOURS = 14
-#: Metres: largest extent of a scene, and largest of its least extent.
+#: Metres: the upper limit of a scene's largest extent, and of its smallest extent.
 LARGEST, HIGHEST = 500.0, 40.0
-#: Metres: clouds that are thinner in some direction are flat.
+#: Metres: a cloud that is thinner than this in some direction is flat.
 FLAT = 0.05
-#: Metres in a unit that scanners export.
+#: Length in metres of units that scanners export.
 UNITS = {'millimetres': 0.001, 'centimetres': 0.01, 'inches': 0.0254}
-#: Metres: the lowest, the usual and the greatest height of a room of which the unit is guessed.
+#: Metres: the least, the usual and the greatest height of a room, to guess its unit.
 LOW, USUAL, TALL = 1.5, 2.7, 12.0
 
 
 class SceneError(UserError):
-    """A room that cannot be used; the message says what was found and what to do."""
+    """Report a room that cannot be used; the message says what was found and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,8 @@ class Mesh:
 
     :ivar vertices: (V, 3) float32, metres, map frame.
     :ivar triangles: (T, 3) int32, indices into the vertices.
-    :ivar exact: whether the points lie on it exactly, and not as a scanner would measure them.
+    :ivar exact: whether the points lie exactly on the mesh, without measurement errors of a
+        scanner.
     """
 
     vertices: np.ndarray
@@ -71,12 +72,12 @@ class Scene:
     A room as points.
 
     :ivar points: (N, 3) float32, metres, map frame, z up.
-    :ivar name: what tables and file names call it.
+    :ivar name: the name in tables and file names.
     :ivar normals: (N, 3) float32 unit vectors, or None.
     :ivar mesh: the surfaces behind the points where they are known.
     :ivar source: the frame of the file that the points were read from.
-    :ivar notes: what reading it found that may not be as meant, a sentence each.
-    :ivar remarks: what reading it mended, a sentence each.
+    :ivar notes: problems that reading the file found, one sentence each.
+    :ivar remarks: corrections that reading the file made, one sentence each.
     :raises SceneError: if the points are not a room (see :func:`check_points`).
     """
 
@@ -89,7 +90,7 @@ class Scene:
     remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Hold the points as float32 in C order and refuse what is not a room."""
+        """Convert the points to float32 in C order and refuse points that are not a room."""
         check_points(self.points, self.name)
         object.__setattr__(self, 'points', np.ascontiguousarray(self.points, dtype=np.float32))
         if self.normals is not None:
@@ -104,7 +105,7 @@ class Scene:
         return len(self.points)
 
     def only(self, kept: np.ndarray) -> 'Scene':
-        """Return the room with some of its points, (N,) bool, alone."""
+        """Return the room with only the points that ``kept`` (N,) bool marks."""
         return replace(self, points=self.points[kept],
                        normals=None if self.normals is None else self.normals[kept])
 
@@ -124,7 +125,7 @@ class Scene:
         try:
             ends = self.points[ConvexHull(self.points).vertices]
         except QhullError:
-            # They nearly lie in a plane: their box is all that is known of them.
+            # The points nearly lie in a plane: use the diagonal of their box.
             return float(np.linalg.norm(self.size))
         return float(pdist(ends.astype(np.float64)).max())
 
@@ -150,16 +151,17 @@ class Scene:
         """
         Return the edge of the square that each point stands for: (N,) float32, metres.
 
-        An isolated point stands for no more than four times the usual: it is a speck, not a wall.
+        An isolated point stands for at most four times the median edge, since it is a speck, not a
+        wall.
         """
-        # A disc through the eighth neighbour holds eight points' squares.
+        # A disc up to the eighth neighbour has the area of the squares of eight points.
         pitch = self._neighbours[0][:, 8] * np.sqrt(np.pi / 8.0)
         return np.minimum(pitch, 4.0 * np.median(pitch)).astype(np.float32)
 
 
 def turned(scene: Scene, degrees: float) -> Scene:
     """
-    Turn a room about the vertical axis through the origin.
+    Rotate a room about the vertical axis through the origin.
 
     :param scene: the room.
     :param degrees: counter-clockwise seen from above.
@@ -171,7 +173,7 @@ def turned(scene: Scene, degrees: float) -> Scene:
     normals = None if scene.normals is None else scene.normals @ rotation.T
     made = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
                  scene.source.rotated(rotation), scene.notes, scene.remarks)
-    # What is near stays near.
+    # A rotation keeps distances.
     made.__dict__.update((name, value) for name, value in scene.__dict__.items()
                          if name in ('_neighbours', 'spacing', 'pitch', 'diameter'))
     return made
@@ -182,23 +184,23 @@ def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
     Refuse points that are not a room in metres.
 
     :param points: (N, 3) array.
-    :param name: what the message calls them.
+    :param name: the name of the points in the message.
     :param up: the direction that points up, one of :data:`~ocp_ros.scenes.up_axis.UP_AXES`.
     :raises SceneError: for a wrong shape, fewer than 100 points, NaN or inf, a flat cloud, or a
         size that no room in metres has.
     """
     check_numbers(points, name)
-    # Coordinates of 1e308 are far apart, and need no warning.
+    # Coordinates such as 1e308 are refused as too large, without a NumPy warning.
     with np.errstate(over='ignore', invalid='ignore'):
         _check_size(np.asarray(points, dtype=np.float64), name, axis_of(up))
 
 
 def check_numbers(points: np.ndarray, name: str) -> None:
     """
-    Refuse what is no list of points.
+    Refuse an array that is not a list of points.
 
     :param points: (N, 3) array.
-    :param name: what the message calls them.
+    :param name: the name of the points in the message.
     :raises SceneError: for a wrong shape, fewer than 100 points, NaN or inf.
     """
     points = np.asarray(points)
@@ -219,7 +221,7 @@ def check_numbers(points: np.ndarray, name: str) -> None:
 
 
 def _check_size(points: np.ndarray, name: str, up: int) -> None:
-    """Refuse a bounding box that is flat or not that of a room in metres."""
+    """Refuse a bounding box that is flat or does not have the size of a room in metres."""
     size = np.ptp(corners_of(points), axis=0)
     found = f'{name}: found a bounding box of ' + ' x '.join(f'{s:.4g}' for s in size)
     if size.max() > LARGEST or size.min() > HIGHEST:
@@ -244,7 +246,7 @@ def _check_size(points: np.ndarray, name: str, up: int) -> None:
 
 
 def _units_of(size: np.ndarray, up: int) -> list[str]:
-    """Return the units in which an extent (3,) is that of a room, the likeliest first."""
+    """Return the units in which an extent (3,) is that of a room, the most likely first."""
     heights = {unit: scale * size[up] for unit, scale in UNITS.items()
                if scale * size.max() <= LARGEST}
     return sorted((unit for unit, height in heights.items() if LOW <= height <= TALL),
@@ -252,6 +254,6 @@ def _units_of(size: np.ndarray, up: int) -> list[str]:
 
 
 def _thickness(points: np.ndarray) -> float:
-    """Return the extent (N, 3) points have in the direction in which they vary least, metres."""
+    """Return the extent of points (N, 3) in the direction of least variance, metres."""
     centred = points - points.mean(axis=0)
     return float(np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1][:, 0]))

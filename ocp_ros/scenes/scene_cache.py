@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Scans that are read once: what was read and thinned is kept beside the user's other caches."""
+"""Cache the scenes that were read from scans, beside the user's other caches."""
 
 import hashlib
 import io
@@ -26,24 +26,23 @@ from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import cache_folder, write_atomically
 
-#: Bytes of a file from which it is worth keeping what was read.
+#: The least size in bytes of a file whose scene is cached.
 LARGE = 4_000_000
-#: Of what is kept; another one where reading a file gives something else.
+#: The version of the cache format; raise it when reading a file gives another result.
 LAYOUT = 3
-#: The folder of the cache that they are in.
+#: The folder of the scenes within the cache.
 SCANS = 'scans'
 
 
 def load_cached(path: str | Path, **options) -> Scene:
     """
-    Read a room from a file, the second time fast.
+    Read a room from a file, or from the cache if the file was read before.
 
-    What is read is what :func:`~ocp_ros.scenes.scene_files.load_scene` returns.
+    The result is that of :func:`~ocp_ros.scenes.scene_files.load_scene`. The file is read again if
+    it has changed, and for other options or another version of the package. Warnings are shown
+    only the first time; the notes of the scene contain them.
 
-    A file that has changed, other options and another version of the package are read anew. What
-    is to be warned of is only said the first time; it stands in the notes of the scene.
-
-    :param options: of ``load_scene``.
+    :param options: the options of ``load_scene``.
     :raises SceneError: if the file or an option cannot be used.
     """
     path = Path(path)
@@ -68,14 +67,14 @@ def load_cached(path: str | Path, **options) -> Scene:
                          source, notes=tuple(map(str, arrays['notes'])),
                          remarks=tuple(map(str, arrays['remarks'])))
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
-        # Not there, or not whole.
+        # The cached file is missing or incomplete.
         scene = load_scene(path, **options)
     _keep(kept, scene)
     return scene
 
 
 def _keep(path: Path, scene: Scene) -> None:
-    """Write a scene whole or not at all; a full disk or a folder of others does not matter."""
+    """Write a scene to the cache atomically; ignore errors such as a full disk."""
     arrays = {'points': scene.points, 'name': np.array(scene.name),
               'notes': np.array(scene.notes, dtype=str),
               'remarks': np.array(scene.remarks, dtype=str), **vars(scene.source)}

@@ -56,18 +56,18 @@ from ocp_ros.util.terminal_text import printable
 from plyfile import PlyData, PlyElement
 
 FAR = 1000.0
-#: Metres: no room is both lower than the first and shorter than the second.
+#: Metres: no room has both a lower height than the first and a shorter length than the second.
 SMALL = (1.0, 1.5)
-#: Points on a mesh that tell its size, its axes and what is stray.
+#: The number of sample points on a mesh from which its size, axes and stray parts are found.
 ROUGH = 60_000
-#: Metres outside of the points of a mesh from which on faces are stray.
+#: Metres: faces farther than this outside of the bounds of the kept points are stray.
 NEAR = 0.5
 
 _log = logging.getLogger(__name__)
 
 
 class SceneWarning(UserWarning):
-    """A room that can be used but may not be what was meant."""
+    """Warn of a room that can be used but may be wrong."""
 
 
 def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: float = 0.0,
@@ -78,28 +78,27 @@ def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: flo
     Exact duplicates are removed, and stray points (see
     :func:`~ocp_ros.scenes.stray_points.stray_points`). Coordinates farther than 1 km from the
     origin, such as UTM, are moved near it by whole hundreds of metres, since float32 would round
-    them. All are logged; ``source`` leads back to the file's coordinates, and ``notes`` say what
-    may not be as meant, and ``remarks`` what was left out.
-    Normals are kept where the file has them and no point is merged with another.
+    them. All changes are logged. ``source`` converts back to the file's coordinates, ``notes``
+    list possible problems, and ``remarks`` list what was left out.
+    Normals are kept if the file has them and no points are merged.
 
-    Of a mesh (.obj, .stl, .off, .glb, .gltf, and .ply with faces) 300,000 points are taken, or as
-    many as are wanted, evenly by area and always the same. They lie on the sides of the faces that
-    the air of the room sees, see :mod:`ocp_ros.scenes.inner_surface`, and their normals are those
-    of the sides.
+    From a mesh (.obj, .stl, .off, .glb, .gltf, and .ply with faces) 300,000 points, or
+    ``max_points``, are sampled evenly by area and always the same. They lie on the sides of the
+    faces that are visible from the air of the room, see :mod:`ocp_ros.scenes.inner_surface`, with
+    the normals of these sides.
 
-    :param path: a scan of one of ``READERS`` or a mesh; the room
-        is called by its stem, an S3DIS room ``Area_1/office_1/office_1.txt`` is called
-        ``Area_1_office_1``.
+    :param path: a scan or mesh with a suffix of ``READERS``. The name of the room is the stem of
+        the file, and ``Area_1_office_1`` for an S3DIS room ``Area_1/office_1/office_1.txt``.
     :param voxel_size: edge of the cubes whose points are merged, metres; 0 merges none.
-    :param max_points: most points wanted where no voxel size is given; 0 for all of them.
-    :param scale: metres per unit of the file, 0.001 for millimetres; 0 for what the file says, and
-        metres where it says nothing.
+    :param max_points: the largest number of points if no voxel size is given; 0 for all of them.
+    :param scale: metres per unit of the file, such as 0.001 for millimetres; 0 for the unit that
+        the file declares, or metres if it declares none.
     :param up: the direction of the file that points up, such as ``'z'`` or ``'-y'``; ``'auto'``
-        for a guess, which the remarks name; ``'file'`` for what its format says (y for glTF), and
-        z where it says nothing.
-    :param drop_nonfinite: leave out the points with NaN or inf rather than refuse the file.
-    :param all_rooms: keep what is seen of other rooms through openings, such as doors; see
-        :mod:`ocp_ros.scenes.main_room`.
+        for a guess, which the remarks name; ``'file'`` for the direction that its format declares
+        (y for glTF), or z if it declares none.
+    :param drop_nonfinite: leave out points with NaN or inf instead of refusing the file.
+    :param all_rooms: keep the parts of other rooms that are visible through openings such as
+        doors; see :mod:`ocp_ros.scenes.main_room`.
     :returns: the scene, in metres, z up.
     :raises SceneError: if the file or an option cannot be used; the message names the file.
     """
@@ -118,10 +117,10 @@ def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_point
              scale: float = 1.0, up: str = 'z', drop_nonfinite: bool = False,
              all_rooms: bool = False) -> Scene:
     """
-    Make a room of points in memory, treated as those of a file are; see :func:`load_scene`.
+    Make a room of points in memory, as :func:`load_scene` does with the points of a file.
 
     :param points: (N, 3), in units of ``scale`` metres.
-    :param name: what messages and tables call the room.
+    :param name: the name of the room in messages and tables.
     :raises SceneError: if the points or an option cannot be used.
     """
     _check_options(name, voxel_size, max_points, scale, up)
@@ -141,11 +140,11 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
                 corners: np.ndarray | None = None, *, voxel_size: float, max_points: int,
                 scale: float, up: str, drop_nonfinite: bool, all_rooms: bool) -> Scene:
     """
-    Make a room of points in the units and axes of a file; messages name the file.
+    Make a room of points in the unit and axes of a file; messages name the file.
 
     :param rows: (N, 3) points, or (N, 6) with their normals, overwritten.
-    :param said: what the file says of its own unit and axes.
-    :param corners: (T, 3, 3) of the triangles of a mesh that the points are on.
+    :param said: the unit and axes that the file declares.
+    :param corners: (T, 3, 3) corners of the triangles of the mesh that the points lie on.
     """
     notes: list[str] = []
     if corners is None and len(rows) == CORNERS:
@@ -202,21 +201,21 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     scene = without_mirror_images(Scene(
         merged, called, normals, mesh, source, tuple(notes), remarks))
     if len(scene) < len(merged):
-        # What a mirror shows is no other room.
+        # Points behind a mirror must not count as another room.
         points = scene.points
     scene = without_outside(scene)
     return _told(scene if all_rooms else main_room(scene, points), name)
 
 
 def _told(scene: Scene, name: str) -> Scene:
-    """Warn of what a room notes, and return it."""
+    """Show the notes of a room as warnings, and return the room."""
     for note in scene.notes:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=4)
     return scene
 
 
 def _between(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray, list[str]]:
-    """Return points on the sides of the room between eight corners, triangles, and notes."""
+    """Return points on the sides of the room with eight corners, its triangles, and notes."""
     found = room_between(points)
     if found is None:
         raise SceneError(f'{name}: found eight points that are not the corners of a convex room; '
@@ -232,7 +231,7 @@ def _mesh_of(corners: np.ndarray, source: SourceFrame, bounds: np.ndarray) -> Me
     """
     Return triangles (T, 3, 3) of a file in the map frame, those with NaN left out.
 
-    :param bounds: (2, 3) metres, of the points that were kept: what is far outside is stray.
+    :param bounds: (2, 3) metres, the bounds of the kept points: triangles far outside are stray.
     """
     corners = source.to_map(corners[np.isfinite(corners).all(axis=(1, 2))])
     inside = (corners.min(axis=1) >= bounds[0] - NEAR) & (corners.max(axis=1) <= bounds[1] + NEAR)
@@ -243,9 +242,9 @@ def _mesh_of(corners: np.ndarray, source: SourceFrame, bounds: np.ndarray) -> Me
 
 def load_cloud(path: str | Path) -> np.ndarray:
     """
-    Read a cloud that is no room, such as what one camera sees.
+    Read a cloud that is not a room, such as the points that one camera measured.
 
-    :param path: of the same formats as those of rooms.
+    :param path: a file of one of the formats of rooms.
     :returns: (N, 3) float64 finite points, in the file's unit and axes.
     :raises SceneError: if it cannot be read.
     """
@@ -279,7 +278,7 @@ def save_scene(scene: Scene, path: str | Path) -> None:
 
 
 def mesh_of(path: Path) -> Path:
-    """Return where the mesh of a room stands."""
+    """Return the path of the mesh of a room."""
     return path.with_name(f'{path.stem}_mesh.ply')
 
 
@@ -287,7 +286,7 @@ def scans_in(folder: str | Path) -> list[Path]:
     """
     List the scans of a folder by name.
 
-    Meshes that :func:`save_scene` has put beside their rooms are none, nor are hidden files.
+    Meshes that :func:`save_scene` wrote beside their rooms and hidden files are left out.
     """
     found = sorted(path for path in Path(folder).glob('*')
                    if path.suffix.lower() in {*READERS}.difference(MEASURED)
@@ -300,7 +299,7 @@ def check_file(path: Path) -> None:
     """
     Refuse a path that is not a file with content and a known suffix.
 
-    :raises SceneError: if so.
+    :raises SceneError: if the path is not usable.
     """
     known = sorted(READERS)
     if not path.exists():
@@ -328,7 +327,7 @@ def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
 
 def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str,
                    by_file: bool = False) -> None:
-    """Refuse options without a meaning; points in memory say nothing of their unit and axes."""
+    """Refuse invalid options; for points in memory, scale and up have to be given."""
     directions = [choice for choice in UP_CHOICES if by_file or choice != BY_FILE]
     for option, value in (('voxel_size', voxel_size), ('max_points', max_points),
                           ('scale', scale)):
@@ -348,7 +347,7 @@ def _check_options(name: str, voxel_size: float, max_points: int, scale: float, 
 
 
 def _scene_name(path: Path) -> str:
-    """Call a room by its file's stem, or by area and room where the folders are those of S3DIS."""
+    """Return the stem of the file as the room's name, or area and room in S3DIS folders."""
     room, area = path.absolute().parent.name, path.absolute().parent.parent.name
     alike = room.replace('_', '') == path.stem.replace('_', '')
     s3dis = path.suffix == '.txt' and alike and area.startswith('Area_')
@@ -357,10 +356,10 @@ def _scene_name(path: Path) -> str:
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """
-    Read what one of ``READERS`` reads, and say in our words why where it cannot.
+    Read a file with its reader in ``READERS``; turn all errors into a SceneError.
 
-    :returns: points, with normals where there are some, and the corners (T, 3, 3) of the triangles
-        of a mesh that they are on, or None.
+    :returns: points, with normals if there are any, and the corners (T, 3, 3) of the triangles of
+        the mesh that they lie on, or None.
     """
     try:
         check_file(path)
@@ -393,7 +392,7 @@ def _without_nonfinite(rows: np.ndarray, name: str) -> np.ndarray:
 
 
 def _without_strays(rows: np.ndarray, name: str) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Leave out points that are no part of the room, and their normals; say which these were."""
+    """Leave out stray points and their normals; return a remark about them."""
     points = rows[:, :3]
     stray = stray_points(points)
     if not stray.any():
@@ -406,7 +405,7 @@ def _without_strays(rows: np.ndarray, name: str) -> tuple[np.ndarray, tuple[str,
 
 
 def _is_room(points: np.ndarray, name: str) -> bool:
-    """Return whether points alone would be taken for a room."""
+    """Return whether the points pass the checks of a room."""
     try:
         check_points(points, name)
     except SceneError:
@@ -415,19 +414,19 @@ def _is_room(points: np.ndarray, name: str) -> bool:
 
 
 def _near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Move coordinates that float32 would round near the origin; say by how much: (3,) metres."""
+    """Move distant coordinates, which float32 would round; return the shift (3,), metres, too."""
     low, high = corners_of(points)
     if np.linalg.norm(np.maximum(abs(low), abs(high))) <= FAR:
         return points, np.zeros(3)
     offset = np.round(low, -2) + 0.0
-    # A warning, since every placement found will be in the moved coordinates.
+    # This is a warning, since all placements found will be in the moved coordinates.
     _log.warning('%s: found coordinates far from the origin; subtracted (%.0f, %.0f, %.0f) m',
                  printable(name), *offset)
     return points - offset, offset
 
 
 def _unit(normals: np.ndarray, rotation: np.ndarray) -> np.ndarray | None:
-    """Return rotated normals of length one; None without any, or if some have no direction."""
+    """Return rotated unit normals; None if there are none, or some have length zero or NaN."""
     if not normals.size:
         return None
     normals = normals @ rotation.T
@@ -447,7 +446,7 @@ def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: st
 
 
 def _size_notes(points: np.ndarray, up: str) -> list[str]:
-    """Say so where a room is lower and shorter than any, as one is whose scale is wrong."""
+    """Return a note if a room is smaller than any real one, as with a wrong scale."""
     size = np.ptp(corners_of(points), axis=0)
     if size[axis_of(up)] >= SMALL[0] or size.max() >= SMALL[1]:
         return []
@@ -457,7 +456,7 @@ def _size_notes(points: np.ndarray, up: str) -> list[str]:
 
 
 def _up_notes(points: np.ndarray) -> list[str]:
-    """Say so where floor and ceiling seem to lie across another axis than z."""
+    """Return a note if floor and ceiling seem to lie across another axis than z."""
     axis = likely_up_axis(points)
     return [] if axis == 'z' else [
         f'found the two fullest layers, floor and ceiling, across {axis}; expected z up; turn it '
@@ -465,7 +464,7 @@ def _up_notes(points: np.ndarray) -> list[str]:
 
 
 def _merge(points: np.ndarray, voxel_size: float, max_points: int, name: str) -> np.ndarray:
-    """Merge points as asked and refuse it where too few are left."""
+    """Merge points as the options ask; refuse the room if too few points are left."""
     merged = points
     remedy = 'use a smaller voxel_size or a denser scan' if voxel_size else 'use a denser scan'
     if voxel_size == 0 and 0 < max_points < len(points):

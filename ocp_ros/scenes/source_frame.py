@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""From the frame of the map to that of the file that a room was read from, and back."""
+"""Transform between the map frame and the frame of the file that a room was read from."""
 
 from dataclasses import dataclass, field
 
@@ -23,11 +23,11 @@ from ocp_ros.scenes.up_axis import up_of
 @dataclass(frozen=True, eq=False)
 class SourceFrame:
     """
-    How coordinates of a file became those of the map: ``map = scale * rotation @ file - shift``.
+    The transform from file to map coordinates: ``map = scale * rotation @ file - shift``.
 
     :ivar scale: metres per unit of the file.
     :ivar rotation: (3, 3), axes of the file to axes of the map, z up.
-    :ivar shift: (3,) metres, what was subtracted after that.
+    :ivar shift: (3,) metres, subtracted after scaling and rotation.
     """
 
     scale: float = 1.0

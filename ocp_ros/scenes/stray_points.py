@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Points of a scan that are no part of the room: reflections, dust, what windows show."""
+"""Find points of a scan outside the room: reflections, dust, views through windows."""
 
 import numpy as np
 from ocp_ros.geometry.clouds import (
@@ -27,34 +27,37 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-#: Edge of the cells that hang together: metres at least, and in multiples of the points' spacing.
+#: The edge of the cells that are connected: metres at least, and in multiples of the point
+#: spacing.
 EDGE, SPACINGS = 0.25, 4.0
-#: Per cent of the points at either end that say nothing about how large a room is.
+#: Per cent of the points at either end of an axis that are ignored for the size of the room.
 ENDS = 2.0
-#: Metres that a stray group is away from the bounds of the room, and its largest share of the
-#: points: the second where it is farther from the room than the room is large.
+#: The least distance in metres of a stray group from the bounds of the room, and its largest share
+#: of the points: the second share applies if the group is farther away than the diagonal of the
+#: room.
 AWAY, SHARE, FAR_SHARE = 1.0, 0.002, 0.05
-#: Nearest points that tell whether a point is isolated, in how many lists of these it has to be,
-#: and which of them has to be near: so many times as far as usual.
+#: The number of neighbours that are examined; a point that is in fewer neighbour lists than the
+#: second number is a candidate; so is a point whose neighbour of the third number is farther than
+#: the fourth number times the median distance.
 AROUND, LISTED, NEIGHBOUR, FARTHER = 12, 3, 8, 3.0
-#: Least share of the second eigenvalue that the least one has where points lie on no plane, and
-#: most of the first that the second one has where they lie on a line, as the far rings of a laser
-#: scanner do.
+#: The least ratio of the smallest to the second eigenvalue for points that lie on no plane, and
+#: the largest ratio of the second to the first for points that lie on a line, such as the far
+#: rings of a laser scanner.
 PLANE, LINE = 0.1, 0.05
-#: How often the others are looked at anew, and the largest share that may be isolated: more of
-#: them are how this scanner sees the room.
+#: The number of passes, and the largest share of isolated points: a larger share is a property of
+#: the scanner, and no point counts as isolated.
 TIMES, MOST = 2, 0.05
 
 
 def isolated_points(points: np.ndarray) -> np.ndarray:
     """
-    Find points that hang alone in the air of a room: dust, rain, edges seen by two pixels.
+    Find isolated points in the air of a room: dust, rain, edge pixels with mixed depths.
 
-    A point is isolated that hardly any other has among its neighbours, or whose neighbours are far
-    and lie on no plane.
+    A point is isolated if it is in very few neighbour lists of other points, or if its neighbours
+    are far away and lie on no plane.
 
     :param points: (N, 3) float32, metres.
-    :returns: (N,) bool; none where there would be too many.
+    :returns: (N,) bool; all False if there would be too many.
     """
     left = np.ones(len(points), dtype=bool)
     for _ in range(TIMES):
@@ -78,11 +81,11 @@ def isolated_points(points: np.ndarray) -> np.ndarray:
 
 def stray_points(points: np.ndarray) -> np.ndarray:
     """
-    Find the points that would make the bounds of a room larger than it is.
+    Find the points that would enlarge the bounds of a room beyond its true size.
 
-    Points hang together that lie in neighbouring cells of a grid. The largest group is the room;
-    a stray group has few points and lies outside the room's bounds. What hangs in the air inside
-    of them, such as a lamp, stays.
+    Points in neighbouring cells of a grid are connected. The largest group is the room; a stray
+    group has few points and lies outside the bounds of the room. Groups in the air inside the
+    bounds, such as a lamp, stay.
 
     :param points: (N, 3), finite, in any unit.
     :returns: (N,) bool.
@@ -108,7 +111,7 @@ def stray_points(points: np.ndarray) -> np.ndarray:
 
 
 def _groups(cells: np.ndarray) -> np.ndarray:
-    """Give numbers to groups of cells (M, 3) that touch each other, if only at a corner: (M,)."""
+    """Number the groups of cells (M, 3) that touch each other, also at a corner only: (M,)."""
     pairs = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type='ndarray')
     joined = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])),
                        shape=(len(cells), len(cells)))

@@ -23,26 +23,26 @@ import warnings
 import numpy as np
 from ocp_ros.scenes.scene import SceneError
 
-#: Bytes of the longest line, and that are read at once.
+#: Bytes of the longest line accepted, and bytes that are read at once.
 LONGEST, PIECE = 100_000, 1 << 20
-#: What UTF-8 files of some programs begin with, read as Latin-1.
+#: The byte order mark of some UTF-8 files, decoded as Latin-1.
 MARK = b'\xef\xbb\xbf'.decode('latin-1')
 #: NaN and inf as old programs for Windows write them.
 NONFINITE = re.compile(r'([+-]?)1\.#(QNAN|SNAN|IND|INF|NAN)0*')
-#: What stands behind the name of a column: its unit.
+#: The unit after the name of a column.
 BEHIND = re.compile(r'\s*[\[(][^\])]*[\])]\s*$')
-#: Names of columns of vectors that are places.
+#: Names of vector columns that contain positions.
 VECTORS = re.compile('xyz|point|pos|coord')
 
 
 class TableForm(NamedTuple):
     """
-    How a text writes its numbers.
+    The number format of a text file.
 
-    :ivar separator: between two numbers; None for blanks.
+    :ivar separator: the separator between two numbers; None for blanks.
     :ivar decimal_comma: whether 1,5 is one and a half.
-    :ivar skip: lines before the numbers.
-    :ivar columns: numbers of those wanted.
+    :ivar skip: the number of lines before the numbers.
+    :ivar columns: the indices of the columns to read.
     :ivar windows: whether NaN and inf are written as ``1.#QNAN`` and ``1.#INF``.
     """
 
@@ -53,7 +53,7 @@ class TableForm(NamedTuple):
     windows: bool = False
 
     def split(self, line: str) -> list[str]:
-        """Return what stands between the separators of a line, without its comment."""
+        """Return the cells of a line, without its comment."""
         plain = line if self.windows else line.partition('#')[0]
         cells = [cell.strip() for cell in plain.split(self.separator)]
         return [] if not any(cells) else cells
@@ -66,7 +66,7 @@ class TableForm(NamedTuple):
 
     @property
     def words(self) -> str:
-        """Say how the numbers are separated."""
+        """Return the name of the separator."""
         return {None: 'blanks', ',': 'commas', ';': 'semicolons'}[self.separator]
 
 
@@ -74,9 +74,9 @@ def read_points(path: Path) -> np.ndarray:
     """
     Read x, y and z of a text file: (N, 3) float64.
 
-    They are separated by blanks, commas, or semicolons, with which decimals may have a comma. A
-    first line may name the columns, such as ``X,Y,Z,R,G,B``, ``x [m]`` or ``Points:0``; without it
-    they are the first three. It may be the number of points instead.
+    The numbers are separated by blanks, commas or semicolons; with semicolons, decimals may have a
+    comma. The first line may name the columns, such as ``X,Y,Z,R,G,B``, ``x [m]`` or ``Points:0``;
+    otherwise the first three columns are read. The first line may be the number of points instead.
     """
     _check_lines(path)
     form, count = _form_of(path)
@@ -89,10 +89,10 @@ def read_points(path: Path) -> np.ndarray:
 
 def read_ptx_points(path: Path) -> np.ndarray:
     """
-    Read all scans of a PTX file, each at its place: (N, 3) float64.
+    Read all scans of a PTX file, each at its pose: (N, 3) float64.
 
-    A scan has its columns and rows, the scanner's place and axes, a matrix (4, 4) that rows
-    x y z 1 are multiplied with, and its points; 0 0 0 is no point.
+    A scan has its numbers of columns and rows, the scanner's position and axes, a matrix (4, 4)
+    that row vectors x y z 1 are multiplied with, and its points; 0 0 0 means no point.
 
     :raises ValueError: if the file is broken.
     """
@@ -117,11 +117,11 @@ def read_ptx_points(path: Path) -> np.ndarray:
 
 
 def read_table(path: Path, form: TableForm) -> np.ndarray:
-    """Read columns of a text file: (N, C) float64; blank lines and what follows # do not count."""
+    """Read columns of a text file, (N, C) float64; ignore blank lines and comments after #."""
     slow = form.decimal_comma or form.windows
     converters: Callable[[str], float] | None = form.number if slow else None
     with warnings.catch_warnings():
-        # A text without a line of numbers is refused later, in our words.
+        # A text without numbers is refused later with our own message.
         warnings.simplefilter('ignore', UserWarning)
         try:
             table = np.loadtxt(path, usecols=form.columns, skiprows=form.skip, encoding='latin-1',
@@ -136,7 +136,7 @@ def read_table(path: Path, form: TableForm) -> np.ndarray:
 
 
 def _check_lines(path: Path) -> None:
-    """Refuse a text with a line that is too long to be one, before a line of it is read."""
+    """Refuse a text with a line that is too long, before any line is parsed."""
     length = 0
     with path.open('rb') as file:
         while piece := file.read(PIECE):
@@ -150,16 +150,16 @@ def _check_lines(path: Path) -> None:
 
 
 def _has_windows(path: Path) -> bool:
-    """Return whether a text has numbers that are none as Windows writes them."""
+    """Return whether a text has NaN or inf as old Windows programs write them."""
     with path.open(encoding='latin-1') as file:
         return any(NONFINITE.search(line) for line in file)
 
 
 def _form_of(path: Path) -> tuple[TableForm, int | None]:
-    """Find out how a text writes its numbers, and how many points it says it has, if it does."""
+    """Return the number format of a text, and the number of points that it declares, or None."""
     with path.open(encoding='latin-1') as file:
         for number, line in enumerate(file, start=1):
-            # CloudCompare writes its names of columns behind two slashes.
+            # CloudCompare writes the column names after two slashes.
             text = line.removeprefix(MARK)
             if not NONFINITE.search(text):
                 text = text.partition('#')[0]
@@ -174,11 +174,11 @@ def _form_of(path: Path) -> tuple[TableForm, int | None]:
 
 
 def _form(text: str, number: int, after: str, name: str) -> TableForm:
-    """Return the form of a text by its first line, which has some number, and the line after."""
+    """Return the format of a text, given its first line, its number, and the line after it."""
     separator = ';' if ';' in text else ',' if ',' in text else None
     names = [BEHIND.sub('', cell.strip(' "\'\t').lower()) for cell in text.split(separator)]
     if separator is None:
-        # A unit behind a blank, as in x [m], is no column.
+        # A unit after a blank, as in x [m], is not a column.
         names = [cell for cell in names if cell]
     if columns := _columns(names):
         return TableForm(separator, _decimal_comma(separator, after), number, columns)
@@ -194,9 +194,9 @@ def _columns(names: Sequence[str]) -> list[int] | None:
     """
     Find the columns of coordinates by their names.
 
-    :returns: the numbers of those called x, y and z, or alike but for these letters, such as
-        ``pos_x``, ``pos_y`` and ``pos_z``, or ``points_xyz:0`` to ``:2``; None where there are
-        none.
+    :returns: the indices of the columns x, y and z, or of three columns whose names differ only in
+        these letters, such as ``pos_x``, ``pos_y`` and ``pos_z``, or of ``points_xyz:0`` to
+        ``:2``; None if there are none.
     """
     known = list(names)
     for name in sorted(known, key=len):
@@ -213,12 +213,12 @@ def _columns(names: Sequence[str]) -> list[int] | None:
 
 
 def _decimal_comma(separator: str | None, line: str) -> bool:
-    """Return whether a line between whose numbers are semicolons has commas within them."""
+    """Return whether a line with semicolons between its numbers has decimal commas."""
     return separator == ';' and bool(re.search(r'\d,\d', line))
 
 
 def _bad_line(path: Path, form: TableForm) -> SceneError | None:
-    """Find the first line that is not numbers: NumPy counts rows, which nobody can look up."""
+    """Find the first line that is not numbers; NumPy reports rows, not line numbers."""
     with path.open(encoding='latin-1') as file:
         for number, line in enumerate(file, start=1):
             values = form.split(line)
@@ -226,7 +226,8 @@ def _bad_line(path: Path, form: TableForm) -> SceneError | None:
                 if number > form.skip and values:
                     [form.number(values[column]) for column in form.columns]
             except (ValueError, IndexError):
-                # A header that counts the points would not agree with a line less.
+                # After a header with the number of points, deleting a line would make that number
+                # wrong.
                 remedy = 'copy or export it again' if form.skip > 1 else (
                     'name the columns x, y and z, or put # before words that are no names'
                     if number == 1 else
@@ -238,7 +239,7 @@ def _bad_line(path: Path, form: TableForm) -> SceneError | None:
 
 
 def _check_last_line(path: Path, form: TableForm) -> None:
-    """Refuse a copy that broke off within its last line, which may hold half a number."""
+    """Refuse a file that is truncated within its last line, which may contain half a number."""
     with path.open('rb') as file:
         file.seek(max(path.stat().st_size - 4096, 0))
         tail = file.read()

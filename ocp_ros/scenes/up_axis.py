@@ -12,25 +12,27 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which axis of a scan points up: the six directions, and a guess where nobody says."""
+"""The up direction of a scan: the six directions, and a guess if none is given."""
 
 import numpy as np
 from ocp_ros.geometry.voxels import voxel_downsample
 
-# The axes of the file, and their signs, that make x, y and z of the map: rotations all of them.
+# The axes of the file, and their signs, that become x, y and z of the map; all are rotations.
 _MAP_FROM_FILE = {
     'x': ([1, 2, 0], [1, 1, 1]), '-x': ([2, 1, 0], [1, 1, -1]),
     'y': ([0, 2, 1], [1, -1, 1]), '-y': ([0, 2, 1], [1, 1, -1]),
     'z': ([0, 1, 2], [1, 1, 1]), '-z': ([0, 1, 2], [1, -1, -1])}
 #: The directions of a file that may point up.
 UP_AXES = tuple(_MAP_FROM_FILE)
-#: What asks for a guess, what the format of the file says and else z, and all that may be said.
+#: The option for a guess, the option for the direction that the file format declares (else z), and
+#: all options.
 AUTO, BY_FILE = 'auto', 'file'
 UP_CHOICES = (*UP_AXES, AUTO, BY_FILE)
-#: Metres: edge of the cubes that count as one point; band off the floor and off the ceiling whose
-#: furniture is compared; and cubes that say nothing.
+#: Metres: the edge of the cubes that count as one point, and the range of distances from floor and
+#: ceiling in which furniture is compared; a number of cubes that is added to both counts so that
+#: few cubes are no evidence.
 CUBE, BAND, TRIFLE = 0.1, (0.15, 1.2), 20
-#: How much fuller the upper band has to be, as a logarithm, before z is guessed to point down.
+#: The logarithm of the ratio of lower to upper cubes below which z is guessed to point down.
 DOWN = -0.25
 
 
@@ -46,7 +48,7 @@ def map_from_file(up: str) -> np.ndarray:
 
 
 def up_of(rotation: np.ndarray) -> str:
-    """Return the direction of a file that a rotation (3, 3) from it to the map turns upwards."""
+    """Return the direction of a file that becomes up under a rotation (3, 3) from file to map."""
     axis = int(np.argmax(np.abs(rotation[2])))
     return ('-' if rotation[2, axis] < 0.0 else '') + 'xyz'[axis]
 
@@ -58,15 +60,16 @@ def axis_of(up: str) -> int:
 
 def likely_up_axis(points: np.ndarray) -> str:
     """
-    Guess which axis of a room points up or down: that between its two fullest layers.
+    Guess the vertical axis of a room: the axis between its two fullest layers.
 
-    Floor and ceiling reach over the whole room, walls have openings and differ: each axis scores
-    the geometric mean of the shares of points in its lowest and highest decimetre. The guess
-    leaves z only for clear evidence: another axis with half as high a score again, shorter than z
-    and, since corridors are narrow but no room is lower, longer than 2 m.
+    Floor and ceiling extend over the whole room, while walls have openings. The score of an axis
+    is the geometric mean of the shares of points in its lowest and highest decimetre. The guess
+    differs from z only with clear evidence: the other axis has more than 1.5 times the score of z,
+    and its extent is shorter than that of z and, since corridors are narrow but no room is lower,
+    longer than 2 m.
 
-    A bare cube has no up, and a closed shaft higher than 1.5 times its width looks like a room
-    lying down: for the first the guess is z, for the second it is wrong.
+    For a bare cube the guess is z. For a closed shaft higher than 1.5 times its width the guess is
+    wrong, since it looks like a room lying on its side.
 
     :param points: (N, 3), metres.
     :returns: ``'x'``, ``'y'`` or ``'z'``.
@@ -84,8 +87,8 @@ def likely_up(points: np.ndarray) -> str:
     Guess which direction of a room points up.
 
     The axis is that of :func:`likely_up_axis`. Furniture stands on the floor, so the end of the
-    axis whose neighbourhood is fuller is the lower one. Files with z down are rare: z is guessed
-    to point down only for clear evidence.
+    axis with more points nearby is the lower one. Files with z down are rare, so z is guessed to
+    point down only with clear evidence.
 
     :param points: (N, 3), metres.
     :returns: one of :data:`UP_AXES`.

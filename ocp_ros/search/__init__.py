@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Planners that know the scan."""
+"""Offline planners: they search for a placement on the scan of a room."""

@@ -23,31 +23,31 @@ proposes a birth, a death or a move, and accepts
     death  n -> n - 1   (p_b / p_d) n / lambda       exp(-dE / T)
     move                                             exp(-dE / T)
 
-with p_b and p_d as they are at the number of cameras that the proposal starts and ends at: there
-is no death at 0 and no birth at K. T falls by a constant factor from one step to the next.
+with p_b and p_d at the numbers of cameras before and after the proposal: there is no death at 0
+and no birth at K. T decreases by a constant factor in each step.
 
-The source's text was not at hand; the moves and the acceptance are those of reversible-jump
-annealing as this project's design states them. No claim of being line for line.
+The text of the source was not available. The moves and the acceptance are those of reversible-jump
+annealing in this project's design, so details may differ from the source.
 """
 
 import numpy as np
 from ocp_ros.search.planner import Planner, Scores, Search
 
-#: First and last temperature, in multiples of the spread of random placements' errors.
+#: First and last temperature, in multiples of the standard deviation of random placements' errors.
 HOT, COLD = 0.5, 2e-4
-#: Standard deviation of a move's first and last steps, as shares of the longer edge.
+#: Standard deviation of the first and last moves, as shares of the longer edge of the space.
 FAR, NEAR = 0.25, 0.01
-#: Random placements that the temperature is taken from.
+#: Number of random placements from which the temperature is computed.
 PILOTS = 16
 
 
 class FixedAnnealing(Planner):
-    """Simulated annealing of K cameras: moves alone."""
+    """Simulated annealing of K cameras, without births and deaths."""
 
     births = 0.0
 
     def search(self) -> Search:
-        """Anneal once, for as long as the budget lasts."""
+        """Anneal once, until the budget is used up."""
         count = min(PILOTS, max(self.budget // 5, 2))
         pilots = [self.space.random(self.rng) for _ in range(count)]
         scores = yield pilots
@@ -61,7 +61,7 @@ class FixedAnnealing(Planner):
             placed, error = yield from self.step(placed, error, temperature, sigma)
 
     def step(self, placed: np.ndarray, error: float, temperature: float, sigma: float):
-        """Propose one change and accept or refuse it; returns positions and their error."""
+        """Propose one change and accept or reject it; return the positions and their error."""
         trial, ratio = self.propose(placed, sigma)
         scores: Scores = yield [trial]
         fall = (error - scores.error[0]) / temperature
@@ -70,7 +70,7 @@ class FixedAnnealing(Planner):
         return placed, error
 
     def propose(self, placed: np.ndarray, sigma: float) -> tuple[np.ndarray, float]:
-        """Return other positions and the acceptance ratio without the energy's part."""
+        """Return changed positions and the acceptance ratio without the factor exp(-dE / T)."""
         choice, count = self.rng.random(), len(placed)
         birth, death = self.probabilities(count)
         if choice < birth:
@@ -85,13 +85,13 @@ class FixedAnnealing(Planner):
         if count:
             camera = self.rng.integers(count)
             moved = self.space.folded(trial[camera] + self.rng.normal(0.0, sigma, 2))
-            # Where no camera may be the density is 0.
+            # The target density is 0 outside the feasible region.
             trial[camera] = moved if self.space.contains(moved) else trial[camera]
         return trial, 1.0
 
     @property
     def rate(self) -> float:
-        """Return lambda, the expected number of cameras where nothing is to be gained."""
+        """Return lambda, the expected number of cameras if E is 0."""
         return float(self.space.cameras)
 
     def probabilities(self, count: int) -> tuple[float, float]:
@@ -107,5 +107,5 @@ class FixedAnnealing(Planner):
 class TransDimensionalAnnealing(FixedAnnealing):
     """TDSA: births, deaths and moves."""
 
-    #: p_b and p_d away from the bounds; the rest are moves.
+    #: p_b and p_d for 1 to K - 1 cameras; the other proposals are moves.
     births = 0.1

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What needs no search: chance, and the way an installer hangs cameras."""
+"""Baselines without a search: random placements, and regular grids as installers use them."""
 
 import numpy as np
 from ocp_ros.search.planner import Planner, Search
@@ -21,18 +21,18 @@ BATCH = 32
 
 
 class Random(Planner):
-    """The best of placements drawn uniformly."""
+    """The best of uniformly drawn placements."""
 
     descends = False
 
     def search(self) -> Search:
-        """Draw until the budget ends."""
+        """Draw placements until the budget is used up."""
         while True:
             yield [self.space.random(self.rng) for _ in range(BATCH)]
 
 
 class RegularGrid(Planner):
-    """The best of the regular arrangements in rows and columns, full or with cameras left out."""
+    """The best of the regular arrangements in rows and columns; some cells may stay empty."""
 
     descends = False
 
@@ -45,7 +45,7 @@ class RegularGrid(Planner):
             x, y = np.meshgrid((np.arange(columns) + 0.5) / columns,
                                (np.arange(rows) + 0.5) / rows)
             cells = np.stack([x, y], axis=-1).reshape(-1, 2)
-            # Where there are more cells than cameras, those in the middle are left out.
+            # If there are more cells than cameras, cells in the middle stay empty.
             keep = np.argsort(-np.abs(cells - 0.5).max(axis=1), kind='stable')[:cameras]
             arrangements.append(self.space.inside(low + cells[np.sort(keep)] * size))
         yield arrangements

@@ -16,10 +16,10 @@
 Artificial bee colony (ABC), after Karaboga and Basturk (2007).
 
 Each food source is a placement. Employed bees try v = x + phi (x - other) in one camera of each
-source, phi uniform in [-1, 1]; onlookers do the same at sources drawn by their fitness
-1 / (1 + E); a source that was tried in vain too often is left for a random one. Before a
-difference is taken, the other source's cameras are matched with this one's: their numbers mean
-nothing.
+source, phi uniform in [-1, 1]. Onlookers do the same at sources drawn by their fitness
+1 / (1 + E). A source with too many trials without improvement is replaced by a random one. Before
+a difference is computed, the cameras of both sources are matched, because their order in a
+placement is arbitrary.
 """
 
 import numpy as np
@@ -33,7 +33,7 @@ class BeeColony(Planner):
     """ABC over positions."""
 
     def search(self) -> Search:
-        """Forage until the budget ends."""
+        """Improve the sources until the budget is used up."""
         space, rng = self.space, self.rng
         count = min(SOURCES, max(self.budget // 8, 2))
         limit = 5 * count * space.cameras

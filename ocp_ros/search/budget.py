@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How long a search may go on: by the clock, by a count, or until somebody has had enough."""
+"""Budget of a search: a time, a number of evaluations, or until it is stopped."""
 
 from collections.abc import Callable
 from threading import Event
@@ -23,13 +23,13 @@ from ocp_ros.util.settings import check_positive, check_whole, ConfigurationErro
 
 class Budget:
     """
-    The limit of a search, which threads may share; its clock runs from the beginning.
+    The limit of a search; threads may share it, and its clock starts at its creation.
 
-    :param seconds: the most time to take.
-    :param evaluations: the most placements to judge; with it and without seconds the same seed
-        finds the same answer.
-    :param clock: tells the seconds.
-    :raises ConfigurationError: if there is no limit, or one that is not above 0.
+    :param seconds: largest time; None for no limit.
+    :param evaluations: largest number of placements to evaluate; None for no limit. With it and
+        without ``seconds``, the same seed gives the same result.
+    :param clock: returns the current time, seconds.
+    :raises ConfigurationError: if there is no limit, or a limit is not above 0.
     """
 
     def __init__(self, seconds: float | None = None, evaluations: int | None = None,
@@ -45,9 +45,9 @@ class Budget:
 
     def restarted(self, seconds: float | None = None) -> 'Budget':
         """
-        Return a budget of the same limits that begins now; who stops one stops the other.
+        Return a budget with the same limits that starts now; stopping one stops the other too.
 
-        :param seconds: the most time to take; as before unless given.
+        :param seconds: largest time; None for the same as before.
         """
         other = Budget(self.seconds if seconds is None else seconds, self.evaluations, self._clock)
         other._stopped = self._stopped
@@ -55,7 +55,7 @@ class Budget:
 
     @property
     def stopped(self) -> bool:
-        """Return whether somebody has had enough."""
+        """Return whether :meth:`stop` was called."""
         return self._stopped.is_set()
 
     def stop(self) -> None:
@@ -64,15 +64,15 @@ class Budget:
 
     @property
     def elapsed(self) -> float:
-        """Return the seconds since the beginning."""
+        """Return the seconds since the budget was created."""
         return self._clock() - self._began
 
     def share(self, evaluations: int, most: int | None) -> float:
         """
-        Return how much of the budget is used up; from 1 on there is nothing left.
+        Return the used share of the budget; at 1 or more it is used up.
 
-        :param evaluations: how many there were.
-        :param most: how many there may be, for a part of the search; None for any number.
+        :param evaluations: number of evaluations so far.
+        :param most: largest number of evaluations of this part of the search; None for any number.
         """
         if self.stopped:
             return 1.0

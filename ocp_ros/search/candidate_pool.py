@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Poses that a rig's cameras may take in a room, what each sees, and first choices of them."""
+"""Candidate poses of a rig's cameras in a room, their views, and first placements."""
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
@@ -34,26 +34,28 @@ from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial import cKDTree
 
-#: Candidates, the fewest where evaluations are counted, and the share of the time that they get.
+#: Number of candidates, their smallest number with a budget of evaluations, and the share of the
+#: time for their views.
 CANDIDATES, FEWEST, LOOKING = 2000, 64, 0.2
-#: Poses of a dense grid, at least and for each evaluation where these are counted.
+#: With a budget of evaluations: smallest number of poses of a dense grid, poses per evaluation.
 DENSE, DENSE_EACH = 500, 10
-#: Poses that are looked from at a time, and those that are in any case.
+#: Number of poses whose views are computed at a time, and number of poses whose views are computed
+#: even without time left.
 CHUNK, LEAST = 256, 256
-#: Metres that a turn by a radian counts as, where nearest poses are looked for.
+#: Metres that a rotation by a radian counts as in the search for the nearest poses.
 TURN = 1.0
-#: Places that a close packing of cameras is begun at.
+#: Number of first positions that the close packing of cameras tries.
 STARTS = 48
-#: Rows of depth maps that put placements in nearly the same order in a quarter of the time.
+#: Depth-map rows that rank placements nearly the same in a quarter of the time.
 QUICK_ROWS = 32
 
 
 class MountedCamera(NamedTuple):
     """
-    A camera where it may hang.
+    A camera at a feasible pose.
 
-    :ivar pose: (6,) metres, map frame, and radians, as its file will have it.
-    :ivar view: what it sees from there.
+    :ivar pose: (6,) metres, map frame, and radians, rounded as in a placement file.
+    :ivar view: its view from there.
     """
 
     pose: np.ndarray
@@ -62,11 +64,11 @@ class MountedCamera(NamedTuple):
 
 class CandidateSet(NamedTuple):
     """
-    Where cameras of one model may hang.
+    Candidate poses of one camera model.
 
     :ivar poses: (M, 6) metres, map frame, and radians, M >= 1.
-    :ivar views: what each sees.
-    :ivar tree: positions and viewing directions, for queries of the nearest.
+    :ivar views: the view of each pose.
+    :ivar tree: k-d tree of positions and viewing directions.
     """
 
     poses: np.ndarray
@@ -74,7 +76,7 @@ class CandidateSet(NamedTuple):
     tree: cKDTree
 
     def near(self, pose: np.ndarray, count: int) -> np.ndarray:
-        """Return the numbers of so many poses that are nearest to one and look alike."""
+        """Return the numbers of the ``count`` poses with the most similar position and heading."""
         count = min(count, len(self.poses))
         here, ranks = features_of(pose[None])[0], np.arange(1, count + 1)
         return np.atleast_1d(self.tree.query(here, ranks)[1])
@@ -82,7 +84,7 @@ class CandidateSet(NamedTuple):
 
 def features_of(poses: np.ndarray) -> np.ndarray:
     """
-    Return what is near for poses that see alike.
+    Return vectors whose distance is small for poses with similar views.
 
     :param poses: (M, 3) or (M, 6) metres, map frame, and radians.
     :returns: positions (M, 3), or positions and viewing directions (M, 6).
@@ -95,9 +97,9 @@ def features_of(poses: np.ndarray) -> np.ndarray:
 
 
 def _offered(allowed: FeasibleRegion, model: CameraModel, most: int) -> np.ndarray:
-    """Return allowed poses of a camera, those of any beginning spread over the room: (M, 6)."""
+    """Return feasible poses (M, 6) of a camera; the first m are spread over the room for any m."""
     poses = as_written(allowed.candidates(model, most))
-    # Rounding may have moved some into a zone.
+    # Rounding may have moved some poses into a forbidden zone.
     poses = poses[allowed.allowed(poses, model)]
     if len(poses) == 0:
         raise allowed.rig.document.error(
@@ -107,7 +109,7 @@ def _offered(allowed: FeasibleRegion, model: CameraModel, most: int) -> np.ndarr
 
 
 def _sees_nothing(problem: Problem, camera: int, poses: int) -> ConfigurationError:
-    """Return the error that a camera sees no point of a room, with what may be the cause."""
+    """Return the error that a camera sees no point of a room, with its possible causes."""
     model, scene = problem.rig.models[camera], problem.simulator.scene
     across = float(np.linalg.norm(np.ptp(corners_of(scene.points), axis=0)))
     return problem.rig.document.error(
@@ -120,16 +122,16 @@ def _sees_nothing(problem: Problem, camera: int, poses: int) -> ConfigurationErr
 
 class Pool:
     """
-    Candidates for each model of a rig, and what they see.
+    Candidates for each model of a rig, and their views.
 
     :param problem: a rig of these models in the room.
-    :param most: how many poses to look from, those of all models together.
-    :param among: of how many, spread over the room, they are drawn.
-    :param threads: how many to use.
-    :param over: returns whether to stop looking; the first poses of each model are looked from
-        in any case.
-    :param dense: how many poses :meth:`grid` has at most.
-    :raises ConfigurationError: if a camera may hang nowhere, or sees nothing from anywhere.
+    :param most: number of candidates of all models together.
+    :param among: number of poses, spread over the room, from which the candidates are drawn.
+    :param threads: number of threads.
+    :param over: returns whether to stop; the views of the first ``LEAST`` poses of each model are
+        computed in any case.
+    :param dense: largest number of poses of :meth:`grid`.
+    :raises ConfigurationError: if a camera has no feasible pose, or sees no point from all poses.
     """
 
     def __init__(self, problem: Problem, most: int, among: int = 0, threads: int = 1,
@@ -139,13 +141,14 @@ class Pool:
         self._grids: dict[CameraModel, PoseGrid] = {}
         self._dense = dense
         models = rig.placed_models
-        #: Whether all that are spread over the room were looked from.
+        #: Whether the views of all drawn poses were computed.
         self.complete = True
         for model in models:
             camera, count = rig.models.index(model), max(most // len(models), 1)
             offered = _offered(problem.region, model, max(count, among // len(models)))
             poses = offered[:count]
-            # The first are spread over the room; of the others, a place is looked from once.
+            # The first LEAST poses are spread over the room; the others are sorted by position, so
+            # that poses of one position are computed together.
             _, first, place = np.unique(poses[:, :3], axis=0, return_index=True,
                                         return_inverse=True)
             rank = np.where(np.arange(len(poses)) < LEAST, -1, first[place.ravel()])
@@ -154,7 +157,7 @@ class Pool:
                 views += simulator.look_many(
                     poses[order[len(views):len(views) + CHUNK]], camera, threads)
             self.complete &= len(views) == len(offered)
-            # They come as they were offered.
+            # Restore the order in which the poses were drawn.
             known = np.argsort(order[:len(views)])
             poses, views = poses[order[known]], [views[k] for k in known]
             if not any(view.seen.any() for view in views):
@@ -162,7 +165,7 @@ class Pool:
             self._kinds[model] = CandidateSet(poses, views, cKDTree(features_of(poses)))
 
     def __len__(self) -> int:
-        """Return the number of poses, those of all models together."""
+        """Return the number of candidates of all models together."""
         return sum(len(kind.poses) for kind in self._kinds.values())
 
     def kind(self, model: CameraModel) -> CandidateSet:
@@ -170,7 +173,7 @@ class Pool:
         return self._kinds[model]
 
     def grid(self, problem: Problem, model: CameraModel, over: Callable[[], bool]) -> PoseGrid:
-        """Return the dense grid of a model, which is looked from at the first call."""
+        """Return the dense grid of a model; the first call computes its views."""
         if model not in self._grids:
             self._grids[model] = PoseGrid.of(problem.region, problem.simulator, model,
                                              problem.rig.models.index(model), self._dense, over)
@@ -178,24 +181,24 @@ class Pool:
 
     def left(self, rig: Rig, sites: Sequence[MountedCamera]) -> np.ndarray:
         """
-        Return the numbers of the candidates that are left for the next camera of a rig.
+        Return the numbers of the candidates for the next camera that satisfy the spacing.
 
-        :param sites: of the cameras before it, from which it has to be far enough.
+        :param sites: of the cameras before it in the rig.
         """
         poses = self.kind(rig.cameras[len(sites)].model).poses
         return np.flatnonzero(keeps_spacing(poses, sites, rig.spacing))
 
     def add(self, rig: Rig, sites: Sequence[MountedCamera]) -> None:
-        """Let :meth:`union_views` know of a placement of a rig that was found beside these."""
+        """Add a placement of a rig to the views of :meth:`union_views`."""
         for camera, site in zip(rig.cameras, sites):
             self._found[camera.model].append(site.view)
 
     def union_views(self, rig: Rig) -> list[View]:
         """
-        Return what the cameras of a rig would see if each was everywhere at once.
+        Return for each camera of a rig the union of the views of all its candidates.
 
-        No choice of the candidates and of what was added is worth more: it sees no point that
-        these views do not hold as often.
+        They give a lower bound of the objective: in any choice of candidates and added placements,
+        each point is visible to at most as many cameras as in these views.
         """
         found = []
         for camera in rig.cameras:
@@ -212,10 +215,10 @@ class Pool:
 
 def pool_of(problem: Problem, budget: Budget) -> Pool:
     """
-    Lay out candidates for a search.
+    Create the candidates for a search.
 
     :param problem: the rig in the room.
-    :param budget: of the search, which pays for them.
+    :param budget: of the search; the candidates use a share of it.
     """
     most, dense = CANDIDATES, MOST
     if budget.evaluations is not None:
@@ -226,7 +229,7 @@ def pool_of(problem: Problem, budget: Budget) -> Pool:
 
 
 def quick_of(objective: Objective) -> Objective:
-    """Return the same objective with smaller depth maps; it judges the same views."""
+    """Return the same objective with smaller depth maps; it accepts the same views."""
     simulator = objective.simulator
     engine = replace(simulator.config.engine, error_rows=QUICK_ROWS)
     quick = replace(simulator.config, engine=engine)
@@ -235,7 +238,7 @@ def quick_of(objective: Objective) -> Objective:
 
 def keeps_spacing(poses: np.ndarray, sites: Sequence[MountedCamera], spacing: float) -> np.ndarray:
     """
-    Tell which poses are far enough from all cameras.
+    Return which poses are far enough from all given cameras.
 
     :param poses: (M, 6) metres and radians.
     :param spacing: metres.
@@ -248,11 +251,11 @@ def keeps_spacing(poses: np.ndarray, sites: Sequence[MountedCamera], spacing: fl
 def best_addition(objective: Objective, pool: Pool, sites: Sequence[MountedCamera],
                   among: np.ndarray | None = None) -> MountedCamera | None:
     """
-    Choose the candidate for the next camera of a rig that helps most.
+    Choose the candidate for the next camera of a rig with the best objective value.
 
     :param sites: of the cameras before it.
-    :param among: numbers of candidates to choose from; all unless named.
-    :returns: None where all are too near to the others.
+    :param among: numbers of candidates to choose from; None for all candidates.
+    :returns: None if all candidates are too near to the other cameras.
     """
     rig = objective.rig
     model, views = rig.cameras[len(sites)].model, [site.view for site in sites]
@@ -269,9 +272,9 @@ def best_addition(objective: Objective, pool: Pool, sites: Sequence[MountedCamer
 
 def packed(rig: Rig, pool: Pool) -> list[MountedCamera]:
     """
-    Hang the cameras of a rig as close together as they may be, to find out whether all fit.
+    Place the cameras of a rig as close together as the spacing allows, to test whether all fit.
 
-    :returns: sites of the first cameras of the rig, of all of them where they fit.
+    :returns: sites of the first cameras of the rig; of all cameras if all fit.
     """
     best: list[MountedCamera] = []
     first = pool.kind(rig.cameras[0].model)
@@ -293,9 +296,9 @@ def packed(rig: Rig, pool: Pool) -> list[MountedCamera]:
 
 def check_room(objective: Objective, pool: Pool) -> None:
     """
-    Refuse a rig whose cameras do not all find room.
+    Check that all cameras of a rig fit into the room.
 
-    :raises ConfigurationError: if the spacing leaves too few places.
+    :raises ConfigurationError: if the spacing leaves too few feasible positions.
     """
     rig = objective.rig
     if len(sites := packed(rig, pool)) < len(rig.cameras):
@@ -307,9 +310,9 @@ def check_room(objective: Objective, pool: Pool) -> None:
 
 def check_regions(objective: Objective, pool: Pool) -> None:
     """
-    Refuse a rig that asks for more of a region than all candidates see together.
+    Check that all candidates together see the required share of each region.
 
-    :raises ConfigurationError: if it does, and all candidates were looked from.
+    :raises ConfigurationError: if they do not, and the views of all candidates are known.
     """
     rig = objective.rig
     shares = objective.judge(pool.union_views(rig)).regions
@@ -323,13 +326,13 @@ def check_regions(objective: Objective, pool: Pool) -> None:
 
 def random_site(rig: Rig, pool: Pool, sites: Sequence[MountedCamera], rng: np.random.Generator
                 ) -> MountedCamera | None:
-    """Draw a candidate for the next camera of a rig; None where it finds no room."""
+    """Draw a candidate for the next camera of a rig; None if the spacing allows none."""
     left = pool.left(rig, sites)
     return pool.site(rig.cameras[len(sites)].model, rng.choice(left)) if len(left) else None
 
 
 def random_sites(rig: Rig, pool: Pool, rng: np.random.Generator) -> tuple[MountedCamera, ...]:
-    """Draw a placement of a rig among the candidates; () where the last camera finds no room."""
+    """Draw a placement of a rig among the candidates; () if the spacing leaves too few."""
     sites: list[MountedCamera] = []
     while len(sites) < len(rig.cameras):
         site = random_site(rig, pool, sites, rng)

@@ -15,9 +15,9 @@
 """
 Differential evolution (DE), after Storn and Price (1997), and CMA-ES with restarts.
 
-A placement is a set: which camera has which number means nothing. So before DE takes a difference,
-the cameras of the other placements are matched with those of the base by the least sum of squared
-distances.
+A placement is a set: the order of its cameras is arbitrary. So before DE computes a difference,
+the cameras of the other placements are matched with those of the base by the smallest sum of
+squared distances.
 """
 
 import logging
@@ -26,25 +26,26 @@ import numpy as np
 from ocp_ros.search.planner import Planner, Search
 from scipy.optimize import linear_sum_assignment
 
-#: Placements of a generation, how many of the best may lead, and the chance to take a camera over.
+#: Number of placements in a generation, share of the best ones that may be pbest, and probability
+#: to take a camera from the mutant.
 POPULATION, LEADERS, CROSSOVER = 24, 0.2, 0.5
-#: Metres: placements that differ by less are the same.
+#: Placements that differ by less than this count as equal, metres.
 ALIKE = 1e-3
-#: Standard deviation that CMA-ES starts with, as a share of the rectangle's edges.
+#: First standard deviation of CMA-ES, as a share of the rectangle's edges.
 SIGMA = 0.25
 
 
 def matched(base: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Return the other's positions (K, 2) in the order in which they belong to the base's."""
+    """Return the other positions (K, 2) in the order that matches the base positions."""
     cost = ((base[:, None] - other[None]) ** 2).sum(axis=-1)
     return other[linear_sum_assignment(cost)[1]]
 
 
 class DifferentialEvolution(Planner):
-    """DE/current-to-pbest/1/bin, camera by camera."""
+    """DE/current-to-pbest/1/bin, with crossover by camera."""
 
     def search(self) -> Search:
-        """Evolve until the budget ends."""
+        """Evolve until the budget is used up."""
         space, rng = self.space, self.rng
         count = int(np.clip(self.budget // 10, 5, POPULATION))
         placed = np.array([space.random(rng) for _ in range(count)])
@@ -56,7 +57,7 @@ class DifferentialEvolution(Planner):
             better = scores.error <= errors
             placed[better], errors[better] = trials[better], scores.error[better]
             if np.ptp([matched(placed[0], other) for other in placed], axis=0).max() < ALIKE:
-                # Nothing differs any more, so all but the best begin anew.
+                # All placements are equal: replace all except the best by random ones.
                 best = int(np.argmin(errors))
                 for i in range(count):
                     placed[i] = placed[best] if i == best else space.random(rng)
@@ -64,7 +65,7 @@ class DifferentialEvolution(Planner):
                 errors = scores.error.copy()
 
     def _trial(self, placed: np.ndarray, errors: np.ndarray, i: int) -> np.ndarray:
-        """Cross a placement with its mutant."""
+        """Return the crossover of a placement and its mutant."""
         leaders = np.argsort(errors)[:max(int(LEADERS * len(placed)), 2)]
         base = placed[i]
         lead, one, two = (matched(base, placed[k]) for k in (
@@ -77,11 +78,11 @@ class DifferentialEvolution(Planner):
 
 
 class CmaEs(Planner):
-    """CMA-ES by pycma, restarted from elsewhere with a larger population when it has converged."""
+    """CMA-ES by pycma; after convergence it restarts at random with a larger population."""
 
     def search(self) -> Search:
-        """Run and restart until the budget ends."""
-        # It brings all of matplotlib: nobody waits for that who does not search with it.
+        """Run and restart until the budget is used up."""
+        # pycma imports matplotlib, which is slow: import it only for this planner.
         import cma
         logging.getLogger('cma').setLevel(logging.ERROR)
         space, restarts = self.space, 0
@@ -100,5 +101,5 @@ class CmaEs(Planner):
             restarts += 1
 
     def _normal(self, *shape: int) -> np.ndarray:
-        """Draw for pycma, which would otherwise draw from NumPy's global generator."""
+        """Draw normal numbers for pycma; without it pycma uses NumPy's global generator."""
         return self.rng.standard_normal(shape)

@@ -13,13 +13,14 @@
 # limitations under the License.
 
 """
-Search on a lattice of places, finish between them.
+Search on a lattice of places, then finish by local search between them.
 
-To look from a place is what costs time, and more of it the more points there are. So a planner
-searches most of its budget as if cameras stood at places of a lattice, each of which is looked
-from once. The best of what it finds is evaluated again at the end and descends to places between.
-Of the best of these the one is taken that is best as the mean over cameras that are mounted a
-little off. A placement that owes its score to the cells of a map does not keep it.
+To compute a view is the slow part of an evaluation, and it takes longer with more points. So for
+most of the budget, the planner evaluates cameras at places of a lattice, and the view of each
+place is computed once. At the end, the best placements are evaluated at their exact positions and
+improved by local search. Among the best results, the answer is the placement with the best mean
+score over small mounting errors. This excludes a placement whose score depends on the exact cells
+of a depth map.
 """
 
 from collections.abc import Callable, Sequence
@@ -35,15 +36,15 @@ from ocp_ros.search.planner import Planner, Scores, Search
 from ocp_ros.search.scorer import LatticeScorer
 from ocp_ros.search.solve import Result, solve
 
-#: Share of the evaluations for the end, and how many of these go to the elites.
+#: Share of the evaluations for the end, and the share of these for the elites.
 FINISHING, JUDGED_ANEW = 0.15, 0.1
-#: Metres: elites differ by this much in the place of one camera at least, and so do those of the
-#: last choice.
+#: Smallest difference of two placements in the position of one camera, metres: among the elites,
+#: and in the last choice.
 APART, LAST_APART = 0.25, 0.06
-#: Share of the evaluations at the end for the last choice, ways of mounting the cameras of each
-#: placement, how far these are off, metres, and the most placements to choose from.
+#: For the last choice: share of the evaluations at the end, number of drawn mounting errors for
+#: each placement, their size in metres, and largest number of placements to choose from.
 CHOOSING, MOUNTINGS, MOUNTING, CHOICES = 0.15, 8, 0.05, 24
-#: Of the ways of being off.
+#: Random seed of the mounting errors.
 SEED = 1
 
 Score = Callable[[Sequence[np.ndarray]], Scores]
@@ -51,7 +52,7 @@ Score = Callable[[Sequence[np.ndarray]], Scores]
 
 class FinishingDescent(Planner):
     """
-    Judge the elites of another search anew, and descend from the best ones.
+    Evaluate the elites of another search again, and improve the best ones by local search.
 
     :param elites: positions (n, 2) each, the best first.
     :param settings: of :class:`~ocp_ros.search.planner.Planner`.
@@ -63,7 +64,7 @@ class FinishingDescent(Planner):
         super().__init__(space, rng, budget)
 
     def search(self) -> Search:
-        """Descend from one elite after the other, the best by this judgement first."""
+        """Run the local search from one elite after the other, the best first."""
         scores = yield self._elites
         for number in np.argsort(scores.error, kind='stable'):
             yield from descend(self, self._elites[number], scores.error[number])
@@ -75,8 +76,8 @@ def distinct(placements: Sequence[np.ndarray], most: int, apart: float = APART
     Choose placements that differ.
 
     :param placements: positions (n, 2) each, the best first.
-    :param most: how many to choose.
-    :param apart: how far one camera of a placement is from that of another at least, metres.
+    :param most: largest number of placements to choose.
+    :param apart: smallest difference of two placements in the position of one camera, metres.
     """
     chosen: list[np.ndarray] = []
     for placement in placements:
@@ -89,22 +90,22 @@ def distinct(placements: Sequence[np.ndarray], most: int, apart: float = APART
 
 
 def differ(one: np.ndarray, other: np.ndarray) -> float:
-    """Return how far two placements (n, 2) differ in the place of one camera, metres."""
+    """Return the largest distance between matched cameras of two placements (n, 2), metres."""
     return float(np.linalg.norm(matched(one, other) - one, axis=1).max(initial=0.0))
 
 
 def search_and_finish(planner: Planner, score: Score, evaluations: int,
                       clock: Callable[[], float] = time.perf_counter) -> Result:
     """
-    Run a planner on a lattice of places, and finish between them.
+    Run a planner on a lattice of places, then finish by local search between them.
 
-    :param planner: the method; one whose :attr:`~ocp_ros.search.planner.Planner.descends` is
-        false is only evaluated again.
-    :param score: judges placements (n, 3).
-    :param evaluations: the most placements to judge.
-    :param clock: tells the seconds.
-    :returns: the placement; the trace is that of the search, then of the end, without the last
-        choice.
+    :param planner: the method; if its :attr:`~ocp_ros.search.planner.Planner.descends` is false,
+        its placements are evaluated again without a local search.
+    :param score: returns the scores of placements (n, 3).
+    :param evaluations: largest number of placements to evaluate.
+    :param clock: returns the current time, seconds.
+    :returns: the placement; the trace is that of the search, then of the local search, without the
+        last choice.
     """
     lattice = LatticeScorer(score, planner.space)
     last = max(int(FINISHING * evaluations), 1)
@@ -124,13 +125,13 @@ def search_and_finish(planner: Planner, score: Score, evaluations: int,
 def steadiest(found: Result, space: FreePlane, score: Score, most: int,
               clock: Callable[[], float]) -> Result:
     """
-    Choose the placement that is best as the mean over cameras that are mounted a little off.
+    Choose the placement with the smallest mean error over small mounting errors.
 
-    :param found: what a search has found.
-    :param space: of its cameras.
-    :param score: judges placements (n, 3).
-    :param most: placements to choose from; none unless there are two.
-    :param clock: tells the seconds.
+    :param found: result of a search.
+    :param space: feasible region of its cameras.
+    :param score: returns the scores of placements (n, 3).
+    :param most: number of placements to choose from; with fewer than two, ``found`` is returned.
+    :param clock: returns the current time, seconds.
     """
     choices = distinct(found.best, min(most, CHOICES), LAST_APART)
     if len(choices) < 2:

@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-One camera after the other, each at the best place that is left.
+Greedy placement: one camera after the other, each at the best remaining place.
 
-Space coverage and what is taken from the depth error are monotone and submodular, so that greedy
-placement by either takes at least 1 - 1/e of what the best on the same candidates does (Nemhauser,
-Wolsey and Fisher, 1978). Of the depth error that is left this says little: 90 % less and 95 % less
-leave twice as much. The candidates are a grid as fine as the budget allows.
+Space coverage and the reduction of the depth error are monotone and submodular. So greedy
+placement by either of them reaches at least 1 - 1/e of the optimum on the same candidates
+(Nemhauser, Wolsey and Fisher, 1978). This says little about the remaining depth error: after a
+reduction by 90 % it is twice as large as after 95 %. The candidates are a grid as fine as the
+budget allows.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -26,11 +27,12 @@ from collections.abc import Callable, Generator, Sequence
 import numpy as np
 from ocp_ros.search.planner import Planner, Scores, Search
 
-#: Metres: the first and the last step of the descent, and how many directions it tries.
+#: First and last step of the local search, metres, and the number of directions that it tries.
 FIRST_STEP, LAST_STEP, DIRECTIONS = 0.4, 0.02, 8
-#: Candidates of a search with exchange: the budget's share for each camera, within these limits.
+#: Candidates of a search with exchange: their smallest number, the divisor of the budget for each
+#: camera, and their largest number.
 FEWEST, SHARE, MOST = 20, 16, 150
-#: Places that two cameras are put back to, one after the other, when a search begins again.
+#: Number of random places from which two removed cameras are placed again.
 REBUILT = 48
 NOBODY = np.empty((0, 2))
 #: Yields placements, gets scores, and ends with positions and their depth error.
@@ -38,36 +40,36 @@ SearchResult = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
 
 
 class GreedyError(Planner):
-    """The candidate that takes most from the depth error, K times."""
+    """Greedy by depth error: add the candidate that reduces it most, K times."""
 
     def search(self) -> Search:
-        """Fill the placement."""
+        """Add cameras until the placement is complete."""
         candidates = self.space.grid(max(self.budget // self.space.cameras, 1))
         yield from fill(self.space.cameras, candidates, self.energy)
 
 
 class GreedyCoverage(GreedyError):
-    """The candidate that adds most space coverage, K times."""
+    """Greedy by space coverage: add the candidate that increases it most, K times."""
 
     descends = False
 
     def energy(self, scores: Scores) -> np.ndarray:
-        """Maximise coverage."""
+        """Return the negative space coverage."""
         return -scores.space_coverage
 
 
 class GreedySwap(Planner):
     """
-    Greedy by depth error, then one camera exchanged at a time, then small steps downhill.
+    Greedy by depth error, then exchanges of one camera at a time, then a local search.
 
-    What is left of the budget goes to ruin and recreate: two cameras of the best placement are
-    taken away and put back greedily among random places, and all descend again.
+    The rest of the budget is used for ruin and recreate: two cameras of the best placement are
+    removed and added again greedily at random places, followed by the local search.
     """
 
     def search(self) -> Search:
-        """Fill, exchange, descend, and begin again."""
+        """Place greedily, exchange, run the local search, and repeat it by ruin and recreate."""
         cameras = self.space.cameras
-        # Coarse: neighbours see much alike, and the descent finds what lies between.
+        # A coarse grid suffices: neighbours have similar views, and the local search refines.
         most = np.clip(self.budget // (SHARE * cameras), FEWEST, MOST)
         candidates = self.space.grid(int(most))
         placed, _ = yield from fill(cameras, candidates, self.energy)
@@ -89,8 +91,8 @@ def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.nda
     Place cameras one by one.
 
     :param candidates: (M, 2).
-    :param energy: of scores; the least is best.
-    :param placed: (n, 2), those that are there already.
+    :param energy: returns the value to minimise for each score.
+    :param placed: (n, 2), cameras that are already placed.
     :returns: the positions (cameras, 2) and their depth error.
     """
     error = np.inf
@@ -102,7 +104,7 @@ def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.nda
 
 
 def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> SearchResult:
-    """Put one camera to the best of some places (M, 2), even if it stood better before."""
+    """Move one camera to the best of some places (M, 2), even if its old place is better."""
     trials = np.repeat(placed[None], len(places), axis=0)
     trials[:, camera] = places
     scores = yield list(trials)
@@ -111,7 +113,7 @@ def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> SearchRes
 
 
 def exchange(placed: np.ndarray, candidates: np.ndarray) -> SearchResult:
-    """Exchange one camera for the best candidate until no exchange helps any more."""
+    """Move one camera at a time to its best candidate, until no exchange reduces the error."""
     scores = yield [placed]
     error, unchanged, camera = scores.error[0], 0, 0
     while unchanged < len(placed):
@@ -124,7 +126,7 @@ def exchange(placed: np.ndarray, candidates: np.ndarray) -> SearchResult:
 
 
 def descend(planner: Planner, placed: np.ndarray, error: float) -> SearchResult:
-    """Move one camera at a time to the best of a ring of places, with ever smaller steps."""
+    """Run a local search: move one camera at a time on a ring of places with decreasing radius."""
     step, unchanged, camera = FIRST_STEP, 0, 0
     while step >= LAST_STEP:
         angle = planner.rng.uniform(0.0, 2.0 * np.pi)

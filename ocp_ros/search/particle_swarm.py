@@ -15,34 +15,36 @@
 """
 Binary particle swarm optimisation (BPSO) over a candidate grid, after Morsly et al. (2012).
 
-A particle has a bit per candidate. Velocities follow v <- w v + c1 r1 (own best - x) + c2 r2 (best
-of all - x), each bit is drawn anew as rand < sigmoid(v) (Kennedy and Eberhart, 1997), and the bits
-are repaired to K of M: too many lose those of least velocity, too few gain those of most.
+A particle has a bit for each candidate. Velocities follow v <- w v + c1 r1 (own best - x)
++ c2 r2 (best of all - x), each bit is drawn again as rand < sigmoid(v) (Kennedy and Eberhart,
+1997), and the bits are repaired to K of M: surplus bits of smallest velocity are cleared, missing
+bits of largest velocity are set.
 
-The source's text was not at hand; parameters are the usual ones. No claim of being line for line.
+The text of the source was not available. The parameters are the usual ones, so details may differ
+from the source.
 """
 
 import numpy as np
 from ocp_ros.search.planner import Planner, Search
 
-#: Particles, inertia, pull to the own best and to the best of all, and the fastest velocity.
+#: Number of particles, w, c1, c2, and the largest absolute velocity.
 PARTICLES, INERTIA, OWN, SOCIAL, FASTEST = 24, 0.72, 1.49, 1.49, 4.0
-#: Candidates.
+#: Largest number of candidates.
 CANDIDATES = 1024
 
 
 class BinaryParticleSwarm(Planner):
     """BPSO with repair to K of M."""
 
-    #: M, at most.
+    #: Largest M.
     candidates = CANDIDATES
 
     def search(self) -> Search:
-        """Fly until the budget ends."""
+        """Update the swarm until the budget is used up."""
         candidates = self.space.grid(int(np.clip(self.budget // 4, 16, self.candidates)))
         cameras = min(self.space.cameras, len(candidates))
         particles = min(PARTICLES, max(self.budget // 8, 2))
-        # Few bits of many are set; velocities begin where the sigmoid says as many.
+        # At the mean of the first velocities, the sigmoid sets about K of M bits.
         usual = np.log(cameras / max(len(candidates) - cameras, 1))
         velocity = self.rng.normal(usual, 1.0, (particles, len(candidates)))
         bits = self._drawn(velocity, cameras)
@@ -59,9 +61,9 @@ class BinaryParticleSwarm(Planner):
             bits = self._drawn(velocity, cameras)
 
     def _drawn(self, velocity: np.ndarray, cameras: int) -> np.ndarray:
-        """Draw bits by their velocities, K of M in each row."""
+        """Draw K of M bits in each row by their velocities."""
         drawn = self.rng.random(velocity.shape) < 1.0 / (1.0 + np.exp(-velocity))
-        # Those that were drawn come first, by velocity; chance decides between equals.
+        # Drawn bits come first, sorted by velocity; equal velocities are in random order.
         rank = velocity + 1e-6 * self.rng.random(velocity.shape) + 100.0 * drawn
         chosen = np.argsort(-rank, axis=1)[:, :cameras]
         bits = np.zeros(velocity.shape, dtype=bool)

@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-The one way to a placement: a planner by its name, for a rig under all its constraints.
+Compute a placement by a planner's name, for a rig under all its constraints.
 
-A planner that knows the scan chooses full poses itself. One that knows the scores of positions
-proposes these: for a rig, cameras are hung up near them, so it is told what cameras are worth
-where they may hang. One that knows what was observed plays an episode. On a plane, where cameras
-may be anywhere, positions are a placement, and no planner knows the scan.
+There are three kinds of planners. A planner with input ``SCAN`` chooses full poses itself. A
+planner with input ``SCORES`` proposes positions and receives their scores; for a rig, the cameras
+are mounted at feasible poses near these positions before they are scored. A planner with input
+``OBSERVED`` runs an episode. On a plane, positions are a placement, and planners of the first kind
+are not available.
 """
 
 from collections.abc import Callable, Sequence
@@ -42,8 +43,8 @@ from ocp_ros.simulation.problem import Problem, space_of
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
-#: Placements by which it is found out how many there is time for, and the most that are planned
-#: for: some methods lay out a grid of as many places.
+#: Number of placements to measure the time of an evaluation, and largest number of evaluations
+#: that a planner expects: some planners create a grid of this size.
 PILOTS, MOST = 4, 100_000
 
 
@@ -55,18 +56,18 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH, pool: Pool
     Find the best placement of the cameras of a problem.
 
     :param problem: the rig in the room.
-    :param budget: how long to go on; on a plane it counts evaluations. Where it counts none, a
-        planner that knows scores plans for as many as there seems to be time for. Of an online
-        planner a turn is an evaluation; it plays no more turns than an episode has, and fewer only
-        if the budget is stopped.
+    :param budget: of the search; on a plane it must have evaluations. Without evaluations, a
+        planner with input ``SCORES`` estimates their number from the time. For an online planner
+        an evaluation is a time step; it takes at most the time steps of an episode, and fewer than
+        both limits only if the budget is stopped.
     :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
-    :param pool: candidates of all models of a rig; made unless given.
+    :param pool: candidates of all models of a rig; None to create them.
     :param seed: random seed.
-    :param start: a placement of a rig that the answer is to be no worse than, if there is one.
-    :param progress: called several times a second or after each placement or turn; on a plane,
-        after each turn alone.
-    :param model: weights of online planners that have learned: path or name.
-    :param clock: tells the seconds of traces and turns.
+    :param start: a placement of a rig; the result is not worse than it. Empty for none.
+    :param progress: called several times a second or after each placement or time step; on a
+        plane, after each time step alone.
+    :param model: weights of trained online planners: path or name.
+    :param clock: returns the current time, seconds, for traces and time steps.
     :raises ConfigurationError: if there is no placement, or the planner cannot plan on a plane.
     """
     knows, make = PLANNERS[planner]
@@ -96,13 +97,13 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH, pool: Pool
 
 class RigScorer:
     """
-    Judge what planners propose by the rig's objective, as long as there is time.
+    Score proposed placements by the rig's objective, until the budget is used up.
 
-    The error of the scores is the loss of the rig: depth error / depth error of seeing nothing,
-    and what regions cost. ``space_coverage`` is that of the cameras in cubic metres.
+    The ``error`` of the scores is the rig's objective value: depth error / depth error without any
+    visible point, plus the costs of regions. ``space_coverage`` is in cubic metres.
 
-    :param decoder: hangs up the cameras.
-    :param budget: of the search; a batch ends where it does, but one placement is always judged.
+    :param decoder: mounts the cameras at feasible poses.
+    :param budget: of the search; a batch stops at its end, but at least one placement is scored.
     :param progress: called after each placement.
     """
 
@@ -113,15 +114,15 @@ class RigScorer:
 
     @property
     def used(self) -> float:
-        """Return how much of the budget is used up."""
+        """Return the used share of the budget."""
         return self.budget.share(self.evaluations, self.budget.evaluations)
 
     def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
         """
-        Judge placements.
+        Score placements.
 
-        :param placements: B placements, (n, 3) or (n, 2) metres; heights do not matter.
-        :returns: scores of all, or of the first where the budget is used up.
+        :param placements: B placements, (n, 3) or (n, 2) metres; heights are not used.
+        :returns: scores of all placements, or of the first ones if the budget is used up.
         """
         worths = []
         for placement in placements:
@@ -139,7 +140,7 @@ class RigScorer:
 
 def _searched(make: Callable, problem: Problem, pool: Pool, budget: Budget, seed: int,
               progress: Progress | None) -> SearchResult:
-    """Find a placement of a rig by a planner that knows scores; see :func:`plan`."""
+    """Find a placement of a rig by a planner with input ``SCORES``; see :func:`plan`."""
     decoder, space = Decoder(problem, pool), problem.region.space
     expected = budget.evaluations or _expected(decoder, budget, seed)
     scorer = RigScorer(decoder, budget, progress)
@@ -151,7 +152,7 @@ def _searched(make: Callable, problem: Problem, pool: Pool, budget: Budget, seed
 
 def _searched_on_plane(make: Callable, problem: Problem, budget: Budget, seed: int,
                        clock: Callable[[], float]) -> SearchResult:
-    """Find a placement on a plane by a planner that knows scores; see :func:`plan`."""
+    """Find a placement on a plane by a planner with input ``SCORES``; see :func:`plan`."""
     planner = make(space_of(problem.simulator), np.random.default_rng([seed, budget.evaluations]),
                    budget.evaluations)
     result = search_and_finish(planner, Scorer(problem.simulator), budget.evaluations, clock)
@@ -159,7 +160,7 @@ def _searched_on_plane(make: Callable, problem: Problem, budget: Budget, seed: i
 
 
 def _expected(decoder: Decoder, budget: Budget, seed: int) -> int:
-    """Return about how many placements there is time to judge."""
+    """Estimate the number of placements that can be scored in the time of the budget."""
     rng, scorer = np.random.default_rng([seed, 1]), RigScorer(decoder, budget)
     began = time.monotonic()
     scorer([decoder.region.space.random(rng) for _ in range(PILOTS)])
@@ -172,9 +173,9 @@ def _played(make: Callable, problem: Problem, pool: Pool | None, budget: Budget,
     """
     Find a placement by an online planner; see :func:`plan`.
 
-    The room is a simulation: a turn shows what the cameras see from where they are, and each
-    target is held to the rig and each camera turned as ``policy_node`` does it. Where the cameras
-    end they are mounted, or at the nearest place where they may be.
+    The episode is simulated: each time step adds the visible points to the observed cloud, and
+    constraints and headings are applied as in ``policy_node``. The cameras are then mounted at
+    their last poses, or at the nearest feasible ones.
     """
     online = make(problem.simulator.config.episode, problem.rig,
                   np.random.default_rng([seed, 1]), model)
@@ -185,7 +186,7 @@ def _played(make: Callable, problem: Problem, pool: Pool | None, budget: Budget,
     def over(turn: int) -> bool:
         if progress is not None:
             progress(turn / turns, np.inf)
-        # The clock cuts no episode short: it takes seconds, where candidates may take longer.
+        # The time limit does not end an episode: it takes seconds, and candidates may take longer.
         return budget.stopped
 
     outcome, turn = play(online, episode, over, clock), episode.turn
@@ -199,7 +200,7 @@ def _played(make: Callable, problem: Problem, pool: Pool | None, budget: Budget,
 
 
 def _on_plane(problem: Problem, placement: np.ndarray, evaluations: int) -> SearchResult:
-    """Return a placement on a plane (K, 3), metres, as an answer."""
+    """Return a placement on a plane (K, 3), metres, as a search result."""
     poses = np.hstack([placement, np.zeros_like(placement)])
     sites = [MountedCamera(pose, view) for pose, view in zip(poses, problem.look(poses))]
     return answered(problem.objective, sites, evaluations)

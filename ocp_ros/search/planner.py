@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a planner is: asked for placements, told what they are worth."""
+"""Base class of planners: :meth:`Planner.ask` for placements, :meth:`Planner.tell` the scores."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Sequence
@@ -24,9 +24,9 @@ from ocp_ros.rig.free_plane import FreePlane
 
 class Scores(NamedTuple):
     """
-    What placements are worth.
+    Scores of B placements.
 
-    :ivar error: (B,) what a planner minimises: the depth error in metres, or the loss of a rig.
+    :ivar error: (B,) value to minimise: the depth error in metres, or a rig's objective value.
     :ivar space_coverage: (B,) cubic metres.
     """
 
@@ -34,7 +34,7 @@ class Scores(NamedTuple):
     space_coverage: np.ndarray
 
 
-#: What a search hands out and gets back: positions (n, 2) each, and their scores.
+#: A search yields placements, positions (n, 2) each, and receives their scores.
 Search = Generator[Sequence[np.ndarray], Scores, None]
 
 
@@ -42,14 +42,13 @@ class Planner(ABC):
     """
     A method that finds a placement of cameras.
 
-    A method is a generator: it yields placements to be judged and receives their scores.
+    A method is a generator: it yields placements and receives their scores.
 
-    :cvar descends: whether what it finds may be improved by small steps at the end; not so where
-        the method is a yardstick that searches nothing.
+    :cvar descends: whether a local search may improve the result at the end; False for baselines.
 
-    :param space: where cameras may be.
-    :param rng: the only source of chance.
-    :param budget: how many evaluations there will be, for those methods that plan with it.
+    :param space: feasible region of the cameras.
+    :param rng: the only source of random numbers.
+    :param budget: expected number of evaluations.
     """
 
     descends: ClassVar[bool] = True
@@ -64,15 +63,15 @@ class Planner(ABC):
         """Yield batches of positions (n, 2), each camera inside the space."""
 
     def energy(self, scores: Scores) -> np.ndarray:
-        """Return what the method minimises: (B,), its answer is the placement of the least."""
+        """Return the value that the method minimises: (B,)."""
         return scores.error
 
     def ask(self) -> Sequence[np.ndarray] | None:
-        """Return the placements to be judged next, positions (n, 2) each; None at the end."""
+        """Return the placements to score next, positions (n, 2) each; None at the end."""
         return self._batch
 
     def tell(self, scores: Scores) -> None:
-        """Receive what the placements of the last :meth:`ask` are worth."""
+        """Receive the scores of the placements of the last :meth:`ask`."""
         try:
             self._batch = self._search.send(scores)
         except StopIteration:

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-Where to hang the cameras of a rig where no bound is known: annealing.
+Place the cameras of a rig by simulated annealing, for objectives without a lower bound.
 
-Exchanges among candidates come first, then small moves. Several searches begin anew, each with a
-source of chance of its own: how far their answers agree says how good the best of them may be.
-Every proposal is rounded as its file will be and held to the rig's constraints before it is
-judged, so the answer is judged as it will be read.
+A search begins with exchanges among candidates and continues with small moves. Several searches
+run with different seeds: if their results agree, the best of them is probably good. Every proposal
+is rounded as in a placement file and checked against the rig's constraints before it is scored, so
+the score is that of the written placement.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -47,46 +47,47 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.annealing import annealed, between
 
-#: Searches that begin anew, and candidates that each begins from.
+#: Number of independent searches, and of candidates for each camera in their first placement.
 SEARCHES, BEGINNINGS = 4, 300
-#: Share of the budget for exchanges among candidates, judged by smaller depth maps.
+#: Share of the budget for exchanges among candidates, scored with smaller depth maps.
 EXCHANGING = 0.35
-#: First and last temperature of the exchanges and of the moves, in multiples of the loss that a
-#: search begins with.
+#: First and last temperature of the exchanges and of the moves, in multiples of the loss of the
+#: first placement.
 HOT, COLD = 0.06, 5e-4
 WARM, COOL = 0.01, 1e-4
-#: Share of exchanges that go anywhere; the others go to one of so many nearest candidates.
+#: Share of exchanges with any candidate, and from how many nearest candidates the other exchanges
+#: take one.
 ANYWHERE, NEIGHBOURS = 0.3, 12
 #: Share of exchanges among the moves.
 EXCHANGED = 0.1
-#: Standard deviation of a move's first and last steps: metres and radians.
+#: Standard deviation of the first and last moves: metres and radians.
 FAR, NEAR = np.array([0.4, 0.3]), np.array([0.01, 0.01])
-#: Share of the moves whose roll is drawn anew, where the mount offers several.
+#: Share of the moves that draw a new roll, if the mount allows several.
 FLIPPED = 0.2
-#: Moves that are drawn at once, of which the first that is allowed is taken.
+#: Number of moves that are drawn together; the first feasible one is used.
 DRAWN = 4
-#: Temperatures are taken from this loss at least.
+#: Smallest loss that is used to compute temperatures.
 LEAST = 1e-3
 #: Seconds between two reports of progress.
 REPORTED = 0.2
 T = TypeVar('T')
-#: Gets the share of the budget that is used up and the least loss so far.
+#: Gets the used share of the budget and the smallest loss so far.
 Progress = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
 class SearchResult:
     """
-    The best placement that was found.
+    The best placement of a search.
 
-    :ivar sites: the cameras where they hang, in the rig's order.
-    :ivar loss: what it is worth; less is better.
-    :ivar losses: what the answer of each search is worth.
-    :ivar evaluations: how many placements were judged, or refused for where a camera hung.
-    :ivar certificate: how much better others may be, where that was proved on the way.
-    :ivar uncertain: why it was not, where that was tried.
+    :ivar sites: the mounted cameras, in the rig's order.
+    :ivar loss: objective value; less is better.
+    :ivar losses: objective values of the results of all searches.
+    :ivar evaluations: number of proposed placements, infeasible ones included.
+    :ivar certificate: lower bound and optimality gap, if the search proved them; otherwise None.
+    :ivar uncertain: reason why a tried proof gave no certificate; otherwise empty.
     :ivar trace: of a search on a plane, see :class:`~ocp_ros.search.solve.Result`.
-    :ivar outcome: of an episode that was played.
+    :ivar outcome: of an online planner's episode.
     """
 
     sites: tuple[MountedCamera, ...]
@@ -100,32 +101,32 @@ class SearchResult:
 
     @property
     def poses(self) -> np.ndarray:
-        """Return (K, 6) metres, map frame, and radians, as files have them."""
+        """Return the poses (K, 6), metres, map frame, and radians, rounded as in files."""
         return np.array([site.pose for site in self.sites])
 
 
 def views_of(sites: Sequence[MountedCamera]) -> list[View]:
-    """Return what cameras see."""
+    """Return the views of mounted cameras."""
     return [site.view for site in sites]
 
 
 def answered(objective: Objective, sites: Sequence[MountedCamera], evaluations: int
              ) -> SearchResult:
-    """Return a placement as the answer of a single search."""
+    """Return a placement as the result of a single search."""
     loss = objective.loss(views_of(sites))
     return SearchResult(tuple(sites), loss, (loss,), evaluations)
 
 
 class Search:
     """
-    One search.
+    One search by simulated annealing.
 
     :param problem: the rig in the room.
-    :param quick: judges placements with smaller depth maps.
+    :param quick: the objective with smaller depth maps.
     :param pool: candidates.
     :param budget: of all searches.
-    :param rng: the only source of chance.
-    :param start: a placement to begin with, where there is one.
+    :param rng: the only source of random numbers.
+    :param start: first placement; empty to choose one greedily.
     """
 
     def __init__(self, problem: Problem, quick: Objective, pool: Pool, budget: Budget,
@@ -137,7 +138,7 @@ class Search:
         self.evaluations, self.share, self.least = 0, 0.0, np.inf
 
     def run(self) -> tuple[MountedCamera, ...]:
-        """Return the best placement that is found."""
+        """Return the best placement."""
         first = self.start or self.fill()
         self.judge(first)
         loss = max(self.quick.loss(views_of(first)), LEAST)
@@ -146,31 +147,31 @@ class Search:
             self._temperatures(loss * HOT, loss * COLD, 0.0, EXCHANGING), self.rng)
         if self.start and self.objective.loss(views_of(first)) < self.objective.loss(
                 views_of(chosen)):
-            # What larger depth maps say counts.
+            # The full depth maps decide between the two placements.
             chosen = first
         return self.descend(chosen, loss, EXCHANGING)
 
     def descend(self, sites: tuple[MountedCamera, ...], loss: float, begin: float, end: float = 1.0
                 ) -> tuple[MountedCamera, ...]:
         """
-        Move and turn the cameras of a placement by ever smaller steps.
+        Anneal a placement by moves and rotations with decreasing steps.
 
-        :param loss: that temperatures are shares of.
-        :param begin: the share of the budget from which on steps become smaller.
-        :param end: the share at which it ends.
+        :param loss: temperatures are multiples of it.
+        :param begin: used share of the budget at which the steps start to decrease.
+        :param end: used share of the budget at which to stop.
         """
         return annealed(sites, self.judge, self._moved,
                         self._temperatures(loss * WARM, loss * COOL, begin, end), self.rng)
 
     def fill(self) -> tuple[MountedCamera, ...]:
-        """Hang one camera after the other where it helps most, each among some candidates."""
+        """Place one camera after the other greedily, each among some random candidates."""
         sites: list[MountedCamera] = []
         count = BEGINNINGS
         if self.most is not None:
             count = int(np.clip(self.most // (4 * len(self.rig.cameras)), 1, BEGINNINGS))
         for camera in self.rig.cameras:
             total = len(self.pool.kind(camera.model).poses)
-            # Where there is no time left, any placement will do.
+            # Without time left, compare few candidates.
             some = max(min(count if self.used() < 1.0 else 8, total), 1)
             among = np.sort(self.rng.choice(total, some, replace=False))
             self.evaluations += some
@@ -182,25 +183,25 @@ class Search:
         return tuple(sites)
 
     def judge(self, sites: Sequence[MountedCamera]) -> float:
-        """Return the loss."""
+        """Return the loss of a placement, and update the smallest loss."""
         loss = self.objective.loss(views_of(sites))
         self.least = min(self.least, loss)
         return loss
 
     def used(self) -> float:
-        """Return how much of the budget is used up."""
+        """Return the used share of the budget."""
         return self.budget.share(self.evaluations, self.most)
 
     def _temperatures(self, first: float, last: float, begin: float, end: float
                       ) -> Iterator[float]:
-        """Yield one temperature for each step, between two shares of the budget."""
+        """Yield one temperature for each step, until a share ``end`` of the budget is used."""
         while (used := self.used()) < end:
             self.share = max(used - begin, 0.0) / (end - begin)
             self.evaluations += 1
             yield between(first, last, self.share)
 
     def _exchanged(self, sites: tuple[MountedCamera, ...]) -> tuple[MountedCamera, ...] | None:
-        """Exchange a camera's pose for a candidate, any one or a near one."""
+        """Replace the pose of one camera by a candidate, any or a near one; None if too close."""
         camera = int(self.rng.integers(len(sites)))
         model = self.rig.cameras[camera].model
         kind = self.pool.kind(model)
@@ -215,7 +216,7 @@ class Search:
         return (*sites[:camera], site, *sites[camera + 1:])
 
     def _moved(self, sites: tuple[MountedCamera, ...]) -> tuple[MountedCamera, ...] | None:
-        """Move and turn a camera a little, or exchange its pose now and then."""
+        """Move and rotate one camera, or sometimes replace its pose by a candidate."""
         if self.rng.random() < EXCHANGED:
             return self._exchanged(sites)
         far, turn = between(FAR, NEAR, self.share)
@@ -225,10 +226,10 @@ class Search:
 def moved(problem: Problem, sites: tuple[MountedCamera, ...], far: float, turn: float,
           rng: np.random.Generator) -> tuple[MountedCamera, ...] | None:
     """
-    Move and turn one camera of a placement by chance; None where none of some draws is allowed.
+    Move and rotate one camera of a placement at random; None if no drawn pose is feasible.
 
     :param far: standard deviation of the move along each axis, metres.
-    :param turn: that of yaw and pitch, radians.
+    :param turn: standard deviation of yaw and pitch, radians.
     """
     camera = int(rng.integers(len(sites)))
     others = (*sites[:camera], *sites[camera + 1:])
@@ -245,11 +246,11 @@ def moved(problem: Problem, sites: tuple[MountedCamera, ...], far: float, turn: 
 def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, far: float,
                  turn: float, count: int, rng: np.random.Generator) -> np.ndarray:
     """
-    Draw poses on the mount near one, allowed or not, as files will have them.
+    Draw poses on the mount near a pose, feasible or not, rounded as in files.
 
     :param pose: (6,) metres, map frame, and radians.
-    :param far: standard deviation of the place along each axis, metres.
-    :param turn: that of yaw and pitch, radians, where the camera is not omnidirectional.
+    :param far: standard deviation of the position along each axis, metres.
+    :param turn: standard deviation of yaw and pitch, radians; omnidirectional cameras keep them.
     :returns: (count, 6).
     """
     poses = np.repeat(pose[None], count, axis=0)
@@ -269,7 +270,7 @@ def anneal(problem: Problem, pool: Pool, budget: Budget, seed: int,
     """
     Find the best placement of a rig's cameras by annealing; see :func:`in_background`.
 
-    :param start: a placement that the answer is to be no worse than, where there is one.
+    :param start: a placement; the result is not worse than it. Empty for none.
     """
     quick = quick_of(problem.objective)
     searches = [Search(problem, quick, pool, budget, np.random.default_rng([seed, k]),
@@ -285,9 +286,9 @@ def anneal(problem: Problem, pool: Pool, budget: Budget, seed: int,
 def in_background(tasks: Sequence[Callable[[], T]], budget: Budget,
                   report: Callable[[], None] | None) -> list[T]:
     """
-    Run tasks, each in a thread, and report several times a second.
+    Run each task in a thread, and report several times a second.
 
-    :param budget: that the tasks obey; it is stopped where reporting fails or is interrupted.
+    :param budget: of the tasks; it is stopped if a report fails or is interrupted.
     """
     with ThreadPoolExecutor(len(tasks)) as workers:
         runs = [workers.submit(task) for task in tasks]

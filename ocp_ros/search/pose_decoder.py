@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-From places on a plane to cameras that hang where their rig allows.
+Convert positions on a plane to feasible poses of a rig's cameras.
 
-Most planners know of a camera only where it is, seen from above. A decoder hangs it there, or as
-near as the rig allows, at the mount's height, and turns it to where it helps most.
+Most planners choose the horizontal position of a camera alone. The decoder chooses a feasible pose
+at this position, or near it, with the height of the mount and the heading of the best score.
 """
 
 from collections.abc import Sequence
@@ -35,19 +35,19 @@ from ocp_ros.search.candidate_pool import (
 from ocp_ros.search.scorer import remembered_looks
 from ocp_ros.simulation.problem import Problem
 
-#: Candidates near a place whose heights and headings are compared.
+#: Number of candidates near a position whose heights and headings are compared.
 NEAREST = 24
 
 
 class Decoder:
     """
-    Hang the cameras of a rig where a planner puts them, or as near as is allowed.
+    Choose feasible poses for the cameras of a rig at given positions, or near them.
 
-    Camera k of the rig takes row k. Of the candidates of its model that are far enough from the
-    cameras before it, the nearest are compared by what they see, and the best addition gives
-    height and heading. With these, or with the heading that is asked for, the camera hangs at the
-    place itself where that is allowed, else where the candidate does. Where no candidate is left
-    all cameras hang packed together, so whatever is proposed, every constraint holds.
+    Camera k of the rig gets row k. The candidates of its model that satisfy the spacing and are
+    nearest to the position are compared by the objective. The best one gives height and heading.
+    With these, or with the desired heading, the camera is mounted at the position itself if that
+    is feasible, otherwise at the candidate. If no candidate satisfies the spacing, all cameras are
+    packed close together. So every result satisfies all constraints.
 
     :param problem: the rig in the room.
     :param pool: candidates of all its models.
@@ -61,12 +61,12 @@ class Decoder:
     def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None
                  ) -> tuple[MountedCamera, ...]:
         """
-        Hang up cameras.
+        Choose a feasible pose for each position.
 
-        :param positions: (n, 2) metres, n at most the number of cameras to be placed; (n, 3) where
-            the height is asked for as well.
-        :param headings: (n, 3) yaw, pitch and roll in radians; None to turn each where it helps.
-        :returns: n sites, all of them allowed together.
+        :param positions: (n, 2) metres, n at most the number of cameras to place; (n, 3) with
+            desired heights.
+        :param headings: (n, 3) desired yaw, pitch and roll in radians; None for the best ones.
+        :returns: n sites that satisfy all constraints together.
         """
         sites: list[MountedCamera] = []
         for number, place in enumerate(positions):
@@ -77,7 +77,7 @@ class Decoder:
         return tuple(sites)
 
     def completed(self, sites: Sequence[MountedCamera]) -> tuple[MountedCamera, ...]:
-        """Hang up the cameras of the rig that a planner has left out, each where it helps most."""
+        """Add the missing cameras of the rig greedily."""
         sites = list(sites)
         while len(sites) < len(self.rig.cameras):
             more = best_addition(self.objective, self.pool, sites)
@@ -88,12 +88,12 @@ class Decoder:
 
     @cached_property
     def _packed(self) -> tuple[MountedCamera, ...]:
-        """Return all cameras as close together as they may be."""
+        """Return all cameras, as close together as the spacing allows."""
         return tuple(packed(self.rig, self.pool))
 
     def _near(self, place: np.ndarray, sites: Sequence[MountedCamera], heading: np.ndarray | None
               ) -> MountedCamera | None:
-        """Hang the next camera near a place (2,) or (3,); None where no candidate is left."""
+        """Mount the next camera near a place (2,) or (3,); None if no candidate is feasible."""
         model = self.rig.cameras[len(sites)].model
         poses = self.pool.kind(model).poses
         far = self.pool.left(self.rig, sites)
@@ -112,13 +112,13 @@ class Decoder:
         return found or site
 
     def _count(self, camera: int) -> int:
-        """Return how many candidates are compared: one where they differ in place alone."""
+        """Return the number of candidates to compare: 1 if they differ in position alone."""
         on, heights, _ = self.rig.mount
         level = on in ('plane', 'ceiling')
         return 1 if level and self.rig.cameras[camera].model.omnidirectional else NEAREST
 
     def _there(self, pose: np.ndarray, sites: Sequence[MountedCamera]) -> MountedCamera | None:
-        """Hang the next camera in a pose (6,), at its mount's height; None if it must not."""
+        """Mount the next camera at a pose (6,), at the mount's height; None if infeasible."""
         camera, pose = len(sites), pose.copy()
         pose[:3] = self.region.onto_mount(pose[None, :3])[0]
         poses = as_written(pose[None])

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""All poses of a camera on a grid of places and headings, and which points each of them sees."""
+"""Poses of a camera on a grid of places and headings, and the visible points of each pose."""
 
 from collections.abc import Callable, Sequence
 
@@ -23,22 +23,22 @@ from ocp_ros.rig.placement_file import as_written
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.threads import mapped
 
-#: Metres between places, and poses and bytes of what is seen at most, about; places are farther
-#: apart where there would be more.
+#: Metres between places, and approximate largest number of poses and of bytes for their visible
+#: points; if there would be more, places are farther apart.
 STEP, MOST, BYTES = 0.3, 40_000, 1_000_000_000
-#: Places that are looked from between two looks at the clock.
+#: Number of places whose views are computed between two checks of the time.
 CHUNK = 16
 
 
 class PoseGrid:
     """
-    Poses of one camera model: places, each with headings, looked from once.
+    Poses of one camera model: places, each with headings; visible points are computed once.
 
     :param simulator: the engine.
     :param camera: a camera of this model.
     :ivar places: (P, 3) metres, map frame.
     :ivar headings: P x (H, 3) yaw, pitch and roll in radians.
-    :ivar step: metres: no feasible place is farther from one of the grid; 0 if that is unknown.
+    :ivar step: largest distance of a feasible place from the grid, metres; 0 if unknown.
     """
 
     def __init__(self, simulator: Simulator, camera: int = 0) -> None:
@@ -51,16 +51,16 @@ class PoseGrid:
     def of(cls, region: FeasibleRegion, simulator: Simulator, model: CameraModel, camera: int,
            most: int = MOST, over: Callable[[], bool] = lambda: False) -> 'PoseGrid':
         """
-        Spread poses over where a mount offers some.
+        Create a grid over the feasible region of a mount.
 
-        :param most: poses at most.
-        :param over: returns whether there is no time left; the grid then ends.
-        :raises ConfigurationError: if there is no place where the camera may hang.
+        :param most: largest number of poses.
+        :param over: returns whether to stop; the grid then has fewer places.
+        :raises ConfigurationError: if the camera has no feasible place.
         """
         grid = cls(simulator, camera)
         most = min(most, 10 * BYTES // len(simulator.scene))
         places, headings, grid.step = region.pose_grid(model, STEP, most)
-        # Any beginning of it is spread over the room.
+        # In random order, the first n places are spread over the room for any n.
         order = np.random.default_rng(0).permutation(len(places))
         for first in range(0, len(places), CHUNK):
             if first and over():
@@ -74,7 +74,7 @@ class PoseGrid:
         return sum(map(len, self.headings))
 
     def add(self, places: np.ndarray, headings: Sequence[np.ndarray]) -> None:
-        """Look from places (P, 3), metres, by headings P x (H, 3), radians, and add them."""
+        """Add places (P, 3), metres, with headings P x (H, 3), radians; compute their views."""
         poses = [as_written(np.column_stack([np.repeat(place[None], len(some), axis=0), some]))
                  for place, some in zip(places, headings)]
         self.places = np.vstack([self.places, *(some[:1, :3] for some in poses)])
@@ -83,7 +83,7 @@ class PoseGrid:
             some[0, :3], some[:, 3:], self._camera), poses)]
 
     def pose(self, place: int, heading: int) -> np.ndarray:
-        """Return a pose: (6,) metres, map frame, and radians, as its file will have it."""
+        """Return a pose: (6,) metres, map frame, and radians, rounded as in files."""
         return np.append(self.places[place], self.headings[place][heading])
 
     def points(self, place: int, heading: int) -> np.ndarray:
@@ -92,7 +92,7 @@ class PoseGrid:
         return points[(bits[:, heading >> 6] >> np.uint64(heading & 63)) & np.uint64(1) > 0]
 
     def batches(self, places: np.ndarray) -> list[list[int]]:
-        """Put places together whose headings fit into 64 bits; each is in one batch."""
+        """Divide places into batches whose headings together fit into 64 bits."""
         batches, left = [], 0
         for place in places.tolist():
             left -= len(self.headings[place])
@@ -106,7 +106,7 @@ class PoseGrid:
         """
         Return which poses of a batch of places see each point.
 
-        :returns: (N, W) uint64: bits of the headings of one place after those of the other.
+        :returns: (N, W) uint64: bits of the headings of the first place, then of the next places.
         """
         words, first = self._sees[places[0]][1].shape[1], 0
         seers = np.zeros((len(self._simulator.scene), words), dtype=np.uint64)

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-The default search of ``ocp plan``: dense grids are priced, near optima polished, and proved.
+The default search of ``ocp plan``: column generation, local refinement, and a certificate.
 
-Column generation over a dense grid of poses gives a bound and several good choices. Small moves,
-by annealing, take each of these off the grid. Poses near the best answers then join the grid, ever
-nearer ones, and the steps are taken again; at last all poses together are priced for the
-certificate.
+Column generation over a dense grid of poses gives a lower bound and several good choices.
+Simulated annealing with small moves refines each choice off the grid. Poses near the best results
+then join the grid, and both steps are repeated with decreasing distances. At the end, all poses
+are priced for the certificate.
 """
 
 from collections.abc import Callable, Sequence
@@ -46,24 +46,24 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.annealing import annealed, between
 from ocp_ros.util.threads import mapped
 
-#: Shares of the time at which the grid, the polishing and the moves near the answer are done; the
-#: rest is for the proof.
+#: Shares of the time at which the grid, the refinement and its repetitions end; the rest is for
+#: the proof.
 GRID, POLISHED, NEARER = 0.4, 0.6, 0.8
-#: Choices of the grid that are polished, and choices near the answers, each time.
+#: Number of choices that are refined first, and in each repetition.
 STARTS, AGAIN = 8, 4
-#: Moves of a choice, and of how many evaluations one is polished where these are counted.
+#: Moves of a choice, and with a budget of evaluations the number of evaluations for each choice.
 MOVES, EACH = 700, 250
-#: Metres: how far from the answers poses join the grid, time after time; answers near which they
-#: do, places for each camera, and radians between their headings for each metre.
+#: Distances from the results within which poses join the grid in each repetition, metres; number
+#: of results with such poses; places for each camera; radians between headings for each metre.
 NEAR, ANSWERS, PLACES, TURN = (0.3, 0.12, 0.05), 3, 10, np.deg2rad(20.0)
-#: Headings on either side of the pose itself: yaw and pitch.
+#: Number of headings on either side of the pose, in yaw and in pitch.
 YAWS, PITCHES = 4, 2
-#: Metres: answers that differ by less in the place of each camera are one.
+#: Results whose cameras all differ by less than this count as equal, metres.
 APART = 0.2
-#: First and last temperature of the moves, in multiples of the loss, and their last steps in
-#: metres and radians.
+#: First and last temperature of the moves, in multiples of the loss, and the standard deviation of
+#: the last moves, metres and radians.
 WARM, COOL, LAST = 0.01, 1e-4, 0.01
-#: Temperatures are taken from this loss at least.
+#: Smallest loss that is used to compute temperatures.
 LEAST = 1e-3
 
 _log = logging.getLogger(__name__)
@@ -78,13 +78,13 @@ class Polished(NamedTuple):
 
 class PricedSearch:
     """
-    One search.
+    One search by column generation and local refinement.
 
-    :param problem: the rig in the room; one camera has to see a place, and pairs do not matter.
+    :param problem: the rig in the room, with ``seen_by`` 1 and no objective for pairs of cameras.
     :param pool: candidates, with the grids of the rig's models.
-    :param budget: where it counts evaluations and no seconds, the answer is the same every time.
+    :param budget: with evaluations and without seconds, the result is reproducible.
     :param seed: random seed.
-    :param start: a placement that the answer is to be no worse than, where there is one.
+    :param start: a placement; the result is not worse than it. Empty for none.
     """
 
     def __init__(self, problem: Problem, pool: Pool, budget: Budget, seed: int,
@@ -93,7 +93,7 @@ class PricedSearch:
         self.start, self.evaluations, self.least = tuple(start), 0, np.inf
         self._rng = np.random.default_rng([seed, 0])
         most = budget.evaluations
-        #: Choices that are polished at first and again, and the moves of each.
+        #: Number of choices refined first and in each repetition, and the moves of each choice.
         self._starts, self._again, self._moves, self._moves_again = STARTS, AGAIN, MOVES, MOVES
         if most is not None:
             self._starts = int(np.clip(most // EACH, 1, STARTS))
@@ -102,15 +102,15 @@ class PricedSearch:
             self._moves_again = max(most // (2 * len(NEAR) * self._again), 1)
 
     def used(self) -> float:
-        """Return how much of the budget is used up, about."""
+        """Return the approximate used share of the budget."""
         return self.budget.share(self.evaluations, self.budget.evaluations)
 
     def _by(self, share: float) -> Callable[[], bool]:
-        """Return what tells that a share of the time is over."""
+        """Return a function that returns whether a share of the time is used."""
         return lambda: self.budget.share(0, None) >= share
 
     def run(self) -> SearchResult:
-        """Return the best placement that is found."""
+        """Return the best placement."""
         relaxation = relaxation_of(self.problem, self.pool, self._by(0.5 * GRID))
         relaxation.close(self._by(GRID))
         choices = relaxation.choices(self._starts, self._rng, self._by(GRID))
@@ -146,7 +146,7 @@ class PricedSearch:
 
     def _polish(self, starts: Sequence[tuple[MountedCamera, ...]], far: float, moves: int,
                 share: float) -> list[Polished]:
-        """Move placements a little, ever less; return the answers and the start, best first."""
+        """Refine placements by decreasing moves; return the results and the start, best first."""
         seeds = self._rng.integers(2 ** 32, size=len(starts))
         found = mapped(lambda one: self._moved(one[0], far, moves, np.random.default_rng(one[1]),
                                                self._by(share)), list(zip(starts, seeds)))
@@ -156,7 +156,7 @@ class PricedSearch:
 
     def _moved(self, sites: tuple[MountedCamera, ...], far: float, moves: int,
                rng: np.random.Generator, over: Callable[[], bool]) -> Polished:
-        """Move the cameras of a placement by annealing, in steps that begin with some metres."""
+        """Anneal a placement by moves whose standard deviation starts at ``far`` metres."""
         objective, turn, share = self.problem.objective, 0.5 * far, 0.0
         loss = max(objective.loss(views_of(sites)), LEAST)
 
@@ -181,7 +181,7 @@ class PricedSearch:
 
     def _nearer(self, relaxation: ColumnGeneration, found: list[Polished], step: float
                 ) -> list[Polished]:
-        """Let poses near the best answers join the grid, choose among them, and polish again."""
+        """Add poses near the best results to the grid, choose again, and refine the choices."""
         before = [len(grid.places) for grid in relaxation.grids]
         best = distinct(found, ANSWERS)
         for one in best:
@@ -196,7 +196,7 @@ class PricedSearch:
 
     def _add_near(self, relaxation: ColumnGeneration, pose: np.ndarray, camera: int, step: float
                   ) -> Column:
-        """Add places and headings near a pose to the grid of its camera; return the pose."""
+        """Add places and headings near a pose to its camera's grid; return the pose's column."""
         region, rig, model = self.problem.region, self.problem.rig, self.problem.rig.models[camera]
         number = self.problem.rig.placed_models.index(model)
         grid, first = relaxation.grids[number], len(relaxation.grids[number].places)
@@ -218,7 +218,7 @@ class PricedSearch:
 
 
 def relaxation_of(problem: Problem, pool: Pool, over: Callable[[], bool]) -> ColumnGeneration:
-    """Return the relaxed choice of a rig's poses on dense grids."""
+    """Return the column generation for a rig's poses on dense grids."""
     models = problem.rig.placed_models
     grids: list[PoseGrid] = [copy(pool.grid(problem, model, over)) for model in models]
     counts = [sum(camera.model == model for camera in problem.rig.cameras) for model in models]
@@ -229,13 +229,13 @@ def relaxation_of(problem: Problem, pool: Pool, over: Callable[[], bool]) -> Col
 def certified(problem: Problem, relax: Callable[[], ColumnGeneration], found: float,
               on_grid: float, budget: Budget) -> tuple[Certificate | None, str]:
     """
-    Prove how much better than a placement others on the grids may be.
+    Prove the optimality gap of a placement to all placements on the grids.
 
-    :param relax: returns the relaxed choice.
+    :param relax: returns the column generation.
     :param found: the loss of the placement.
-    :param on_grid: that of the best one on the grids, before some poses were added.
+    :param on_grid: the loss of the best choice on the grids, before poses were added.
     :param budget: of the search and the proof.
-    :returns: a certificate, or None, and why there is none.
+    :returns: a certificate, or None; and the reason if it is None.
     """
     try:
         relaxation = relax()
@@ -244,14 +244,14 @@ def certified(problem: Problem, relax: Callable[[], ColumnGeneration], found: fl
             return None, ('the bound is 0, for these poses together miss almost nothing'
                           if relaxation.closed else 'there was no time to prove one')
         return _certificate(problem, relaxation, found, on_grid, budget.elapsed), ''
-    except Exception as error:  # Whatever it is, the plan is not to be lost.
+    except Exception as error:  # The placement is valid without the proof, so keep it.
         _log.exception('the proof failed')
         return None, f'its proof failed ({type(error).__name__}: {error})'
 
 
 def _certificate(problem: Problem, relaxation: ColumnGeneration, found: float, on_grid: float,
                  seconds: float) -> Certificate:
-    """Return what was proved, in units of the loss."""
+    """Return the certificate of a bound, in units of the loss."""
     bound = max(relaxation.bound - relaxation.trees.rounding, 0.0)
     turns = any(not model.omnidirectional for model in problem.rig.placed_models)
     return Certificate(
@@ -262,7 +262,7 @@ def _certificate(problem: Problem, relaxation: ColumnGeneration, found: float, o
 
 
 def distinct(found: Sequence[Polished], most: int) -> list[Polished]:
-    """Choose answers, the best first, that differ in the place of a camera."""
+    """Choose results, the best first, that differ in the position of at least one camera."""
     chosen: list[Polished] = []
     for one in found:
         places = np.array([site.pose[:3] for site in one.sites])
@@ -275,15 +275,15 @@ def distinct(found: Sequence[Polished], most: int) -> list[Polished]:
 def search(problem: Problem, pool: Pool, budget: Budget, seed: int,
            start: Sequence[MountedCamera] = (), progress: Progress | None = None) -> SearchResult:
     """
-    Find the best placement of a rig's cameras, and prove how much better others may be.
+    Find the best placement of a rig's cameras, and prove its optimality gap.
 
-    Where no bound is known there is nothing to price by, and the placement is annealed.
+    An objective without a lower bound has no prices; then simulated annealing is used.
 
     :param problem: the rig in the room.
     :param pool: candidates of all its models.
-    :param budget: how long to go on.
+    :param budget: of the search and the proof.
     :param seed: random seed.
-    :param start: a placement that the answer is to be no worse than, where there is one.
+    :param start: a placement; the result is not worse than it. Empty for none.
     :param progress: called several times a second.
     """
     if not_covered(problem.objective):

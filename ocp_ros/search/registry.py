@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-All planners by their names, and what each knows of a room.
+Table of all planners by name, with the input of each planner.
 
-Those of other packages are in the same table: a package names its classes as entry points of the
-group ``ocp_ros.planners``, which are loaded with this module, here and in each worker; a program
-adds its own by :func:`register_planner`.
+Planners of other packages are in the same table: a package declares its classes as entry points of
+the group ``ocp_ros.planners``. They are loaded with this module, in this process and in each
+worker. A program adds its own planners by :func:`register_planner`.
 """
 
 from collections.abc import Callable
@@ -47,14 +47,14 @@ from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import nearest
 
-#: The planner that is used unless another is named.
+#: The default planner.
 RIG_SEARCH = 'rig_search'
-#: What planners know of a room: the scan itself, the scores of what they propose, or what the
-#: cameras have observed so far.
+#: Input of a planner: the scan itself, the scores of its proposals, or the observed cloud.
 SCAN, SCORES, OBSERVED = 'the scan', 'scores', 'observed points'
-#: Entry points of packages that bring planners, and names that mean something else.
+#: Entry-point group of packages with planners.
 GROUP = 'ocp_ros.planners'
-#: Environment variable with the names of those that cannot be used, once somebody was told so.
+#: Environment variable with the names of broken planners for which a warning was given; then the
+#: names that planners must not have.
 TOLD = 'OCP_ROS_BROKEN_PLANNERS'
 TAKEN = ('random_placement', 'truth_search', 'priced_plane')
 
@@ -65,12 +65,12 @@ class RegisteredPlanner(NamedTuple):
     """
     A planner of the table.
 
-    :ivar knows: ``SCAN``, ``SCORES`` or ``OBSERVED``.
-    :ivar make: for ``SCAN``, finds the answer itself, as
-        :func:`~ocp_ros.search.priced_search.search` does; for ``SCORES``, makes a
-        :class:`~ocp_ros.search.planner.Planner` of a space, a source of chance and a budget; for
-        ``OBSERVED``, makes an :class:`~ocp_ros.online.online_planner.Online` of time steps, a rig,
-        a source of chance and the weights of those that have learned, path or name.
+    :ivar knows: input of the planner: ``SCAN``, ``SCORES`` or ``OBSERVED``.
+    :ivar make: for ``SCAN``, a function that returns the result, such as
+        :func:`~ocp_ros.search.priced_search.search`; for ``SCORES``, creates a
+        :class:`~ocp_ros.search.planner.Planner` from a space, a random generator and a budget; for
+        ``OBSERVED``, creates an :class:`~ocp_ros.online.online_planner.Online` from an episode
+        configuration, a rig, a random generator and weights (path or name).
     """
 
     knows: str
@@ -78,7 +78,7 @@ class RegisteredPlanner(NamedTuple):
 
 
 def _without_weights(planner: type[Online]) -> Callable[..., Online]:
-    """Return what makes an online planner that has no weights."""
+    """Return a function that creates an online planner without weights."""
     def make(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator, model: str = ''
              ) -> Online:
         return planner(*settings_of(episode, rig, rng))
@@ -88,8 +88,8 @@ def _without_weights(planner: type[Online]) -> Callable[..., Online]:
 
 def _learned(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
              model: str = DEFAULT_MODEL) -> Online:
-    """Return a policy."""
-    # Only here: PyTorch takes longer to start than most searches.
+    """Return the online planner of a trained policy."""
+    # Imported only here: the import of PyTorch takes longer than most searches.
     from ocp_ros.policy.checkpoint import Checkpoint
     from ocp_ros.policy.policy import make_policy
     policy = make_policy(Checkpoint.load(find_model(model)))
@@ -98,7 +98,7 @@ def _learned(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
 
 def _learned_lookahead(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
                        model: str = DEFAULT_MODEL) -> Lookahead:
-    """Return lookahead that a policy makes proposals to."""
+    """Return the lookahead planner with a trained policy as its guide."""
     return Lookahead(*settings_of(episode, rig, rng), guide=_learned(episode, rig, rng, model))
 
 
@@ -122,22 +122,22 @@ PLANNERS = {name: RegisteredPlanner(*planner) for name, planner in {
 
 
 def planner_names(*knows: str) -> tuple[str, ...]:
-    """Return the names of planners that know one of these, of all unless something is said."""
+    """Return the names of planners with one of these inputs; without arguments, of all."""
     return tuple(name for name, planner in PLANNERS.items() if planner.knows in (
         knows or (SCAN, SCORES, OBSERVED)))
 
 
 def planners_for(rig: bool = False) -> tuple[str, ...]:
-    """Return the names of those that plan for rigs, or for cameras on a plane."""
+    """Return the names of the planners for rigs, or for cameras on a plane."""
     return planner_names() if rig else planner_names(SCORES, OBSERVED)
 
 
 def check_planner(name: str, counting: bool = False) -> None:
     """
-    Refuse a planner that does not exist, or that cannot do what is asked.
+    Check that a planner exists and supports the task.
 
-    :param counting: whether it is to find out how many cameras are needed.
-    :raises ConfigurationError: one sentence that begins with the option.
+    :param counting: whether the task is to choose the number of cameras.
+    :raises ConfigurationError: if not; the message begins with the option.
     """
     if name not in tuple(PLANNERS):
         raise ConfigurationError(
@@ -152,14 +152,14 @@ def check_planner(name: str, counting: bool = False) -> None:
 
 def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
     """
-    Add a planner under a name that commands and calls know it by.
+    Add a planner to the table, for commands and calls.
 
-    It is known in this process alone; worker processes find those of entry points.
+    It is added in this process alone; worker processes load the planners of entry points.
 
-    :param name: letters, digits and _; no other planner has it.
+    :param name: unique; a letter, then letters, digits and _.
     :param planner: a subclass of :class:`~ocp_ros.search.planner.Planner` or of
-        :class:`~ocp_ros.online.online_planner.Online` that is made with the same arguments.
-    :raises ConfigurationError: if the name is taken or none, or the class is of neither kind.
+        :class:`~ocp_ros.online.online_planner.Online` with the same constructor arguments.
+    :raises ConfigurationError: if the name is invalid or in use, or the class is of neither type.
     """
     if not isinstance(name, str) or not re.fullmatch(r'[A-Za-z]\w*', name, re.ASCII):
         raise ConfigurationError(f'planner: found the name {name!r}; expected letters, digits and '
@@ -178,13 +178,13 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
 
 
 def _load_plugins() -> None:
-    """Register what installed packages bring; one that is broken is left out, and is named."""
+    """Register the planners of installed packages; skip a broken planner with a warning."""
     told = [name for name in os.environ.get(TOLD, '').split(',') if name]
     for entry in entry_points(group=GROUP):
         try:
             register_planner(entry.name, entry.load())
-        except (Exception, SystemExit) as error:  # A package of others may raise anything.
-            # Workers load them too; one warning is enough, and they inherit that it was given.
+        except (Exception, SystemExit) as error:  # Another package may raise any error.
+            # Workers load them too and inherit the variable, so the warning is given once.
             if entry.name not in told:
                 reason = printable(f'{type(error).__name__}: {error}')[:300]
                 _log.warning(

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where to hang the cameras of a rig in a room, how good that is, and how many are needed."""
+"""Plan a rig in a room: the placement, its quality, and the number of cameras."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -35,31 +35,31 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
-#: Share of the time of a proof for looking from the poses of the grid.
+#: Share of the time of a proof for the views of the grid.
 LOOKED = 0.5
-#: Random placements that an answer is compared with.
+#: Number of random placements for comparison.
 RANDOM = 64
-#: Shares that fall short by less are reached.
+#: A target share is reached if the share is below it by at most this.
 ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
 class RigPlan:
     """
-    A placement of a rig in a room and what tells how good it is.
+    A placement of a rig in a room, with measures of its quality.
 
     :ivar rig: the rig.
     :ivar answer: the placement.
-    :ivar evaluation: what the objective says of it.
-    :ivar union_bound: what each camera at all candidates and at all places found so far at once
-        would be worth; no choice among them is worth more.
-    :ivar worst: the depth error of seeing nothing, metres.
-    :ivar random: (R,) losses of random allowed placements; empty where hardly any is.
-    :ivar candidates: how many there were.
-    :ivar seconds: how long it took.
-    :ivar planner: who found it.
-    :ivar certificate: how much better other placements may be, where that was proved.
-    :ivar uncertain: why it was not, where it was not.
+    :ivar evaluation: of the placement by the objective.
+    :ivar union_bound: evaluation with the union of the views of all candidates for each camera,
+        placements found so far included; no choice among these is better.
+    :ivar worst: the depth error without any visible point, metres.
+    :ivar random: (R,) losses of random feasible placements; empty if hardly any is feasible.
+    :ivar candidates: number of candidates.
+    :ivar seconds: duration of the search and the proof.
+    :ivar planner: name of the planner.
+    :ivar certificate: lower bound and optimality gap, if proved; otherwise None.
+    :ivar uncertain: reason why there is no certificate; otherwise empty.
     """
 
     rig: Rig
@@ -77,10 +77,10 @@ class RigPlan:
     @property
     def shares(self) -> dict[str, float]:
         """
-        Return how much of what can be reached at all the placement reaches.
+        Return the results of the placement as shares of those of the union bound.
 
-        :returns: points ``seen``, space for ``coverage`` and depth ``error`` taken away, each as
-            a share of what cameras at all candidates at once reach; 1 where that is nothing.
+        :returns: visible points ``seen``, covered space ``coverage`` and reduction of the depth
+            ``error``, each as a share of the value of :attr:`union_bound`; 1 if that value is 0.
         """
         worth, most = self.evaluation, self.union_bound
         pairs = {'seen': (len(worth.seen), len(most.seen)),
@@ -90,7 +90,7 @@ class RigPlan:
                 for name, (part, whole) in pairs.items()}
 
     def reaches(self, by: str, target: float) -> bool:
-        """Return whether one of the shares is as large, and all that the rig asks for is met."""
+        """Return whether a share reaches a target and all requirements of the rig are met."""
         met = all(share >= region.must_see
                   for region, share in zip(self.rig.regions, self.evaluation.regions))
         return met and self.evaluation.connected and self.shares[by] >= target - ROUNDING
@@ -101,15 +101,15 @@ class RigPlanner:
     Plan rigs of the same models in one room.
 
     :param scene: the room.
-    :param rig: a rig; others that are planned may differ in the number of cameras alone.
+    :param rig: a rig; the planned rigs may differ from it in the number of cameras alone.
     :param engine: settings.
-    :param budget: how long a search may take; that of the first plan pays for the candidates.
+    :param budget: of a search; that of the first plan includes the candidates.
     :param seed: random seed.
     :param progress: called several times a second.
     :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
-    :param model: weights of planners that have learned: path or name.
-    :raises ConfigurationError: if there is no place for a camera, or too little of a region can
-        be seen, or there is no such planner.
+    :param model: weights of trained planners: path or name.
+    :raises ConfigurationError: if a camera has no feasible pose, too small a share of a region is
+        visible, or the planner does not exist.
     """
 
     def __init__(self, scene: Scene, rig: Rig, engine: EngineConfig, budget: Budget, seed: int = 0,
@@ -124,9 +124,9 @@ class RigPlanner:
         check_regions(problem.objective, self.pool)
 
     def problem(self, rig: Rig) -> Problem:
-        """Put a rig into the room."""
+        """Return the problem of a rig in the room."""
         if rig not in self._problems:
-            # The last one alone is kept: an engine holds some ten megabytes.
+            # Only the last problem is cached: an engine needs some ten megabytes.
             config = SimulationConfig(engine=self.engine)
             self._problems = {rig: Problem.of(self.scene, rig, config)}
         return self._problems[rig]
@@ -135,20 +135,20 @@ class RigPlanner:
         """
         Find the best placement of a rig.
 
-        :param before: of a rig with one camera less; what is found is worth no less.
-        :raises ConfigurationError: if its cameras do not find room.
+        :param before: result for a rig with one camera less; the new placement is not worse.
+        :raises ConfigurationError: if the cameras do not fit into the room.
         """
         problem, start = self.problem(rig), ()
         if before is not None:
             more = best_addition(problem.objective, self.pool, before.sites)
-            # Where it finds no room, all begin anew.
+            # If the added camera does not fit, the search starts without a placement.
             start = () if more is None else (*before.sites, more)
         answer = plan(problem, self.budget, self.planner, self.pool, self.seed, start,
                       self._progress, self.model)
         return self._compared(rig, answer)
 
     def _compared(self, rig: Rig, answer: SearchResult) -> RigPlan:
-        """Return what an answer is worth and what it compares with."""
+        """Return a placement with its evaluation and the values for comparison."""
         objective = self.problem(rig).objective
         self.pool.add(rig, answer.sites)
         rng = np.random.default_rng([self.seed, RANDOM])
@@ -162,7 +162,7 @@ class RigPlanner:
 
     def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
         """
-        Prove how much better than a plan others may be, unless that was tried already.
+        Prove the optimality gap of a plan, unless a proof was tried already.
 
         :param budget: of the proof.
         :returns: the plan with a certificate, or with the reason why there is none.
@@ -184,11 +184,14 @@ class RigPlanner:
     def count_up(self, rig_of_count: Callable[[int], Rig], first: int, most: int
                  ) -> Iterator[RigPlan]:
         """
-        Plan with ever more cameras, each time from the plan before: the loss never rises.
+        Plan with an increasing number of cameras, each time from the last plan.
 
-        :param rig_of_count: returns the rig with so many cameras.
-        :param first: how many to begin with.
-        :param most: how many to end with; sooner where no more find room or the budget is stopped.
+        So the loss never increases with the number of cameras.
+
+        :param rig_of_count: returns the rig with a number of cameras.
+        :param first: first number of cameras.
+        :param most: last number of cameras; it ends earlier if no more cameras fit or the budget
+            is stopped.
         """
         before = None
         for count in range(first, most + 1):

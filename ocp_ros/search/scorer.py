@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Scores of placements, where a camera that stands where one stood before costs no look."""
+"""Scores of placements with a cache of views by pose and camera."""
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
@@ -22,28 +22,28 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.search.planner import Scores
 from ocp_ros.simulation.simulator import Simulator, View
 
-#: Bytes of views that are kept: 16,000 of them in a room of 25,000 points.
+#: Size of the cache of views, bytes: 16,000 views in a room of 25,000 points.
 REMEMBERED = 64_000_000
 #: Metres between the places of a lattice.
 LATTICE = 0.25
 
 
 def remembered_looks(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
-    """Return ``look`` of an engine, which remembers what was seen: by pose and camera."""
+    """Return ``look`` of an engine with a cache of views by pose and camera."""
     nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
 
     @lru_cache(max(REMEMBERED // nothing, 64))
     def look(kind: int, pose: bytes) -> View:
         return simulator.look(np.frombuffer(pose), kind)
 
-    # Where cameras are alike, who stands where makes no difference.
+    # Cameras of the same kind share the cached views.
     return lambda pose, camera: look(
         simulator.kind(camera), np.asarray(pose, dtype=np.float64).tobytes())
 
 
 class Scorer:
     """
-    Judge placements by the engine.
+    Score placements by the engine.
 
     :param simulator: the engine for a scene.
     """
@@ -53,7 +53,7 @@ class Scorer:
 
     def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
         """
-        Judge placements.
+        Score placements.
 
         :param placements: B placements of the simulator, (n, 3) or (n, 6), n >= 0.
         """
@@ -71,22 +71,22 @@ class Scorer:
 
 class LatticeScorer:
     """
-    Judge placements as if each camera stood at the place of a lattice that is nearest to it.
+    Score placements with each camera moved to its nearest place on a lattice.
 
-    A room has some hundred such places. Each is looked from once, whatever a search asks.
+    A room has some hundred such places, so the view of each is computed once and cached.
 
-    :param score: judges placements (n, 3).
-    :param space: where cameras may be.
+    :param score: returns the scores of placements (n, 3).
+    :param space: feasible region of the cameras.
     """
 
     def __init__(self, score: Callable[[Sequence[np.ndarray]], Scores], space: FreePlane) -> None:
         self._score, self._space = score, space
 
     def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
-        """Judge B placements (n, 3)."""
+        """Score B placements (n, 3)."""
         return self._score([self._space.placement(self.snapped(placement[:, :2]))
                             for placement in placements])
 
     def snapped(self, positions: np.ndarray) -> np.ndarray:
-        """Move positions (n, 2) to places of the lattice, or near them where no camera may be."""
+        """Move positions (n, 2) to feasible positions at, or nearest to, places of the lattice."""
         return self._space.inside((np.floor(positions / LATTICE) + 0.5) * LATTICE)

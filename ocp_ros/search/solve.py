@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The loop that every planner runs in: it owns the clock, the count, the best and the trace."""
+"""The loop that runs a planner: it measures time, counts evaluations, stores best and trace."""
 
 from bisect import insort
 from collections.abc import Callable, Sequence
@@ -23,7 +23,7 @@ import time
 import numpy as np
 from ocp_ros.search.planner import Planner, Scores
 
-#: Placements that are kept for a second judgement.
+#: Number of best placements to store for a second evaluation.
 KEPT = 500
 
 
@@ -33,12 +33,12 @@ class Result:
     The best placement that a planner found.
 
     :ivar placement: (K, 3) metres, map frame.
-    :ivar depth_error: metres, as it was judged during the search.
+    :ivar depth_error: metres, as scored during the search.
     :ivar space_coverage: cubic metres.
-    :ivar evaluations: how many placements were judged.
-    :ivar seconds: how long the search took.
-    :ivar trace: (T, 3) evaluations, seconds (when the batch had been judged) and depth error at
-        each improvement.
+    :ivar evaluations: number of scored placements.
+    :ivar seconds: duration of the search.
+    :ivar trace: (T, 3) evaluations, seconds (at the end of the batch) and depth error at each
+        improvement.
     :ivar best: positions (n, 2) of the best placements, the best first.
     """
 
@@ -52,21 +52,21 @@ class Result:
 
 
 class Archive:
-    """The best placements that came by, as many as are kept."""
+    """The best placements so far, at most ``KEPT``."""
 
     def __init__(self) -> None:
         self._kept: list[tuple] = []
         self._numbers = itertools.count()
 
     def add(self, rank: tuple[float, ...], positions: np.ndarray) -> None:
-        """Keep a placement (n, 2) if it is among the best; the least rank is best."""
-        # Of equals, the first one: no number comes twice, so positions are never compared.
+        """Store a placement (n, 2) if it is among the best; the smallest rank is best."""
+        # Numbers are unique: among equal ranks the first wins, and positions are never compared.
         insort(self._kept, (*rank, next(self._numbers), positions))
         del self._kept[KEPT:]
 
     @property
     def best(self) -> tuple[np.ndarray, ...]:
-        """Return what was kept, the best first."""
+        """Return the stored placements, the best first."""
         return tuple(item[-1] for item in self._kept)
 
 
@@ -74,17 +74,17 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
           seconds: float = np.inf, progress: Callable[[int, float], None] | None = None,
           clock: Callable[[], float] = time.perf_counter) -> Result:
     """
-    Run a planner until its budget is used up or it has nothing more to ask.
+    Run a planner until its budget is used up or its search ends.
 
     :param planner: the method.
-    :param score: judges placements (n, 3); where it returns fewer scores than it got placements,
-        the search ends with these.
-    :param evaluations: the most placements to judge.
-    :param seconds: the most time to take; the batch that is being judged is finished.
+    :param score: returns the scores of placements (n, 3); if it returns fewer scores than
+        placements, the search ends with these.
+    :param evaluations: largest number of placements to score.
+    :param seconds: largest time; a batch that has started is finished.
     :param progress: called after each batch with the evaluations so far and the best error.
-    :param clock: tells the seconds.
-    :raises ValueError: if a planner places cameras outside its space or too many of them, or
-        never judged a placement.
+    :param clock: returns the current time, seconds.
+    :raises ValueError: if a planner places cameras outside its space or too many cameras, or no
+        placement was scored.
     """
     began, count = clock(), 0
     best, found, trace = (np.inf, 0, 0.0), None, []
@@ -98,7 +98,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
         scores = score([planner.space.placement(positions) for positions in batch])
         now = clock() - began
         for k, energy in enumerate(planner.energy(scores)):
-            # Of equals, the one with more cameras and more coverage is the safer answer.
+            # Among equal energies, prefer more cameras, then more space coverage.
             rank = float(energy), -len(batch[k]), -float(scores.space_coverage[k])
             archive.add(rank, batch[k])
             if rank < best:
@@ -119,7 +119,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
 
 
 def _check(planner: Planner, positions: np.ndarray) -> None:
-    """Refuse positions that the planner's own space does not allow."""
+    """Reject positions outside the planner's feasible region, and too many cameras."""
     space = planner.space
     if len(positions) > space.cameras or not space.contains(positions).all():
         raise ValueError(

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A rig in a scene: state, reward, the Gymnasium environment."""
+"""Simulate a rig in a scene: state, reward, the Gymnasium environment."""

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Which cameras see the same surfaces, so that they can be calibrated to each other.
+Covisibility: which cameras see the same surfaces, so that they can be calibrated to each other.
 
-Two cameras are linked if they share enough points under a small enough angle. All cameras can be
-brought into one frame if the graph of these links is connected. Cameras in place have known poses
-and count as linked.
+Two cameras are linked if enough points are visible to both under a small enough angle. All cameras
+can be brought into one frame if the graph of these links is connected. Cameras in place have known
+poses and count as linked.
 """
 
 from collections.abc import Sequence
@@ -29,20 +29,20 @@ from ocp_ros.rig.rig_file import Calibratable
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.kernels import njit
 
-#: Points of a room that are compared, at most.
+#: The largest number of points of a room that are compared.
 COMPARED = 8192
-#: Shares that fall short by less are reached.
+#: The tolerance for rounding when a share is compared with the required one.
 ROUNDING = 1e-9
 
 
 class Covisibility(NamedTuple):
     """
-    What pairs of cameras share.
+    The shares of points that pairs of cameras have in common.
 
-    :ivar shares: (C, C) points that both see under a small enough angle, as a share of those that
-        the camera which sees fewer sees; 1 between cameras in place.
+    :ivar shares: (C, C) the number of points visible to both cameras under a small enough angle,
+        as a share of the points of the camera that sees fewer; 1 between cameras in place.
     :ivar tree: the C - 1 links (camera, camera) that connect all cameras by the largest shares.
-    :ivar required: the share that links two cameras.
+    :ivar required: the least share at which two cameras are linked.
     """
 
     shares: np.ndarray
@@ -51,12 +51,12 @@ class Covisibility(NamedTuple):
 
     @property
     def missing(self) -> float:
-        """Return how much the links of the tree lack, 0 if it connects all cameras, at most 1."""
+        """Return the mean shortfall of the links of the tree: 0 if connected, at most 1."""
         lacks = [1.0 - min(self.shares[link] / self.required, 1.0) for link in self.tree]
         return float(np.mean(lacks)) if lacks else 0.0
 
     def linked(self, one: int, other: int) -> bool:
-        """Return whether two cameras share enough."""
+        """Return whether two cameras share enough points to be linked."""
         return bool(self.shares[one, other] >= self.required - ROUNDING)
 
     @property
@@ -73,12 +73,12 @@ class Covisibility(NamedTuple):
 def covisibility(points: np.ndarray, views: Sequence[View], asked: Calibratable, fixed: int = 0
                  ) -> Covisibility:
     """
-    Compare what cameras see.
+    Compute which points pairs of cameras share.
 
-    :param points: (N, 3) of the room in the engine's order, metres, map frame.
-    :param views: of C cameras, C >= 1, each from one position.
-    :param asked: what links two cameras.
-    :param fixed: how many of them, the last ones, are in place.
+    :param points: (N, 3) the points of the room in the engine's order, metres, map frame.
+    :param views: the views of C cameras, C >= 1, each from one position.
+    :param asked: the conditions for a link between two cameras.
+    :param fixed: the number of cameras in place, which are the last ones.
     """
     step = -(-len(points) // COMPARED)
     seen = np.stack([unpack(view.seen, len(points))[::step] for view in views])
@@ -95,13 +95,14 @@ def covisibility(points: np.ndarray, views: Sequence[View], asked: Calibratable,
 def watched(cells: np.ndarray, numbers: np.ndarray, views: Sequence[View], seen_by: int,
             angle: float) -> float:
     """
-    Return the share of some places in the air that enough cameras see from enough directions.
+    Return the share of air positions that enough cameras see from enough directions.
 
-    :param cells: (M, 3) metres, map frame, of all places in the engine's order.
-    :param numbers: (S,) of those that are asked for, S >= 1.
-    :param views: of C cameras; those of several positions at once see from any direction.
-    :param seen_by: how many cameras have to see a place.
-    :param angle: radians, the least between the lines of sight of any two of them.
+    :param cells: (M, 3) metres, map frame, all coverage cells in the engine's order.
+    :param numbers: (S,) the indices of the cells to count, S >= 1.
+    :param views: the views of C cameras; a view from several positions at once counts for any
+        direction.
+    :param seen_by: the number of cameras that have to see a cell.
+    :param angle: the least angle between the lines of sight of any two of these cameras, radians.
     """
     nowhere = np.full(3, np.nan)
     positions = np.array([nowhere if view.position is None else view.position for view in views])
@@ -133,8 +134,8 @@ def _shared(points, seen, positions, cosine):
     :param points: (S, 3) metres.
     :param seen: (C, S) bool.
     :param positions: (C, 3) metres.
-    :param cosine: of the largest angle between two lines of sight.
-    :returns: (C, C) int64; on the diagonal what each sees.
+    :param cosine: the cosine of the largest angle between two lines of sight.
+    :returns: (C, C) int64; the diagonal has the number of points visible to each camera.
     """
     count = len(seen)
     found = np.zeros((count, count), dtype=np.int64)
@@ -157,12 +158,12 @@ def _shared(points, seen, positions, cosine):
 
 @njit(cache=True, nogil=True)
 def _clique(linked, among, count):
-    """Return whether some (bits of ``among``) have so many that are all linked to each other."""
+    """Return whether ``count`` cameras of the bit set ``among`` are all linked to each other."""
     if count == 0:
         return True
     one, everyone = 0, among
     while among:
-        # Linked are those after it alone.
+        # ``linked[one]`` contains only cameras with higher numbers.
         if among & np.uint64(1) and _clique(linked, everyone & linked[one], count - 1):
             return True
         among, one = among >> np.uint64(1), one + 1
@@ -172,11 +173,11 @@ def _clique(linked, among, count):
 @njit(cache=True, nogil=True)
 def _watched(cells, numbers, covered, positions, seen_by, cosine):
     """
-    Count the places that enough cameras see from enough directions; see :func:`watched`.
+    Count the cells that enough cameras see from enough directions; see :func:`watched`.
 
-    :param covered: (C, V) uint64, packed bits of the places.
-    :param positions: (C, 3) metres; NaN for cameras that see from any direction.
-    :param cosine: of the least angle between two lines of sight.
+    :param covered: (C, V) uint64, packed bits of the cells.
+    :param positions: (C, 3) metres; NaN for views that count for any direction.
+    :param cosine: the cosine of the least angle between two lines of sight.
     """
     count, total = len(covered), 0
     ways, linked = np.empty((count, 3)), np.empty(count, dtype=np.uint64)
@@ -191,7 +192,7 @@ def _watched(cells, numbers, covered, positions, seen_by, cosine):
                 ways[one] = cells[number] - positions[one]
                 ways[one] /= max(np.sqrt((ways[one] ** 2).sum()), 1e-9)
                 for other in range(one):
-                    # Not a number is not above anything.
+                    # NaN is not greater than any number, so such a view is always linked.
                     if not (ways[one] * ways[other]).sum() > cosine + 1e-9:
                         linked[other] |= np.uint64(1) << np.uint64(one)
         if seers >= seen_by and _clique(linked, among, seen_by):

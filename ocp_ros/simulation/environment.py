@@ -32,25 +32,25 @@ from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 
-#: What ``gymnasium.make`` calls the environment.
+#: The name of the environment for ``gymnasium.make``.
 ENVIRONMENT = 'ocp_ros/CameraPlacement-v0'
 LARGEST_ROOM = 1000.0
-#: Scenes, each turned in one way, whose engines are kept ready.
+#: The number of problems (a scene with a rotation) whose engines are cached.
 KEPT = 16
 
 
 class CameraPlacementEnv(gym.Env):
     """
-    Move depth cameras until what they see together explains the room.
+    Move depth cameras until their views together reconstruct the room.
 
-    They are omnidirectional and move on a plane, or are those of ``config.rig_file`` and keep its
-    constraints: a camera goes as near to where it is sent as it may, and cameras in place see.
+    The cameras are omnidirectional and move on a plane, or are those of ``config.rig_file`` with
+    its constraints. A camera moves to the allowed position nearest to its target. The views of
+    cameras in place are included.
 
-    **Action space**
-    ``Box(-1, 1, (K, 2))``: each camera's move in units of ``max_step``, shortened to the unit
-    disc. Moves of cameras that an episode does not have are ignored. A rig file may ask for more
-    columns (``axes`` names them): ``z``, where the mount leaves a choice of height, and ``yaw``
-    and ``pitch`` in units of ``max_turn``, where a camera is not omnidirectional.
+    **Action space** ``Box(-1, 1, (K, 2))``: each camera's move in units of ``max_step``, shortened
+    to the unit disc. Moves of absent cameras are ignored. A rig file may add columns (named by
+    ``axes``): ``z`` if the mount allows a range of heights, and ``yaw`` and ``pitch`` in units of
+    ``max_turn`` if a camera is not omnidirectional.
 
     **Observation space**
     ==================== ====== ==========================================================
@@ -66,21 +66,20 @@ class CameraPlacementEnv(gym.Env):
     **Reward**
     See :mod:`ocp_ros.simulation.reward`; all terms are in ``info``.
 
-    **Start**
-    A scene drawn from ``scenes``, turned by an angle drawn from ``rotations``, and as many cameras
-    as are drawn, near its centre; ``options`` may name ``scene`` (index), ``rotation`` (degrees)
-    and ``cameras``.
+    A scene drawn from ``scenes``, rotated by an angle drawn from ``rotations``, with a drawn
+    number of cameras near its centre; ``options`` may set ``scene`` (index), ``rotation``
+    (degrees) and ``cameras``.
 
     **End**
     ``truncated`` after the configured number of turns. A placement is never final in itself, so
     ``terminated`` stays False.
 
-    :param scenes: rooms to draw from; each is taken when its episode begins.
+    :param scenes: rooms to draw from; a room is loaded when its episode begins.
     :param config: rig, engine, episode and reward.
-    :param observation_points: P.
-    :param fewest: episodes have from so many to K cameras; K by default.
+    :param observation_points: the number P of points of an observed cloud.
+    :param fewest: the least number of cameras of an episode; the largest is K; K by default.
     :param rotations: degrees about the vertical axis.
-    :raises ConfigurationError: if the rig file cannot be used, or not with these numbers of
+    :raises ConfigurationError: if the rig file cannot be used, or does not fit these numbers of
         cameras and rotations.
     """
 
@@ -115,7 +114,7 @@ class CameraPlacementEnv(gym.Env):
             for name, shape in shapes.items()})
 
     def _check_rig(self) -> None:
-        """Refuse fewer cameras than a rig file lists, and rooms that turn without its places."""
+        """Refuse too few cameras for a rig file, and rotations if the rig has poses in the map."""
         rig, cameras = self.rig, len(self.rig.cameras)
         if self.fewest < cameras and not rig.free:
             raise ConfigurationError(f'fewest: found {self.fewest} with a rig file; expected '
@@ -123,7 +122,7 @@ class CameraPlacementEnv(gym.Env):
         rig.check_rotations(self.rotations, f'rotations: found {self.rotations}', '0 alone')
 
     def _make_problem(self, index: int, rotation: float) -> Problem:
-        """Prepare a scene, turned."""
+        """Prepare a rotated scene."""
         scene = self.scenes[index]
         return make_problem(turned(scene, rotation) if rotation else scene, self.config)
 
@@ -139,7 +138,7 @@ class CameraPlacementEnv(gym.Env):
         return self._observation(), self._info()
 
     def step(self, action):
-        """Move every camera by its action and look."""
+        """Move every camera by its action and compute the new views."""
         now, limits = self.episode.turn, self.config.episode
         axes = np.asarray(action, dtype=np.float64).reshape(-1, len(self.axes))
         axes = axes[:len(now.positions)]
@@ -153,8 +152,8 @@ class CameraPlacementEnv(gym.Env):
         return self._observation(), turn.terms.reward, False, turn.truncated, self._info()
 
     def _observation(self) -> dict[str, np.ndarray]:
-        """Return what the agent may know."""
-        # Where no camera sees anything, the cameras themselves are all that is known to be there.
+        """Return the observation of the agent."""
+        # If no camera sees any point, the camera positions stand for the cloud.
         cloud = self.episode.observed_cloud
         if len(cloud) == 0:
             cloud = self.episode.turn.positions.astype(np.float32)
@@ -179,10 +178,10 @@ class CameraPlacementEnv(gym.Env):
 
 class RoomsByName(Sequence[Scene]):
     """
-    Rooms that are made each time they are taken.
+    Rooms that are made each time they are accessed.
 
     :param names: seeds of generated rooms, or paths of scans.
-    :param points: of a generated room; a larger scan is thinned to as many.
+    :param points: the number of points of a room; larger scans are thinned to it.
     """
 
     def __init__(self, names: Sequence[int | str | PathLike[str]], points: int = 15000) -> None:
@@ -204,11 +203,11 @@ def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points
     Return the environment that ``gymnasium.make`` makes.
 
     :param rooms: seeds of generated rooms, or paths of scans.
-    :param points: of a generated room; a larger scan is thinned to as many.
-    :param cameras: how many, where there is no rig file; 4 unless given.
+    :param points: the number of points of a room; larger scans are thinned to it.
+    :param cameras: the number of cameras without a rig file; 4 by default.
     :param config: rig, engine, episode and reward.
     :param more: other arguments of :class:`CameraPlacementEnv`.
-    :raises ConfigurationError: for a number of cameras that cannot be.
+    :raises ConfigurationError: for an impossible number of cameras.
     """
     if isinstance(rooms, (str, int, PathLike)):
         rooms = (rooms,)
@@ -219,5 +218,5 @@ def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points
     return CameraPlacementEnv(RoomsByName(rooms, points), config, **more)
 
 
-# Gymnasium 1 looks for no entry points of packages: whoever imports this module has registered it.
+# Gymnasium 1 does not load entry points of packages: importing this module registers it.
 gym.register(ENVIRONMENT, f'{__name__}:{environment_of.__name__}')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One episode: a rig moves through a scene turn by turn, and what it has seen stays seen."""
+"""One episode: a rig moves through a scene in time steps, and all points seen are accumulated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -27,15 +27,15 @@ from ocp_ros.simulation.simulator import View
 @dataclass(frozen=True)
 class Turn:
     """
-    The state after a turn.
+    The state after a time step (turn).
 
-    :ivar step: turns since the episode began.
+    :ivar step: the number of turns since the episode began.
     :ivar positions: (K, 3) float64, metres, map frame.
     :ivar headings: (K, 3) float64, yaw, pitch and roll in radians.
     :ivar space_coverage: cubic metres, of the current placement.
     :ivar depth_error: metres, of the current placement.
-    :ivar terms: the turn's reward and what it is made of.
-    :ivar truncated: whether the turns are used up.
+    :ivar terms: the reward of the turn and its terms.
+    :ivar truncated: whether the last turn of the episode has been played.
     """
 
     step: int
@@ -49,15 +49,15 @@ class Turn:
 
 class Episode:
     """
-    Move the cameras of a rig that are to be placed in one scene.
+    Move the cameras of a rig that are to be placed, in one scene.
 
     :param problem: the rig in the scene.
-    :param rng: where the cameras start is drawn from it.
-    :param cameras: how many there are; those of the problem by default.
+    :param rng: the random generator that draws the start positions.
+    :param cameras: the number of cameras; all cameras of the problem by default.
     :ivar simulator: the engine.
     :ivar scene: the room.
-    :ivar views: what each camera that is to be placed sees now.
-    :ivar value: space coverage, cubic metres, and the error of rewards, metres, now; see
+    :ivar views: the current view of each camera that is to be placed.
+    :ivar value: the current space coverage, cubic metres, and the error of rewards, metres; see
         :meth:`value_of`.
     """
 
@@ -69,7 +69,7 @@ class Episode:
         start = problem.start(
             rng, self.config, len(problem.rig.cameras) if cameras is None else cameras)
         self.turn = self._look(0, start)
-        #: The value before the turn, and what each camera saw then.
+        #: The value and the views before the turn.
         self._before = self.value, self.views
 
     @property
@@ -82,10 +82,9 @@ class Episode:
         """
         Play one turn.
 
-        :param moves: (K, 2) metres on the plane, or (K, 3), of which a plane leaves out the
-            height; a longer one than ``max_step`` is shortened.
-        :param headings: (K, 3) yaw, pitch and roll in radians; None for cameras that stay turned
-            as they are.
+        :param moves: (K, 2) metres on the plane, or (K, 3), where a plane ignores the height;
+            moves longer than ``max_step`` are shortened.
+        :param headings: (K, 3) yaw, pitch and roll in radians; None keeps the headings.
         :returns: the new state, also kept as ``turn``.
         """
         moves = np.asarray(moves, dtype=np.float64)[:, :self.problem.dimensions]
@@ -102,12 +101,12 @@ class Episode:
 
     def shares(self, order: Sequence[int]) -> list[RewardTerms]:
         """
-        Say what each camera's last move was worth, as if they had moved one after the other.
+        Return the reward of each camera's last move, as if they had moved one after the other.
 
-        Of a reward that telescopes, the shares add up to that of the turn.
+        For a telescoping reward, the shares add up to the reward of the turn.
 
-        :param order: in which the cameras moved.
-        :returns: one per camera, in this order.
+        :param order: the order in which the cameras are taken to have moved.
+        :returns: one entry per camera, in this order.
         """
         before, views = self._before
         views, found = list(views), []
@@ -125,12 +124,12 @@ class Episode:
 
     def reward(self, before: tuple[float, float], after: tuple[float, float],
                outside: bool = False) -> RewardTerms:
-        """Reward what led from one value, of :meth:`value_of`, to another."""
+        """Return the reward for a change of the value (see :meth:`value_of`)."""
         return reward(before, after, outside, self.simulator.volume,
                       self.simulator.depth_error.worst, self.simulator.config.reward)
 
     def _look(self, step: int, poses: np.ndarray) -> Turn:
-        """Judge the placement (K, 6) and remember what it sees."""
+        """Evaluate the placement (K, 6) and add its visible points to the observed ones."""
         self.views = self.problem.look(poses)
         result = self.problem.judge(self.views)
         self.value = result.space_coverage, self.problem.error(result)

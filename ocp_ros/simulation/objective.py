@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a placement of a rig is worth: the depth error, and what the rig's regions ask for."""
+"""The objective of a placement: the depth error, and the requirements of the rig's regions."""
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
@@ -28,24 +28,24 @@ from ocp_ros.simulation.covisibility import Covisibility, covisibility, ROUNDING
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
 
-#: What it costs to miss all of what a region says must be seen; the room itself costs 1.
+#: The cost of missing all of a region that must be seen; missing the whole room costs 1.
 MUST = 10.0
-#: Overlap is counted up to as many cameras.
+#: Overlap is counted up to this number of cameras.
 COUNTED = 3
 
 
 class RigEvaluation(NamedTuple):
     """
-    What a placement is worth; a place counts as seen where ``seen_by`` cameras see it.
+    The evaluation of a placement; a point counts as seen if ``seen_by`` cameras see it.
 
-    :ivar loss: what a search minimises: depth error / depth error of seeing nothing
-        + sum of weight x unseen share + 10 x what is missing of each share that must be seen
-        + 10 x what is missing of the overlaps that link all cameras, where the rig asks for it.
+    :ivar loss: the value to minimise: depth error / depth error of seeing nothing + sum of weight
+        x unseen share + 10 x shortfall of each share that must be seen + 10 x shortfall of the
+        overlaps that link all cameras, if the rig requires it.
     :ivar depth_error: metres.
     :ivar space_coverage: cubic metres.
-    :ivar regions: (R,) share of each region's points that are seen.
-    :ivar seen: the points that are seen.
-    :ivar connected: whether all cameras are linked, or need not be.
+    :ivar regions: (R,) the share of each region's points that are seen.
+    :ivar seen: the points that enough cameras see.
+    :ivar connected: whether all cameras are linked, or the rig does not require it.
     """
 
     loss: float
@@ -58,10 +58,10 @@ class RigEvaluation(NamedTuple):
 
 class Contribution(NamedTuple):
     """
-    What one camera adds to the others.
+    The contribution of one camera in addition to the others.
 
-    :ivar depth_error: metres, the error without it minus the error with it.
-    :ivar only: share of all points that no other camera sees.
+    :ivar depth_error: the depth error without the camera minus the error with it, metres.
+    :ivar only: the share of all points that only this camera sees.
     """
 
     depth_error: float
@@ -70,12 +70,14 @@ class Contribution(NamedTuple):
 
 class Objective:
     """
-    Judge placements of a rig in one room; the cameras in place count, and are looked from once.
+    Evaluate placements of a rig in one room.
 
-    :param simulator: the engine; its models are those of the K cameras to be placed, then of the
-        F in place.
-    :param rig: the same rig.
-    :raises ConfigurationError: if a region holds no points of the room.
+    Views of cameras in place are included and computed once.
+
+    :param simulator: the engine; its camera models are those of the K cameras to be placed, then
+        of the F in place.
+    :param rig: the rig of these cameras.
+    :raises ConfigurationError: if a region contains no points of the room.
     """
 
     def __init__(self, simulator: Simulator, rig: Rig) -> None:
@@ -100,7 +102,7 @@ class Objective:
         """Return the cells of the coverage grid that are air in a region: (S,) in its order."""
         scene, cells = self.simulator.scene, self._cells
         numbers = np.flatnonzero(region.zone.contains(cells, floor_height(scene)))
-        # What is in furniture is no air.
+        # Cells inside furniture are not air.
         numbers = numbers[~self._air.closed(cells[numbers])]
         self._check_inside(region, numbers >= 0)
         return numbers
@@ -112,7 +114,7 @@ class Objective:
         return Air(scene, floor_space(scene, self.rig, floor_height(scene), scene.bounds[1, 2]))
 
     def _check_inside(self, region: Region, inside: np.ndarray) -> None:
-        """Refuse a region without anything in it that is asked for."""
+        """Refuse a region that contains none of the points or cells that must be seen."""
         if not inside.any():
             scene = self.simulator.scene
             low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)
@@ -135,10 +137,11 @@ class Objective:
 
     def point_costs(self) -> Iterator[tuple[np.ndarray, float]]:
         """
-        Yield what points cost that are not seen, beside the depth error.
+        Yield the cost of unseen points, without the depth error.
 
-        :returns: (N,) loss of each point in the engine's order, and how much of their sum is
-            free: first for the weights of all regions, then for each that must be seen.
+        :returns: (N,) loss of each point in the engine's order, and the part of their sum that
+            costs nothing: first for the weights of all regions, then for each region that must be
+            seen.
         """
         shares = [unpack(bits, len(self.simulator.scene)) / count_bits(bits)
                   for bits in self._regions]
@@ -150,17 +153,17 @@ class Objective:
 
     def look(self, poses: np.ndarray) -> list[View]:
         """
-        Compute what the cameras to be placed see.
+        Compute the views of the cameras to be placed.
 
-        :param poses: (K, 6) metres, map frame, and radians, or (K, 3); or fewer rows.
+        :param poses: (K, 6) metres, map frame, and radians, or (K, 3); fewer rows are allowed.
         """
         return [self.simulator.look(pose, camera) for camera, pose in enumerate(poses)]
 
     def judge(self, views: Sequence[View]) -> RigEvaluation:
         """
-        Judge cameras by what they see.
+        Evaluate cameras, given their views.
 
-        :param views: of some of the cameras to be placed, from :meth:`look` or
+        :param views: the views of some of the cameras to be placed, from :meth:`look` or
             :meth:`~ocp_ros.simulation.simulator.Simulator.look`.
         """
         everyone, missing = self._with_fixed(views), self._missing(views)
@@ -172,17 +175,16 @@ class Objective:
             Subset(seen, self._order), missing <= ROUNDING)
 
     def loss(self, views: Sequence[View]) -> float:
-        """Return the loss alone, of views as for :meth:`judge`."""
+        """Return only the loss of views, which are as for :meth:`judge`."""
         everyone = self._with_fixed(views)
         return self._loss_of(self._seen(everyone), everyone)[0] + self._missing(views)
 
     def promise(self, views: Sequence[View]) -> float:
         """
-        Return the mean of what the loss were if 1, 2, ... cameras had to see a place.
+        Return the mean of the losses with 1, 2, ... required cameras per point.
 
-        They are as many at most as the rig asks for, or a region of air.
-
-        It tells too few cameras apart, which are worth nothing yet.
+        The largest number is that of the rig or of a region of air. This value also distinguishes
+        placements with too few cameras, which all have the same loss.
 
         :param views: as for :meth:`judge`.
         """
@@ -199,8 +201,8 @@ class Objective:
         Return loss, depth error and shares of the regions.
 
         :param seen: packed bits of the points that count as seen.
-        :param views: of all cameras, for regions of air.
-        :param most: cameras that are asked to see these.
+        :param views: the views of all cameras, for regions of air.
+        :param most: the limit of the number of cameras that have to see these regions.
         """
         error = self.simulator.depth_error(seen)
         shares = np.array([
@@ -213,11 +215,11 @@ class Objective:
 
     def covisibility(self, views: Sequence[View]) -> Covisibility | None:
         """
-        Compare what cameras see, where the rig asks for cameras that can be calibrated.
+        Compute the covisibility of cameras if the rig requires that they can be calibrated.
 
         :param views: as for :meth:`judge`.
-        :returns: of these cameras and those in place; None where the rig does not ask for it, or
-            where views are of several positions at once.
+        :returns: the covisibility of these cameras and those in place; None if the rig does not
+            require it, or if a view has several positions.
         """
         views, asked = self._with_fixed(views), self.rig.calibratable
         if asked is None or any(view.position is None for view in views):
@@ -225,12 +227,12 @@ class Objective:
         return covisibility(self._points, views, asked, len(self.fixed))
 
     def _missing(self, views: Sequence[View]) -> float:
-        """Return what it costs that cameras are not linked."""
+        """Return the cost of cameras that are not linked."""
         found = self.covisibility(views)
         return 0.0 if found is None else MUST * found.missing
 
     def evaluate(self, poses: np.ndarray) -> RigEvaluation:
-        """Judge poses (K, 6), metres, map frame, and radians."""
+        """Evaluate poses (K, 6), metres, map frame, and radians."""
         return self.judge(self.look(poses))
 
     def overlap(self, views: Sequence[View]) -> list[int]:
@@ -238,7 +240,7 @@ class Objective:
         Count how many cameras see each point.
 
         :param views: as for :meth:`judge`.
-        :returns: points seen by 0, 1, 2 and by 3 or more.
+        :returns: the numbers of points seen by 0, 1, 2 and by 3 or more cameras.
         """
         seen = [view.seen for view in self._with_fixed(views)]
         levels = [count_bits(bits) for bits in seen_by(seen, COUNTED)]
@@ -247,10 +249,10 @@ class Objective:
 
     def contributions(self, views: Sequence[View]) -> list[Contribution]:
         """
-        Compare what all cameras are worth with what they are without each.
+        Compute what each camera contributes in addition to the others.
 
         :param views: as for :meth:`judge`.
-        :returns: for each view, and then for each camera in place.
+        :returns: the contribution of each view, then of each camera in place.
         """
         error, everyone = self.simulator.depth_error, self._with_fixed(views)
         once, twice = seen_by([view.seen for view in everyone], 2)
@@ -264,10 +266,10 @@ class Objective:
 
     def with_one_more(self, views: Sequence[View], more: Sequence[View]) -> np.ndarray:
         """
-        Return the depth error with each of some further cameras.
+        Return the depth error after adding each of some further cameras.
 
         :param views: as for :meth:`judge`.
-        :param more: of M cameras, of which one is added.
+        :param more: the views of M cameras, of which one at a time is added.
         :returns: (M,) metres.
         """
         levels = self._levels(self._with_fixed(views))
@@ -276,13 +278,13 @@ class Objective:
                          for view in more])
 
     def _with_fixed(self, views: Sequence[View]) -> list[View]:
-        """Return views and those of the cameras in place, one at least."""
+        """Return the views with those of the cameras in place; an empty view if there are none."""
         return [*views, *self.fixed] or [self._nothing]
 
     def _levels(self, views: Sequence[View]) -> list[np.ndarray]:
-        """Return the points that at least 1, 2, ... ``seen_by`` views hold, as packed bits."""
+        """Return the points that at least 1, 2, ... ``seen_by`` views contain, as packed bits."""
         return seen_by([view.seen for view in views], self.rig.seen_by)
 
     def _seen(self, views: Sequence[View]) -> np.ndarray:
-        """Return the points that enough views hold, as packed bits."""
+        """Return the points that ``seen_by`` or more views contain, as packed bits."""
         return self._levels(views)[-1]

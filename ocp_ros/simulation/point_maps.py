@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What of a room some cameras see and what they miss, point by point, to look at."""
+"""Maps of the seen points and of the error of a room, point by point, for display."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -25,12 +25,12 @@ from ocp_ros.simulation.simulator import Simulator
 
 class PointMaps(NamedTuple):
     """
-    What cameras see and miss.
+    The number of cameras and the error at each point.
 
     :ivar points: (N, 3) float32, metres, map frame.
-    :ivar count: (N,) int64, how many cameras see each point now.
-    :ivar error: (N,) float64, metres, the part of the depth error that comes about at each point;
-        together they are the depth error.
+    :ivar count: (N,) int64, the number of cameras that see each point.
+    :ivar error: (N,) float64, metres, the part of the depth error at each point; the sum is the
+        depth error.
     """
 
     points: np.ndarray
@@ -40,11 +40,10 @@ class PointMaps(NamedTuple):
 
 def maps_of(simulator: Simulator, poses: Sequence[Pose]) -> PointMaps:
     """
-    Look from each camera and count.
+    Compute the maps of a placement.
 
-    :param simulator: the engine for the room; camera k sees as its model k has it, or as its only
-        one.
-    :param poses: K >= 1.
+    :param simulator: the engine for the room; camera k has its model k, or its only model.
+    :param poses: the poses of K cameras, K >= 1.
     """
     views = [simulator.look(pose, camera) for camera, pose in enumerate(poses)]
     order = simulator.visibility.order

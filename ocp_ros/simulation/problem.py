@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-What there is to solve in a room: which cameras, where they may be, what placements are worth.
+The placement problem in a room: the cameras, their feasible region and the objective.
 
 A :class:`Problem` is a rig in a room; :class:`PlaneProblem` is the case of cameras that move
 freely on a plane.
@@ -34,9 +34,10 @@ from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
 
-#: Metres: who ends this near to where it was sent was not stopped.
+#: Metres: a camera that ends this near to its target was not stopped.
 NEAR = 0.01
-#: Places that starts are drawn of, for cameras that are turned and for those that see all around.
+#: The number of start positions to choose from, for cameras with headings and for omnidirectional
+#: ones.
 STARTS, ALL_ROUND = 166, 4000
 
 
@@ -55,10 +56,10 @@ def make_problem(scene: Scene, config: SimulationConfig) -> 'Problem':
 def space_of(simulator: Simulator, cameras: int | None = None,
              config: EpisodeConfig | None = None) -> FreePlane:
     """
-    Return where cameras that move freely on a plane may be in a room.
+    Return the space of cameras that move freely on a plane in a room.
 
-    :param cameras: how many there are; those of the simulator's settings by default.
-    :param config: their distance to surfaces; that of the simulator's settings by default.
+    :param cameras: the number of cameras; that of the simulator's settings by default.
+    :param config: the distance to surfaces; that of the simulator's settings by default.
     """
     config = config or simulator.config.episode
     return FreePlane.of(simulator.scene.points, simulator.height,
@@ -70,11 +71,11 @@ class Problem:
     """
     A rig in a room.
 
-    :param objective: judges placements; its simulator is the engine.
-    :param region: where its cameras may be.
-    :ivar axes: what an action changes, see :attr:`ocp_ros.rig.rig_file.Rig.axes`.
-    :ivar dimensions: in which cameras move.
-    :ivar models: what each camera sees: K to be placed, then F in place.
+    :param objective: the objective of placements; its simulator is the engine.
+    :param region: the feasible region of its cameras.
+    :ivar axes: the components of an action, see :attr:`ocp_ros.rig.rig_file.Rig.axes`.
+    :ivar dimensions: the number of dimensions in which cameras move.
+    :ivar models: the models of all cameras: K to be placed, then F in place.
     :ivar fixed_poses: (F, 6) metres, map frame, and radians, of the cameras in place.
     """
 
@@ -89,17 +90,17 @@ class Problem:
     @classmethod
     def of(cls, scene: Scene, rig: Rig, config: SimulationConfig | None = None) -> 'Problem':
         """
-        Put a rig into a room.
+        Build the problem of a rig in a room.
 
         :param config: the settings of engine, episode and reward.
-        :raises ConfigurationError: if the rig does not go with the room.
+        :raises ConfigurationError: if the rig does not fit the room.
         """
         region = FeasibleRegion(scene, rig)
         simulator = Simulator(scene, config or SimulationConfig(), rig.models)
         return cls(Objective(simulator, rig), region)
 
     def nothing(self) -> Subset:
-        """Return what is seen before the cameras look: what those in place see."""
+        """Return the points visible to the cameras in place."""
         seen = self.simulator.nothing()
         for view in self.objective.fixed:
             seen |= Subset(view.seen, self.simulator.visibility.order)
@@ -107,25 +108,25 @@ class Problem:
 
     @cached_property
     def _starts(self) -> dict[CameraModel, np.ndarray]:
-        """Return places where a camera of each model may be: (M, 3) metres."""
+        """Return feasible positions of each camera model: (M, 3) metres."""
         return {model: self.region.places(
             model, ALL_ROUND if model.omnidirectional else STARTS)[0].positions
             for model in self.rig.placed_models}
 
     @cached_property
     def _middle(self) -> np.ndarray:
-        """Return the middle of the room, as high as cameras hang lowest: (3,) metres."""
+        """Return the middle of the room at the lowest camera height: (3,) metres."""
         region, heights = self.region, self.rig.mount.heights
         level = region.top if heights is None else region.floor + heights[0]
         return np.array([*self.simulator.scene.bounds.mean(axis=0)[:2], level])
 
     def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
         """
-        Draw where an episode begins, as near to the centre of the room as cameras may be.
+        Draw the start of an episode, as near to the centre of the room as the cameras may be.
 
-        :param cameras: how many there are; all K of the rig.
+        :param cameras: the number of cameras: all K of the rig.
         :returns: (K, 6) metres, map frame, and radians.
-        :raises ConfigurationError: if the cameras do not find room.
+        :raises ConfigurationError: if there is no room for all cameras.
         """
         wanted = self._middle[:2] + drawn_near(rng, cameras, config.start_radius)
         taken, rig = self.fixed_poses[:, :3], self.rig
@@ -148,11 +149,11 @@ class Problem:
     def reached(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
                 ) -> tuple[np.ndarray, bool]:
         """
-        Tell where cameras end that are sent somewhere: as near to it as they may be.
+        Return the poses that cameras reach: the feasible ones nearest to their targets.
 
         :param poses: (K, 6) metres, map frame, and radians, where they are.
         :param targets: (K, 6), no farther than a time step reaches.
-        :returns: (K, 6), and whether one of them was sent to where it must not be.
+        :returns: (K, 6), and whether any target was not allowed.
         """
         ended, refused = poses.copy(), False
         ended[:, 3:] = targets[:, 3:]
@@ -177,22 +178,22 @@ class Problem:
         return ended, refused
 
     def look(self, poses: np.ndarray) -> list[View]:
-        """Compute what the cameras to be placed see from poses (K, 6), metres and radians."""
+        """Compute the views of the cameras to be placed from poses (K, 6), metres and radians."""
         return self.objective.look(poses)
 
     def judge(self, views: list[View]) -> RigEvaluation:
-        """Judge cameras by what they see, those in place included."""
+        """Evaluate cameras, given their views; those in place are included."""
         return self.objective.judge(views)
 
     def error(self, result: RigEvaluation) -> float:
         """
-        Return the error that rewards are made of, metres.
+        Return the error that rewards are computed from, metres.
 
-        It is the loss in units of the depth error of seeing nothing: the depth error itself where
-        no region matters more than the rest.
+        It is the loss in units of the depth error of seeing nothing. Without additional
+        requirements it is the depth error itself.
         """
         worst = self.simulator.depth_error.worst
-        # Without any rounding where nothing else counts.
+        # This form is free of rounding errors if the loss has no other terms.
         return result.depth_error + (result.loss - result.depth_error / worst) * worst
 
 
@@ -213,11 +214,11 @@ class PlaneProblem(Problem):
 
     def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
         """
-        Draw where an episode begins, around the centre of the room.
+        Draw the start of an episode around the centre of the room.
 
-        Who would stand in furniture begins at the nearest place where planners may put it.
+        A camera inside furniture is moved to the nearest position that planners allow.
 
-        :param cameras: how many there are, K.
+        :param cameras: the number of cameras, K.
         :returns: (K, 6) metres, map frame, and radians.
         """
         simulator, poses = self.simulator, np.empty((cameras, 6))
@@ -234,11 +235,11 @@ class PlaneProblem(Problem):
     def reached(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
                 ) -> tuple[np.ndarray, bool]:
         """
-        Tell where cameras end that are sent somewhere.
+        Return the poses that cameras reach.
 
         :param poses: (K, 6) metres, map frame, and radians, where they are.
         :param targets: (K, 6), no farther than a time step reaches.
-        :returns: (K, 6), and whether one of them was sent to where it must not be.
+        :returns: (K, 6), and whether any target was not allowed.
         """
         ended = targets.copy()
         ended[:, :3], outside = kept_inside(

@@ -28,15 +28,15 @@ from ocp_ros.scenes.scene import Mesh, Scene
 
 class RayVisibility:
     """
-    Visibility of points and of places in the air by rays cast at a mesh.
+    Visibility of points and of positions in the air by rays cast at a mesh.
 
-    It stands in for :class:`~ocp_ros.geometry.visibility.SurfelVisibility`.
+    It has the interface of :class:`~ocp_ros.geometry.visibility.SurfelVisibility`.
 
     :param points: (N, 3) float32, metres, map frame.
     :param places: (M, 3) float32, metres.
     :param mesh: the surfaces.
     :ivar order: (N,) int64: index of each point of the spatial order among the given points.
-    :ivar place_order: (M,) int64: the same of the places.
+    :ivar place_order: (M,) int64: the same for the positions in the air.
     """
 
     def __init__(self, points: np.ndarray, places: np.ndarray, mesh: Mesh) -> None:
@@ -46,19 +46,19 @@ class RayVisibility:
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:
-        """Add what a camera sees to what others see; see ``SurfelVisibility.look``."""
+        """Add what is visible to a camera; see ``SurfelVisibility.look``."""
         seen |= self._visible(self._points, pose, lens)
         if len(covered):
             covered |= self._visible(self._places, pose, lens)
 
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
-        """Keep what lies in the viewing cone; see ``SurfelVisibility.narrowed``."""
+        """Clip to the viewing cone; see ``SurfelVisibility.narrowed``."""
         return (seen & pack(in_reach(self._points, pose, lens)),
                 covered & pack(in_reach(self._places, pose, lens)))
 
     def _visible(self, points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
-        """Return the packed bits of what nothing hides in the viewing cone and the range."""
+        """Return the packed bits of the points that are visible, in the viewing cone and range."""
         near = np.flatnonzero(in_reach(points, pose, lens))
         seen = np.zeros(len(points), dtype=bool)
         seen[near] = self._rays.visible(points[near], pose.position, lens.max_range)
@@ -66,5 +66,5 @@ class RayVisibility:
 
 
 def with_rays(engine: EngineConfig, scene: Scene) -> EngineConfig:
-    """Return settings by which rays are cast where a mesh is behind the points of a room."""
+    """Return engine settings that cast rays if the scene has a mesh."""
     return engine if scene.mesh is None else replace(engine, preset=MESH)

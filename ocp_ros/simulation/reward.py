@@ -15,12 +15,12 @@
 """
 Rewards of one turn.
 
-``paper``: section III-C of arXiv 2110.11106, a weighted sum of what coverage gained and depth
-error lost, or a penalty, mapped by the third power. Cubing each turn's difference can be gamed:
-leaving slowly and jumping back pays.
+``paper``: section III-C of arXiv 2110.11106, a weighted sum of the gain of coverage and the
+reduction of depth error, or a penalty, raised to the third power. This reward has a flaw: a camera
+that moves away slowly and jumps back gains reward.
 
 ``potential``: the difference of a potential, -2 ln(D / D_none + 0.01) + 3 x covered share, so that
-what a path pays depends on its two ends alone.
+the total reward of a path depends only on its two ends.
 """
 
 import math
@@ -31,12 +31,12 @@ from ocp_ros.simulation.simulation_config import RewardConfig
 
 class RewardTerms(NamedTuple):
     """
-    What a turn's reward is made of.
+    The reward of a turn and its terms.
 
     :ivar reward: the reward itself.
     :ivar delta_space_coverage: cubic metres gained.
-    :ivar delta_depth_error: metres of error lost; positive is better.
-    :ivar penalty: 1.0 if a camera was told to leave the bounding box, else 0.0.
+    :ivar delta_depth_error: the reduction of the depth error, metres; positive is better.
+    :ivar penalty: 1.0 if a camera was commanded to leave the bounding box, else 0.0.
     """
 
     reward: float
@@ -50,11 +50,11 @@ NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0)
 
 def potential(space_coverage: float, depth_error: float, volume: float, worst: float) -> float:
     """
-    Value a placement.
+    Return the potential of a placement.
 
     :param space_coverage: cubic metres.
     :param depth_error: metres.
-    :param volume: of the bounding box, cubic metres.
+    :param volume: the volume of the bounding box, cubic metres.
     :param worst: the depth error of seeing nothing, metres.
     """
     return -2.0 * math.log(depth_error / worst + 0.01) + 3.0 * space_coverage / volume
@@ -66,11 +66,11 @@ def reward(before: tuple[float, float], after: tuple[float, float], outside: boo
     Reward a turn.
 
     :param before: space coverage (cubic metres) and depth error (metres) before the turn.
-    :param after: the same after it.
-    :param outside: whether a camera was told to leave the bounding box.
-    :param volume: of the bounding box, cubic metres.
+    :param after: the same after the turn.
+    :param outside: whether a camera was commanded to leave the bounding box.
+    :param volume: the volume of the bounding box, cubic metres.
     :param worst: the depth error of seeing nothing, metres.
-    :param config: which reward, and its weights.
+    :param config: the kind of reward and its weights.
     """
     gained, lost, penalty = after[0] - before[0], before[1] - after[1], float(outside)
     if config.kind == 'paper':

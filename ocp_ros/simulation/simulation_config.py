@@ -26,7 +26,7 @@ from ocp_ros.util.settings import group, setting
 
 @dataclass(frozen=True)
 class EpisodeConfig:
-    """Turns of one episode."""
+    """Number and size of the turns of one episode."""
 
     turns: int = setting(30, 'turns until the episode ends', 1, 100000, running=True)
     max_step: float = setting(
@@ -63,7 +63,7 @@ class RewardConfig:
 
 @dataclass(frozen=True)
 class SimulationConfig:
-    """Everything about a simulated rig but the room."""
+    """All settings of a simulated rig except the room."""
 
     rig: RigConfig = group(RigConfig)
     engine: EngineConfig = group(EngineConfig)

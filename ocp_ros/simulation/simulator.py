@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The engine for one scene: what a placement sees, covers and misses."""
+"""The engine for one scene: visibility, coverage and depth error of placements."""
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -44,11 +44,12 @@ _log = logging.getLogger(__name__)
 
 class View(NamedTuple):
     """
-    What one camera sees, as packed bits in the engine's order.
+    The view of one camera, as packed bits in the engine's order.
 
     :ivar seen: (W,) uint64, points.
     :ivar covered: (V,) uint64, cells of the coverage grid.
-    :ivar position: (3,) of the camera, metres, map frame; None for several at once.
+    :ivar position: (3,) the position of the camera, metres, map frame; None for several positions
+        at once.
     """
 
     seen: np.ndarray
@@ -58,7 +59,7 @@ class View(NamedTuple):
 
 class Evaluation(NamedTuple):
     """
-    What a placement is worth.
+    The evaluation of a placement.
 
     :ivar seen: the points that at least one camera sees.
     :ivar space_coverage: cubic metres.
@@ -78,11 +79,11 @@ class Evaluation(NamedTuple):
 def clipped(visibility: SurfelVisibility | RayVisibility, around: View, poses: np.ndarray,
             lens: Frustum) -> list[View]:
     """
-    Clip what is seen all around from one place to the viewing cone of each of some headings.
+    Clip an omnidirectional view to the viewing cones of several headings.
 
-    :param around: what an omnidirectional camera sees there.
+    :param around: the view of an omnidirectional camera at this position.
     :param poses: (H, 6) metres, map frame, and radians.
-    :param lens: of the camera.
+    :param lens: the model of the camera.
     """
     return [View(*visibility.narrowed(Pose.of(pose), lens, around.seen, around.covered), pose[:3])
             for pose in poses]
@@ -90,7 +91,7 @@ def clipped(visibility: SurfelVisibility | RayVisibility, around: View, poses: n
 
 class Simulator:
     """
-    Judge placements in one scene; threads may share it, and the kernels run without the GIL.
+    Evaluate placements in one scene; threads may share it, and the kernels release the GIL.
 
     A placement has one row per camera: x, y, z in metres, or x, y, z, yaw, pitch, roll with angles
     in radians (see :func:`~ocp_ros.geometry.cameras.rotation_matrix`); row k belongs to camera k
@@ -98,8 +99,7 @@ class Simulator:
 
     :param scene: the room.
     :param config: the rig and the engine's settings.
-    :param models: what each camera of a rig file sees, in place of what ``config.rig`` says: then
-        nothing of that counts.
+    :param models: the camera models of a rig file, which replace ``config.rig`` completely.
     :ivar height: z of the plane of ``config.rig``, metres, map frame.
     :raises SceneError: if that plane is not inside the room.
     """
@@ -129,7 +129,7 @@ class Simulator:
         self.depth_error = self._make_error()
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility | RayVisibility:
-        """Build what the preset asks for."""
+        """Build the visibility class of the preset."""
         scene, preset = self.scene, self.config.engine.preset
         if preset == MESH:
             if scene.mesh is None:
@@ -159,18 +159,18 @@ class Simulator:
         return Subset.none(self.visibility.order)
 
     def kind(self, camera: int) -> int:
-        """Return the first camera of the rig that sees as this one does."""
+        """Return the index of the first camera of the rig that has the same model."""
         return self._kinds[camera] if len(self._kinds) > 1 else 0
 
     def look(self, pose: np.ndarray | Pose, camera: int = 0) -> View:
         """
-        Compute what one camera sees.
+        Compute the view of one camera.
 
-        :param pose: a row of a placement, or what it says.
-        :param camera: which camera of the rig; all see alike where the rig has one kind.
+        :param pose: a row of a placement, or a pose.
+        :param camera: the index of the camera in the rig; without effect if the rig has one kind.
         """
         lens = self._lenses[self.kind(camera)]
-        # How an omnidirectional camera is turned makes no difference.
+        # The heading of an omnidirectional camera has no effect.
         if lens.kind == OMNIDIRECTIONAL:
             pose = pose._replace(rotation=LEVEL) if isinstance(pose, Pose) else pose[:3]
         if not isinstance(pose, Pose):
@@ -182,13 +182,13 @@ class Simulator:
     def look_around(self, position: np.ndarray, headings: np.ndarray, camera: int = 0
                     ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Compute what one camera sees from one place by many headings, with a single look.
+        Compute the views of one camera at one position with many headings, in a single look.
 
         :param position: (3,) metres, map frame.
         :param headings: (H, 3) yaw, pitch and roll in radians.
-        :param camera: which camera of the rig.
-        :returns: the points (n,) int32, in the engine's order, that it sees by some heading, and
-            by which: (n, W) uint64, bit k of word w for heading 64 w + k.
+        :param camera: the index of the camera in the rig.
+        :returns: the points (n,) int32, in the engine's order, visible with any heading, and the
+            headings of each: (n, W) uint64, bit k of word w for heading 64 w + k.
         """
         lens = self._lenses[self.kind(camera)]
         seen = no_bits(len(self.scene))
@@ -203,7 +203,7 @@ class Simulator:
 
     def judge(self, views: Sequence[View]) -> Evaluation:
         """
-        Judge cameras by what they see: where one of them moved, only its view is new.
+        Evaluate cameras, given their views; after a move, only the view of that camera is new.
 
         :param views: from :meth:`look`, one per camera.
         """
@@ -214,12 +214,12 @@ class Simulator:
 
     def evaluate(self, placement: np.ndarray) -> Evaluation:
         """
-        Judge a placement.
+        Evaluate a placement.
 
-        :param placement: (K, 3) or (K, 6), K >= 1; where the rig has several kinds of camera, at
-            most one row for each.
-        :raises ConfigurationError: if it is none, or there are more rows than cameras of several
-            kinds.
+        :param placement: (K, 3) or (K, 6), K >= 1; if the rig has several kinds of camera, at most
+            one row for each camera.
+        :raises ConfigurationError: if it is not a placement, or there are more rows than cameras
+            of several kinds.
         """
         placement = self._checked(placement, 'placement', 2)
         if len(placement) > len(self._lenses) > 1:
@@ -230,7 +230,7 @@ class Simulator:
 
     @staticmethod
     def _checked(poses: Any, name: str, dimensions: int) -> np.ndarray:
-        """Return poses as float64, or say why they are none."""
+        """Return poses as float64; refuse anything else."""
         shape = '(K, 3) or (K, 6)' if dimensions == 2 else '(M, K, 3) or (M, K, 6)'
         expected = f'expected {shape}, metres and radians, a row for each camera'
         try:
@@ -246,12 +246,12 @@ class Simulator:
 
     def evaluate_many(self, placements: np.ndarray, threads: int = 1) -> np.ndarray:
         """
-        Judge many placements.
+        Evaluate many placements.
 
         :param placements: (M, K, 3) or (M, K, 6).
-        :param threads: how many to use.
+        :param threads: the number of threads.
         :returns: (M, 2) float64: space coverage in cubic metres and depth error in metres.
-        :raises ConfigurationError: if they are no placements.
+        :raises ConfigurationError: if they are not placements.
         """
         placements = self._checked(placements, 'placements', 3)
         with ThreadPoolExecutor(threads) as pool:
@@ -260,13 +260,14 @@ class Simulator:
 
     def look_many(self, poses: np.ndarray, camera: int = 0, threads: int = 1) -> list[View]:
         """
-        Compute what a camera sees from each of many poses, the candidates of a search.
+        Compute the views of a camera from many poses, such as the candidates of a search.
 
-        Where poses share a place it is looked from once, but by the paper's rules.
+        For poses with the same position the view is computed once and clipped, except with the
+        paper's rules.
 
         :param poses: (M, 3) or (M, 6), rows of a placement.
-        :param camera: which camera of the rig.
-        :param threads: how many to use.
+        :param camera: the index of the camera in the rig.
+        :param threads: the number of threads.
         """
         poses, views = np.asarray(poses, dtype=np.float64), {}
         place = np.unique(poses[:, :3], axis=0, return_inverse=True)[1].ravel()
@@ -279,7 +280,7 @@ class Simulator:
         return [views[row] for row in range(len(poses))]
 
     def _by_headings(self, poses: np.ndarray, camera: int) -> list[View]:
-        """Compute what a camera sees by several headings (H, 6) from one place."""
+        """Compute the views of a camera with several headings (H, 6) from one position."""
         lens, visibility = self._lenses[self.kind(camera)], self.visibility
         if len(poses) < 2 or lens.kind == OMNIDIRECTIONAL or not isinstance(
                 visibility, (SurfelVisibility, RayVisibility)):

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Where the depth error looks from: the middles of parts of a room's air, or the five of the paper.
+Viewpoints of the depth error: the middles of parts of a room's air, or the paper's five.
 
-The paper integrates over all places of a room (eq. 3). A few places stand for the integral best
-where they are spread evenly over the air. Then the error of a placement is the same when the scan
-is turned, moved or mirrored, whatever its axes.
+The paper integrates over all positions of a room (eq. 3). A few viewpoints approximate the
+integral best if they are spread evenly over the air. Then the error of a placement does not change
+when the scan is rotated, moved or mirrored.
 """
 
 from weakref import WeakKeyDictionary
@@ -31,13 +31,14 @@ from ocp_ros.rig.structure import Air, BALL, STEEP
 from ocp_ros.scenes.scene import Scene, turned
 from scipy.spatial import distance
 
-#: Viewpoints in the air: a power of two.
+#: The number of viewpoints in the air, a power of two.
 COUNT = 16
-#: What the variance along a room's long side counts more: in square parts noise would decide.
+#: The factor of the variance along the room's long side: in square parts noise would decide the
+#: direction of a cut.
 LONGER = 1.3
-#: Decimals of metres: what differs by less is alike.
+#: Decimals of metres to which coordinates are rounded before they are compared.
 ROUNDED = 6
-#: Degrees: width of a bin of directions of walls; a right angle has 360 of them.
+#: Degrees: the width of a bin of wall directions; a right angle has 360 bins.
 BIN = 0.25
 
 _known: WeakKeyDictionary[Scene, dict[str, np.ndarray]] = WeakKeyDictionary()
@@ -45,9 +46,9 @@ _known: WeakKeyDictionary[Scene, dict[str, np.ndarray]] = WeakKeyDictionary()
 
 def viewpoints_of(scene: Scene, kind: str = 'air') -> np.ndarray:
     """
-    Place the viewpoints of the depth error in a room; they are kept with the scene.
+    Return the viewpoints of the depth error in a room; they are cached with the scene.
 
-    :param kind: ``'air'``: 16 places in the air; ``'paper'``: the five of the paper, in the
+    :param kind: ``'air'``: 16 positions in the air; ``'paper'``: the five of the paper, in the
         rectangle along the walls.
     :returns: (V, 3) float64, metres, map frame.
     """
@@ -61,10 +62,10 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
     """
     Place viewpoints in the middles of 16 equal parts of the air at half height.
 
-    The parts are found by halving, each time across the direction in which a part varies most.
-    The cells of air lie along the walls, and where they are alike the order is that of the room:
-    there are no random numbers and no axes of the scan in it. Where there is too little air at
-    half height, all heights count, and where there is none, it is the paper's five.
+    The parts are found by halving, each time across the direction of largest variance. The cells
+    of air are aligned with the walls, and ties are broken in the order of the room. So the result
+    does not depend on random numbers or on the axes of the scan. If there is too little air at
+    half height, all heights are used; if there is none, the paper's five viewpoints.
     """
     angle = wall_direction(scene)
     aligned = turned(scene, -np.rad2deg(angle))
@@ -76,7 +77,7 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
         cells = air.cells()
     if len(cells) < COUNT:
         return paper_viewpoints(scene)
-    # In a mirrored room they are ordered as in this one: from the emptier ends on.
+    # The order starts at the emptier ends, so that a mirrored room has mirrored viewpoints.
     middle = aligned.bounds.mean(axis=0)
     ends = np.where(aligned.points.mean(axis=0) < middle, -1.0, 1.0)
     long = int(aligned.size[1] > aligned.size[0])
@@ -85,14 +86,15 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
 
 def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """
-    Place viewpoints in a room that has been seen in part, above the floor that was seen.
+    Place viewpoints in a partially observed room, above the observed floor.
 
-    Its air cannot be told yet from what is behind the walls.
+    The air of such a room cannot be distinguished yet from the space behind the walls.
 
-    :param points: (N, 3) metres, map frame: what was seen.
-    :param corners: (4, 2) metres, of the rectangle around it, from
+    :param points: (N, 3) metres, map frame: the observed points.
+    :param corners: (4, 2) metres, the corners of the rectangle around them, from
         :func:`~ocp_ros.online.partial_map.smallest_rectangle`.
-    :returns: (V, 3) float64, metres: 16, or the paper's five where there is too little floor.
+    :returns: (V, 3) float64, metres: 16 viewpoints, or the paper's five if there is too little
+        floor.
     """
     height = float(corners_of(points)[:, 2].mean())
     floor = FreePlane.of(points, height, 1, 0.0, clearance=BALL).floor
@@ -110,8 +112,8 @@ def _middles(cells: np.ndarray, keys: np.ndarray, long: int) -> np.ndarray:
     Divide cells into equal parts and return the cell in the middle of each.
 
     :param cells: (M, D) metres, M >= 16.
-    :param keys: (M, D) metres: where they are along the axes of the room, each from the end on
-        that comes first.
+    :param keys: (M, D) metres: the coordinates along the axes of the room, each measured from the
+        end that comes first.
     :param long: the axis, 0 or 1, along which the room is longer.
     :returns: (16, D) metres.
     """
@@ -130,7 +132,7 @@ def _middles(cells: np.ndarray, keys: np.ndarray, long: int) -> np.ndarray:
 
 
 def paper_viewpoints(scene: Scene) -> np.ndarray:
-    """Place the five of the paper in the rectangle along the walls; in a box it is the room's."""
+    """Place the paper's five viewpoints in the rectangle along the walls of the room."""
     angle = wall_direction(scene)
     axes = rotation_matrix(-angle)[:2, :2]
     low, high = corners_of(scene.points[:, :2] @ axes.T)
@@ -139,7 +141,7 @@ def paper_viewpoints(scene: Scene) -> np.ndarray:
 
 
 def wall_direction(scene: Scene) -> float:
-    """Return the angle of most of the walls to the x axis: radians, from 0 to a right angle."""
+    """Return the main direction of the walls: radians to the x axis, from 0 to a right angle."""
     normals = scene.normals_or_estimate
     steep = np.abs(normals[:, 2]) <= STEEP
     if not steep.any():
@@ -149,7 +151,7 @@ def wall_direction(scene: Scene) -> float:
     bins = np.round(angles / BIN).astype(int) % count
     area = scene.pitch[steep].astype(np.float64) ** 2
     areas = np.bincount(bins, area, count)
-    # Neighbouring bins share a wall, across 90 degrees as well.
+    # A wall may fall into neighbouring bins, also across 90 degrees.
     best = np.argmax(areas + np.roll(areas, 1) + np.roll(areas, -1))
     off = (angles - best * BIN + 45.0) % 90.0 - 45.0
     near = np.abs(off) <= 1.5 * BIN

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-What is done to samples: a room turned by quarter turns or mirrored is as good a room.
+Augmentation of training samples: rotations by quarter turns, reflections and noise of points.
 
-Observations are centred on the observed bounding box, so these eight maps of the plane apply to
-them exactly; what indices point to does not change, nor does the reward.
+A rotated or mirrored room is as likely as the room itself. Observations are centred on the
+observed bounding box, so these eight symmetries of the plane apply to them exactly. The indices in
+an observation and the reward do not change.
 """
 
 import numpy as np
@@ -25,20 +26,21 @@ from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import torch
 
-#: (8, 2, 2): the rotations by 0, 90, 180 and 270 degrees, then the same after a mirror.
+#: (8, 2, 2): rotations by 0, 90, 180 and 270 degrees, then the same after a reflection.
 SYMMETRIES = torch.tensor([
     [[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]],
     [[-1, 0], [0, 1]], [[0, -1], [-1, 0]], [[1, 0], [0, -1]], [[0, 1], [1, 0]]],
     dtype=torch.float32)
-#: How far points are moved, in units of the network's length, and the share that is dropped.
+#: Standard deviation of the noise of points, in the network's unit of length, and the share of
+#: points that is dropped.
 JITTER, DROPPED = 0.005, 0.1
-#: What the map actor reads that is seen from above.
+#: The inputs of the map actor that are maps of the floor.
 MAPS = ('room', 'others', 'choices')
 
 
 def turn(vectors: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
     """
-    Apply one map per batch entry to the first two components.
+    Apply one linear map per batch entry to the first two components of vectors.
 
     :param vectors: (B, ..., 2 or more).
     :param maps: (B, 2, 2).
@@ -50,9 +52,9 @@ def turn(vectors: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
 def turn_observation(observation: dict[str, torch.Tensor], maps: torch.Tensor
                      ) -> dict[str, torch.Tensor]:
     """
-    Apply one map per batch entry to an encoded observation.
+    Apply one linear map per batch entry to an encoded observation.
 
-    :param observation: what a network reads of the cloud, batched.
+    :param observation: inputs of a network that reads clouds, batched.
     :param maps: (B, 2, 2).
     """
     return {**observation, 'half_size': turn(observation['half_size'], maps.abs()),
@@ -62,10 +64,11 @@ def turn_observation(observation: dict[str, torch.Tensor], maps: torch.Tensor
 def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, number: int
                 ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
     """
-    Turn or mirror maps, and places on them, by one of the eight symmetries of the square.
+    Rotate or mirror maps, and positions on them, by one of the eight symmetries of the square.
 
-    :param observation: what the map actor reads, batched.
-    :param places: (B, ..., 2) from the middle of the maps.
+    :param observation: inputs of the map actor, batched.
+    :param places: (B, ..., 2) relative to the middle of the maps.
+    :param number: of the symmetry, 0 to 7; see ``SYMMETRIES``.
     """
     mirrored, quarters = divmod(number, 4)
     turned = dict(observation)
@@ -76,13 +79,13 @@ def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, numb
     x, y = places.unbind(-1)
     y = -y if mirrored else y
     for _ in range(quarters):
-        # The first axis of a map turns towards its second one.
+        # The first axis of a map is rotated towards the second one.
         x, y = -y, x
     return turned, torch.stack([x, y], dim=-1)
 
 
 def turned_batch(batch: DictReplayBufferSamples) -> DictReplayBufferSamples:
-    """Turn or mirror all transitions of a batch of maps alike, at random."""
+    """Apply one random symmetry to all transitions of a batch of maps."""
     number = int(np.random.randint(len(SYMMETRIES)))
     before, actions = turned_maps(batch.observations, batch.actions, number)
     after, _ = turned_maps(batch.next_observations, batch.actions, number)
@@ -93,11 +96,11 @@ def transitions(buffer: DictReplayBuffer, begin: tuple[np.ndarray, np.ndarray],
                 end: tuple[np.ndarray, np.ndarray], rewards: np.ndarray
                 ) -> DictReplayBufferSamples:
     """
-    Return transitions of a buffer as learned from: (B, ...) tensors.
+    Return transitions of a buffer as training samples: (B, ...) tensors.
 
-    :param begin: rows and environments of the first step of each.
-    :param end: of its last step.
-    :param rewards: (B,) of all its steps.
+    :param begin: rows and environments of the first step of each transition.
+    :param end: rows and environments of its last step.
+    :param rewards: (B,) reward of each transition, summed over its steps.
     """
     def taken(arrays: dict[str, np.ndarray], at: tuple) -> dict[str, torch.Tensor]:
         return {name: buffer.to_torch(values[at]) for name, values in arrays.items()}
@@ -111,14 +114,14 @@ def transitions(buffer: DictReplayBuffer, begin: tuple[np.ndarray, np.ndarray],
 
 class MapReplayBuffer(DictReplayBuffer):
     """
-    A replay buffer of maps, whose batches are turned or mirrored at random.
+    A replay buffer of maps; a random symmetry is applied to each batch.
 
-    The maps of a batch are used as far: the network reads as much as the largest of them needs.
+    All maps of a batch have the same used part: the network reads only that part.
     """
 
     def __init__(self, *args, **kwargs) -> None:
         super().__init__(*args, **kwargs)
-        #: How far the maps of each transition are used.
+        #: Code of the used part of the map of each transition.
         self.parts = np.zeros((self.buffer_size, self.n_envs), dtype=np.int16)
 
     def add(self, obs, next_obs, action, reward, done, infos) -> None:
@@ -127,20 +130,20 @@ class MapReplayBuffer(DictReplayBuffer):
         super().add(obs, next_obs, action, reward, done, infos)
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
-        """Draw a batch, each transition as likely, and a symmetry for all of it."""
+        """Draw a batch, all transitions with equal probability, and one symmetry for all."""
         parts = self.parts[:self.size()]
         row, column = np.random.randint(parts.shape[0]), np.random.randint(parts.shape[1])
         alike = np.flatnonzero(parts == parts[row, column])
         return turned_batch(self._get_samples(np.random.choice(alike, batch_size), env))
 
     def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
-        """Return transitions by their numbers, those of all environments counted."""
+        """Return transitions by their numbers, counted over all environments."""
         at = np.divmod(batch_inds, self.n_envs)
         return transitions(self, at, at, self.rewards[at])
 
 
 def _part(room: np.ndarray) -> int:
-    """Return a number for how far a map is used."""
+    """Return a code for the used part of a map."""
     rows, columns = used_part(room)
     return rows.start * CELLS + columns.start
 
@@ -149,12 +152,12 @@ class CloudReplayBuffer(DictReplayBuffer):
     """
     A replay buffer of clouds.
 
-    The sums of rewards leave out the entropy of the steps between, as the buffer of
-    stable-baselines3 without names does.
+    The n-step sums of rewards leave out the entropy of the steps in between, as the n-step buffer
+    of stable-baselines3 for plain observations does.
 
-    :param n_steps: rewards that are summed up before the critics value what follows.
-    :param gamma: their discount.
-    :param augmentation: what is done to each sample: ``none``, ``symmetries`` or ``jitter``.
+    :param n_steps: number of rewards that are summed before the value of the critics is added.
+    :param gamma: discount of the rewards.
+    :param augmentation: augmentation of each sample: ``none``, ``symmetries`` or ``jitter``.
     """
 
     def __init__(self, *args, n_steps: int = 1, gamma: float = 0.99,
@@ -163,7 +166,7 @@ class CloudReplayBuffer(DictReplayBuffer):
         self.n_steps, self.gamma, self.augmentation = n_steps, gamma, augmentation
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
-        """Draw a batch and, where asked for, one symmetry per transition."""
+        """Draw a batch, and augment it as ``augmentation`` says: one symmetry per transition."""
         batch = super().sample(batch_size, env)
         if self.augmentation == 'none':
             return batch
@@ -177,11 +180,11 @@ class CloudReplayBuffer(DictReplayBuffer):
                               actions=turn(batch.actions, maps))
 
     def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
-        """Return transitions over some steps, of any environment each."""
+        """Return n-step transitions, each of a random environment."""
         column, steps = np.random.randint(self.n_envs, size=len(batch_inds)), np.arange(
             self.n_steps)
         rows = (batch_inds[:, None] + steps) % self.buffer_size
-        # An episode's end ends a sum, and so does the newest step: behind it are the oldest.
+        # A sum ends at the end of an episode, and at the newest step: the oldest step follows it.
         ends = (self.dones[rows, column[:, None]] > 0.0) | (
             rows == (self.pos - 1) % self.buffer_size)
         ends[:, -1] = True
@@ -194,7 +197,7 @@ class CloudReplayBuffer(DictReplayBuffer):
 
 
 def jittered(observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Move the points of clouds a little, and drop some of each group but for its first."""
+    """Add noise to the points of clouds, and replace some points of each group by its first."""
     points, found = observation['points'], dict(observation)
     found['points'] = points + JITTER * torch.randn_like(points)
     for name in ('groups_1', 'groups_2'):

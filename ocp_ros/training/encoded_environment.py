@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The environment as the networks read and play it: each observation is encoded once."""
+"""The environment with the observations and actions of the networks, each encoded once."""
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -36,7 +36,7 @@ LARGEST = 1000.0
 
 
 def encoded_space(agent: AgentConfig) -> spaces.Dict:
-    """Return the space of what a network reads when it is asked once."""
+    """Return the space of one input of the agent's network."""
     def real(*shape):
         return spaces.Box(-LARGEST, LARGEST, shape, np.float32)
 
@@ -64,17 +64,17 @@ def encoded_space(agent: AgentConfig) -> spaces.Dict:
 
 
 def cameras_of(agent: AgentConfig) -> int:
-    """Return how many cameras choose together."""
+    """Return the number of cameras in one action: one, or all."""
     return 1 if agent.one_by_one else agent.cameras
 
 
 def action_space(cameras: int) -> spaces.Box:
-    """Return the space of moves, as the environment has it."""
+    """Return the space of actions for a number of cameras: two components for each."""
     return spaces.Box(-1.0, 1.0, (cameras, 2), np.float32)
 
 
 def unwrapped(env: gym.Env) -> CameraPlacementEnv:
-    """Return the environment inside of its wrappers."""
+    """Return the environment inside its wrappers."""
     inner = env.unwrapped
     if not isinstance(inner, CameraPlacementEnv):
         raise TypeError(f'env: found {type(inner).__name__}; expected CameraPlacementEnv')
@@ -83,11 +83,11 @@ def unwrapped(env: gym.Env) -> CameraPlacementEnv:
 
 class PlaneMoves(gym.ActionWrapper):
     """
-    Let actions be moves on the plane alone.
+    Restrict actions to moves in the plane.
 
-    Heights stay, and the heading planner turns the cameras as it does in ``policy_node``.
+    Heights stay, and the heading planner rotates the cameras as in ``policy_node``.
 
-    :param env: with a rig file.
+    :param env: environment with a rig file.
     """
 
     def __init__(self, env: CameraPlacementEnv) -> None:
@@ -103,7 +103,7 @@ class PlaneMoves(gym.ActionWrapper):
         return self.env.reset(**kwargs)
 
     def action(self, action: np.ndarray) -> np.ndarray:
-        """Return a turn's action on all axes."""
+        """Return the action on all axes of the environment."""
         env = unwrapped(self.env)
         axes = np.zeros((len(action), len(env.axes)))
         axes[:, :2] = action
@@ -112,7 +112,7 @@ class PlaneMoves(gym.ActionWrapper):
         return axes
 
     def _rotations(self, episode: Episode, action: np.ndarray) -> np.ndarray:
-        """Choose how cameras are turned where they go: (K, 2) yaw and pitch, of ``max_turn``."""
+        """Choose rotations at the targets: (K, 2) yaw and pitch, in units of ``max_turn``."""
         limits, state, turn = episode.config, state_of(episode), episode.turn
         targets = state.placement[:, :3].copy()
         targets[:state.movable, :2] += bounded_moves(action, limits.max_step)
@@ -142,10 +142,11 @@ class EncodedObservation(gym.ObservationWrapper):
 
 class CameraByCamera(gym.Wrapper):
     """
-    One camera after the other chooses, each told where those before it will be.
+    The cameras choose one after the other; each observation has the targets chosen before.
 
-    An action is one camera's move, and its reward what that move alone is worth in the room; when
-    all have chosen, the turn is played. However many cameras there are, one is seen at a time.
+    An action is the move of one camera, and its reward is that of this move alone. When all
+    cameras have chosen, the turn is played. An observation is for one camera, so the number of
+    cameras may vary.
 
     :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
         :class:`PlaneMoves`.
@@ -159,7 +160,7 @@ class CameraByCamera(gym.Wrapper):
         self._encoder = Encoder(agent, max_range, max_step, *margins)
         self.observation_space, self.action_space = encoded_space(agent), action_space(1)
         self.encoded: EncodedTurn | None = None
-        #: The cameras that have not chosen yet, and the moves of those that have.
+        #: The cameras that have not chosen yet, and the moves of all cameras (0 if not chosen).
         self._left, self._moves = np.empty(0, dtype=np.int64), np.empty((0, 2))
 
     def reset(self, **kwargs):
@@ -170,11 +171,11 @@ class CameraByCamera(gym.Wrapper):
 
     @property
     def camera(self) -> int:
-        """Return the camera whose turn it is."""
+        """Return the camera that chooses next."""
         return int(self._left[0])
 
     def step(self, action):
-        """Choose a camera's move; the last one of a turn plays it."""
+        """Take one camera's move; after the last camera play the turn."""
         camera, self._left = self.camera, self._left[1:]
         self._moves[camera] = self.encoded.move(camera, np.asarray(action, dtype=np.float64)[0])
         terms = self._judge(camera)
@@ -186,7 +187,7 @@ class CameraByCamera(gym.Wrapper):
         return self._begin(), terms.reward, terminated, truncated, info | terms._asdict()
 
     def _begin(self) -> dict[str, np.ndarray]:
-        """Take note of a turn and show it to the first camera."""
+        """Prepare a new turn, and return the observation of the first camera."""
         episode = unwrapped(self.env).episode
         turn = episode.turn
         self._encoder.turns.rig_state = state_of(episode)
@@ -198,11 +199,11 @@ class CameraByCamera(gym.Wrapper):
         return self._observation()
 
     def _observation(self) -> dict[str, np.ndarray]:
-        """Show the turn to the camera that is next."""
+        """Return the observation of the camera that chooses next."""
         return self.encoded.inputs(self.camera)
 
     def _judge(self, camera: int) -> RewardTerms:
-        """Tell what a camera's move is worth, the others being where they are by now."""
+        """Return the reward of one camera's move, with the moves chosen before it."""
         episode = unwrapped(self.env).episode
         pose = np.concatenate([self.encoded.positions[camera], episode.turn.headings[camera]])
         self._views[camera] = episode.simulator.look(pose, camera)
@@ -212,10 +213,10 @@ class CameraByCamera(gym.Wrapper):
 
 class MapChoices(gym.Wrapper):
     """
-    One camera after the other chooses where it goes; when all that are asked have, they walk.
+    The cameras choose their targets on a map one after the other; then all cameras move.
 
-    The reward of a turn comes with its last choice. What is read and who is asked is the map
-    actor's: see :class:`~ocp_ros.policy.map_actor.MapActor`.
+    The reward of a turn comes with its last choice. The map actor defines the observation and
+    which cameras choose in a turn: see :class:`~ocp_ros.policy.map_actor.MapActor`.
 
     :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
         :class:`PlaneMoves`.
@@ -230,14 +231,14 @@ class MapChoices(gym.Wrapper):
         self._left: list[int] = []
 
     def reset(self, **kwargs):
-        """Begin an episode, in which something is seen of a room."""
+        """Begin an episode; repeat until the first observation is enough for a map."""
         _, info = self.env.reset(**kwargs)
         while not self._begin(new=True):
             _, info = self.env.reset()
         return self._observation(), info
 
     def step(self, action):
-        """Send a camera somewhere; after the last choice of a turn all cameras walk."""
+        """Take the target of one camera; after the last choice of a turn move all cameras."""
         known, camera = self._known, self._left.pop(0)
         known.send_to(camera, np.asarray(action)[0])
         if self._left:
@@ -249,7 +250,7 @@ class MapChoices(gym.Wrapper):
         return self._observation(), reward, terminated, truncated, info
 
     def _begin(self, new: bool = False) -> bool:
-        """Take note of a turn; returns whether anything is known of the room."""
+        """Prepare a turn; return whether the observed points are enough for a map."""
         env = unwrapped(self.env)
         episode, turn, turns = env.episode, env.episode.turn, env.config.episode.turns
         if new:
@@ -263,16 +264,17 @@ class MapChoices(gym.Wrapper):
         return True
 
     def _observation(self) -> dict[str, np.ndarray]:
-        """Show the turn to the camera that is next."""
+        """Return the observation of the camera that chooses next."""
         return self._known.experience(self._left[0])
 
 
 def playable(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
     """
-    Return an environment as the agent plays it.
+    Wrap an environment for the inputs and actions of an agent.
 
-    :param agent: which network. An action is where on the map a camera goes (``map``), the move of
-        one camera on the plane (``cloud``), or those of all cameras (``paper``).
+    :param agent: settings of the network. An action is the target of one camera on the map
+        (``map``), the move of one camera in the plane (``cloud``), or the moves of all cameras
+        (``paper``).
     """
     level = env if len(env.axes) == 2 else PlaneMoves(env)
     if agent.map:

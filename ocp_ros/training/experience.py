@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-What a policy read and chose at a turn, as one safetensors blob, so that others can learn from it.
+Experience of a policy in a turn, its observations and choices, as one safetensors blob.
 
-Who learns gets the very arrays that the network was given. To encode the turn again would take as
-long as to play it, and what the cameras that choose later were told could only be guessed.
+The trainer gets exactly the arrays that the network has read. To encode the turn again would take
+as long as to play it, and the inputs of cameras that choose later could not be reconstructed.
 """
 
 from collections.abc import Mapping, Sequence
@@ -30,21 +30,21 @@ from safetensors import SafetensorError
 import safetensors.numpy
 
 KEY = 'ocp_ros-experience-1'
-#: The most choices and cameras of a turn that are read.
+#: Largest number of choices, and of cameras, of a turn that is accepted.
 MOST = 64
 
 
 class ExperienceError(ValueError):
-    """An experience that cannot be used; the message says what was found and expected."""
+    """An experience that cannot be used; the message says what was found and what expected."""
 
 
 class Choice(NamedTuple):
     """
-    What the network read, and what it answered.
+    One input of the network, and its action.
 
     :ivar observation: encoded, see :class:`~ocp_ros.policy.cloud_encoder.Encoder`.
-    :ivar actions: (C, 2) float32 in [-1, 1], of the cameras that chose together: one, or all. A
-        move in units of the longest step, or, of the map actor, where on the map a camera goes.
+    :ivar actions: (C, 2) float32 in [-1, 1], of the cameras that choose together: one, or all. A
+        move in units of the longest step, or for the map actor a target on the map.
     """
 
     observation: dict[str, np.ndarray]
@@ -56,9 +56,9 @@ class Experience(NamedTuple):
     One turn of a policy.
 
     :ivar stamp: of the turn, nanoseconds.
-    :ivar turn: turns of the episode before it, as the policy was told.
-    :ivar targets: (K, 3) metres: where the cameras were sent.
-    :ivar choices: in the order in which they were made.
+    :ivar turn: number of turns of the episode before this one, as the policy received it.
+    :ivar targets: (K, 3) metres: commanded positions of the cameras.
+    :ivar choices: in the order of choosing.
     """
 
     stamp: int
@@ -68,7 +68,7 @@ class Experience(NamedTuple):
 
 
 def to_bytes(experience: Experience) -> bytes:
-    """Write an experience with at least one choice as a safetensors blob."""
+    """Return an experience with at least one choice as a safetensors blob."""
     choices = experience.choices
     arrays = {f'observation.{name}': np.stack([choice.observation[name] for choice in choices])
               for name in choices[0].observation}
@@ -87,9 +87,9 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
 
     :param blob: of :func:`to_bytes`.
     :param expected: shape and type of each array of an observation.
-    :param together: how many cameras choose together; None for choices of single cameras of which
-        there may be more, or fewer, than cameras.
-    :raises ExperienceError: if it is torn, not finite or of another network.
+    :param together: number of cameras that choose together; None for choices of single cameras
+        whose number may differ from that of the cameras.
+    :raises ExperienceError: if the blob is damaged, not finite or of another network.
     """
     try:
         card = json.loads(read_metadata(blob)[KEY])
@@ -119,12 +119,12 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
 
 
 def _choices(actions: np.ndarray, targets: np.ndarray, together: int | None) -> int:
-    """Return how many choices there are."""
+    """Check the shapes of actions and targets, and return the number of choices."""
     if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= MOST:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
                               f'(K, 3) with at most {MOST} cameras')
     count, each = len(actions) if actions.ndim else 0, together or 1
-    # All cameras choose: one by one, or at once.
+    # All cameras choose: one by one, or all at once.
     good = 1 <= count <= MOST if together is None else (
         (count, each) in ((len(targets), 1), (1, len(targets))))
     if not good or actions.shape != (count, each, 2) or actions.dtype != np.float32:

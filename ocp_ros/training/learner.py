@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A learner that is fed with transitions and trains beside whatever feeds it."""
+"""A learner that takes transitions from other threads and trains in a thread of its own."""
 
 from collections import deque
 from dataclasses import dataclass
@@ -33,18 +33,19 @@ from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.settings import ConfigurationError, LARGEST_SEED, setting
 from stable_baselines3.common.logger import configure
 
-#: Gradient steps between two looks at the world: short enough to stop at once.
+#: Gradient steps between two checks of the inbox: few, so that the learner stops at once.
 BURST = 4
-#: Transitions that may wait to be stored; the learner stores them between two bursts.
+#: Largest number of transitions in the inbox; the learner stores them between two bursts.
 INBOX = 4096
 ACTOR = 'actor.safetensors'
-#: By what share the transitions grow before they are saved anew: to write them takes a while.
+#: Growth of the number of transitions, as a share, before they are saved again: writing them is
+#: slow.
 NEW = 0.1
 
 
 @dataclass(frozen=True)
 class LearnerConfig:
-    """How a learner keeps pace with its transitions and what it leaves on disk."""
+    """Settings of a learner: gradient steps per transition, and its files."""
 
     updates_per_turn: float = setting(1.0, 'gradient steps per transition', 0.0, 100.0)
     publish_every: int = setting(50, 'gradient steps between two sets of weights', 1, 1 << 31)
@@ -58,19 +59,19 @@ class LearnerConfig:
 
 class Learner:
     """
-    Train SAC from transitions in a thread of its own.
+    Train SAC from transitions in a separate thread.
 
-    It goes on from what is in its folder: networks and optimisers as they were saved last, and the
-    transitions up to then; of a process that was killed the latest tenth of these may be missing.
-    Each file is whole or absent, whenever the process ends.
+    The learner resumes from the files in its folder: the networks and optimisers that were saved
+    last, and the transitions up to then. If the process was killed, the latest tenth of the
+    transitions may be missing. Each file is whole or absent, whenever the process ends.
 
     :param config: pace and folder.
     :param agent: sizes of the networks.
     :param sac: settings of SAC.
     :param start: weights to start from, or None.
-    :ivar dropped: transitions that came when there was no room for them.
-    :ivar losses: of the critics, in the latest bursts of gradient steps.
-    :raises ConfigurationError: if rewards of several steps are to be summed up.
+    :ivar dropped: number of transitions for which the inbox had no room.
+    :ivar losses: losses of the critics in the latest bursts of gradient steps.
+    :raises ConfigurationError: if ``sac.n_steps`` is greater than 1.
     """
 
     def __init__(self, config: LearnerConfig, agent: AgentConfig, sac: SacConfig,
@@ -90,63 +91,63 @@ class Learner:
         self.dropped = 0
         self.losses: deque[float] = deque(maxlen=max(config.publish_every // BURST, 1))
         self.failure: BaseException | None = None
-        #: What was in the files when it began or was closed.
+        #: Numbers of transitions and updates in the files, at the start or the last close.
         self._closed = self.transitions, self.updates
         self._fresh: deque[Checkpoint] = deque(maxlen=1)
         if self.updates:
-            # Those who were told by a process that is gone may have gone as well.
+            # Publish the weights again: policies may have been started again as well.
             self._fresh.append(self.checkpoint())
-        # The thread alone touches the model; everybody else leaves notes.
+        # Only the thread uses the model; other threads put transitions into the inbox.
         self._inbox: queue.Queue[Transition | None] = queue.Queue(INBOX)
         self._thread = threading.Thread(target=self._work, name='learner', daemon=True)
         self._thread.start()
 
     def _resume(self) -> str:
-        """Go on from what is in the folder; returns the name of the run."""
+        """Resume from the files in the folder; return the name of the run."""
         remove_unfinished(self.folder)
         state, replay = self.folder / STATE, self.folder / REPLAY
         run = load_state(self.model, state) if state.exists() else new_run()
         if replay.exists():
             load_replay(self.model.replay_buffer, replay)
-        # Those that came after the state was saved are to be learned from as well.
+        # The replay file may have transitions that came after the state was saved: count them too.
         known = self.model.replay_buffer.size()
         self.model.num_timesteps = max(self.transitions, known)
-        #: Transitions so far when all were saved last, and those that are not in memory any more.
+        #: Number of transitions at the last save of all, and number of those not in memory now.
         self._saved = self.transitions
         self._lost = self.transitions - known
-        # Steps that nobody owes any more: the transitions for them are gone.
+        # Gradient steps of transitions that are not in memory: they count as paid.
         self._paid = max(self.updates - max(self._owed(self.transitions), 0.0), 0.0)
         return run
 
     @property
     def transitions(self) -> int:
-        """Return the transitions of this run so far."""
+        """Return the number of transitions of this run so far."""
         return int(self.model.num_timesteps)
 
     @property
     def updates(self) -> int:
-        """Return the gradient steps of this run so far."""
+        """Return the number of gradient steps of this run so far."""
         return int(self.model._n_updates)
 
     @property
     def behind(self) -> float:
-        """Return the gradient steps that are due, also for transitions that wait to be stored."""
+        """Return the number of gradient steps due, also for transitions still in the inbox."""
         return self._due(self.transitions + self._inbox.qsize())
 
     def _due(self, transitions: int) -> float:
-        """Return the gradient steps that so many transitions have still to get."""
+        """Return the number of gradient steps still due for a number of transitions."""
         return self._owed(transitions) - (self.updates - self._paid)
 
     def _owed(self, transitions: int) -> float:
-        """Return the gradient steps that so many transitions get."""
+        """Return the number of gradient steps that a number of transitions gets in all."""
         new = transitions - self._lost - self.sac.learning_starts
         return new * self.config.updates_per_turn
 
     def add(self, transition: Transition) -> bool:
         """
-        Hand over a transition; returns at once.
+        Put a transition into the inbox; return at once.
 
-        :returns: whether there was room for it; after a failure nobody would take it.
+        :returns: whether there was room for it; False after a failure of the thread.
         """
         if self.failure is not None:
             return False
@@ -158,14 +159,14 @@ class Learner:
         return True
 
     def take_weights(self) -> Checkpoint | None:
-        """Return the weights made since the last call, or None."""
+        """Return the newest weights made since the last call, or None."""
         try:
             return self._fresh.pop()
         except IndexError:
             return None
 
     def close(self) -> None:
-        """Stop training and save what was learned; a second call finds nothing left to do."""
+        """Stop training and save; a second call does nothing."""
         while self._thread.is_alive():
             try:
                 self._inbox.put(None, timeout=0.1)
@@ -173,14 +174,14 @@ class Learner:
             except queue.Full:
                 continue
         self._thread.join()
-        # What is still in its memory is to be in its files.
+        # Write buffered log entries to the files.
         self.model.logger.close()
         if self.failure is None and (self.transitions, self.updates) != self._closed:
             self._save(whole=True)
             self._closed = self.transitions, self.updates
 
     def _work(self) -> None:
-        """Train whenever there is something to learn from."""
+        """Train while gradient steps are due, until the learner is closed."""
         try:
             while self._read_inbox():
                 if self._behind():
@@ -189,11 +190,11 @@ class Learner:
                         self.model.logger.name_to_value['train/critic_loss']))
                     self._after(self.updates)
         except BaseException as error:
-            # Whoever feeds the learner reports it: an exception ends silently in a thread.
+            # An exception in a thread ends silently: the user of the learner reports it.
             self.failure = error
 
     def _read_inbox(self) -> bool:
-        """Store what has come, wait if there is nothing else to do; False to stop."""
+        """Store new transitions; wait for more if no step is due. Return False to stop."""
         while not self._inbox.empty() or not self._behind():
             transition = self._inbox.get()
             if transition is None:
@@ -211,11 +212,11 @@ class Learner:
             np.array([transition.terminated]), [{}])
 
     def _behind(self) -> bool:
-        """Return whether there are transitions that have not had their gradient steps yet."""
+        """Return whether a burst of gradient steps is due for the stored transitions."""
         return self._due(self.transitions) >= BURST
 
     def _after(self, updates: int) -> None:
-        """Log, publish and save when it is time."""
+        """Log, publish and save at their intervals of gradient steps."""
         if updates % self.config.publish_every < BURST:
             self._fresh.append(self.checkpoint())
             self.model.logger.record('train/transitions', self.transitions)
@@ -224,18 +225,18 @@ class Learner:
             self._save()
 
     def checkpoint(self) -> Checkpoint:
-        """Return the actor as it is now."""
+        """Return a checkpoint of the present actor."""
         provenance: dict[str, Any] = {'interactions': int(self.model.num_timesteps),
                                       'seed': self.config.seed}
         return actor_checkpoint(self.model, self.run, provenance)
 
     def _save(self, whole: bool = False) -> None:
         """
-        Write actor and state, each whole or not at all.
+        Write the actor and the state; each file is whole or absent.
 
-        :param whole: write the transitions as well, though few of them are new.
+        :param whole: write the transitions as well, even if few of them are new.
         """
-        # In this order: transitions that the state does not count yet do no harm.
+        # Transitions first: those that the saved state does not count yet do no harm.
         if whole or self.transitions >= (1.0 + NEW) * self._saved:
             save_replay(self.model.replay_buffer, self.folder / REPLAY)
             self._saved = self.transitions

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The folder of a training run: whose it is, its settings, its rooms, its evaluations."""
+"""The folder of a training run: its settings, its rooms, its evaluations."""
 
 import json
 import logging
@@ -30,20 +30,21 @@ import yaml
 
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
 BEST, STATE = 'best.safetensors', 'state.safetensors'
-#: The moves that soft actor-critic learns from.
+#: File of the transitions that soft actor-critic learns from.
 REPLAY = 'replay.safetensors'
-#: The state of dense values, which come before soft actor-critic, and what lines of them say.
+#: File of the state of training on dense values, which comes before soft actor-critic, and the
+#: name of this phase in lines of progress.
 VALUES_STATE, VALUES = 'values_state.safetensors', 'values'
-#: Settings with which a run may go on though it was begun with others.
+#: Settings that may change when a run is resumed.
 MAY_CHANGE = ('interactions', 'workers', 'evaluate_every')
-#: Numbers that every line of progress has.
+#: Fields that every line of progress has.
 COUNTED = ('interactions', 'updates', 'seconds')
 _log = logging.getLogger(__name__)
 
 
 def read_config(path: Path) -> TrainingConfig:
     """
-    Read a YAML file of training settings; what it leaves out keeps its default.
+    Read a YAML file of training settings; settings that are not in it keep their defaults.
 
     :raises ConfigurationError: for an unknown name or a bad value.
     """
@@ -51,20 +52,20 @@ def read_config(path: Path) -> TrainingConfig:
 
 
 def _config_of(content: Any, path: Path) -> TrainingConfig:
-    """Return the settings that a file says."""
+    """Return the settings in the content of a file."""
     try:
         return from_nested(TrainingConfig, {} if content is None else content, str(path))
     except ConfigurationError as error:
-        # The error of settings that contradict each other names their keys alone.
+        # The error of contradicting settings names only their keys: add the path.
         where = '' if str(path) in str(error) else f'{path}: '
         raise ConfigurationError(f'{where}{error}') from error
 
 
 def claim(folder: Path, config: TrainingConfig) -> None:
     """
-    Write down the settings of a run and its rooms, or check that a run in the folder has the same.
+    Write the settings and rooms of a run, or check that the run in the folder has the same ones.
 
-    :raises ConfigurationError: if another run lives there, or something else does.
+    :raises ConfigurationError: if the folder has another run, or files that are of no run.
     """
     path, rooms = folder / CONFIG, folder / ROOMS
     _check_name(folder)
@@ -91,7 +92,7 @@ def claim(folder: Path, config: TrainingConfig) -> None:
 
 
 def _check_name(folder: Path) -> None:
-    """Refuse a folder whose name is no text: TensorBoard cannot write to it."""
+    """Refuse a folder whose name is not valid UTF-8: TensorBoard cannot write to it."""
     try:
         str(folder).encode()
     except UnicodeEncodeError as error:
@@ -101,7 +102,7 @@ def _check_name(folder: Path) -> None:
 
 
 def _refuse_strangers(folder: Path) -> None:
-    """Refuse a folder that is no run's and has files that a run would replace."""
+    """Refuse a folder that has no run but has files that a run would replace."""
     found = [name for name in (BEST, 'best.json', STATE, REPLAY, PROGRESS)
              if (folder / name).exists()]
     if found:
@@ -111,7 +112,7 @@ def _refuse_strangers(folder: Path) -> None:
 
 
 def _settings(path: Path) -> TrainingConfig:
-    """Read the settings of a run, which are never empty."""
+    """Read the settings of a run; an empty file is an error."""
     try:
         content = read_plain(path).data
         if not content:
@@ -125,7 +126,7 @@ def _settings(path: Path) -> TrainingConfig:
 
 
 def _sets(path: Path) -> dict[str, list[str]]:
-    """Read which rooms are in each set of a run."""
+    """Read the rooms of each set of a run."""
     try:
         sets = json.loads(read_regular(path))
         if not isinstance(sets, dict) or sets.keys() != set(PARTS):
@@ -139,7 +140,7 @@ def _sets(path: Path) -> dict[str, list[str]]:
 
 
 def _flat(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Return settings by their dotted names."""
+    """Return nested settings by their dotted names."""
     found = {}
     for name, value in nested.items():
         found |= _flat(value, f'{prefix}{name}.') if isinstance(value, dict) else {
@@ -148,7 +149,7 @@ def _flat(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
 
 
 def records(folder: Path) -> list[dict[str, Any]]:
-    """Read the evaluations of a run so far; lines that are none are left out, with a warning."""
+    """Read the evaluations of a run so far; leave out malformed lines, with a warning."""
     path = folder / PROGRESS
     if not path.exists():
         return []
@@ -163,7 +164,7 @@ def records(folder: Path) -> list[dict[str, Any]]:
 
 
 def _record(line: str) -> dict[str, Any] | None:
-    """Read a line of progress; None where it is none."""
+    """Read a line of progress; return None if it is malformed."""
     try:
         record = json.loads(line)
     except (ValueError, RecursionError):
@@ -175,11 +176,11 @@ def _record(line: str) -> dict[str, Any] | None:
 
 
 def _is_figure(value: Any) -> bool:
-    """Return whether something is a number that a run may count or measure."""
+    """Return whether a value is a finite number of 0 or more."""
     return type(value) in (int, float) and math.isfinite(value) and value >= 0
 
 
 def add_record(folder: Path, record: dict[str, Any]) -> None:
-    """Write a line of progress behind those there are."""
+    """Append a line of progress."""
     lines = [*records(folder), record]
     write_atomically(folder / PROGRESS, ''.join(json.dumps(line) + '\n' for line in lines))

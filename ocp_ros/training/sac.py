@@ -28,36 +28,37 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
-#: Options of glibc's ``mallopt``: M_TRIM_THRESHOLD, M_TOP_PAD and M_MMAP_MAX; freed memory stays
-#: with the process, however much it is.
+#: Options of glibc's ``mallopt``: M_TRIM_THRESHOLD, M_TOP_PAD and M_MMAP_MAX; all freed memory
+#: stays with the process.
 KEEP_MEMORY = {-1: (1 << 31) - 1, -2: 1 << 28, -4: 0}
 
 
 class AgentSac(SAC):
     """
-    stable-baselines3's SAC, which may start from an actor that has learned.
+    stable-baselines3's SAC, which may start from a trained actor.
 
-    Its critics know nothing at first, so for some gradient steps they alone may learn; and a loss
-    that fades may keep the actor near what it begins with.
+    The critics are untrained at first, so only they learn for the first ``burn_in`` gradient
+    steps. An imitation loss, whose weight falls to 0, keeps the actor near its first weights.
 
-    :param config: how long either takes.
+    :param config: settings of SAC, with the lengths of both phases.
     :param agent: inputs and sizes of the networks.
-    :param warm: whether the actor has learned already; it then plays from the first turn on.
+    :param warm: whether the actor is trained already; it then plays from the first turn on.
     """
 
     def __init__(self, *args, config: SacConfig, agent: AgentConfig, warm: bool = False,
                  **kwargs) -> None:
         self.config, self.agent, self.warm = config, agent, warm
-        #: Gradient steps of SAC itself so far, and the loss that keeps the actor near, of a batch.
+        #: Number of gradient steps of SAC itself so far, and the function that returns the
+        #: imitation loss of a batch of a given size; None for no imitation loss.
         self.own_updates, self.imitation_loss = 0, None
         super().__init__(*args, **kwargs)
 
     def _sample_action(self, learning_starts, action_noise=None, n_envs=1):
-        """Draw actions: from the actor that has learned, at random from one that has not."""
+        """Draw actions: from a trained actor at once, otherwise at random in the beginning."""
         return super()._sample_action(0 if self.warm else learning_starts, action_noise, n_envs)
 
     def _update_learning_rate(self, optimizers) -> None:
-        """Let the actor and the entropy rest while the critics burn in."""
+        """Set the step sizes of actor and entropy to 0 during ``burn_in``."""
         super()._update_learning_rate(optimizers)
         if self.own_updates < self.config.burn_in:
             for optimizer in (self.actor.optimizer, self.ent_coef_optimizer):
@@ -65,7 +66,7 @@ class AgentSac(SAC):
                     part['lr'] = 0.0
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Take gradient steps, and one towards what the actor began with."""
+        """Take gradient steps of SAC, and one on the imitation loss."""
         super().train(gradient_steps, batch_size)
         self.own_updates += gradient_steps
         share = 1.0 - (self.own_updates - self.config.burn_in) / self.config.imitation_fades
@@ -80,10 +81,10 @@ class AgentSac(SAC):
 
 def keep_memory() -> None:
     """
-    Keep freed memory for the next gradient step, which takes as much again.
+    Keep freed memory for the next gradient step, which needs the same amount again.
 
-    Memory that went back to the system is cleared before the process gets it again, which takes a
-    quarter of a step's time. This holds for the whole process.
+    The system clears returned memory before the process gets it again, which takes a quarter of
+    the time of a step. The setting applies to the whole process.
     """
     with suppress(AttributeError, OSError):
         for option, value in KEEP_MEMORY.items():
@@ -96,11 +97,11 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
     Build SAC for a network.
 
     :param sac: its settings.
-    :param agent: which network, and its sizes.
-    :param env: encoded environment to play in, or None to be given one later, or transitions.
+    :param agent: inputs and sizes of the network.
+    :param env: encoded environment to play in; None to set it later or to add transitions.
     :param seed: of networks and exploration.
     :param tensorboard: folder for TensorBoard, or None.
-    :param environments: how many there will be where ``env`` is None.
+    :param environments: number of environments, used if ``env`` is None.
     :param kwargs: passed on to ``stable_baselines3.SAC``.
     """
     keep_memory()
@@ -125,7 +126,7 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
 
 
 def _actor_parts(model: AgentSac) -> dict[str, torch.nn.Module]:
-    """Return the parts of SAC's actor by how names of what a robot runs begin."""
+    """Return the parts of SAC's actor by the prefix of their weights in a checkpoint."""
     actor = model.policy.actor
     if model.agent.map:
         return {'': actor.network}
@@ -135,7 +136,7 @@ def _actor_parts(model: AgentSac) -> dict[str, torch.nn.Module]:
 
 def actor_checkpoint(model: AgentSac, run: str, provenance: dict[str, Any]) -> Checkpoint:
     """
-    Take the actor out of SAC.
+    Return the actor of SAC as a checkpoint.
 
     :param model: from :func:`make_sac`.
     :param run: identity of the training run.
@@ -151,10 +152,10 @@ def load_actor(model: AgentSac, checkpoint: Checkpoint) -> None:
     """
     Start SAC's actor from given weights.
 
-    The critics start afresh; those of a map start as the same value map, and the actor is kept
-    near it.
+    The critics start untrained. For the map actor they start from the same value map, and the
+    imitation loss keeps the actor near it.
 
-    :raises CheckpointError: if they are those of another network.
+    :raises CheckpointError: if the weights are of another network.
     """
     if checkpoint.config != model.agent:
         raise CheckpointError(

@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-The agent's networks as stable-baselines3's soft actor-critic trains them.
+The agent's networks for the soft actor-critic of stable-baselines3.
 
-Of the map actor an action is a cell of the map, so means over actions are not drawn but summed up
-over all cells (Christodoulou, 2019). To stable-baselines3 an action is the place of a cell,
-(B, 2), where it was chosen, and the likelihood of every cell, (B, 64 * 64), where it is asked for.
+An action of the map actor is a cell of the map, so means over actions are not sampled but summed
+over all cells (Christodoulou, 2019). stable-baselines3 gets an action in two forms: a chosen
+action is the position of a cell, (B, 2); the action of ``action_log_prob`` is the probability of
+every cell, (B, 64 * 64).
 """
 
 from collections.abc import Callable
@@ -35,21 +36,22 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.sac.policies import Actor, MultiInputPolicy
 import torch
 
-#: What a unit of the network's values, a logarithm of the depth error, is in units of the reward:
-#: see ``potential`` in :mod:`ocp_ros.simulation.reward`. The critics begin with it.
+#: Factor from the network's values, logarithms of the depth error, to the reward: see
+#: ``potential`` in :mod:`ocp_ros.simulation.reward`. The critics begin with it.
 IN_REWARDS = 2.0
-#: Logarithm of the cells in a unit of area of the actions: entropies are those of places.
+#: Logarithm of the number of cells per unit of area of the actions: it converts the entropy over
+#: cells to an entropy over positions.
 PER_AREA = 2.0 * math.log(0.5 * CELLS)
-#: How much the weights of the critics differ at first, as shares of them.
+#: Relative standard deviation by which the first weights of the critics differ.
 UNLIKE = 0.01
 
 
 class CloudFeatures(BaseFeaturesExtractor):
     """
-    The agent's extractor as stable-baselines3 wants it.
+    The agent's feature extractor with the interface of stable-baselines3.
 
-    :param agent: its sizes.
-    :param bfloat16: whether it computes in half of the bits.
+    :param agent: sizes of the network.
+    :param bfloat16: whether to compute with 16 bits.
     """
 
     def __init__(self, observation_space: spaces.Dict, agent: AgentConfig, bfloat16: bool) -> None:
@@ -61,17 +63,17 @@ class CloudFeatures(BaseFeaturesExtractor):
         self._features: torch.Tensor | None = None
 
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return (B, F)."""
+        """Return the features (B, F)."""
         device = observation['points'].device.type
         with torch.autocast(device, torch.bfloat16, enabled=self.bfloat16):
             return self.extractor(observation).float()
 
     def once(self, batch: Any, extract: Callable[[], torch.Tensor]) -> torch.Tensor:
         """
-        Return the features (B, F) of a batch: it is read once for all losses of a gradient step.
+        Return the features (B, F) of a batch, computed once for all losses of a gradient step.
 
-        :param batch: the very same object in all of them.
-        :param extract: reads it.
+        :param batch: the same object in all calls of a gradient step.
+        :param extract: computes the features.
         """
         if not torch.is_grad_enabled():
             return extract()
@@ -80,26 +82,26 @@ class CloudFeatures(BaseFeaturesExtractor):
         return self._features
 
     def forget(self) -> None:
-        """Keep no batch: the gradient step is over."""
+        """Drop the stored batch at the end of a gradient step."""
         self._batch = self._features = None
 
 
 class FollowingActor(Actor):
-    """An actor that reads features as they are: its loss does not train them."""
+    """An actor whose loss does not train the features."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
         super().__init__(*args, **kwargs)
         self.latent_pi = head(self.features_dim, agent.hidden, agent.blocks)
 
     def extract_features(self, obs, features_extractor) -> torch.Tensor:
-        """Return (B, F) without gradients."""
+        """Return the features (B, F) without gradients."""
         return features_extractor.once(
             obs, lambda: super(FollowingActor, self).extract_features(obs, features_extractor)
         ).detach()
 
 
 class LeadingCritic(ContinuousCritic):
-    """Critics whose loss trains the features that they share with the actor."""
+    """Critics whose loss trains the features, which the actor shares."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
         super().__init__(*args, **kwargs)
@@ -111,12 +113,11 @@ class LeadingCritic(ContinuousCritic):
             setattr(self, f'qf{number}', network)
 
     def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Return (B, 1) of each critic."""
+        """Return the values (B, 1) of each critic."""
         features = self.features_extractor.once(
             obs, lambda: self.extract_features(obs, self.features_extractor))
         if actions.requires_grad:
-            # What the actor does for more reward shall not change what is read. This is the last
-            # of the losses of a gradient step.
+            # The actor's loss must not train the features. It is the last loss of a gradient step.
             features = features.detach()
             self.features_extractor.forget()
         read = torch.cat([features, actions], dim=1)
@@ -125,10 +126,10 @@ class LeadingCritic(ContinuousCritic):
 
 class OwnPolicy(MultiInputPolicy):
     """
-    SAC's policy with an actor and critics of another kind.
+    SAC's policy with other classes of actor and critics.
 
-    :cvar actor_of: makes the actor, with stable-baselines3's arguments.
-    :cvar critic_of: makes the critics.
+    :cvar actor_of: makes the actor from stable-baselines3's arguments.
+    :cvar critic_of: makes the critics from stable-baselines3's arguments.
     """
 
     actor_of: Callable[..., Actor]
@@ -147,10 +148,10 @@ class OwnPolicy(MultiInputPolicy):
 
 class CloudPolicy(OwnPolicy):
     """
-    SAC's policy with one extractor, which the critics train.
+    SAC's policy with one feature extractor, which only the critics train.
 
-    In stable-baselines3 the actor trains an extractor that is shared: nearly nothing of what is
-    seen reaches it that way (Yarats et al., 2021).
+    In stable-baselines3 the actor trains a shared extractor, which then learns hardly any features
+    of the observation (Yarats et al., 2021).
     """
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
@@ -166,10 +167,10 @@ class CloudPolicy(OwnPolicy):
 
 class NearValueMap:
     """
-    How far a policy has gone from that of the value map it began with.
+    Imitation loss: the divergence of a policy from the policy of the value map it began with.
 
-    Critics learn of the cells that were chosen alone, and say anything of all others: a policy
-    that follows them there forgets what the value map knew.
+    Critics learn only the values of cells that were chosen; their values of other cells are
+    arbitrary. A policy that follows them there loses the knowledge of the value map.
 
     :param agent: settings of the network.
     :param weights: of the value map.
@@ -182,25 +183,25 @@ class NearValueMap:
         self.network.load_state_dict(weights)
 
     def loss_of(self, actor: 'MapSacActor', observation: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return the mean Kullback-Leibler divergence of the choices of a batch, nats."""
+        """Return the mean Kullback-Leibler divergence over a batch, nats."""
         with torch.no_grad():
             first = CellChoices(valued(self.network, observation), observation['choices'])
         return first.divergence(actor.choices_of(observation)).mean()
 
 
 class AsItIs(BaseFeaturesExtractor):
-    """Hand on what was observed: the networks read maps, not features."""
+    """Return observations unchanged: the networks read maps, not features."""
 
     def __init__(self, observation_space: spaces.Dict) -> None:
         super().__init__(observation_space, CELLS * CELLS)
 
     def forward(self, observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-        """Return the same."""
+        """Return the observation unchanged."""
         return observation
 
 
 class MapSacActor(Actor):
-    """SAC's actor: the softmax of the value map."""
+    """SAC's actor, whose policy is the softmax of the value map."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
         super().__init__(*args, **kwargs)
@@ -208,33 +209,34 @@ class MapSacActor(Actor):
         self.network = ValueMapNetwork(agent)
 
     def choices_of(self, observation: dict[str, torch.Tensor]) -> CellChoices:
-        """Return how likely each cell is."""
+        """Return the distribution over the cells."""
         maps: dict[str, torch.Tensor] = self.extract_features(
             observation, self.features_extractor)  # type: ignore[assignment]
         return CellChoices(valued(self.network, maps), maps['choices'])
 
     def forward(self, obs, deterministic: bool = False) -> torch.Tensor:
-        """Return places (B, 2)."""
+        """Return chosen positions (B, 2)."""
         choices = self.choices_of(obs)
         return choices.best() if deterministic else choices.sample()
 
     def action_log_prob(self, obs) -> tuple[torch.Tensor, torch.Tensor]:
-        """Return the likelihood of each cell (B, 64 * 64), and the mean of its logarithm (B,)."""
+        """Return the probabilities of cells (B, 64 * 64), and the mean log-density (B,)."""
         choices = self.choices_of(obs)
         return choices.shares, PER_AREA - choices.entropy
 
 
 class _MapQ(torch.nn.Module):
-    """A critic: what the rewards to come are if a camera goes to a cell."""
+    """A critic: the expected future reward if a camera goes to a cell."""
 
     def __init__(self, agent: AgentConfig) -> None:
         super().__init__()
         self.network = ValueMapNetwork(agent)
 
     def forward(self, maps: dict[str, torch.Tensor], actions: torch.Tensor) -> torch.Tensor:
-        """Return (B, 1) of places (B, 2), or the mean over likelihoods (B, 64 * 64)."""
+        """Return (B, 1): values of positions (B, 2), or means over probabilities (B, 64 * 64)."""
         chosen = actions.shape[1] == 2
-        # A mean over likelihoods is asked for to learn them; this network learns of places alone.
+        # Means over probabilities are used to train the actor; only values of chosen positions
+        # train this network.
         with torch.set_grad_enabled(chosen and torch.is_grad_enabled()):
             values = -IN_REWARDS * valued(self.network, maps).nan_to_num(posinf=0.0).flatten(1)
         if chosen:
@@ -252,7 +254,7 @@ class MapCritic(ContinuousCritic):
             self.add_module(f'qf{index}', network)
 
     def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Return (B, 1) of each critic."""
+        """Return the values (B, 1) of each critic."""
         maps = self.extract_features(obs, self.features_extractor)
         return tuple(network(maps, actions) for network in self.q_networks)
 
@@ -263,14 +265,14 @@ class MapPolicy(OwnPolicy):
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
         self.actor_of = partial(MapSacActor, agent=agent)
         self.critic_of = partial(MapCritic, agent=agent)
-        # The network divides the maps itself.
+        # The network divides the maps by 255 itself.
         super().__init__(*args, features_extractor_class=AsItIs, normalize_images=False, **kwargs)
 
     def begin_with(self, weights: dict[str, torch.Tensor]) -> None:
-        """Start the actor and the critics from weights of a value map."""
+        """Start the actor and the critics from the weights of a value map."""
         self.actor.load_state_dict({f'network.{name}': value for name, value in weights.items()})
         for number, critic in enumerate(self.critic.q_networks):
-            # From the very same weights the same batches would make the same critics.
+            # With equal weights the same batches would keep the critics equal: add noise.
             critic.load_state_dict({
                 f'network.{name}': value * (1.0 + number * UNLIKE * torch.randn_like(value))
                 for name, value in weights.items()})
@@ -279,9 +281,9 @@ class MapPolicy(OwnPolicy):
 
 def policy_of(agent: AgentConfig, bfloat16: bool) -> tuple[type[MultiInputPolicy], dict[str, Any]]:
     """
-    Return SAC's policy and its arguments; for ``paper`` it is stable-baselines3's own.
+    Return SAC's policy class and its arguments; for ``paper`` stable-baselines3's own class.
 
-    :param bfloat16: whether the network ``cloud`` reads clouds in half of the bits.
+    :param bfloat16: whether the network ``cloud`` computes features with 16 bits.
     """
     if agent.map:
         return MapPolicy, {'agent': agent}

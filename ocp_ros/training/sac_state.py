@@ -13,10 +13,9 @@
 # limitations under the License.
 
 """
-The whole state of SAC as safetensors, so that training resumes without unpickling anything.
+The whole state of SAC as safetensors, so that training resumes without unpickling.
 
-Networks, optimisers and counters are in one file; the replay buffer, the past moves that are
-learned from, is in another.
+The networks, optimisers and counters are in one file; the replay buffer is in another.
 """
 
 from collections.abc import Mapping
@@ -33,37 +32,37 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
-#: Nothing that a run counts is larger.
+#: Largest absolute value of a counter or of a number of an optimiser that is accepted.
 MOST = 1 << 40
-#: Bytes of a file of moves that are none.
+#: Largest number of bytes of a replay file beside its arrays.
 REST = 1_000_000
-#: Name of the array that says which slot is written next, and whether all have been.
+#: Name of the array with the slot that is written next, and whether the buffer is full.
 FILLED = 'filled'
 COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
 
 
 def _optimizers(model: SAC) -> dict[str, torch.optim.Optimizer]:
-    """Name SAC's three optimisers."""
+    """Return SAC's three optimisers by name."""
     return {'actor': model.actor.optimizer, 'critic': model.critic.optimizer,
             'entropy': model.ent_coef_optimizer}
 
 
 def _networks(model: SAC) -> dict[str, torch.Tensor]:
-    """Return all that is saved but for the optimisers."""
+    """Return all tensors that are saved, except for those of the optimisers."""
     return {**{f'policy.{name}': value for name, value in model.policy.state_dict().items()},
             'log_ent_coef': model.log_ent_coef.detach(),
             **{f'counter.{name}': torch.tensor(getattr(model, name)) for name in COUNTERS}}
 
 
 def saved_slots(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, torch.Tensor]:
-    """Return what an optimiser keeps of each parameter, by its number and what it is."""
+    """Return the tensors of an optimiser by number of the parameter and key."""
     return {f'{prefix}{index}.{key}': value
             for index, slot in optimizer.state_dict()['state'].items()
             for key, value in slot.items()}
 
 
 def load_slots(optimizer: torch.optim.Optimizer, slots: dict[str, torch.Tensor]) -> None:
-    """Put back what :func:`saved_slots` returned, named without the prefix."""
+    """Load the tensors of :func:`saved_slots`, named without the prefix."""
     state: dict[int, dict[str, torch.Tensor]] = {}
     for name, value in slots.items():
         index, key = name.split('.')
@@ -72,7 +71,7 @@ def load_slots(optimizer: torch.optim.Optimizer, slots: dict[str, torch.Tensor])
 
 
 def new_run() -> str:
-    """Name a training run: 12 random hexadecimal digits."""
+    """Return a name for a training run: 12 random hexadecimal digits."""
     return uuid.uuid4().hex[:12]
 
 
@@ -83,7 +82,7 @@ def save_state(model: SAC, path: Path, run: str) -> None:
     The replay buffer is not part of it; see :func:`save_replay`.
 
     :param model: from :func:`ocp_ros.training.sac.make_sac`.
-    :param path: where to.
+    :param path: file to write.
     :param run: identity of the training run.
     """
     tensors = _networks(model)
@@ -95,11 +94,11 @@ def save_state(model: SAC, path: Path, run: str) -> None:
 
 def load_state(model: SAC, path: Path) -> str:
     """
-    Put a saved state into a model that was built with the same settings.
+    Load a saved state into a model that was built with the same settings.
 
-    :returns: identity of the training run that goes on.
-    :raises CheckpointError: if the file is damaged or belongs to another network; the model is as
-        it was.
+    :returns: identity of the training run.
+    :raises CheckpointError: if the file is damaged or belongs to another network; the model stays
+        unchanged.
     """
     try:
         blob = read_regular(path)
@@ -129,7 +128,7 @@ def load_state(model: SAC, path: Path) -> str:
 
 
 def _slots(model: SAC, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Return tensors like those that Adam keeps of each parameter that it has a step of."""
+    """Return tensors with the expected shapes of Adam's state, for parameters that have one."""
     slots = {}
     for name, optimizer in _optimizers(model).items():
         parameters = [one for group in optimizer.param_groups for one in group['params']]
@@ -142,16 +141,16 @@ def _slots(model: SAC, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tens
 
 
 def _check_names(found: Mapping[str, object], expected: Mapping[str, object]) -> None:
-    """Refuse names that are not the expected ones, by a ``ValueError``."""
+    """Raise a ``ValueError`` if the names differ from the expected names."""
     if odd := sorted(found.keys() ^ expected.keys()):
         raise ValueError(f'{odd[0]} is {"unknown" if odd[0] in found else "missing"}')
 
 
 def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
     """
-    Refuse tensors of other names, shapes or types than expected, and numbers that cannot be.
+    Refuse tensors of other names, shapes or types than expected, and values out of range.
 
-    :raises ValueError: if so.
+    :raises ValueError: if a tensor is refused.
     """
     _check_names(tensors, expected)
     for name, tensor in tensors.items():
@@ -166,18 +165,18 @@ def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) 
 
 def save_replay(buffer: DictReplayBuffer, path: Path) -> None:
     """
-    Write what a replay buffer holds; the file is whole or absent.
+    Write the content of a replay buffer; the file is whole or absent.
 
     :param buffer: of stable-baselines3.
-    :param path: where to; what was there before is replaced.
-    :raises OSError: if it cannot be written; what was there before stays.
+    :param path: file to write or replace.
+    :raises OSError: if it cannot be written; an older file stays.
     """
     arrays = {name: np.ascontiguousarray(rows[:buffer.size()])
               for name, rows in _rows(buffer).items()}
     arrays[FILLED] = np.array([buffer.pos, buffer.full], dtype=np.int64)
     try:
         with whole_or_absent(path) as beside:
-            # To the file at once: a second copy of all moves may not fit into memory.
+            # Write to the file directly: a second copy of the buffer may not fit into memory.
             safetensors.numpy.save_file(arrays, beside)
     except SafetensorError as error:
         raise OSError(f'{path}: found no room to write it ({error})') from error
@@ -185,11 +184,11 @@ def save_replay(buffer: DictReplayBuffer, path: Path) -> None:
 
 def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
     """
-    Fill an empty replay buffer with what another process has saved.
+    Fill an empty replay buffer from a file.
 
     :param buffer: made with the same settings.
-    :raises CheckpointError: if the file is damaged, or of a buffer of another kind; the buffer is
-        as it was.
+    :raises CheckpointError: if the file is damaged, or of another kind of buffer; the buffer stays
+        unchanged.
     """
     try:
         check_regular(path, sum(row.nbytes for row in _rows(buffer).values()) + REST)
@@ -205,14 +204,14 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
     for name, values in arrays.items():
         rows[name][:len(values)] = values
     buffer.pos, buffer.full = position, bool(full)
-    # What comes next is another episode's.
+    # The next transition belongs to another episode: end the present one here.
     newest = position - 1
     buffer.timeouts[newest] = np.maximum(buffer.timeouts[newest], 1.0 - buffer.dones[newest])
     buffer.dones[newest] = 1.0
 
 
 def _rows(buffer: DictReplayBuffer) -> dict[str, np.ndarray]:
-    """Name the arrays that have a row for each slot and environment: (S, E, ...)."""
+    """Return by name the arrays with a row for each slot and environment: (S, E, ...)."""
     found = {}
     for name, value in vars(buffer).items():
         parts = value if isinstance(value, dict) else {'': value}
@@ -224,9 +223,9 @@ def _rows(buffer: DictReplayBuffer) -> dict[str, np.ndarray]:
 
 def _check_rows(arrays: dict[str, np.ndarray], rows: dict[str, np.ndarray], count: int) -> None:
     """
-    Refuse arrays that are not some rows of a buffer's, and numbers that are not finite.
+    Refuse arrays that do not fit the rows of a buffer, and numbers that are not finite.
 
-    :raises ValueError: if so.
+    :raises ValueError: if an array is refused.
     """
     _check_names(arrays, rows)
     for name, expected in rows.items():

@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-Train a policy: read from top to bottom, this is the whole run.
+Train a policy: this module is the whole run, from top to bottom.
 
-The map actor learns dense values first, see :mod:`ocp_ros.training.value_training`; then, or from
-the start, soft actor-critic plays and learns. A run's folder holds ``config.yaml`` (the effective
-settings), ``rooms.json`` (which rooms are in each set), ``progress.jsonl`` (one line per
-evaluation), ``best.safetensors`` with its card, ``state.safetensors`` and ``replay.safetensors``
-to resume from, and TensorBoard's files.
+The map actor learns dense values first, see :mod:`ocp_ros.training.value_training`. Soft
+actor-critic then plays and learns; other agents begin with it. The folder of a run has
+``config.yaml`` (the effective settings), ``rooms.json`` (the rooms of each set),
+``progress.jsonl`` (one line per evaluation), ``best.safetensors`` with its card,
+``state.safetensors`` and ``replay.safetensors`` to resume from, and TensorBoard's files.
 """
 
 from collections.abc import Callable, Sequence
@@ -56,7 +56,7 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 import torch
 
 _log = logging.getLogger(__name__)
-#: What lines of soft actor-critic say.
+#: Name of the phase of soft actor-critic in lines of progress.
 SAC = 'sac'
 #: Terms of the reward that are logged one by one.
 TERMS = ('delta_space_coverage', 'delta_depth_error', 'penalty')
@@ -66,7 +66,7 @@ class Run(TrainingRun):
     """
     A run in which soft actor-critic plays and learns; see :class:`TrainingRun`.
 
-    :param model: SAC, whose actor is what is trained.
+    :param model: SAC with the actor to train.
     """
 
     def __init__(self, model: AgentSac, *settings) -> None:
@@ -75,16 +75,16 @@ class Run(TrainingRun):
 
     @property
     def interactions(self) -> int:
-        """Return the interactions so far."""
+        """Return the number of interactions so far."""
         return self.model.num_timesteps
 
     @property
     def updates(self) -> int:
-        """Return the gradient steps so far."""
+        """Return the number of gradient steps so far."""
         return int(self.model._n_updates)
 
     def checkpoint(self) -> Checkpoint:
-        """Return the actor as it is now."""
+        """Return a checkpoint of the present actor."""
         return actor_checkpoint(self.model, self.name, self.provenance)
 
     def note(self, phase: str, **figures: float) -> None:
@@ -94,12 +94,12 @@ class Run(TrainingRun):
         super().note(phase, **losses | figures)
 
     def evaluate(self) -> float:
-        """Play the validation rooms; write the line, the state and, if best, the weights."""
+        """Play the validation rooms; write the progress, the state and, if best, the weights."""
         checkpoint = self.checkpoint()
         result = self.judge(checkpoint)
         for name, value in result.items():
             self.model.logger.record(f'validation/{name}', value)
-        # In this order: what a line tells of is there, whenever the process ends.
+        # The line is written last: the files it refers to exist, whenever the process ends.
         if result['ratio'] < self.best:
             self.best = result['ratio']
             checkpoint.save(self.folder / BEST)
@@ -109,10 +109,10 @@ class Run(TrainingRun):
 
     def resume(self) -> None:
         """
-        Go on from the state that was saved last; the best weights so far stay the best.
+        Resume from the state that was saved last, and keep the best weights so far.
 
         :raises CheckpointError: if the state or the best weights cannot be used; the message says
-            what is lost and how to go on.
+            what is lost and how to continue.
         """
         remove_unfinished(self.folder)
         state, replay = self.folder / STATE, self.folder / REPLAY
@@ -128,7 +128,7 @@ class Run(TrainingRun):
         self._find_best()
 
     def _find_best(self) -> None:
-        """Find out how good the best weights so far are, if there are any."""
+        """Set ``best`` to the error ratio of the best weights so far, if there are any."""
         path = self.folder / BEST
         ratios = {line['updates']: line['ratio'] for line in self.past if 'ratio' in line}
         if not path.exists():
@@ -146,20 +146,20 @@ class Run(TrainingRun):
             raise CheckpointError(
                 f'{error}; the best weights so far are lost: put them back from a copy, or remove '
                 'the file, and the run goes on from its last state') from error
-        # Where no line tells, as after a kill, they are evaluated again.
+        # If no line has their ratio, as after a kill, evaluate them again.
         self.best = (ratios[best.updates] if best.updates in ratios
                      else self.judge(best)['ratio'])
 
     def save(self) -> None:
-        """Write what is needed to resume."""
-        # In this order: moves that the state does not count yet do no harm.
+        """Write the files that are needed to resume."""
+        # Transitions first: those that the saved state does not count yet do no harm.
         if self.model.replay_buffer.size():
             save_replay(self.model.replay_buffer, self.folder / REPLAY)
         save_state(self.model, self.folder / STATE, self.name)
 
 
 class TrainingWatch(BaseCallback):
-    """Log the terms of the reward and evaluate as SAC learns."""
+    """Log the terms of the reward, and evaluate at intervals, while SAC learns."""
 
     def __init__(self, run: Run) -> None:
         super().__init__()
@@ -167,7 +167,7 @@ class TrainingWatch(BaseCallback):
         self.due = self.evaluated = 0
 
     def _on_training_start(self) -> None:
-        """Show the bar."""
+        """Show the progress bar."""
         self.evaluated = self.num_timesteps
         self.due = self.num_timesteps + self.run.config.evaluate_every
         self.task = self.run.progress.add_task(
@@ -175,7 +175,7 @@ class TrainingWatch(BaseCallback):
             completed=self.num_timesteps, error='')
 
     def _on_step(self) -> bool:
-        """Move the bar, and evaluate when it is time."""
+        """Update the progress bar, and evaluate if it is due."""
         for name in TERMS:
             self.logger.record_mean(
                 f'reward/{name}', float(np.mean([info[name] for info in self.locals['infos']])))
@@ -186,26 +186,26 @@ class TrainingWatch(BaseCallback):
         return True
 
     def _on_training_end(self) -> None:
-        """Keep what was learned since the last evaluation."""
+        """Evaluate and save if SAC has learned since the last evaluation."""
         if self.num_timesteps > self.evaluated:
             self._evaluate()
 
     def _evaluate(self) -> None:
-        """Play the validation rooms."""
+        """Evaluate in the validation rooms, and show the ratio."""
         ratio = self.run.evaluate()
         self.evaluated = self.num_timesteps
         self.run.progress.update(self.task, error=f'validation {ratio:.4f}')
 
 
 class SideBySide(DummyVecEnv):
-    """Environments that play in threads of this process: what takes long there holds no lock."""
+    """Environments in threads of this process: their slow parts release the interpreter's lock."""
 
     def __init__(self, made: list[Callable[[], gym.Env]]) -> None:
         super().__init__(made)
         self._players = ThreadPoolExecutor(cores(), 'environment')
 
     def step_wait(self) -> VecEnvStepReturn:
-        """Play a step of each, and begin anew where an episode has ended."""
+        """Play a step in each environment, and begin a new episode where one has ended."""
         list(self._players.map(self._play, range(self.num_envs)))
         return (self._obs_from_buf(), self.buf_rews.copy(), self.buf_dones.copy(),
                 [info.copy() for info in self.buf_infos])
@@ -229,7 +229,7 @@ class SideBySide(DummyVecEnv):
 
 
 def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
-    """Return the environments of a run; rooms and engines that one has made serve all."""
+    """Return the environments of a run; they share their rooms and engines."""
     made = [CameraPlacementEnv(shared, config.simulation, fewest=config.fewest_cameras,
                                rotations=config.rooms.angles)
             for shared in [Rooms(rooms, config.rooms)] * config.environments]
@@ -240,16 +240,16 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
 
 
 def learn(run: Run) -> None:
-    """Let SAC play and learn."""
+    """Let SAC play and learn up to the number of interactions in the settings."""
     config, model, last = run.config, run.model, run.config.interactions
     if model.num_timesteps >= last:
         return
     model.warm = bool(config.model) or config.agent.map or model.num_timesteps > 0
-    # Where the moves so far are lost, some are played before learning from them.
+    # If the transitions so far are lost, collect some before the first gradient step.
     if not model.replay_buffer.size():
         model.learning_starts += model.num_timesteps
     model.set_env(environments(config, room_names(config.rooms, 'training')))
-    # Of the number of moves as well: a run that goes on sees other episodes than at first.
+    # The seed depends on the number of interactions: a resumed run plays other episodes.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
     try:
@@ -261,13 +261,13 @@ def learn(run: Run) -> None:
 
 def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint:
     """
-    Train, or go on with what the folder holds, and report on the test rooms.
+    Train, or resume the run in the folder, and evaluate in the test rooms.
 
-    :param config: the run's settings.
-    :param folder: where the run lives.
-    :param command: what started it, for the card.
-    :returns: the best checkpoint; its provenance has the curve and the test's figures, those of
-        random moves beside them.
+    :param config: settings of the run.
+    :param folder: of the run.
+    :param command: command line of the run, for the card.
+    :returns: the best checkpoint; its provenance has the learning curve and the test results,
+        together with those of random moves.
     """
     claim(folder, config)
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
@@ -286,14 +286,14 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
         run.resume()
         learn(run)
         if not (folder / BEST).exists():
-            # It was lost after the last evaluation.
+            # The file was lost after the last evaluation.
             run.evaluate()
         return report(run, command)
 
 
 def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> AgentSac:
-    """Build SAC; its actor may start from given weights."""
-    # Of all environments together; less than one means to wait for more of them.
+    """Build SAC; its actor starts from given weights if there are any."""
+    # Gradient steps per step of all environments; with less than 1, train after several steps.
     steps = config.updates_per_turn * config.environments
     model = make_sac(config.sac, config.agent, seed=config.seed,
                      environments=config.environments,
@@ -307,9 +307,9 @@ def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> Ag
 
 
 def report(run: TrainingRun, command: str) -> Checkpoint:
-    """Play the test rooms with the best weights and at random; write the figures into the card."""
+    """Play the test rooms with the best weights and with random moves; write the results."""
     config, best = run.config, Checkpoint.load(run.folder / BEST)
-    # Whatever it learned on, the figures are those of the engine at its best.
+    # The results are computed with the finest engine, even if the run learned on another.
     fine = EngineConfig(preset='fine')
     trials = [replace(trial, simulation=replace(trial.simulation, engine=fine))
               for trial in trials_of(config, 'test')]

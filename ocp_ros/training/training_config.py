@@ -24,7 +24,7 @@ from ocp_ros.util.settings import ConfigurationError, group, LARGEST_SEED, MOST_
 
 @dataclass(frozen=True)
 class SacConfig:
-    """Soft actor-critic (Haarnoja et al., 2018) as stable-baselines3 names its settings."""
+    """Settings of soft actor-critic (Haarnoja et al., 2018), named as in stable-baselines3."""
 
     learning_rate: float = setting(5e-4, 'step size of Adam', 1e-7, 1.0)
     batch_size: int = setting(64, 'transitions per gradient step', 1, 65536)
@@ -59,7 +59,7 @@ class SacConfig:
 @dataclass(frozen=True)
 class RoomsConfig:
     """
-    Which rooms, in three sets that never overlap.
+    The rooms of a run, in three disjoint sets.
 
     See :mod:`ocp_ros.training.training_rooms`.
     """
@@ -78,7 +78,7 @@ class RoomsConfig:
     rotations: str = setting('0,15,30,45,60,75', 'degrees that rooms are turned by')
 
     def __post_init__(self) -> None:
-        """Refuse rotations that are no numbers, and what is said of scans that there are not."""
+        """Refuse rotations that are no numbers, and settings of scans without a folder."""
         try:
             angles = self.angles
         except ValueError:
@@ -104,7 +104,7 @@ class RoomsConfig:
 
 @dataclass(frozen=True)
 class ValuesConfig:
-    """Dense values that the map actor learns first; see :mod:`ocp_ros.training.value_states`."""
+    """Settings of learning dense values; see :mod:`ocp_ros.training.value_states`."""
 
     rooms: int = setting(320, 'rooms to walk through', 1, 100000)
     own_rooms: int = setting(
@@ -122,7 +122,7 @@ class ValuesConfig:
 
 @dataclass(frozen=True)
 class TrainingConfig:
-    """A training run: what ``ocp train`` reads from YAML."""
+    """Settings of a training run, which ``ocp train`` reads from YAML."""
 
     seed: int = setting(0, 'seed of networks, exploration and order of rooms', 0, LARGEST_SEED)
     interactions: int = setting(
@@ -144,7 +144,7 @@ class TrainingConfig:
     sac: SacConfig = group(SacConfig)
 
     def __post_init__(self) -> None:
-        """Take over what a rig file says; refuse what contradicts itself."""
+        """Take the number of cameras from a rig file; refuse settings that contradict others."""
         rig = self.simulation.placed_rig
         if not rig.free:
             object.__setattr__(self, 'fewest_cameras', len(rig.cameras))

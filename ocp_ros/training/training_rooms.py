@@ -15,10 +15,10 @@
 """
 The rooms of a run: generated ones, those of S3DIS or a folder of scans, in three sets.
 
-The policy learns in the training rooms, the best weights are chosen by the validation rooms, and
-the test rooms are only ever used for the figures that are reported. A scan's set is decided by
-its content, so that another name does not move it, nor do more scans beside it where there are
-enough for all three sets.
+The policy learns in the training rooms. The validation rooms select the best weights, and the test
+rooms are used only for the reported results. The set of a scan depends on its content, so that it
+does not change when the file is renamed or scans are added, if there are enough scans for all
+three sets.
 """
 
 from collections.abc import Sequence
@@ -33,18 +33,18 @@ from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import ConfigurationError
 
 PARTS = ('training', 'validation', 'test')
-#: Points, in all rooms together, that are kept once they are made: to make a room takes as long as
-#: to play a hundred turns in it.
+#: Largest number of points, over all rooms, that are kept in memory: making a room takes as long
+#: as playing a hundred turns in it.
 KEPT_POINTS = 4_000_000
-#: Areas of S3DIS that are learned from, and the one of them that the best weights are chosen by.
+#: Areas of S3DIS for training and validation, and the one of them that is for validation.
 AREAS, VALIDATION_AREA = (1, 2, 3, 4, 5), 5
 
 
 def room_names(config: RoomsConfig, part: str) -> list[str]:
     """
-    Name the rooms of a set, as :func:`~ocp_ros.rooms.scene_source.make_room` takes them.
+    Return the names of the rooms of a set for :func:`~ocp_ros.rooms.scene_source.make_room`.
 
-    :param config: which rooms.
+    :param config: source and number of the rooms.
     :param part: ``training``, ``validation`` or ``test``.
     :raises ConfigurationError: if there are none, or scans are in two sets.
     :raises SceneError: if S3DIS or a folder cannot be read.
@@ -67,7 +67,7 @@ def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
     """
     Make a room.
 
-    :param config: how many points, and how a scan is to be read.
+    :param config: number of points, and options for reading a scan.
     :param name: from :func:`room_names`.
     :param rotation: degrees about the vertical axis.
     :raises SceneError: if a scan cannot be used.
@@ -77,10 +77,10 @@ def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
 
 class Rooms(Sequence):
     """
-    Rooms that are made when they are needed, and kept as far as memory allows.
+    Rooms that are made at first use, and kept up to ``KEPT_POINTS`` points.
 
     :param names: of the rooms.
-    :param config: how they are made.
+    :param config: options for making them.
     """
 
     def __init__(self, names: Sequence[str], config: RoomsConfig) -> None:
@@ -92,7 +92,7 @@ class Rooms(Sequence):
         return len(self._names)
 
     def __getitem__(self, index: int) -> Scene:
-        """Return a room, made when it is first asked for: not to be changed."""
+        """Return a room, which is shared: do not change it."""
         if index in self._kept:
             return self._kept[index]
         scene = make(self._config, self._names[index])
@@ -102,7 +102,7 @@ class Rooms(Sequence):
 
 
 def _of_s3dis(part: str) -> list[str]:
-    """Return the chosen rooms of some areas."""
+    """Return the paths of the S3DIS rooms of a set."""
     folder = s3dis_folder()
     if folder is None:
         raise SceneError('rooms.source: found s3dis but no S3DIS_DIR; expected the folder that '
@@ -114,9 +114,10 @@ def _of_s3dis(part: str) -> list[str]:
 
 def _of_folder(folder: str, part: str) -> list[str]:
     """
-    Return the scans of a set: a tenth each to choose by and to test by, the rest to learn from.
+    Return the scans of a set: a tenth each for validation and test, the rest for training.
 
-    Where a set would get none, the scans are dealt out in the order of their content.
+    If a set would be empty, one scan each goes to test and validation, in the order of their
+    hashes.
     """
     scans = scans_in(folder)
     if len(scans) < len(PARTS):
@@ -132,6 +133,6 @@ def _of_folder(folder: str, part: str) -> list[str]:
 
 
 def _part_of(digest: str) -> str:
-    """Return the set of a scan by its content."""
+    """Return the set of a scan by the hash of its content."""
     share = int(digest[:8], 16) / 16 ** 8
     return 'test' if share < 0.1 else 'validation' if share < 0.2 else 'training'

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Transitions from what arrives on its own, in any order, and may be missing."""
+"""Assemble transitions from messages that arrive separately, in any order, or not at all."""
 
 from collections import OrderedDict
 from collections.abc import Sequence
@@ -21,20 +21,20 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.training.experience import Experience
 
-#: Where cameras were sent and where they are may differ by so much, metres.
+#: Largest distance between the commanded and the reported position of a camera, metres.
 TOLERANCE = 0.05
 
 
 class Reward(NamedTuple):
     """
-    What a turn was worth.
+    The reward of a turn.
 
-    :ivar previous: stamp of the turn before, whose command led here, nanoseconds.
+    :ivar previous: stamp of the turn before, whose command led to this one, nanoseconds.
     :ivar stamp: of the turn, nanoseconds.
-    :ivar step: turns of the episode so far, this one included.
+    :ivar step: number of turns of the episode so far, including this one.
     :ivar reward: of the whole turn.
-    :ivar shares: (K,) what the move of each camera was worth, in the order in which they chose.
-    :ivar terminated: whether nothing can follow; a turn limit alone does not make it so.
+    :ivar shares: (K,) reward share of each camera's move, in the order in which they chose.
+    :ivar terminated: whether the episode has ended in a terminal state; False at a turn limit.
     """
 
     previous: int
@@ -47,13 +47,13 @@ class Reward(NamedTuple):
 
 class Transition(NamedTuple):
     """
-    One step of experience: the move of one camera, or of all where they choose together.
+    One step of experience: the move of one camera, or of all cameras that choose together.
 
     :ivar observation: encoded observation before the move.
     :ivar actions: (C, 2) float32 in [-1, 1], in units of the longest step.
-    :ivar reward: what the move was worth.
-    :ivar next_observation: encoded observation that the next choice was made from.
-    :ivar terminated: whether nothing can follow.
+    :ivar reward: of the move.
+    :ivar next_observation: encoded observation of the next choice.
+    :ivar terminated: whether the next state is terminal.
     """
 
     observation: dict[str, np.ndarray]
@@ -64,14 +64,14 @@ class Transition(NamedTuple):
 
 
 class Bounded(OrderedDict):
-    """A dictionary that forgets its oldest entry rather than grow beyond its capacity."""
+    """A dictionary that drops its oldest entries beyond its capacity."""
 
     def __init__(self, capacity: int) -> None:
         super().__init__()
         self.capacity = capacity
 
     def __setitem__(self, key, value) -> None:
-        """Store an entry."""
+        """Store an entry, and drop the oldest one if there are too many."""
         super().__setitem__(key, value)
         while len(self) > self.capacity:
             self.popitem(last=False)
@@ -79,18 +79,18 @@ class Bounded(OrderedDict):
 
 class Assembler:
     """
-    Put the transitions of one rig together by stamp.
+    Assemble the transitions of one rig by the stamps of turns.
 
-    A turn is complete when it is known what the policy chose in it, where that has led, what it
-    was worth, and what the policy read next.
+    A turn is complete when these data are here: the choices of the policy, the resulting camera
+    positions, the reward, and the next observation of the policy.
 
-    :param patience: turns after which what is still incomplete is dropped and counted.
-    :param last: whether the last choice of a turn gets its whole reward, and the others nothing: a
-        choice is then where a camera goes, which takes turns.
-    :ivar assembled: turns that were complete.
-    :ivar incomplete: turns that never were.
-    :ivar inconsistent: turns that ended elsewhere than the policy meant, or were another turn of
-        the episode than it thought.
+    :param patience: number of turns after which an incomplete turn is dropped and counted.
+    :param last: whether the last choice of a turn gets the whole reward and the others get 0: for
+        the map actor, whose cameras need several turns to reach a chosen target.
+    :ivar assembled: number of complete turns.
+    :ivar incomplete: number of turns that were dropped incomplete.
+    :ivar inconsistent: number of turns that ended at other positions than the policy commanded, or
+        whose number in the episode differs from that of the policy.
     """
 
     def __init__(self, patience: int = 32, last: bool = False) -> None:
@@ -99,28 +99,28 @@ class Assembler:
         self.clear()
 
     def clear(self) -> None:
-        """Forget every turn, as when the stamps begin anew; what was incomplete is dropped."""
+        """Drop all turns, for example when the stamps begin again; count incomplete ones."""
         self.incomplete += len(getattr(self, '_rewards', ()))
         capacity = 2 * self.patience
         self._experiences: Bounded = Bounded(capacity)
         self._positions: Bounded = Bounded(capacity)
         self._rewarded: Bounded = Bounded(2 * capacity)
-        #: Rewards that wait, and the number each came as.
+        #: Rewards of incomplete turns, each with its number of arrival.
         self._rewards: dict[int, tuple[int, Reward]] = {}
         self._count = 0
 
     def add_experience(self, experience: Experience) -> list[Transition]:
-        """Take what a policy chose in a turn; returns the transitions complete now."""
+        """Take the choices of a policy in a turn; return the transitions complete now."""
         self._experiences[experience.stamp] = experience
         return self._complete()
 
     def add_positions(self, stamp: int, positions: np.ndarray) -> list[Transition]:
-        """Take where the cameras were in a turn, (K, 3) metres; returns as above."""
+        """Take the camera positions of a turn, (K, 3) metres; return as above."""
         self._positions[stamp] = positions
         return self._complete()
 
     def add_reward(self, reward: Reward) -> list[Transition]:
-        """Take the reward of a turn, once; returns the transitions complete now."""
+        """Take the reward of a turn, once; return the transitions complete now."""
         if reward.stamp in self._rewarded:
             return []
         self._rewarded[reward.stamp] = True
@@ -133,7 +133,7 @@ class Assembler:
         return self._complete()
 
     def _complete(self) -> list[Transition]:
-        """Take out what is complete."""
+        """Remove the complete turns, and return their transitions."""
         found = []
         for stamp, (_, reward) in list(self._rewards.items()):
             if stamp in self._positions and all(
@@ -143,11 +143,11 @@ class Assembler:
         return found
 
     def _turn(self, reward: Reward) -> list[Transition]:
-        """Return the transitions of a turn, unless something else than the policy made it."""
+        """Return the transitions of a turn; none if it does not follow from the choices."""
         before, after = (self._experiences[at] for at in (reward.previous, reward.stamp))
         choices, positions = before.choices, self._positions[reward.stamp]
         if len(reward.shares) == len(before.targets):
-            # Those that have a share are the cameras that move; those in place come behind them.
+            # Cameras that move have a share each; fixed cameras come after them.
             positions = positions[:len(reward.shares)]
         shares: Sequence[float] = reward.shares
         if self.last or len(choices) == 1:

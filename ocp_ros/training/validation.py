@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a way of moving the cameras ends with, in rooms it has not seen."""
+"""Evaluate policies and planners in validation or test rooms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -33,22 +33,22 @@ from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import make, room_names
 from ocp_ros.util.worker_pool import WorkerPool
 
-#: The control that learning has to beat.
+#: Name of the baseline that moves the cameras at random.
 RANDOM_MOVES = 'random_moves'
 
 
 @dataclass(frozen=True)
 class ValidationTrial:
     """
-    One episode to judge.
+    One episode to evaluate.
 
     :ivar room: name of the room; see :mod:`ocp_ros.training.training_rooms`.
-    :ivar rooms: how it is made.
-    :ivar rotation: degrees.
-    :ivar simulation: the rig and the engine that judges.
-    :ivar seed: of the start and of what is drawn; the start depends on it alone.
-    :ivar planner: name of an online planner, or ``random_moves``; unused where there are weights.
-    :ivar weights: of the policy that moves, as one blob.
+    :ivar rooms: options for making the room.
+    :ivar rotation: of the room, degrees.
+    :ivar simulation: the rig, and the engine that computes the depth error.
+    :ivar seed: of the start positions and of random choices; the start depends only on it.
+    :ivar planner: name of an online planner, or ``random_moves``; unused if there are weights.
+    :ivar weights: of the policy to evaluate, as one blob; empty for none.
     """
 
     room: str
@@ -61,7 +61,7 @@ class ValidationTrial:
 
 
 class RandomMoves(Online):
-    """Every camera moves at random."""
+    """An online planner that moves every camera at random."""
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
@@ -70,9 +70,9 @@ class RandomMoves(Online):
 
 def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     """
-    Play one episode.
+    Run one episode.
 
-    :returns: depth error at start and end, metres, and space coverage at the end, cubic metres.
+    :returns: depth errors at start and end, metres, and space coverage at the end, cubic metres.
     """
     problem = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation)
     rig_and_turns = trial.simulation.episode, problem.rig, np.random.default_rng([trial.seed, 1])
@@ -92,18 +92,18 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
 @lru_cache(maxsize=32)
 def _prepared(rooms: RoomsConfig, room: str, rotation: float, config: SimulationConfig
               ) -> Problem:
-    """Keep some engines ready."""
+    """Return the problem of a room; keep the latest ones."""
     return make_problem(make(rooms, room, rotation), config)
 
 
 @lru_cache(maxsize=1)
 def policy_of(weights: bytes) -> Policy | ValuePolicy:
-    """Read weights once."""
+    """Return the policy of some weights; keep the latest one."""
     return make_policy(Checkpoint.from_bytes(weights))
 
 
 def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
-    """Return one episode in each room of a set, turned by one rotation after the other."""
+    """Return one episode in each room of a set; the rotations alternate between rooms."""
     rooms, simulation = config.rooms, config.simulation
     if not simulation.rig_file:
         few = replace(simulation.rig, cameras=min(4, simulation.rig.cameras))
@@ -116,9 +116,9 @@ def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
 def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial], weights: bytes = b''
              ) -> dict[str, float]:
     """
-    Play some episodes.
+    Run some episodes in parallel.
 
-    :param weights: of the policy that moves, as one blob; empty to move as the trials say.
+    :param weights: of the policy to evaluate, as one blob; empty: as the trials say.
     :returns: mean depth error at start and end (metres), their ratio, and mean space coverage at
         the end (cubic metres).
     """

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Fit the map actor's network to dense values: plain regression, the good places counting most.
+Fit the map actor's network to dense values: regression with larger weights of good positions.
 
-Where a batch comes from depends on the seed and its number alone, so that a fit which was
-interrupted goes on as if it had not been.
+A batch depends only on the seed and on its number, so that an interrupted fit continues exactly
+as without the interruption.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -39,19 +39,18 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, smooth_l1_loss
 
-#: Where the loss is no more quadratic, how much more the best place counts than a bad one, and
-#: within which difference of values places count as good.
+#: Error at which the loss changes from quadratic to linear, extra weight of the best position, and
+#: difference of values over which this weight falls by the factor e.
 BETA, BEST_COUNTS, GOOD = 0.1, 6.0, 0.1
-#: Steps in which the step size grows to the first one.
+#: Gradient steps in which the step size grows linearly from 0.
 WARM = 100
-#: Weight and temperature of the cross entropy between which places are best and which are said
-#: to be.
+#: Weight and temperature of the loss between the softmax of labels and that of predictions.
 SHARPNESS, TEMPERATURE = 0.03, 0.05
 
 
 class ValueSet:
     """
-    Maps and choices, in memory.
+    Maps and choices with labels, in memory.
 
     :param episodes: from :func:`~ocp_ros.training.value_states.play_states`, of one room each.
     """
@@ -62,7 +61,7 @@ class ValueSet:
                         for name in ('room', 'others', 'numbers', 'lens', 'places', 'values')}
         self._of = torch.from_numpy(np.concatenate(
             [one['of'] + first for one, first in zip(episodes, firsts)])).long()
-        #: (M, 2) the first row and column of each map that are used.
+        #: (M, 2) first used row and column of each map.
         self._firsts = np.array([[part.start for part in used_part(room)]
                                  for room in self._joined['room'].numpy()])
         kinds, of_maps = np.unique(self._firsts, axis=0, return_inverse=True)
@@ -71,7 +70,7 @@ class ValueSet:
 
     @classmethod
     def joined(cls, sets: Sequence['ValueSet']) -> 'ValueSet':
-        """Put sets one behind the other."""
+        """Return the concatenation of sets."""
         return cls([{name: value.numpy() for name, value in one._joined.items()}
                     | {'of': one._of.numpy()} for one in sets])
 
@@ -80,22 +79,22 @@ class ValueSet:
         return len(self._of)
 
     def draw(self, rng: np.random.Generator, size: int) -> Tensor:
-        """Draw choices (size,) whose maps are used as far, each as likely as all others."""
+        """Draw ``size`` choices whose maps have the same used part, with equal probability."""
         shares = np.array([len(rows) for rows in self._alike]) / len(self)
         return torch.from_numpy(rng.choice(self._alike[rng.choice(len(shares), p=shares)], size))
 
     def in_order(self, size: int) -> Iterator[Tensor]:
-        """Yield all choices, at most so many at once, whose maps are used as far."""
+        """Yield all choices in groups of at most ``size`` whose maps have the same used part."""
         for rows in self._alike:
             yield from torch.from_numpy(rows).split(size)
 
     def batch(self, rows: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
         """
-        Take some choices.
+        Return some choices as a batch.
 
-        :param rows: (B,) their numbers; their maps are used as far.
-        :returns: what the network reads, ``places`` (B, P, 2) in cells of it, and ``values``
-            (B, P, D), NaN where nothing is known.
+        :param rows: (B,) numbers of choices whose maps have the same used part.
+        :returns: the inputs of the network, ``places`` (B, P, 2) in cells of its maps, and the
+            labels ``values`` (B, P, D), NaN where there is no label.
         """
         joined, of = self._joined, self._of[rows]
         first = self._firsts[of[0]]
@@ -107,14 +106,14 @@ class ValueSet:
 
 def at_places(values: Tensor, places: Tensor) -> Tensor:
     """
-    Read maps between the middles of their cells.
+    Interpolate maps at positions.
 
-    :param values: (B, D, H, W).
-    :param places: (B, P, 2) in cells.
+    :param values: maps (B, D, H, W).
+    :param places: positions (B, P, 2) in cells.
     :returns: (B, P, D).
     """
     scale = 2.0 / torch.tensor(values.shape[2:])
-    # What is asked for comes in the order of the axes of images: columns first.
+    # grid_sample expects positions in the order of image axes: columns first.
     grid = (places * scale - 1.0).flip(-1)[:, :, None]
     return grid_sample(values, grid, align_corners=False,
                        padding_mode='border')[..., 0].transpose(1, 2)
@@ -122,7 +121,7 @@ def at_places(values: Tensor, places: Tensor) -> Tensor:
 
 def turned_at_random(observation: dict[str, Tensor], places: Tensor, number: int
                      ) -> tuple[dict[str, Tensor], Tensor]:
-    """Turn or mirror maps and places by one of the eight symmetries of the square."""
+    """Rotate or mirror maps and positions by one of the eight symmetries of the square."""
     half = 0.5 * torch.tensor(observation['room'].shape[2:])
     turned, middle = turned_maps(observation, places - half, number)
     half = 0.5 * torch.tensor(turned['room'].shape[2:])
@@ -130,7 +129,7 @@ def turned_at_random(observation: dict[str, Tensor], places: Tensor, number: int
 
 
 def turned_headings(headings: int, number: int) -> Tensor:
-    """Return which heading (D,) each of D is turned or mirrored to; see above."""
+    """Return the index (D,) to which a symmetry takes each of D headings."""
     yaws = torch.from_numpy(yaws_of(headings))
     _, ahead = turned_maps({}, torch.stack([yaws.cos(), yaws.sin()], dim=-1), number)
     turned = torch.atan2(ahead[:, 1], ahead[:, 0])
@@ -138,7 +137,7 @@ def turned_headings(headings: int, number: int) -> Tensor:
 
 
 def loss_of(predicted: Tensor, values: Tensor) -> Tensor:
-    """Return how far predictions (B, P, D) are from the labels (B, P, D), some of them NaN."""
+    """Return the loss of predictions (B, P, D) against labels (B, P, D), some of them NaN."""
     predicted, values = predicted.flatten(1), values.flatten(1)
     known = ~values.isnan()
     labels = torch.where(known, values, 10.0)
@@ -152,7 +151,7 @@ def loss_of(predicted: Tensor, values: Tensor) -> Tensor:
 
 
 def regret_of(network: ValueMap, choices: ValueSet, size: int = 64) -> float:
-    """Return what the places that a network finds best are worse than the best ones, in mean."""
+    """Return the mean regret: label of the position predicted best minus the best label."""
     lost = []
     with torch.inference_mode():
         for rows in choices.in_order(size):
@@ -167,13 +166,13 @@ def regret_of(network: ValueMap, choices: ValueSet, size: int = 64) -> float:
 
 class ValueFit:
     """
-    A fit as it goes on.
+    A running fit.
 
-    :param network: starts from its weights.
-    :param config: how long it takes, and in which steps.
+    :param network: is trained, from its present weights on.
+    :param config: numbers of steps and step sizes.
     :param seed: of the batches.
-    :ivar average: the network whose weights are the moving average: it is what is used.
-    :ivar step: gradient steps so far.
+    :ivar average: network with the moving average of the weights, which is the result.
+    :ivar step: number of gradient steps so far.
     """
 
     def __init__(self, network: ValueMap, config: ValuesConfig, seed: int) -> None:
@@ -186,12 +185,12 @@ class ValueFit:
     def run(self, choices: ValueSet, until: int, total: int,
             watch: Callable[[int, float], Any] = lambda step, loss: None) -> None:
         """
-        Take gradient steps, from the first step size down to the last along a cosine.
+        Take gradient steps whose size falls from the first to the last one along a cosine.
 
-        :param choices: to learn from.
-        :param until: the step to stop at; those that were taken before count.
-        :param total: the step at which the step size is the last one.
-        :param watch: is told each step and its loss.
+        :param choices: training set.
+        :param until: number of the step to stop at, counted from the beginning of the fit.
+        :param total: number of the step at which the step size reaches its last value.
+        :param watch: is called with the number of each step and its loss.
         """
         first, last = self.config.learning_rate, self.config.last_learning_rate
         while self.step < until:
@@ -222,7 +221,7 @@ class ValueFit:
         return loss.item()
 
     def to_bytes(self, run: str) -> bytes:
-        """Write the state to resume from."""
+        """Return the state to resume from as a blob."""
         tensors = {f'network.{name}': value for name, value in self.network.state_dict().items()}
         tensors |= {f'average.{name}': value for name, value in self.average.state_dict().items()}
         tensors |= saved_slots(self._optimizer, 'optimizer.')
@@ -232,10 +231,10 @@ class ValueFit:
 
     def load(self, path: Path) -> str:
         """
-        Go on from a state.
+        Resume from a state.
 
         :returns: the identity of the run.
-        :raises CheckpointError: if it is damaged or of another network.
+        :raises CheckpointError: if the state is damaged or of another network.
         """
         try:
             blob = read_regular(path)

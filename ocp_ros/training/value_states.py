@@ -13,14 +13,15 @@
 # limitations under the License.
 
 """
-States and labels of the map actor: what it reads, and what each place is truly worth.
+Training data of the map actor: its inputs, and the true value of each position as a label.
 
-A rig walks through a room, and at some turns what it has seen is turned into a map. The label is
-dense and privileged: for a camera and some hundred places at once, by how much the depth error of
-the *true* room changes if the camera goes there, given where the others go; of cameras that do not
-see all around, for some headings at each place. It does not depend on where the camera is. Truth
-is ray casting of the room's mesh, on a scan that the rig never sees; where there is no mesh, the
-engine at its best on the points of the scan.
+A rig moves through a room, and at some turns a map is made of the observed points. The label is
+dense and privileged. For one camera and several hundred positions it is the change of the depth
+error of the *true* room if the camera goes there, given the targets of the other cameras; for
+cameras with a limited field of view it is computed for several headings at each position. It does
+not depend on the present position of the camera. The true room is the room's mesh, with ray
+casting, and a scan that the rig does not observe; without a mesh it is the finest engine on the
+points of the scan.
 """
 
 from collections.abc import Sequence
@@ -62,36 +63,37 @@ from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.training.training_rooms import make
 from ocp_ros.training.validation import policy_of
 
-#: Places that are labelled, points of the scan that is true, and rows of its depth maps.
+#: Number of labelled positions, points of the true scan, and rows of its depth maps.
 PLACES, TRUE_POINTS, TRUE_ROWS = 450, 40_000, 64
-#: Places where cameras are turned; those that do not see all around, and how they are turned up
-#: or down there: the middle of a range of pitches that starts level.
+#: For cameras with a limited field of view: the number of labelled positions; the names of the
+#: sensors; and their pitch, the middle of a range of pitches that begins level.
 AIMED_PLACES = 150
 AIMED = tuple(name for name, sensor in SENSORS.items() if sensor.model.lens.kind == PINHOLE)
 AIMED_PITCH = float(np.deg2rad(15.0))
-#: Points of the scans that are walked through.
+#: Numbers of points of the scans that the rig observes.
 SCANS = (8_000, 15_000, 25_000, 40_000)
-#: Episodes of a room, maps of an episode, and choices of one camera after the other on each map.
+#: Episodes of a room, maps of an episode, and choices (one camera after the other) on each map.
 EPISODES, MAPS, CHOICES = 3, 3, 8
-#: How many cameras there are, how often.
+#: Numbers of cameras, and their probabilities.
 CAMERAS, OFTEN = np.arange(1, 9), np.array([1, 2, 3, 5, 3, 3, 1, 1]) / 19.0
-#: The shortest and the longest step, metres; turns before a map; metres that cameras see; metres
-#: that they are above the floor.
+#: Shortest and longest step, metres; number of turns among which those with a map are drawn; range
+#: of the cameras' maximum range, metres; range of their height above the floor, metres.
 STEPS, TURNS, RANGES, HEIGHTS = (0.5, 2.0), 14, (3.0, 6.0), (1.0, 2.3)
-#: How far cameras are turned in a turn at least and at most, radians.
+#: Smallest and largest limit of a camera's rotation in one turn, radians.
 TURNED = 0.5, 2.0
-#: How often a camera goes anywhere, and how near to the best, in the label, another one goes.
+#: Probability that a camera chooses a random pose, and standard deviation of the noise that is
+#: added to the labels before the best pose is chosen otherwise.
 AT_RANDOM, NEARLY = 0.15, 0.04
-#: How often range and height are those of the default rig, and cells are larger, and how much at
-#: most.
+#: Probability of the default rig's range and height; probability of larger map cells, and the
+#: largest factor of their size.
 PLAIN, COARSE, COARSEST = 0.5, 0.2, 2.0
 
 
 def shapes_of(headings: int) -> dict[str, tuple[type, tuple[int, ...]]]:
     """
-    Return what the states of a room are: kinds, and shapes of one map or of one choice.
+    Return type and shape of each array of a room's states, for one map or one choice.
 
-    :param headings: how many cameras are turned to at a place; 0 for those that see all around.
+    :param headings: number of headings at each position; 0 for omnidirectional cameras.
     """
     places = AIMED_PLACES if headings else PLACES
     return {'room': (np.uint8, (OF_ROOM, CELLS, CELLS)), 'of': (np.int32, ()),
@@ -103,13 +105,13 @@ def shapes_of(headings: int) -> dict[str, tuple[type, tuple[int, ...]]]:
 @dataclass(frozen=True)
 class StateTask:
     """
-    A room to walk through.
+    A room in which states are recorded.
 
-    :ivar rooms: how it is made.
+    :ivar rooms: options for making the room.
     :ivar room: its name; see :mod:`ocp_ros.training.training_rooms`.
-    :ivar seed: of everything that is drawn.
-    :ivar weights: of the policy that plays, as one blob; empty for walks to drawn places.
-    :ivar headings: how many are valued at each place; 0 for cameras that see all around.
+    :ivar seed: of all random choices.
+    :ivar weights: of the policy that plays, as one blob; empty: the cameras go to random poses.
+    :ivar headings: number of labelled headings at each position; 0 for omnidirectional cameras.
     """
 
     rooms: RoomsConfig
@@ -121,15 +123,15 @@ class StateTask:
 
 class TrueRoom:
     """
-    What places of a room are truly worth.
+    The true values of candidate poses in a room.
 
     :param scene: the room, with its mesh if there is one.
-    :param config: range and height of the cameras, and their lens.
-    :param headings: D, how many are valued at each place; 0 for cameras that see all around.
-    :ivar engine: the nearest to the truth that there is.
-    :ivar space: where cameras may be.
-    :ivar places: (P, 2) metres, those of a grid.
-    :ivar poses: (P * D, 6) metres, map frame, and radians: the headings of a place in a row.
+    :param config: range and height of the cameras, and their field of view.
+    :param headings: D, number of headings at each position; 0 for omnidirectional cameras.
+    :ivar engine: the most exact engine for the scene.
+    :ivar space: the feasible region of the cameras.
+    :ivar places: (P, 2) metres, positions on a grid.
+    :ivar poses: (P * D, 6) metres, map frame, and radians: all headings of a position in sequence.
     """
 
     def __init__(self, scene: Scene, config: SimulationConfig, headings: int = 0) -> None:
@@ -145,9 +147,9 @@ class TrueRoom:
         self._seen = [seen for place in at for seen in self._looks(place, turned)]
 
     def _looks(self, place: np.ndarray, turned: np.ndarray) -> list[np.ndarray]:
-        """Return the packed bits of what a camera sees at a place, turned (D, 3) radians."""
+        """Return the packed visible points of a position, for each heading (D, 3), radians."""
         lens = self.engine.models[0].lens
-        # Points as cubes, the other kind, are those of another preset.
+        # The preset of this engine never uses the other kind of visibility, points as cubes.
         look = cast(SurfelVisibility, self.engine.visibility)
         seen, covered = no_bits(len(self.engine.scene)), no_bits(len(self.engine.grid))
         look.look(Pose.of(place), lens._replace(kind=OMNIDIRECTIONAL), seen, covered)
@@ -158,10 +160,10 @@ class TrueRoom:
 
     def nearest(self, targets: np.ndarray, headings: np.ndarray | None = None) -> np.ndarray:
         """
-        Return the numbers (K,) of the poses next to some others.
+        Return the numbers (K,) of the candidate poses nearest to some targets.
 
         :param targets: (K, 2) metres.
-        :param headings: (K, 3) radians; None for cameras that see all around.
+        :param headings: (K, 3) radians; None for omnidirectional cameras.
         """
         away = np.linalg.norm(targets[:, None] - self.places[None], axis=2)
         count = len(self.poses) // len(self.places)
@@ -171,11 +173,11 @@ class TrueRoom:
 
     def values(self, others: Sequence[int]) -> np.ndarray:
         """
-        Value all poses for a camera, given where the others go.
+        Compute the values of all poses for one camera, given the poses of the other cameras.
 
-        :param others: numbers of their poses.
+        :param others: numbers of the poses of the other cameras.
         :returns: (P * D,) ln((E with the camera + e) / (E of the others + e)) of the depth error
-            E, less is better.
+            E; lower is better.
         """
         return self.engine.depth_error.changes(
             [self._seen[other] for other in others], self._seen, FLOOR)
@@ -183,13 +185,13 @@ class TrueRoom:
 
 def play_states(task: StateTask) -> dict[str, np.ndarray]:
     """
-    Walk through a room some times.
+    Run several episodes in a room, and record states with labels.
 
     :returns: of M maps ``room`` (M, ...) and of S choices ``others`` (S, ...) and ``numbers``
         (S, ...), see :class:`~ocp_ros.online.observation_map.ObservationMap`; ``lens`` (S, ...),
         see :func:`~ocp_ros.online.observation_map.lens_features`; ``of`` (S,), the map of each
-        choice; ``places`` (M, P, 2), the places that are labelled, in cells of the map; and
-        ``values`` (S, P, D) float16, the labels, NaN beyond the last.
+        choice; ``places`` (M, P, 2), the labelled positions in cells of the map; and ``values``
+        (S, P, D) float16, the labels, NaN beyond the last position.
     """
     rng = np.random.default_rng(task.seed)
     rotation = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
@@ -212,7 +214,7 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
 
 
 class _States:
-    """The maps and choices of a room so far."""
+    """The recorded maps and choices of a room."""
 
     def __init__(self, room: TrueRoom, rng: np.random.Generator, task: StateTask) -> None:
         self._room, self._rng, self._headings = room, rng, task.headings
@@ -220,11 +222,11 @@ class _States:
         self._maps: list[np.ndarray] = []
         self._places: list[np.ndarray] = []
         self._choices: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
-        #: Poses that cameras would go to, as the last choices have them.
+        #: Numbers of the poses that the cameras chose last.
         self._good: list[int] = []
 
     def play(self, problem: Problem, cameras: int, step: float, weights: bytes) -> None:
-        """Play an episode; at some turns read the map and choose."""
+        """Run an episode; at some turns record a map and let the cameras choose."""
         rng, memory = self._rng, LookHistory()
         due = np.sort(rng.choice(TURNS, MAPS, replace=False))
         turns = int(due[-1]) + 1 + int(rng.integers(6))
@@ -254,13 +256,13 @@ class _States:
                 episode.turn.headings, headings, episode.config.max_turn))
 
     def _walked(self, positions: np.ndarray, places: np.ndarray, step: float) -> np.ndarray:
-        """Walk to places, past what the rig may not have seen yet: moves (K, 2) metres."""
+        """Return moves (K, 2), metres, towards targets, within the true feasible region."""
         flat = positions[:, :2]
         way = towards(flat, places, step) - flat
         return self._room.space.moved(flat, way, step) - flat
 
     def _drawn(self, cameras: int) -> np.ndarray:
-        """Draw poses for cameras to go to: good ones at times."""
+        """Draw target poses; with probability 0.5 some of them are the last good ones."""
         drawn = self._rng.integers(len(self._room.poses), size=cameras)
         if self._good and self._rng.random() < 0.5:
             count = min(cameras, len(self._good))
@@ -269,7 +271,7 @@ class _States:
 
     def _choose(self, cloud: np.ndarray, positions: np.ndarray, memory: LookHistory,
                 going: np.ndarray, max_range: float) -> np.ndarray:
-        """Read the map of a turn and let cameras choose; return where they then go."""
+        """Record the map of a turn and the choices of cameras; return the chosen poses."""
         rng, places, cameras = self._rng, self._room.places, len(positions)
         poses = self._room.poses
         coarse = rng.uniform(1.0, COARSEST) if rng.random() < COARSE else 1.0
@@ -300,14 +302,14 @@ class _States:
         return going
 
     def _look(self, model: PartialMap, pose: np.ndarray, positions: np.ndarray) -> View:
-        """Look from a pose (6,) at the height of the cameras."""
+        """Return the view of the partial map from a pose (6,) at the height of the cameras."""
         row = np.array([*pose[:2], positions[0, 2], *pose[3:]])
         return model.look(row[:3] if self._lens is None else row, self._lens)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return all maps and choices; see :func:`play_states`."""
         if not self._choices:
-            # Nothing was seen that could be a room.
+            # The observed points were never enough for a map.
             return {name: np.empty((0, *shape), kind)
                     for name, (kind, shape) in shapes_of(self._headings).items()}
         of, others, numbers, values = zip(*self._choices)

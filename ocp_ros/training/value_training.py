@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-Train the map actor: read from top to bottom, this is the whole run.
+Train the map actor on dense values: this module is the whole run, from top to bottom.
 
-First its network learns dense values in rooms that a rig walks through, then in rooms that it has
-played in itself. Where the settings name headings, the same is done for cameras that do not see
-all around, whose value map begins as that of the first weights. The folder holds what
-:mod:`ocp_ros.training.train` writes, and ``states/`` with the states of each room.
+First the network learns dense values in rooms in which a rig moves to random poses, then also in
+rooms in which the network itself has played. If the settings have headings, the same is done for
+cameras with a limited field of view, whose value map starts from that of the first weights. The
+folder has the files of :mod:`ocp_ros.training.train`, and ``states/`` with the states of each
+room.
 """
 
 from abc import ABC, abstractmethod
@@ -49,26 +50,27 @@ from rich.progress import Progress
 import torch
 
 STATES = 'states'
-#: What the states of a room are drawn from, by who walks through it.
+#: Kinds of states: of rooms with moves to random poses, with moves of the network itself, and of
+#: validation rooms. The number is part of the seed.
 WALKED, OWN, CHECKED = 0, 1, 2
 NAMES = {WALKED: 'walked', OWN: 'own', CHECKED: 'validation'}
-#: Of the validation rooms, every so many is walked through to measure regret.
+#: Every ``EVERY``-th validation room is used to measure the regret.
 EVERY = 3
 
 
 class TrainingRun(ABC):
     """
-    A run as it goes on.
+    A training run.
 
     :param config: its settings.
-    :param folder: where it lives.
-    :param pool: plays episodes.
-    :param progress: the bars.
+    :param folder: its folder.
+    :param pool: worker pool that plays episodes.
+    :param progress: shows the progress bars.
     :ivar name: identity of the run.
-    :ivar past: its lines of progress, as it began.
+    :ivar past: the lines of progress before this process.
     """
 
-    #: Interactions of soft actor-critic so far, and where the networks are.
+    #: Number of interactions of soft actor-critic so far, and the device of the networks.
     interactions, device = 0, torch.device('cpu')
 
     def __init__(self, config: TrainingConfig, folder: Path, pool: WorkerPool,
@@ -80,27 +82,27 @@ class TrainingRun(ABC):
     @property
     @abstractmethod
     def updates(self) -> int:
-        """Return the gradient steps so far."""
+        """Return the number of gradient steps so far."""
 
     @property
     def seconds(self) -> float:
-        """Return how long the run has taken so far."""
+        """Return the duration of the run so far, seconds."""
         return round(time.monotonic() - self._began, 1)
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """Return how weights were made by now."""
+        """Return the provenance of the present weights: settings, date and interactions."""
         return {'interactions': self.interactions, 'seed': self.config.seed,
                 'date': date.today().isoformat(), 'training': to_nested(self.config)}
 
     def note(self, phase: str, **figures: float) -> None:
-        """Write a line of progress."""
+        """Append a line of progress."""
         add_record(self.folder, {
             'phase': phase, 'interactions': self.interactions, 'updates': self.updates,
             'seconds': self.seconds, **figures})
 
     def judge(self, checkpoint: Checkpoint) -> dict[str, float]:
-        """Play the validation rooms."""
+        """Return the results of weights in the validation rooms."""
         return evaluate(self.pool, self._validation, checkpoint.to_bytes())
 
     @cached_property
@@ -116,9 +118,9 @@ class ValueRun(TrainingRun):
         super().__init__(*settings)
         config = self.config
         torch.manual_seed(config.seed)
-        #: What is learned of it is the value map for cameras that are aimed, where there is one.
+        #: The whole network; its part for cameras with headings, if any, is trained alone.
         self._whole = ValueMapNetwork(config.agent)
-        #: How the weights were made that it begins with, if there are any.
+        #: Provenance of the first weights, if there are any.
         self._before: dict[str, Any] = {}
         if config.model:
             start = _begin_with(self._whole, config)
@@ -127,7 +129,7 @@ class ValueRun(TrainingRun):
         self.fit = ValueFit(self._whole.aimed or self._whole, config.values, config.seed)
 
     def checkpoint(self) -> Checkpoint:
-        """Return the network as it is now."""
+        """Return a checkpoint of the present network."""
         learned = self.fit.average.state_dict(prefix='aimed.' if self._whole.aimed else '')
         weights = {name: value.clone()
                    for name, value in (self._whole.state_dict() | learned).items()}
@@ -136,26 +138,26 @@ class ValueRun(TrainingRun):
 
     @property
     def updates(self) -> int:
-        """Return the gradient steps so far."""
+        """Return the number of gradient steps so far."""
         return self.fit.step
 
     def save(self) -> None:
-        """Write what is needed to resume, and the weights so far."""
+        """Write the state to resume from, and the weights so far."""
         write_atomically(self.folder / VALUES_STATE, self.fit.to_bytes(self.name))
         self.checkpoint().save(self.folder / BEST)
 
     def resume(self) -> None:
         """
-        Go on from the state that was saved last.
+        Resume from the state that was saved last.
 
-        :raises CheckpointError: if it cannot be used.
+        :raises CheckpointError: if the state cannot be used.
         """
         path = self.folder / VALUES_STATE
         if path.exists():
             self.name = self.fit.load(path)
 
     def states(self, kind: int, rooms: list[str], weights: bytes = b'') -> ValueSet:
-        """Return the states of some rooms; those that were played before are read."""
+        """Return the states of some rooms; read those that were saved, and play the others."""
         folder = self.folder / STATES
         paths = [folder / f'{NAMES[kind]}_{number:05}.npz' for number in range(len(rooms))]
         missing = [number for number, path in enumerate(paths) if not path.exists()]
@@ -174,9 +176,9 @@ class ValueRun(TrainingRun):
 
 def _begin_with(network: ValueMapNetwork, config: TrainingConfig) -> Checkpoint:
     """
-    Start a network from the weights that are named, and return these.
+    Start a network from the weights in the settings, and return their checkpoint.
 
-    :raises CheckpointError: if they are of other agent settings; they need not know of headings.
+    :raises CheckpointError: if they have other agent settings; only ``headings`` may differ.
     """
     checkpoint = Checkpoint.load(find_model(config.model))
     if config.agent not in (checkpoint.config,
@@ -196,8 +198,8 @@ def _read(path: Path, shapes: dict[str, tuple[type, tuple[int, ...]]]) -> dict[s
     """
     Read the states of a room.
 
-    :param shapes: what they are; see :func:`~ocp_ros.training.value_states.shapes_of`.
-    :raises UserError: if they are damaged or of another map.
+    :param shapes: expected types and shapes; see :func:`~ocp_ros.training.value_states.shapes_of`.
+    :raises UserError: if the states are damaged or of another kind of map.
     """
     try:
         with path.open('rb') as stream, np.load(stream, allow_pickle=False) as file:
@@ -219,7 +221,7 @@ def _read(path: Path, shapes: dict[str, tuple[type, tuple[int, ...]]]) -> dict[s
 
 
 def learn_values(run: ValueRun) -> Checkpoint:
-    """Learn dense values, first in rooms that were walked through, then in the run's own."""
+    """Learn dense values, first from moves to random poses, then also from the network's own."""
     values, rooms = run.config.values, room_names(run.config.rooms, 'training')
     total = values.steps + values.own_steps
     if run.fit.step >= total:

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What every layer needs and no layer owns: settings, files, threads, worker processes."""
+"""Utilities for all layers: settings, files, threads, worker processes."""

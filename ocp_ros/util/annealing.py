@@ -23,12 +23,12 @@ State = TypeVar('State')
 
 
 def between(first: float, last: float, share: float | np.ndarray) -> float | np.ndarray:
-    """Fall from the first to the last by a constant factor."""
+    """Return a value between the first and the last on a geometric scale."""
     return first * (last / first) ** share
 
 
 def accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:
-    """Return whether annealing takes a step that raises what it minimises by so much."""
+    """Return whether annealing accepts a step that raises the objective by ``rise``."""
     return rise <= 0.0 or rng.random() < np.exp(-rise / temperature)
 
 
@@ -36,13 +36,13 @@ def annealed(state: State, judge: Callable[[State], float],
              propose: Callable[[State], State | None], temperatures: Iterable[float],
              rng: np.random.Generator) -> State:
     """
-    Anneal by proposals that are as likely as the way back.
+    Minimise an objective by simulated annealing with symmetric proposals.
 
-    :param state: where to begin.
-    :param judge: returns what a state is worth; less is better.
-    :param propose: returns another state near one, or None where there is none to be had.
-    :param temperatures: one for each step, in units of the judge.
-    :returns: the best state of all, which may be the first.
+    :param state: the start state.
+    :param judge: returns the objective of a state; less is better.
+    :param propose: returns a state near the given one, or None if there is none.
+    :param temperatures: the temperature of each step, in units of the objective.
+    :returns: the best state found, which may be the start.
     """
     value = best_value = judge(state)
     best = state

@@ -13,12 +13,12 @@
 # limitations under the License.
 
 """
-What a process gives up before it reads a file of somebody else.
+Confine a process before it reads untrusted files.
 
-Libraries that read scans, meshes and bags resolve references, and broken files make some of them
-do anything at all. A process that calls :func:`confine` opens no other file (Landlock, Linux 5.13
-and later), no socket, and starts no program (seccomp). Where the kernel lacks one of the two, the
-other one and the limits remain.
+Libraries that read scans, meshes and bags resolve references, and broken files can make some of
+them execute anything. A process that calls :func:`confine` cannot open other files (Landlock,
+Linux 5.13 and later) or sockets, and cannot start programs (seccomp). If the kernel lacks one of
+the two, the other one and the limits remain.
 """
 
 from collections.abc import Iterable
@@ -31,26 +31,28 @@ import signal
 import struct
 import time
 
-#: Of prctl(2): no program that is started may do more than this one, as both below ask for.
+#: The option of prctl(2) that forbids started programs more rights than this one; Landlock and
+#: seccomp need it.
 NO_NEW_PRIVILEGES = 38
-#: System calls of Landlock, the same on all machines; numbers of landlock(7).
+#: System calls of Landlock, the same on all machines, see landlock(7).
 CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446
 VERSION_FLAG, PATH_RULE, O_PATH = 1, 1, 0o10000000
 READ_FILE = 1 << 2
-#: Write, read, list, remove and make files, and truncate them, in a folder of its own.
+#: Rights to write, read, list, remove, make and truncate files in the process's own folder.
 USE_FOLDER = 1 << 1 | READ_FILE | 1 << 3 | 1 << 4 | 1 << 5 | 1 << 7 | 1 << 8
 TRUNCATE = 1 << 14
-#: How many rights each version of Landlock knows, from the first on.
+#: The number of rights of each version of Landlock, from the first on.
 RIGHTS = (13, 14, 15, 15, 16)
-#: The version from which on Landlock keeps signals to the process itself, and that.
+#: The first version of Landlock that restricts signals to the process itself, and the flag for
+#: this.
 SCOPED, SCOPE_SIGNALS = 6, 2
-#: Of seccomp(2): for all threads, and what a filter answers.
+#: Values of seccomp(2): set a filter, for all threads; and the answers of a filter.
 FILTER, ALL_THREADS, ALLOW, REFUSE, KILL = 1, 1, 0x7FFF0000, 0x00050000 | 1, 0x80000000
-#: Of each kind of machine: its mark, the numbers of seccomp and of tgkill, which is only allowed
-#: to end the process itself, and those of what is refused: socket, execve, execveat, ptrace,
-#: process_vm_readv, process_vm_writev, kill, tkill, rt_sigqueueinfo, rt_tgsigqueueinfo,
-#: pidfd_send_signal, pidfd_getfd, io_uring_setup, which could do what others may not, fchmod,
-#: fchmodat, fchmodat2, fchown, fchownat, utimensat, and what is older of these.
+#: For each machine: its architecture mark, the numbers of seccomp and tgkill (which may only
+#: signal the process itself), and the numbers of the refused calls: socket, execve, execveat,
+#: ptrace, process_vm_readv, process_vm_writev, kill, tkill, rt_sigqueueinfo, rt_tgsigqueueinfo,
+#: pidfd_send_signal, pidfd_getfd, io_uring_setup, which could bypass the filter, fchmod, fchmodat,
+#: fchmodat2, fchown, fchownat, utimensat, and older variants of these.
 MACHINES = {
     'x86_64': (0xC000003E, 317, 234,
                (41, 59, 322, 101, 310, 311, 62, 200, 129, 297, 424, 438, 425, 91, 268, 452, 93,
@@ -66,10 +68,10 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 def limit(memory: int, seconds: int, written: int) -> None:
     """
-    Let this process have no more than so much, and end with its parent rather than by Ctrl-C.
+    Limit memory, time and files of this process; end it with its parent, not by Ctrl-C.
 
     :param memory: bytes.
-    :param seconds: of all cores together; :func:`allow_seconds` allows more.
+    :param seconds: seconds of all cores together; :func:`allow_seconds` allows more.
     :param written: bytes of each file that it writes.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -80,19 +82,19 @@ def limit(memory: int, seconds: int, written: int) -> None:
 
 
 def allow_seconds(seconds: int) -> None:
-    """Let this process have so many seconds of all cores together from now on."""
+    """Allow this process ``seconds`` more seconds of all cores together, from now on."""
     most = resource.getrlimit(resource.RLIMIT_CPU)[1]
     resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + seconds, most))
 
 
 def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> None:
     """
-    Let this process read some files, write to one folder, and have nothing else of the machine.
+    Restrict this process to reading some files and writing to one folder.
 
-    What it has open or imported already stays. Call it while there is one thread.
+    Open files and imported modules stay usable. Call it while there is one thread.
 
-    :param files: that may be read; what they link to counts.
-    :param folder: that may be written to, if any.
+    :param files: the files that may be read; the targets of links count.
+    :param folder: the folder that may be written to; None for none.
     """
     _libc.prctl(NO_NEW_PRIVILEGES, 1, 0, 0, 0)
     _allow_files(dict.fromkeys(files, READ_FILE) | ({folder: USE_FOLDER} if folder else {}))
@@ -100,7 +102,7 @@ def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> No
 
 
 def _allow_files(rights: dict[str | Path, int]) -> None:
-    """Have Landlock refuse all files but some."""
+    """Restrict file access to some files with Landlock."""
     version = _libc.syscall(CREATE_RULESET, None, 0, VERSION_FLAG)
     if version < 1:
         return
@@ -119,7 +121,7 @@ def _allow_files(rights: dict[str | Path, int]) -> None:
 
 
 def _refuse_calls() -> None:
-    """Have seccomp refuse sockets, programs and other processes."""
+    """Refuse sockets, programs and access to other processes with seccomp."""
     if platform.machine() not in MACHINES:
         return
     mark, seccomp, signal_thread, refused = MACHINES[platform.machine()]
@@ -129,7 +131,7 @@ def _refuse_calls() -> None:
             (at_least, 0, 1, X32), (answer, 0, 0, REFUSE)]
     for number in refused:
         rows += [(equal, 0, 1, number), (answer, 0, 0, REFUSE)]
-    # The first argument stands behind number, machine and address.
+    # In the data, the first argument follows the number, the machine and the address.
     rows += [(equal, 0, 3, signal_thread), (load, 0, 0, 16), (equal, 1, 0, os.getpid()),
              (answer, 0, 0, REFUSE), (answer, 0, 0, ALLOW)]
     code = ctypes.create_string_buffer(b''.join(struct.pack('<HBBI', *row) for row in rows))

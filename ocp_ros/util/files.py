@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Files that are whole or absent, whenever the process ends, and places to write them to."""
+"""Write files atomically, so that they are complete or absent whenever the process ends."""
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
@@ -30,12 +30,12 @@ from typing import BinaryIO
 
 from ocp_ros.util.settings import ConfigurationError
 
-#: Folders in a folder of results: a set of files that is being written, one that is complete and
-#: takes its place, and in that one the names of its files.
+#: Names in a folder of results: the prefix of a folder with an unfinished set of files, the folder
+#: of a complete set that has to be swapped in, and the list of its file names in that folder.
 UNFINISHED, COMPLETE, NAMES = '.ocp_unfinished_', '.ocp_complete', '.names.json'
-#: Bytes of a list of names.
+#: The largest size of a list of names in bytes.
 LONGEST_LIST = 10_000
-#: Bytes of what is read whole unless a reader knows better, and that are read at once.
+#: The default largest size in bytes of a file read at once, and the bytes read in one step.
 LARGEST, PIECE = 1_000_000_000, 1 << 20
 
 
@@ -43,12 +43,12 @@ def read_regular(path: str | Path, most: int = LARGEST) -> bytes:
     """
     Read a file that should not be large; pipes and devices, which may never end, are refused.
 
-    :param most: bytes that it may have.
-    :raises OSError: if it cannot be read, is no regular file, or has more; ``EFBIG`` with the
+    :param most: the largest size in bytes.
+    :raises OSError: if it cannot be read, is not a regular file, or is larger; ``EFBIG`` with the
         number of bytes for the last.
     """
     with _regular(path, most) as file:
-        # Of files in /proc the size is not known before they are read.
+        # The size of files in /proc is unknown before they are read.
         content = file.read(most + 1)
     if len(content) > most:
         raise OSError(errno.EFBIG, f'{len(content):,} bytes')
@@ -56,14 +56,14 @@ def read_regular(path: str | Path, most: int = LARGEST) -> bytes:
 
 
 def check_regular(path: str | Path, most: int) -> None:
-    """Refuse a file that :func:`read_regular` would, for a library that reads it itself."""
+    """Refuse the files that :func:`read_regular` refuses, before a library reads the file."""
     with _regular(path, most):
         pass
 
 
 @contextmanager
 def _regular(path: str | Path, most: float) -> Iterator[BinaryIO]:
-    """Open a regular file of so many bytes at most; see :func:`read_regular`."""
+    """Open a regular file of at most ``most`` bytes; see :func:`read_regular`."""
     if '\0' in str(path):
         raise OSError(errno.EINVAL, 'its name has a zero byte')
     with open(path, 'rb', opener=_open_at_once) as file:
@@ -89,16 +89,16 @@ def sha256_of_file(path: str | Path) -> str:
 
 
 def _open_at_once(path: str, flags: int) -> int:
-    """Open a file without waiting for somebody who writes to it, if it is a pipe."""
+    """Open a file without waiting for a writer, if it is a pipe."""
     return os.open(path, flags | os.O_NONBLOCK)
 
 
 def cache_folder() -> Path | None:
     """
-    Return where the package keeps what it can make again: ``OCP_ROS_CACHE``, or the user's cache.
+    Return the cache folder of the package: ``OCP_ROS_CACHE``, or a folder in the user's cache.
 
-    :returns: an absolute path, made with its folder closed to other users; None where there is
-        none.
+    :returns: an absolute path, created with access for this user only; None if it cannot be
+        created.
     """
     base = os.environ.get('XDG_CACHE_HOME', '')
     if not os.path.isabs(base):
@@ -108,18 +108,18 @@ def cache_folder() -> Path | None:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     except OSError:
         return None
-    # What is relative is in a folder that somebody else may have made.
+    # A relative path may lie in a folder of another user.
     return folder if folder.is_absolute() else None
 
 
 def write_atomically(path: str | Path, content: bytes | str, private: bool = False) -> None:
     """
-    Write a file so that readers find the old content or the new, never a part.
+    Write a file atomically: readers find the old content or the new, never a part.
 
-    :param path: its folder is made where it is not there.
-    :param content: text is written as UTF-8; bytes of file names that are no text, as escapes.
-    :param private: whether other users must not read it, whatever the umask says.
-    :raises OSError: if it cannot be written; what was there before stays.
+    :param path: the path of the file; its folder is created if necessary.
+    :param content: text is written as UTF-8; bytes of file names that are not text become escapes.
+    :param private: whether other users must not read it, independently of the umask.
+    :raises OSError: if it cannot be written; the old content stays.
     """
     content = content.encode(errors='backslashreplace') if isinstance(content, str) else content
     with whole_or_absent(path, private) as beside:
@@ -129,11 +129,11 @@ def write_atomically(path: str | Path, content: bytes | str, private: bool = Fal
 @contextmanager
 def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
     """
-    Yield a path beside a file; what is written there takes its place in the end, or never.
+    Yield a temporary path that replaces a file at the end, or is removed after an error.
 
-    :param path: its folder is made where it is not there.
+    :param path: the path of the file; its folder is created if necessary.
     :param private: see :func:`write_atomically`.
-    :raises OSError: if it cannot be written; what was there before stays.
+    :raises OSError: if it cannot be written; the old content stays.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -144,19 +144,19 @@ def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
         with open(name, 'rb') as file:
             os.fsync(file.fileno())
         if not private:
-            # Temporary files are private; what people share is as they say.
+            # Temporary files are private; other files follow the umask.
             os.chmod(name, 0o666 & ~_umask())
         os.replace(name, path)
     except BaseException as error:
         Path(name).unlink(missing_ok=True)
         if isinstance(error, OSError):
-            # That of a full disk names no file.
+            # The error of a full disk does not name the file.
             error.filename = str(path)
         raise
 
 
 def _umask() -> int:
-    """Return which rights new files do not have; to read it, it has to be set."""
+    """Return the umask; reading it requires setting it."""
     umask = os.umask(0o077)
     os.umask(umask)
     return umask
@@ -164,15 +164,17 @@ def _umask() -> int:
 
 class FileSet:
     """
-    Files of a folder that belong together: written aside, and swapped in at the end.
+    A set of files that is written to a temporary folder and replaces the previous set at the end.
 
-    Use it in a ``with`` statement. Whenever the process ends, the folder has all files of the set
-    or all of the one before, if not at once, then when the next run begins, see :func:`recover`.
-    Where the block fails, what it has written is taken for the set, if the mark is among it.
+    Use it in a ``with`` statement. Whenever the process ends, the folder contains all files of the
+    new set or all files of the previous one, at the latest after the next run has begun (see
+    :func:`recover`). If the block fails, the files written so far are the set if the mark is among
+    them.
 
-    :param folder: it is made where it is not there.
-    :param names: of all files that sets may have; those that this one has not are removed.
-    :param mark: name of the file without which nothing is a set.
+    :param folder: the folder; it is created if necessary.
+    :param names: the names of all files that a set may have; those missing in this set are
+        removed.
+    :param mark: the name of the file that every set must have.
     :ivar aside: the folder to write to.
     :raises OSError: if nothing can be written.
     """
@@ -185,14 +187,14 @@ class FileSet:
         recover(self.folder, self._names, self._mark)
         with _locked(self.folder):
             self.aside = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=self.folder))
-            #: Shows that whoever writes there lives.
+            #: The lock shows that the writing process is alive.
             self._lock = os.open(self.aside, os.O_RDONLY)
             with suppress(OSError):
                 fcntl.flock(self._lock, fcntl.LOCK_EX)
         return self
 
     def __exit__(self, *exception) -> None:
-        """Swap the set in."""
+        """Replace the previous set by the new one."""
         written = [name for name in self._names if (self.aside / name).exists()]
         try:
             if self._mark in written:
@@ -207,7 +209,7 @@ class FileSet:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """Let no other process swap files of a folder, where the disk knows locks."""
+    """Lock a folder against swaps by other processes, if the disk supports locks."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         with suppress(OSError):
@@ -219,11 +221,11 @@ def _locked(folder: Path) -> Iterator[None]:
 
 def recover(folder: Path, names: Collection[str], mark: str) -> None:
     """
-    Finish what a killed run has begun: swap in a set that is complete, remove one that is not.
+    Finish the work of a killed run: swap in a complete set, remove an incomplete one.
 
-    :param names: of all files that sets may have.
+    :param names: the names of all files that a set may have.
     :param mark: see :class:`FileSet`.
-    :raises OSError: if a complete set cannot be swapped in; it stays where it is.
+    :raises OSError: if a complete set cannot be swapped in; it stays in its folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
@@ -239,11 +241,11 @@ def recover(folder: Path, names: Collection[str], mark: str) -> None:
 
 
 def complete_set(folder: Path, names: Collection[str], mark: str) -> list[str]:
-    """Return the names of the files of a set that is to be swapped in; none without one."""
+    """Return the file names of a complete set that is not swapped in yet; [] without one."""
     complete = folder / COMPLETE
     try:
         kept = json.loads(read_regular(complete / NAMES, LONGEST_LIST))
-        # Those that are not there any more are in the folder already.
+        # Files that are missing here have been swapped in already.
         whole = mark in kept and set(kept) <= set(names) and all(
             (complete / name).is_file() or (folder / name).is_file() for name in kept)
     except (OSError, ValueError, TypeError, RecursionError):
@@ -252,7 +254,7 @@ def complete_set(folder: Path, names: Collection[str], mark: str) -> list[str]:
 
 
 def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:
-    """Let a complete set take the place of the one before; what is none is removed."""
+    """Replace the previous set by a complete one; remove an incomplete one."""
     complete, kept = folder / COMPLETE, complete_set(folder, names, mark)
     for name in names if kept else ():
         if name not in kept:
@@ -266,17 +268,17 @@ def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove the weights and states of which a process was killed while it wrote them."""
+    """Remove weights and states whose writing process was killed."""
     for path in folder.glob('.*.safetensors.*'):
         path.unlink(missing_ok=True)
 
 
 def file_to_write(path: Path, what: str, option: str = '--out') -> Path:
     """
-    Make the folder of a file, and try whether it can be written to.
+    Make the folder of a file, and check that it can be written to.
 
-    :param what: the file is, for the message.
-    :param option: which names it.
+    :param what: the kind of file, for the message.
+    :param option: the option that names it, for the message.
     :raises ConfigurationError: if it cannot be written.
     """
     try:
@@ -292,10 +294,10 @@ def file_to_write(path: Path, what: str, option: str = '--out') -> Path:
 
 def folder_to_write(path: Path, option: str = '--out') -> Path:
     """
-    Make a folder, and try whether it can be written to.
+    Make a folder, and check that it can be written to.
 
-    :param option: which names it.
-    :raises ConfigurationError: if it cannot be.
+    :param option: the option that names it, for the message.
+    :raises ConfigurationError: if it cannot be written to.
     """
     try:
         if path.exists() and not path.is_dir():
@@ -309,7 +311,7 @@ def folder_to_write(path: Path, option: str = '--out') -> Path:
 
 
 def _try_folder(path: Path) -> None:
-    """Make a folder, and write a file to it that goes again."""
+    """Make a folder, and write a temporary file to it."""
     path.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=path) as file:
         file.write(b'ocp')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Libraries that hostile bytes can crash or lead astray, run in a process with limits."""
+"""Run libraries that hostile bytes can crash or exploit in a process with limits."""
 
 from collections.abc import Mapping
 from contextlib import suppress
@@ -25,15 +25,16 @@ import sys
 import tempfile
 from typing import NamedTuple
 
-#: Seconds to wait for a process that uses no core, beyond those that it may use one; and seconds
-#: of all cores for each million bytes of a file.
+#: Seconds to wait for a process beyond its own time limit; and seconds of all cores per million
+#: bytes of a file.
 PATIENCE, SECONDS_PER_MB = 60, 4
-#: Bytes of its last words that are read, and of a file that it may write.
+#: Bytes of its last error output that are read, and the default largest size in bytes of a file
+#: that it writes.
 LAST_WORDS, WRITTEN = 4096, 1 << 20
-#: Bytes that are taken from it at once.
+#: Bytes that are read from it at once.
 PIECE = 1 << 20
 TOO_LONG = 'it takes its reader too long'
-#: What the process runs: nothing of the folder that a user happens to be in is to be imported.
+#: The code of the process: it must not import modules from the user's current folder.
 RUN = ('import sys; sys.path = [folder for folder in sys.path if folder]; '
        'from importlib import import_module; '
        'sys.exit(import_module(sys.argv[1]).main(sys.argv[2:]))')
@@ -41,11 +42,12 @@ RUN = ('import sys; sys.path = [folder for folder in sys.path if folder]; '
 
 class ReadingCost(NamedTuple):
     """
-    What reading a file of some kind may take.
+    The limits of reading a file of some kind.
 
-    :ivar memory: bytes that it takes with any file.
+    :ivar memory: bytes, independent of the file.
     :ivar memory_per_byte: bytes for each byte of a file.
-    :ivar seconds: of all cores together with any file; ``SECONDS_PER_MB`` come on top.
+    :ivar seconds: seconds of all cores together, independent of the file; ``SECONDS_PER_MB`` is
+        added.
     """
 
     memory: int
@@ -57,16 +59,16 @@ class GuardedProcess:
     """
     A process that reads files and answers with bytes; use it in a ``with`` statement.
 
-    Nothing is unpickled. It gets as its first arguments the most bytes of memory, seconds of all
-    cores and bytes of each file that it may write, and has to hold itself to them, see
-    :mod:`~ocp_ros.util.confinement`.
+    Nothing is unpickled. The first arguments of the process are its limits: bytes of memory,
+    seconds of all cores, and bytes of each file that it may write. It has to apply them itself,
+    see :mod:`~ocp_ros.util.confinement`.
 
-    :param module: whose ``main`` it runs.
-    :param arguments: of the module.
-    :param cost: of what it reads.
-    :param size: bytes of what it reads.
+    :param module: the module whose ``main`` it runs.
+    :param arguments: the arguments of the module.
+    :param cost: the limits for the kind of file.
+    :param size: the size of the file in bytes.
     :param written: bytes of each file that it may write.
-    :param more: environment variables.
+    :param more: more environment variables.
     """
 
     def __init__(self, module: str, arguments: list[str], cost: ReadingCost, size: int,
@@ -86,7 +88,7 @@ class GuardedProcess:
         return self
 
     def __exit__(self, *exception) -> None:
-        """End the process, whatever it does."""
+        """Kill the process."""
         self._process.kill()
         self._process.wait()
         self._process.stdout.close()
@@ -95,7 +97,7 @@ class GuardedProcess:
         self._words.close()
 
     def ask(self, line: str) -> None:
-        """Send a line to the standard input of the process; a lost process is noticed later."""
+        """Send a line to the process; a dead process is noticed at the next read."""
         with suppress(BrokenPipeError):
             self._process.stdin.write(line.encode() + b'\n')
             self._process.stdin.flush()
@@ -104,7 +106,7 @@ class GuardedProcess:
         """
         Return the next bytes: fewer than ``count`` only at the end.
 
-        :raises ValueError: if the process says that it cannot read its file, is lost, or takes
+        :raises ValueError: if the process reports that it cannot read its file, has died, or takes
             too long.
         """
         parts, left = [], count
@@ -120,7 +122,7 @@ class GuardedProcess:
         return bytearray().join(parts)
 
     def _check_end(self) -> None:
-        """Say in a few words why the process ended, if not well."""
+        """Raise a short error if the process failed."""
         try:
             code = self._process.wait(PATIENCE)
         except subprocess.TimeoutExpired:
@@ -136,7 +138,7 @@ class GuardedProcess:
 
 
 def _environment() -> dict[str, str]:
-    """Return an environment in which the process finds what this one has imported."""
+    """Return an environment in which the process finds the modules of this one."""
     places = [*filter(None, sys.path), str(Path(__file__).absolute().parents[2])]
     return {**os.environ, 'PYTHONPATH': os.pathsep.join(places), 'OMP_NUM_THREADS': '1',
             'OPENBLAS_NUM_THREADS': '1'}

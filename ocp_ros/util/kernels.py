@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Numba's ``njit`` for all kernels of the package, which are kept in the user's cache.
+Numba's ``njit`` for all kernels of the package, cached in the user's cache.
 
-Numba reads ``.numba_config.yaml`` of the current folder, which may name modules to import and
-kernels to unpickle. A folder that a scan came in must not say that.
+Numba reads ``.numba_config.yaml`` in the current folder, which may name modules to import and
+kernels to unpickle. The folder of an untrusted scan must not control this.
 """
 
 import ctypes
@@ -28,18 +28,18 @@ from types import ModuleType
 
 from ocp_ros.util.files import cache_folder
 
-#: Of unshare(2): a current folder that is the calling thread's own.
+#: The flag of unshare(2) for a current folder of the calling thread only.
 OWN_FOLDER = 0x200
 
 
 def import_elsewhere(name: str) -> ModuleType:
     """
-    Import a package, unless it is, where no file of the current folder is read.
+    Import a package without reading files of the current folder.
 
-    A thread does it that has a current folder of its own, so that no other thread sees another;
-    in containers that forbid this, all threads do for a moment.
+    A thread with its own current folder imports it, so that the folder of other threads does not
+    change. In containers that forbid this, all threads change the folder for a moment.
 
-    :param name: of the package.
+    :param name: the name of the package.
     :returns: the package.
     :raises ImportError: if it cannot be imported.
     """
@@ -51,7 +51,7 @@ def import_elsewhere(name: str) -> ModuleType:
 
 
 def _import(name: str) -> None:
-    """Import a package in the root folder; where that fails, the caller's attempt says why."""
+    """Import a package in the root folder; the caller reports import errors."""
     unshare = getattr(ctypes.CDLL(None), 'unshare', None)
     alone = unshare is not None and unshare(OWN_FOLDER) == 0
     before = os.open('.', os.O_RDONLY)
@@ -69,7 +69,7 @@ def _import(name: str) -> None:
 if (_folder := cache_folder()) is not None:
     os.environ.setdefault('NUMBA_CACHE_DIR', str(_folder / 'kernels'))
 _numba = import_elsewhere('numba')
-# The compiler looks for the file again and again.
+# The compiler reads the file repeatedly.
 _numba.core.config._config_fname = os.devnull
 _numba.core.config.reload_config()
 njit = _numba.njit

@@ -13,30 +13,31 @@
 # limitations under the License.
 
 """
-Models and configuration that come with the package, wherever it is installed.
+Find the models and configuration files that come with the package.
 
-They lie in one folder: the source tree, or ``share/ocp_ros`` where the package is installed.
+They are in one folder: the source tree, or ``share/ocp_ros`` if the package is installed.
 """
 
 from collections.abc import Iterator
 from pathlib import Path
 
-#: How many folders lie at most between the package and the prefix that it is installed in:
-#: site-packages, python3.x, lib, and the prefix itself.
+#: The largest number of folders from the package up to its installation prefix: site-packages,
+#: python3.x, lib, and the prefix itself.
 HEIGHT = 4
-#: A file of that folder, and of no other package's.
+#: A file that only this folder contains.
 MARK = Path('config', 'fastdds_local.xml')
 
 
 def share_folder() -> Path:
     """
-    Return the folder that holds ``models`` and ``config``.
+    Return the folder with ``models`` and ``config``.
 
-    That of the code that runs comes first, so that both are of one version: the source tree, or
-    the nearest ``share/ocp_ros`` above the package, as pip (in a virtual environment, ``--user``,
-    ``--prefix`` or ``--target``), colcon and Debian put it. Then ROS's index is asked.
+    The folder of the running code comes first, so that both have the same version: the source
+    tree, or the nearest ``share/ocp_ros`` above the package, as pip (in a virtual environment,
+    ``--user``, ``--prefix`` or ``--target``), colcon and Debian install it. Then the ROS index is
+    searched.
 
-    :raises FileNotFoundError: if there is none: the package is not whole.
+    :raises FileNotFoundError: if there is none: the package is incomplete.
     """
     for folder in _places():
         if (folder / MARK).is_file():
@@ -47,8 +48,8 @@ def share_folder() -> Path:
 
 
 def _places() -> Iterator[Path]:
-    """Return where that folder may be, the likeliest first."""
-    # Some installers link to files that lie elsewhere, without the rest of the prefix.
+    """Yield possible paths of this folder, the most likely first."""
+    # Some installers link to files elsewhere, without the rest of the prefix.
     for file in (Path(__file__).absolute(), Path(__file__).resolve()):
         above = file.parents[2:2 + HEIGHT]
         yield above[0]
@@ -61,7 +62,7 @@ def _places() -> Iterator[Path]:
         return
 
 
-#: The weights that run unless others are named.
+#: The default weights.
 DEFAULT_MODEL = 'map'
 
 
@@ -70,10 +71,10 @@ def find_model(name: str) -> Path:
     Find weights by path or by the name of a model that comes with the package.
 
     :param name: a path, or a name such as ``map``.
-    :raises FileNotFoundError: if there is none; the message lists the names there are.
+    :raises FileNotFoundError: if there is none; the message lists the available names.
     """
     known = {path.stem: path for path in (share_folder() / 'models').glob('*.safetensors')}
-    # A file of the current folder is not what a model of the package is called.
+    # A file in the current folder must not hide a model of the package.
     if name in known:
         return known[name]
     if Path(name).is_file():
@@ -84,10 +85,10 @@ def find_model(name: str) -> Path:
 
 def find_config(path: str | Path) -> Path:
     """
-    Find a file by its path or, where there is none, among those that come with the package.
+    Find a file by its path or, if it does not exist, among those of the package.
 
     :param path: such as ``config/train/map.yaml``.
-    :returns: the path itself where the file is nowhere: who reads it says so.
+    :returns: the path itself if there is no such file, so that its reader reports the error.
     """
     path = Path(path)
     if path.exists():

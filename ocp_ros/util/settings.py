@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Configuration as dataclasses: they own every default, its description and its range.
+Configuration as dataclasses, which define every default, its description and its range.
 
-Nodes declare their parameters from them, YAML files and JSON are read into them, and the effective
-values are saved with each result.
+Nodes declare their parameters from these classes, YAML and JSON files are read into them, and the
+values used are saved with each result.
 """
 
 from dataclasses import asdict, Field, field, fields, is_dataclass
@@ -28,16 +28,16 @@ T = TypeVar('T')
 
 #: The most cameras of a rig, and the largest seed.
 MOST_CAMERAS, LARGEST_SEED = 64, 1 << 31
-#: Points of a room.
+#: The least and the largest number of points of a room.
 FEWEST_POINTS, MOST_POINTS = 1000, 5_000_000
 
 
 class UserError(ValueError):
-    """Something given that cannot be used: one sentence for whoever gave it."""
+    """Report unusable input of a user in one sentence."""
 
 
 class ConfigurationError(UserError):
-    """A setting that cannot be used; the message names it and says what was expected."""
+    """Report an unusable setting; the message names it and says what was expected."""
 
 
 def setting(default: Any, description: str, low: float | None = None, high: float | None = None,
@@ -50,7 +50,7 @@ def setting(default: Any, description: str, low: float | None = None, high: floa
     :param low: smallest value allowed.
     :param high: largest value allowed.
     :param choices: the values allowed, for text.
-    :param running: whether a node that runs can change it.
+    :param running: whether a running node can change it.
     """
     metadata = {'description': description, 'low': low, 'high': high, 'choices': choices,
                 'running': running}
@@ -88,7 +88,7 @@ def check_known(names, known, what: str) -> None:
 
 def check_positive(name: str, value: Any) -> None:
     """
-    Refuse what is neither a finite number above 0 nor None.
+    Refuse a value that is neither a finite number above 0 nor None.
 
     :raises ConfigurationError: if it is something else.
     """
@@ -99,7 +99,7 @@ def check_positive(name: str, value: Any) -> None:
 
 def check_whole(name: str, value: Any, least: int = 1, most: int | None = None) -> None:
     """
-    Refuse what is neither a whole number in a range nor None.
+    Refuse a value that is neither a whole number in a range nor None.
 
     :raises ConfigurationError: if it is something else.
     """
@@ -111,13 +111,13 @@ def check_whole(name: str, value: Any, least: int = 1, most: int | None = None) 
 
 
 def _brief(value: Any) -> str:
-    """Return a value as messages show it, not too long."""
+    """Return a value as short text for messages."""
     text = repr(value)
     return text if len(text) <= 60 else f'{text[:57]}...'
 
 
 def _checked(name: str, item: Field, value: Any) -> Any:
-    """Return a value in the setting's own type, or say why it cannot be."""
+    """Return a value in the setting's type; refuse invalid values."""
     kind: Any = item.type
     if kind is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
@@ -134,10 +134,10 @@ def _checked(name: str, item: Field, value: Any) -> Any:
 
 def from_flat(cls: type[T], values: dict[str, Any], what: str = 'configuration') -> T:
     """
-    Build a configuration from dotted names; what is missing keeps its default.
+    Build a configuration from dotted names; missing settings keep their defaults.
 
     :param values: dotted name to value, such as ``{'rig.cameras': 4}``.
-    :param what: where the values come from, for messages.
+    :param what: the source of the values, for messages.
     :raises ConfigurationError: for an unknown name, a wrong type or a value out of range.
     """
     known = leaves(cls)
@@ -148,7 +148,7 @@ def from_flat(cls: type[T], values: dict[str, Any], what: str = 'configuration')
 
 
 def _build(cls: type[T], values: dict[str, Any], prefix: str) -> T:
-    """Fill a dataclass and the ones inside it from dotted names."""
+    """Build a dataclass and its nested dataclasses from dotted names."""
     arguments = {}
     for item in fields(cls):
         name = prefix + item.name
@@ -171,7 +171,7 @@ def flatten(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
 
 
 def from_nested(cls: type[T], nested: dict[str, Any], what: str = 'configuration') -> T:
-    """Build a configuration from nested dictionaries, as YAML and JSON give them."""
+    """Build a configuration from nested dictionaries, as read from YAML and JSON."""
     if not isinstance(nested, dict):
         raise ConfigurationError(f'{what}: found {type(nested).__name__}; expected a mapping')
     return from_flat(cls, flatten(nested), what)

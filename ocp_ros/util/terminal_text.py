@@ -12,24 +12,24 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Texts of others, such as names of files, where people read them."""
+"""Make untrusted text, such as file names, safe to print."""
 
-#: Letters that only join or part others, as several scripts need them.
+#: Invisible characters that join or separate letters, which several scripts need.
 JOINERS = '\u200c\u200d'
 
 
 def printable(text: str) -> str:
     """
-    Return a text in one line that neither steers a terminal nor turns the order of letters.
+    Return a text as one line without terminal control or text direction characters.
 
-    Bytes of a file's name that are no text, control characters and marks of direction are shown
-    as their escapes; other blanks become spaces.
+    Undecodable bytes of file names, control characters and direction marks are shown as escapes;
+    other blanks become spaces.
     """
     return ''.join(_shown(letter) for letter in text)
 
 
 def _shown(letter: str) -> str:
-    """Return a letter, or what stands for it."""
+    """Return a letter or its printable replacement."""
     if letter.isprintable() or letter in JOINERS:
         return letter
     return ' ' if letter.isspace() else letter.encode('unicode_escape').decode('ascii')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Looks of the engine, whose kernels hold no lock, spread over threads."""
+"""Spread work of the engine over threads; its kernels release the GIL."""
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -33,9 +33,9 @@ def cores() -> int:
 
 def set_threads(count: int) -> None:
     """
-    Say how many threads this process may use for one answer; it begins with one.
+    Set the number of threads that this process uses for one task; the default is one.
 
-    :param count: 0 for as many as there are cores that it may use.
+    :param count: the number of threads; 0 for one per available core.
     """
     global _helpers, _count
     count = count or cores()
@@ -46,7 +46,7 @@ def set_threads(count: int) -> None:
 
 
 def _forked() -> None:
-    """Go on with one thread: those of the parent are not in a copy of it."""
+    """Reset to one thread, since a forked process has no threads of its parent."""
     global _helpers, _count
     _helpers, _count = None, 1
 
@@ -55,7 +55,7 @@ os.register_at_fork(after_in_child=_forked)
 
 
 def mapped(function: Callable[[T], U], items: Sequence[T]) -> list[U]:
-    """Apply a function that calls no other of this kind to all items, and keep their order."""
+    """Apply a function to all items in order; it must not call ``mapped`` itself."""
     helpers, count = _helpers, min(_count, len(items))
     if helpers is None or count < 2:
         return [function(item) for item in items]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Many tasks at once: in processes of this machine, or on a Ray cluster where one is named."""
+"""Run tasks in parallel: in processes of this machine, or on a Ray cluster if one is given."""
 
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
@@ -32,27 +32,28 @@ U = TypeVar('U')
 
 class WorkerPool:
     """
-    Run functions on many tasks at once; use it in a ``with`` statement.
+    Run functions on tasks in parallel; use it in a ``with`` statement.
 
-    :param workers: how many processes of this machine; 0 for one on each core.
+    :param workers: the number of processes of this machine; 0 for one per core.
     :param ray_address: a Ray cluster to run on instead, such as ``auto``; each of its machines
         needs this package and the files that tasks name.
-    :raises ConfigurationError: if there is no Ray.
+    :raises ConfigurationError: if Ray is not installed.
     """
 
     def __init__(self, workers: int = 0, ray_address: str | None = None) -> None:
         self._ray = _connected(ray_address) if ray_address else None
-        # Forked, threads of the parent would leave locks that nobody opens.
+        # Processes are spawned: a forked process would inherit locked locks of the parent's
+        # threads.
         self._processes = None if ray_address else ProcessPoolExecutor(
             workers or cores(), mp_context=get_context('spawn'), initializer=_work_alone)
 
     def unordered(self, function: Callable[[T], U], tasks: Sequence[T]
                   ) -> Iterator[tuple[int, U]]:
-        """Yield the number of each task and what the function returns for it, as they end."""
+        """Yield the number and the result of each task, in the order in which they end."""
         if self._ray is not None:
             yield from self._on_ray(function, tasks)
             return
-        # Processes that start now are not interrupted before they can say how that shall be.
+        # Ctrl-C must not interrupt processes before they have set their signal handling.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
             numbers = {self._processes.submit(function, task): number
@@ -70,7 +71,7 @@ class WorkerPool:
             yield numbers[future], result
 
     def map(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[U]:  # noqa: A003
-        """Yield what a function returns for each task, in the order of the tasks."""
+        """Yield the results of a function for the tasks, in the order of the tasks."""
         waiting: dict[int, U] = {}
         due = 0
         for number, result in self.unordered(function, tasks):
@@ -80,8 +81,8 @@ class WorkerPool:
                 due += 1
 
     def _on_ray(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[tuple[int, U]]:
-        """Run tasks on the cluster; one whose machine is lost runs again on another."""
-        # Ray takes plain functions alone, and a task may come with a partial one.
+        """Run tasks on the cluster; a task whose machine is lost runs again on another."""
+        # Ray accepts plain functions only, and the function may be a partial one.
         remote = self._ray.remote(num_cpus=1, max_retries=2)(_applied)
         numbers = {remote.remote(function, task): number for number, task in enumerate(tasks)}
         while numbers:
@@ -93,11 +94,11 @@ class WorkerPool:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_) -> None:
-        """End the processes, after an error at once; tasks that have not begun are dropped."""
+        """End the processes, after an error immediately; tasks not yet begun are dropped."""
         if self._processes is None:
             return
         if kind is not None:
-            # None, once they have ended.
+            # The attribute is None after they have ended.
             for process in (getattr(self._processes, '_processes', None) or {}).copy().values():
                 process.terminate()
         self._processes.shutdown(wait=True, cancel_futures=True)
@@ -122,18 +123,18 @@ def _connected(address: str) -> Any:
 
 def _work_alone() -> None:
     """
-    Use one core only, since the others have their own work; end with the parent.
+    Use one core only, since other processes use the others; end with the parent.
 
-    A terminal interrupts all processes of a command. The parent ends these: one that ends by
-    itself may hold the lock of the queue that the others wait for.
+    A terminal interrupts all processes of a command, so these ignore Ctrl-C and the parent ends
+    them. A process that ends by itself may hold the lock of the queue that the others wait for.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # PyTorch reads it when it is imported, which may be never.
+    # PyTorch reads this variable when it is imported, which may be never.
     os.environ['OMP_NUM_THREADS'] = '1'
     threading.Thread(target=_end_with, args=(parent_process(),), daemon=True).start()
 
 
 def _end_with(parent: Any) -> None:
-    """End with the parent, however it ended: a killed one tells nobody."""
+    """End with the parent, also if it was killed."""
     parent.join()
     os._exit(1)

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-YAML and JSON files that people write: held against a schema, with errors that name the line.
+Read YAML and JSON files, check them against a schema, and name the line in errors.
 
-Of YAML only mappings, lists, texts, numbers, true, false and null are read, as JSON has them:
-``on`` and ``no`` are words, 010 is ten, and there are no tags and no aliases.
+Only those parts of YAML that JSON has are read: mappings, lists, texts, numbers, true, false and
+null. ``on`` and ``no`` are texts, 010 is ten, and tags and aliases are refused.
 """
 
 from collections.abc import Iterable, Iterator
@@ -38,20 +38,20 @@ import yaml
 
 
 def _matches(_, pattern: str, value: Any, __) -> Iterator[ValidationError]:
-    """Hold a whole text against a pattern: Python's ``$`` matches before a line's end as well."""
+    """Match a whole text with a pattern, since Python's ``$`` also matches before a line's end."""
     if isinstance(value, str) and not re.fullmatch(pattern, value):
         yield ValidationError(f'{value!r} does not match {pattern!r}')
 
 
-#: To JSON Schema 3.0 is an integer; to those who count with it, it is not.
+#: JSON Schema accepts 3.0 as an integer; code that counts with the value does not.
 Validator = extend(
     Draft202012Validator, {'pattern': _matches},
     type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
         'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
-#: Keys and places in lists that lead to a value.
+#: The path to a value: keys and indices of lists.
 Way = tuple[str | int, ...]
 Schema = dict[str, Any]
-#: Bytes, and keys and values: files with more are something else.
+#: The largest number of bytes, and of keys and values, of a file.
 LARGEST, MOST = 1_000_000, 20_000
 NUMBER = re.compile(r'[-+]?(\d{1,300}(\.\d*)?|\.\d+)([eE][-+]?\d{1,2})?')
 WORDS = {'': None, '~': None, 'null': None, 'true': True, 'false': False}
@@ -61,12 +61,12 @@ PLAIN_TAGS = {f'tag:yaml.org,2002:{kind}' for kind in ('str', 'seq', 'map')}
 @dataclass(frozen=True)
 class Document:
     """
-    Plain data and where each value stands.
+    Plain data with the line of each value.
 
-    :ivar name: what messages call it: the name of its file.
+    :ivar name: its name in messages: the name of its file.
     :ivar data: mappings, lists, texts, numbers, booleans and None.
-    :ivar lines: the line of each value, from 1; empty where there is no file.
-    :ivar written: where in the file the values stand that these data were made of.
+    :ivar lines: the line of each value, from 1; empty without a file.
+    :ivar written: the paths in the file of the values that the data were made from.
     """
 
     name: str
@@ -88,7 +88,7 @@ class Document:
         return self.lines.get(way, 1)
 
     def error(self, way: Way, found: str, expected: str, remedy: str) -> ConfigurationError:
-        """Return the error that a value cannot be used, one sentence."""
+        """Return the error, in one sentence, about an unusable value."""
         return ConfigurationError(
             f'{self.where(*way)}: found {found}; expected {expected}; {remedy}')
 
@@ -100,23 +100,23 @@ class Document:
         return data
 
     def part(self, *way: str | int) -> 'Document':
-        """Return a value as a document of its own, with the lines that it has in this one."""
+        """Return a value as a separate document that keeps its lines."""
         lines = {other[len(way):]: line for other, line in self.lines.items()
                  if other[:len(way)] == way}
         return Document(self.name, self.value(*way), lines)
 
 
 class _Refused(Exception):
-    """What is found at a line of a file, what is expected, and what to do."""
+    """Report what was found at a line of a file, what was expected, and what to do."""
 
 
 class _Loader(yaml.BaseLoader):
-    """Composes nodes as long as they are not too many, and none twice."""
+    """A loader that limits the number of nodes and refuses aliases."""
 
     nodes = 0
 
     def compose_node(self, parent: yaml.Node, index: Any) -> yaml.Node:
-        """Refuse what is no plain data."""
+        """Refuse too many nodes and aliases."""
         self.nodes += 1
         line = self.peek_event().start_mark.line + 1
         if self.nodes > MOST:
@@ -132,9 +132,9 @@ def read_document(path: str | Path, schema: dict[str, Any]) -> Document:
     """
     Read a YAML or JSON file.
 
-    :param path: of the file, in UTF-8.
-    :param schema: what it has to be, JSON Schema 2020-12; see :func:`check`.
-    :raises ConfigurationError: if it cannot be read or is something else, in one sentence.
+    :param path: the path of the file, in UTF-8.
+    :param schema: its schema, JSON Schema 2020-12; see :func:`check`.
+    :raises ConfigurationError: if it cannot be read or is invalid, in one sentence.
     """
     document = read_plain(path)
     if document.data is None:
@@ -148,8 +148,8 @@ def read_plain(path: str | Path) -> Document:
     """
     Read a YAML or JSON file of any content.
 
-    :param path: of the file, in UTF-8.
-    :returns: its data, None where it is empty.
+    :param path: the path of the file, in UTF-8.
+    :returns: its data; None if it is empty.
     :raises ConfigurationError: if it cannot be read, in one sentence.
     """
     if not isinstance(path, (str, PathLike)):
@@ -198,7 +198,7 @@ def _text(path: Path) -> str:
 
 
 def _plain(node: yaml.Node, way: Way, lines: dict[Way, int]) -> Any:
-    """Turn a YAML node into plain data and write down its lines."""
+    """Convert a YAML node to plain data and record its lines."""
     line = node.start_mark.line + 1
     if node.tag not in PLAIN_TAGS:
         raise _Refused(line, f'the tag {_word(node.tag)}', 'a plain value', 'remove the tag')
@@ -235,25 +235,25 @@ def _scalar(node: yaml.ScalarNode) -> Any:
 
 def check(document: Document, schema: dict[str, Any]) -> None:
     """
-    Hold a document against a schema.
+    Check a document against a schema.
 
-    The schema's own words make the messages: ``description`` says what is expected and
-    ``examples`` what to write, of the innermost part that has them.
+    The messages use the schema's own words: ``description`` says what is expected and ``examples``
+    what to write, both from the innermost part that has them.
 
     :param document: the data.
     :param schema: JSON Schema 2020-12 without references.
-    :raises ConfigurationError: for what stands first in the file, in one sentence.
+    :raises ConfigurationError: for the first error in the file, in one sentence.
     """
     errors = list(Validator(schema).iter_errors(document.data))
     if errors:
-        # An unknown key is often the one that is missing, misspelt.
+        # An unknown key is often a misspelt required key.
         first = min(errors, key=lambda error: (document.line(_way(error)),
                                                error.validator != 'additionalProperties'))
         raise _refused(document, schema, first)
 
 
 def _way(error: ValidationError) -> Way:
-    """Return where the value stands that a schema found something about."""
+    """Return the path of the value of a schema error."""
     way = tuple(error.absolute_path)
     if error.validator == 'additionalProperties':
         return (*way, next(key for key in error.instance if key not in error.schema['properties']))
@@ -262,7 +262,7 @@ def _way(error: ValidationError) -> Way:
 
 def _refused(document: Document, schema: dict[str, Any], error: ValidationError
              ) -> ConfigurationError:
-    """Say what a schema found in our words."""
+    """Return the error of the package for an error of the schema."""
     way, part = _way(error), error.schema
     if error.validator == 'additionalProperties':
         known = list(part['properties'])
@@ -284,7 +284,7 @@ def _refused(document: Document, schema: dict[str, Any], error: ValidationError
 
 
 def _words(schema: dict[str, Any], error: ValidationError) -> tuple[str, str]:
-    """Return what was expected and what to write, by the innermost parts that say so."""
+    """Return what was expected and what to write, from the innermost parts with these texts."""
     part: Any = schema
     key, expected = '', schema['description']
     remedy = f'write, for example, {shown(schema["examples"][0])[1:-1]}'
@@ -296,18 +296,18 @@ def _words(schema: dict[str, Any], error: ValidationError) -> tuple[str, str]:
         if isinstance(part, dict) and step != 'properties':
             expected = part.get('description', expected)
             if 'examples' in part:
-                # What stands in a list has no key of its own.
+                # An item of a list has no key.
                 named = '' if step == 'items' else f'{key}: '
                 remedy = f'write, for example, {named}{shown(part["examples"][0])}'
     return expected, remedy
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML with quotes round every text that is none without them when it is read again."""
+    """A YAML dumper that quotes each text that would not be read as text without quotes."""
 
 
 def _represent_text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
-    """Write a text."""
+    """Return the node of a text, quoted if necessary."""
     plain = yaml.ScalarNode('tag:yaml.org,2002:str', text)
     style = None if isinstance(_scalar(plain), str) else '"'
     return dumper.represent_scalar('tag:yaml.org,2002:str', text, style=style)
@@ -318,7 +318,7 @@ _Dumper.add_representer(str, _represent_text)
 
 def written(data: Any, suffix: str) -> str:
     """
-    Return plain data as a file that :func:`read_document` reads.
+    Return plain data as the text of a file for :func:`read_document`.
 
     :param suffix: ``.json`` for JSON, YAML for any other.
     """
@@ -328,29 +328,29 @@ def written(data: Any, suffix: str) -> str:
 
 
 def timestamp() -> str:
-    """Return the date and the time in UTC, to the second, as files of results have it."""
+    """Return the date and the time in UTC, to the second, for files of results."""
     return datetime.now(timezone.utc).isoformat(timespec='seconds')
 
 
 def nearest(word: str, known, otherwise: str) -> str:
-    """Return the question whether the nearest of some words was meant, or something else."""
+    """Return a question for the most similar known word, or another text if there is none."""
     near = difflib.get_close_matches(word, known, n=1, cutoff=0.5) or [
         other for other in known if word and word in other]
     return f'did you mean {near[0]!r}?' if near else otherwise
 
 
 def shown(value: Any) -> str:
-    """Return a value as one writes it in YAML."""
+    """Return a value as it is written in YAML."""
     return json.dumps(value).replace('"', '')
 
 
 def _word(text: str) -> str:
-    """Return a key or tag as messages show it, in one line and not too long."""
+    """Return a key or tag as short text in one line for messages."""
     return text if text.isprintable() and len(text) <= 60 else describe(text)
 
 
 def describe(value: Any) -> str:
-    """Return a value as messages show it, not too long."""
+    """Return a value as short text for messages."""
     if value is None:
         return 'nothing'
     text = repr(value) if isinstance(value, str) else shown(value)
@@ -358,44 +358,44 @@ def describe(value: Any) -> str:
 
 
 def number(description: str, example: float, **limits: float) -> Schema:
-    """Describe a number; limits as JSON Schema calls them."""
+    """Return the schema of a number; limits have their JSON Schema names."""
     return {'description': description, 'type': 'number', **limits, 'examples': [example]}
 
 
 def whole(description: str, example: int, **limits: int) -> Schema:
-    """Describe a whole number; limits as JSON Schema calls them."""
+    """Return the schema of a whole number; limits have their JSON Schema names."""
     return {'description': description, 'type': 'integer', **limits, 'examples': [example]}
 
 
 def text(description: str, example: str, **limits: str) -> Schema:
-    """Describe a text; limits as JSON Schema calls them."""
+    """Return the schema of a text; limits have their JSON Schema names."""
     return {'description': description, 'type': 'string', **limits, 'examples': [example]}
 
 
 def one_of(choices: Iterable[str], example: str) -> Schema:
-    """Describe one of some words."""
+    """Return the schema of one of some words."""
     return {'description': f'one of {", ".join(choices)}', 'enum': list(choices),
             'examples': [example]}
 
 
 def array(items: Schema, least: int, most: int) -> Schema:
-    """Describe a list without words of its own."""
+    """Return the schema of a list without a description."""
     return {'type': 'array', 'items': items, 'minItems': least, 'maxItems': most}
 
 
 def one_or_two(description: str, example: Any, low: float, high: float) -> Schema:
-    """Describe a number or the lowest and highest of a range."""
+    """Return the schema of a number or of the lowest and highest of a range."""
     one = {'type': 'number', 'minimum': low, 'maximum': high}
     return {'description': description, 'examples': [example], 'anyOf': [one, array(one, 2, 2)]}
 
 
 def many(description: str, items: Schema, example: Any, least: int = 0, most: int = 64) -> Schema:
-    """Describe a list."""
+    """Return the schema of a list."""
     return {'description': description, **array(items, least, most), 'examples': [example]}
 
 
 def mapping(description: str, example: Any, required: tuple[str, ...] = (), **keys: Schema
             ) -> Schema:
-    """Describe a mapping that has no other keys."""
+    """Return the schema of a mapping without other keys."""
     return {'description': description, 'type': 'object', 'properties': keys,
             'required': list(required), 'additionalProperties': False, 'examples': [example]}

@@ -16,5 +16,5 @@
 
 from ocp_ros.util.kernels import import_elsewhere
 
-# It reads matplotlibrc of the current folder, which may be another picture, or no text at all.
+# matplotlib reads the file matplotlibrc of the current folder, which may not be a text file.
 import_elsewhere('matplotlib')

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-The pictures of a judged placement: plan, coverage, depth error and looks into the room.
+The pictures of an assessment: plan, coverage, depth error and perspective views of the room.
 
-The installer's page has a plan of its own, which shows what cameras are measured from.
+The installer's page has its own plan, which shows the distances to reference walls.
 """
 
 from pathlib import Path
@@ -57,38 +57,39 @@ from ocp_ros.report.drawing.room_drawing import (
 )
 from scipy import ndimage
 
-#: Seen by 0, 1, 2, and 3 or more cameras: lightness tells them apart as well as hue does.
+#: Colours of points seen by 0, 1, 2, and 3 or more cameras; they differ in hue and lightness.
 COUNT_COLOURS = ('#d55e00', '#b7d4ea', '#5b9bd0', '#174f8f')
 COUNT_NAMES = ('seen by no camera', 'by 1', 'by 2', 'by 3 or more')
-#: From little to much; without red and green.
+#: Colours from small to large errors; without red and green.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
     'errors', ['#f6e8d4', '#f2b96a', '#d55e00', '#7a2c02', '#2b0f00'])
-#: Cells of the error's map along the room's longer edge, and their least and most metres.
+#: Number of cells of the error map along the room's longer edge, and the smallest and largest edge
+#: of a cell, metres.
 CELLS, CELL = 48, (0.1, 0.5)
-#: How far a cone is drawn, as a share of the room's longer edge and in metres at most.
+#: Length of a drawn frustum, as a share of the room's longer edge, and its largest length, metres.
 CONE, LONGEST = 0.15, 1.2
-#: Points that a picture shows.
+#: Largest number of points in a picture.
 SHOWN = 16000
-#: Inches between the middles of two letters of walls.
+#: Inches between the centres of two letters of walls.
 LETTER = 0.17
-#: Metres: edge of the cells that tell inside from outside.
+#: Edge of the cells that separate inside and outside of a room, metres.
 FINE = 0.1
-#: Of the installer's plan: metres above the floor and below the ceiling that it leaves out, and
-#: points that it shows.
+#: For the installer's plan: metres above the floor and below the ceiling that are left out, and
+#: number of points.
 LOW, HIGH, PLAN_SHOWN = 0.15, 0.4, 12000
-#: Points: size of the cameras' numbers, of the letters of sides, and of walls inside the room.
+#: Font sizes of the cameras' numbers, of the letters of sides, and of inner walls, points.
 NUMBERS, LETTERS, INNER = 12.0, 20.0, 13.0
-#: How long the line of a distance is at least that is written beside it, in margins of the plan.
+#: Smallest length of a line whose distance is written beside it, in margins of the plan.
 MEASURED = 3.0
-#: Inches: the longer edge of the plan, and the least of the shorter one.
+#: Longer edge of the plan, and smallest length of the shorter edge, inches.
 LONG, SHORT = 10.0, 4.5
 
 
 def room_for(judged: Assessment) -> Room:
     """
-    Prepare the room of a placement for drawing: wall A at the top, thinned out, without a ceiling.
+    Prepare the room of a placement for drawing: wall A at the top, thinned, without the ceiling.
 
-    :returns: a room whose colours (M, 1) are numbers of points of the scene.
+    :returns: a room whose ``colours`` (M, 1) are the numbers of the scene's points.
     """
     points = judged.scene.points.astype(np.float64)
     some = some_of(len(points), SHOWN)
@@ -101,20 +102,20 @@ def coloured(room: Room, colours: np.ndarray) -> Room:
 
 
 def shaded(room: Room, colours: np.ndarray) -> Room:
-    """Return the same, a little darker the higher: walls stand out from the floor."""
+    """Return the coloured room, darker with the height, so that walls differ from the floor."""
     room = coloured(room, colours)
     dark = 1.0 - 0.12 * heights_of(room.points)[:, None]
     return room._replace(colours=np.clip(room.colours * dark, 0.0, 1.0))
 
 
 def count_colours(judged: Assessment) -> np.ndarray:
-    """Return the colour of each point by how many cameras see it: (N, 3) RGB."""
+    """Return the colour of each point by the number of cameras that see it: (N, 3) RGB."""
     palette = np.array([to_rgb(colour) for colour in COUNT_COLOURS])
     return palette[np.minimum(judged.counts, len(palette) - 1)]
 
 
 def draw_room_plan(axes: Axes, room: Room, judged: Assessment) -> None:
-    """Draw the room from above with its walls' letters, cameras and what they reach."""
+    """Draw the room from above with the walls' letters, the cameras and their ranges."""
     colours = HEIGHTS(heights_of(judged.scene.points))[:, :3]
     outline = draw_discs(axes, coloured(room, 0.35 + 0.65 * colours), np.eye(3))
     frame, heights = judged.upright[:2, :2], judged.scene.bounds[:, 2].tolist()
@@ -140,13 +141,13 @@ def draw_room_plan(axes: Axes, room: Room, judged: Assessment) -> None:
 
 
 def _ticks(length: float) -> np.ndarray:
-    """Return round distances up to a length, metres, five or so."""
+    """Return about five round distances up to a length, metres."""
     step = BARS[min(np.searchsorted(BARS, length / 6.0), len(BARS) - 1)]
     return np.arange(0.0, length + 1e-6, step)
 
 
 def _hide_outside(axes: Axes, room: Room) -> None:
-    """Cover what lies outside an L-shaped room, where nobody looks."""
+    """Cover the area outside the room with white, for example outside an L-shaped room."""
     flat = room.points[:, :2]
     low = flat.min(axis=0) - 4 * FINE
     cells = np.floor((flat - low) / FINE).astype(int)
@@ -163,9 +164,9 @@ def _hide_outside(axes: Axes, room: Room) -> None:
 
 def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
     """
-    Draw the rectangle around the room and its letters; dashed where there is hardly a wall.
+    Draw the rectangle around the room and the letters; dashed if most of a side is no wall.
 
-    :returns: where its letters are: (4, 2). Those inside the room make way for the cameras.
+    :returns: (4, 2) places of its letters. Letters of inner walls are moved away from cameras.
     """
     (left, bottom), (right, top) = _corners(judged)
     sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
@@ -184,18 +185,18 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
 
 
 def _halo(width: float) -> list[patheffects.AbstractPathEffect]:
-    """Return what sets letters off from the room, with a white line of so many points."""
+    """Return the path effect of a white outline around letters, its width in points."""
     return [patheffects.withStroke(linewidth=width, foreground='white')]
 
 
 def _corners(judged: Assessment) -> np.ndarray:
-    """Return where walls D and C meet, and B and A, in the frame of the plan: (2, 2) metres."""
+    """Return the corners of walls D and C, and B and A, in the plan's frame: (2, 2) metres."""
     top, right, bottom, left = (wall.offset for wall in judged.walls)
     return np.array([[-left, -bottom], [right, top]])
 
 
 def _around(judged: Assessment, away: float) -> np.ndarray:
-    """Return places so far outside the middles of walls A to D, in the plan: (4, 2) metres."""
+    """Return places ``away`` metres outside the centres of walls A to D in the plan: (4, 2)."""
     (left, bottom), (right, top) = corners = _corners(judged)
     x, y = corners.mean(axis=0)
     return np.array([(x, top + away), (right + away, y), (x, bottom - away), (left - away, y)])
@@ -214,14 +215,14 @@ def _frame(axes: Axes, room: Room, judged: Assessment, margin: float) -> None:
 
 
 def draw_count_map(axes: Axes, room: Room, judged: Assessment) -> None:
-    """Draw the room from above, coloured by how many cameras see each place."""
+    """Draw the room from above, coloured by the number of cameras that see each point."""
     draw_discs(axes, shaded(room, count_colours(judged)), np.eye(3), contrast=0.25)
     _small_map(axes, room, judged)
 
 
 def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
     """
-    Draw where the depth error is: millimetres for each square metre of the plan.
+    Draw a map of the depth error in millimetres for each square metre of the plan.
 
     :returns: the image, for a colour bar.
     """
@@ -235,7 +236,7 @@ def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
     sums = np.bincount(cell, judged.lost, minlength=shape.prod()).reshape(shape)
     density = 1000.0 * sums / edge ** 2
     most = max(float(np.percentile(density[density > 0.0], 99.0)) if density.any() else 0.0, 1.0)
-    # Less than a hundredth of the most is nothing to look at, and would hide the room.
+    # Cells below a hundredth of the maximum stay transparent, so that the room is visible.
     image = axes.imshow(np.ma.masked_less(density.T, 0.01 * most), cmap=ERROR_COLOURS,
                         norm=PowerNorm(0.5, 0.0, most), origin='lower', zorder=2,
                         extent=(low[0], low[0] + shape[0] * edge, low[1],
@@ -245,7 +246,7 @@ def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
 
 
 def _small_map(axes: Axes, room: Room, judged: Assessment) -> None:
-    """Frame a map, with the cameras' numbers."""
+    """Fit the axes of a map to the room, and draw the cameras' numbers."""
     axes.set_xticks([])
     axes.set_yticks([])
     _frame(axes, room, judged, 0.02)
@@ -254,9 +255,9 @@ def _small_map(axes: Axes, room: Room, judged: Assessment) -> None:
 
 def draw_look(axes: Axes, room: Room, judged: Assessment, azimuth: float) -> None:
     """
-    Draw the room in perspective, without the walls in front, coloured by how many cameras see it.
+    Draw the room in perspective without the front walls, coloured by the number of cameras.
 
-    :param azimuth: radians, where the viewer stands in the frame of the plan: 0 to the right.
+    :param azimuth: radians, direction of the viewer in the frame of the plan: 0 is to the right.
     """
     room = shaded(room, count_colours(judged))
     eye = eye_at(room.points, azimuth)
@@ -275,7 +276,7 @@ def draw_look(axes: Axes, room: Room, judged: Assessment, azimuth: float) -> Non
                   linestyle=(0, (2, 2)), zorder=3)
     fit(axes, np.concatenate(shown), 0.02)
     axes.set_axis_off()
-    # A room seen from a corner fills about half of the rectangle around it.
+    # The outline of a room in perspective fills about half of the rectangle around it.
     draw_numbers(axes, eye(places), 5.0, 0.5 * float(np.prod(np.ptp(outline.get_xy(), axis=0))))
 
 
@@ -285,7 +286,7 @@ def draw_floor_plan(path: Path, judged: Assessment) -> None:
 
 
 def floor_plan_of(judged: Assessment) -> Figure:
-    """Draw the room from above, wall A at the top, its cameras and what they are measured from."""
+    """Draw the installer's plan: the room, wall A at the top, cameras and measured distances."""
     scene, frame = judged.scene, judged.upright[:2, :2]
     low, high = scene.bounds[:, 2]
     points = scene.points[(scene.points[:, 2] > low + LOW) & (scene.points[:, 2] < high - HIGH)]
@@ -318,9 +319,9 @@ def floor_plan_of(judged: Assessment) -> Figure:
 
 
 def _draw_axes(axes: Axes, judged: Assessment, frame: np.ndarray, length: float) -> None:
-    """Draw the axes of the coordinates, of a length in metres, from a corner of the room."""
+    """Draw the coordinate axes at a corner of the room, of a length in metres."""
     corner, origin = frame @ judged.corner.at, judged.frame.to_map(np.zeros(3))
-    # A little inside the room.
+    # Move the axes from the corner into the room.
     corner = corner + 0.15 * length * np.sign(_corners(judged).mean(axis=0) - corner)
     for name, unit in zip('xyz', np.eye(3)):
         way = judged.frame.to_map(unit) - origin
@@ -336,7 +337,7 @@ def _draw_axes(axes: Axes, judged: Assessment, frame: np.ndarray, length: float)
 
 
 def _inches(width: float, depth: float) -> tuple[float, float]:
-    """Return width and height of a picture that a room of so many metres fills."""
+    """Return width and height in inches of a picture of a room, whose size is in metres."""
     scale = LONG / max(width, depth)
     return max(scale * width, SHORT), max(scale * depth, SHORT)
 
@@ -351,8 +352,8 @@ def _write_distance(axes: Axes, middle: np.ndarray, way: np.ndarray, away: float
 
 def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: np.ndarray,
                     margin: float) -> None:
-    """Draw what is measured, and the letters of walls inside the room."""
-    # Where cameras stand and distances are written: nothing is written over these.
+    """Draw the measured distances, and the letters of walls inside the room."""
+    # Places of cameras and written distances, which must not be covered.
     taken = places
     for place, distances in zip(places, judged.references.distances):
         for distance in distances:

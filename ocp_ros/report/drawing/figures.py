@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Figures as whole files, with letters that fonts have, and texts and tables that fit."""
+"""Figures: atomic files, fonts for all letters, and texts and tables that fit their space."""
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -33,24 +33,24 @@ from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.util.files import write_atomically
 from scipy.optimize import brentq
 
-#: Fonts with Chinese, Japanese or Korean letters, as Linux, macOS and Windows have them.
+#: Fonts with Chinese, Japanese or Korean letters on Linux, macOS and Windows.
 FALLBACKS = ('Noto Sans CJK JP', 'Noto Sans CJK SC', 'Noto Sans CJK KR', 'Source Han Sans',
              'WenQuanYi Micro Hei', 'WenQuanYi Zen Hei', 'Droid Sans Fallback', 'IPAGothic',
              'NanumGothic', 'Hiragino Sans', 'PingFang SC', 'Apple SD Gothic Neo',
              'Microsoft YaHei', 'Yu Gothic', 'Malgun Gothic', 'Arial Unicode MS')
-#: Points of an inch.
+#: Points in an inch.
 POINTS = 72.0
-#: Inches between two columns, and the smallest letters that are read without a lens, points.
+#: Gap between two columns, inches, and smallest readable font size, points.
 GAP, SMALLEST = 0.14, 5.2
 
 
 def save_figure(figure: Figure, path: str | Path, **options: Any) -> None:
     """
-    Write a figure, as PNG unless another format is named; the file is whole or absent.
+    Write a figure atomically, by default as PNG.
 
-    :param path: file to write; its folder is made.
+    :param path: file to write; its folder is created.
     :param options: of ``Figure.savefig``.
-    :raises OSError: if it cannot be written; what was there before stays.
+    :raises OSError: if it cannot be written; then an existing file does not change.
     """
     picture = io.BytesIO()
     figure.savefig(picture, **{'format': 'png', **options})
@@ -58,7 +58,7 @@ def save_figure(figure: Figure, path: str | Path, **options: Any) -> None:
 
 
 def families() -> list[str]:
-    """Return the fonts to look for a letter in, one after the other."""
+    """Return the fonts that are searched for a letter, in this order."""
     installed = set(font_manager.fontManager.get_font_names())
     usual = list(rcParams['font.family'])
     return [*usual, *(name for name in FALLBACKS if name in installed and name not in usual)]
@@ -66,28 +66,28 @@ def families() -> list[str]:
 
 @contextmanager
 def all_letters() -> Iterator[None]:
-    """Write in fonts that together have as many letters as can be; others become boxes."""
+    """Set the fonts that together have most letters; missing letters are drawn as boxes."""
     with rc_context({'font.family': families()}), warnings.catch_warnings():
-        # Whoever looks at the page sees the boxes; docs/tasks/troubleshooting.md says what helps.
+        # The boxes are visible on the page; docs/tasks/troubleshooting.md describes the remedy.
         warnings.filterwarnings('ignore', 'Glyph .* missing from font', UserWarning)
         yield
 
 
 @lru_cache(maxsize=10000)
 def width_of(text: str, size: float, bold: bool = False) -> float:
-    """Return how wide a text is, inches, in letters of so many points."""
+    """Return the width of a text, inches, at a font size in points."""
     font = FontProperties(weight='bold' if bold else 'normal', size=size)
     return text_to_path.get_text_width_height_descent(text, font, False)[0] / POINTS
 
 
 def in_one_line(text: str) -> str:
-    """Return a text as a figure shows it in one line, with nothing that it takes for a formula."""
+    """Return a text for one line of a figure, with $ escaped against formulas."""
     text = ''.join(letter if letter.isprintable() else ' ' for letter in text)
     return ' '.join(text.split()).replace('$', r'\$')
 
 
 def shortened(text: str, width: float, size: float, bold: bool = False) -> str:
-    """Return a text, or as much of it as so many inches hold with three dots behind."""
+    """Return a text; if it is wider than a width in inches, shortened and with three dots."""
     text = in_one_line(text)
     if width_of(text, size, bold) <= width:
         return text
@@ -99,10 +99,10 @@ def shortened(text: str, width: float, size: float, bold: bool = False) -> str:
 def write(figure: Figure, place: tuple[float, float], text: str, width: float, size: float,
           colour: Any, bold: bool = False, align: str = 'left') -> None:
     """
-    Write a line of text in a figure: smaller where it is too wide, and shortened only then.
+    Write a line of text in a figure; if it is too wide, reduce its size first, then shorten it.
 
-    :param place: inches, of the text's left end, or of its right end or its middle.
-    :param width: inches that it may have.
+    :param place: position of the text's left end, right end or centre, by ``align``, inches.
+    :param width: largest width, inches.
     :param size: of the letters, points.
     :param align: ``left``, ``right`` or ``center``.
     """
@@ -117,12 +117,12 @@ def write(figure: Figure, place: tuple[float, float], text: str, width: float, s
 def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Sequence[
         Sequence[str]], size: float, colours: Sequence[Any]) -> None:
     """
-    Draw a table; columns are as wide as what is in them, as far as there is room.
+    Draw a table; columns have the width of their contents, if there is enough space.
 
     :param box: left, bottom, width and height, inches.
     :param rows: the head first.
-    :param size: of the letters, points; they become smaller where the table is too wide.
-    :param colours: of the first cell of each row but the head.
+    :param size: of the letters, points; it is reduced if the table is too wide.
+    :param colours: of the first cell of each row except the head.
     """
     left, bottom, width, height = box
     room = width - GAP * (len(rows[0]) - 1)
@@ -134,11 +134,11 @@ def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Seq
         size = max(size - 0.2, SMALLEST)
     columns = widths(size)
     if sum(columns) > room:
-        # The widest are made as narrow as one another, until all fit.
+        # Limit the columns to a common largest width at which all fit.
         most = brentq(lambda width: np.minimum(columns, width).sum() - room, 0.0, max(columns))
         columns = [min(one, most) for one in columns]
     else:
-        # What is left over goes between the columns.
+        # Distribute the remaining width among the columns.
         columns = [one + (room - sum(columns)) / len(columns) for one in columns]
     figure_width, figure_height = figure.get_size_inches()
     step = height / len(rows)

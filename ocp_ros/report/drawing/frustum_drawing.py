@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far cameras see, as drawn: the part of a plan that they reach, and the edges of a cone."""
+"""Drawings of fields of view: the part of a plan in range, and the edges of a frustum."""
 
 from collections.abc import Sequence
 
@@ -20,13 +20,13 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, OMNIDIRECTIONAL, PINHOLE, rotation_matrix
 from scipy.spatial import ConvexHull
 
-#: Directions along each edge of a field of view.
+#: Number of directions along each edge of a field of view.
 STEPS = 25
 
 
 def rim(model: CameraModel) -> np.ndarray:
     """
-    Return directions along the edge of a field of view, once round it.
+    Return directions once around the edge of a field of view.
 
     :returns: (M, 3) unit vectors, body frame (x forward, y left, z up).
     """
@@ -46,10 +46,10 @@ def rim(model: CameraModel) -> np.ndarray:
 
 def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.ndarray:
     """
-    Return the part of a plan that a camera could see if nothing stood in its way.
+    Return the part of a plan that a camera sees without occlusion.
 
     :param pose: (6,) metres, map frame, and radians.
-    :param heights: metres, of floor and ceiling, which end what it sees.
+    :param heights: of floor and ceiling, metres, which limit the rays.
     :returns: (M, 2) metres, map frame, corners of a polygon.
     """
     position, turn = pose[:3], rotation_matrix(*pose[3:])
@@ -60,7 +60,7 @@ def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.
         arc = position + _ended(level @ turn.T, position[2], model.max_range, heights)
         full = half >= np.pi - 1e-6
         return arc[:, :2] if full else np.concatenate([arc, [position]])[:, :2]
-    # The directions inside the rim matter as well: straight ahead a camera sees farthest.
+    # Directions inside the rim are needed too: the optical axis may reach farthest in the plan.
     ways = np.concatenate([scale * rim(model) + [1.0 - scale, 0.0, 0.0]
                            for scale in np.linspace(0.1, 1.0, 10)])
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
@@ -71,7 +71,7 @@ def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.
 
 def _ended(ways: np.ndarray, height: float, far: float, heights: Sequence[float]
            ) -> np.ndarray:
-    """Make directions (M, 3) as long as the range, or as floor and ceiling let them be."""
+    """Return directions (M, 3) with the length to the range, the floor or the ceiling."""
     room = np.where(ways[:, 2] > 0.0, heights[1] - height, height - heights[0])
     steep = np.maximum(np.abs(ways[:, 2]), 1e-9)
     return ways * np.minimum(far, np.maximum(room, 0.0) / steep)[:, None]
@@ -79,12 +79,12 @@ def _ended(ways: np.ndarray, height: float, far: float, heights: Sequence[float]
 
 def edges(model: CameraModel, pose: np.ndarray, length: float) -> np.ndarray:
     """
-    Return a camera's viewing cone as lines: its rim, and four rays to it.
+    Return a camera's frustum as lines: its rim, and four rays to it for a pinhole camera.
 
     :param pose: (6,) metres, map frame, and radians.
     :param length: metres, from the camera to the rim.
-    :returns: (M, 3) metres, map frame; a row of NaN between two lines; empty for a camera
-        that is omnidirectional.
+    :returns: (M, 3) metres, map frame; a row of NaN between two lines; empty for an
+        omnidirectional camera.
     """
     if model.lens.kind == OMNIDIRECTIONAL:
         return np.empty((0, 3))
@@ -95,6 +95,6 @@ def edges(model: CameraModel, pose: np.ndarray, length: float) -> np.ndarray:
 
 
 def chained(lines: Sequence[np.ndarray]) -> np.ndarray:
-    """Return lines (M, 3) as one, with a row of NaN between two."""
+    """Join lines (M, 3) into one array, with a row of NaN between two lines."""
     gap = np.full((1, 3), np.nan)
     return np.concatenate([part for line in lines for part in (line, gap)])[:-1]

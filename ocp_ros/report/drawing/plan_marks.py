@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Marks in a picture: cameras with numbers that do not hide each other, walls' letters, zones."""
+"""Marks in a picture: numbered cameras without overlaps, letters of walls, and zones."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -27,18 +27,18 @@ from ocp_ros.rig.placement_file import Placement
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.zones import Zone
 
-#: Told apart with any kind of colour vision; red is left to what nobody sees.
+#: Distinct with any kind of colour vision; red is reserved for points that no camera sees.
 CAMERA_COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#332288', '#f0e442',
                   '#8c6d31')
-#: Inches for each point of size that the middles of two numbers are apart.
+#: Distance between the centres of two numbers, inches for each point of font size.
 APART = 0.032
-#: The smallest numbers that are read without a lens, points, and the share of a room's picture
-#: that numbers may hide.
+#: Smallest readable font size of numbers, points, and largest share of a room's picture that
+#: numbers may cover.
 LEAST, HIDDEN = 4.5, 0.35
-#: Metres that a scale bar may be long, and between two ticks.
+#: Possible lengths of a scale bar, and distances between two ticks, metres.
 BARS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
 NONE = np.empty((0, 2))
-#: Edge colour, hatching and line of each kind of zone.
+#: Edge colour, hatching and line style of each kind of zone.
 STYLES = {
     'must-see region': {'edgecolor': '#00664d', 'hatch': '//', 'linestyle': '-'},
     'weighted region': {'edgecolor': '#00664d', 'hatch': '..', 'linestyle': '--'},
@@ -53,10 +53,11 @@ def camera_colour(number: int) -> str:
 
 def apart(places: np.ndarray, least: float, taken: np.ndarray, rounds: int = 1000) -> np.ndarray:
     """
-    Push places (K, 2) away from each other until all are so far apart, or nearly so.
+    Move places (K, 2) away from each other until all distances are at least about ``least``.
 
-    :param least: distance, in the same unit.
-    :param taken: (M, 2) places that are taken already and stay.
+    :param least: smallest distance, in the unit of the places.
+    :param taken: (M, 2) other places, which do not move.
+    :param rounds: largest number of iterations.
     """
     moved = places + 1e-3 * least * np.random.default_rng(0).standard_normal(places.shape)
     for _ in range(rounds):
@@ -73,15 +74,15 @@ def apart(places: np.ndarray, least: float, taken: np.ndarray, rounds: int = 100
 def draw_numbers(axes: Axes, places: np.ndarray, size: float, area: float,
                  taken: np.ndarray = NONE, always: bool = False) -> None:
     """
-    Draw cameras (K, 2) as dots with numbers; those on top of each other get them beside.
+    Draw cameras (K, 2) as dots with numbers; numbers that would overlap are moved to the side.
 
-    Numbers become smaller where they would hide too much of the room, and are left out where they
-    would be too small.
+    The size of the numbers is reduced if they would cover too much of the room. If it would be too
+    small, the numbers are left out.
 
-    :param size: of the largest letters, points.
+    :param size: largest font size, points.
     :param area: of the room in the picture, in the square of the unit of the places.
-    :param taken: (M, 2) where other letters are.
-    :param always: draw numbers, however much they hide.
+    :param taken: (M, 2) places of other letters.
+    :param always: draw numbers even if they cover too much.
     """
     unit = unit_of(axes)
     size = min(size, float(np.sqrt(HIDDEN * area / len(places))) / unit / APART)
@@ -103,7 +104,7 @@ def draw_numbers(axes: Axes, places: np.ndarray, size: float, area: float,
 
 
 def unit_of(axes: Axes) -> float:
-    """Return how much an inch of a picture stands for."""
+    """Return the data units of the axes in one inch of the picture."""
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     box = axes.get_position(original=True)
     width, height = axes.get_figure(root=True).get_size_inches()
@@ -111,7 +112,7 @@ def unit_of(axes: Axes) -> float:
 
 
 def _draw_dot(axes: Axes, place: np.ndarray, colour: str) -> None:
-    """Draw where a camera is."""
+    """Draw the position of a camera as a dot."""
     axes.plot(*place, 'o', color=colour, markersize=3.5, markeredgecolor='white',
               markeredgewidth=0.6, zorder=6)
 
@@ -119,7 +120,7 @@ def _draw_dot(axes: Axes, place: np.ndarray, colour: str) -> None:
 def draw_headings(axes: Axes, placement: Placement, places: np.ndarray, frame: np.ndarray,
                   width: float) -> None:
     """
-    Draw an arrow for each camera that is not omnidirectional, the way it looks.
+    Draw the heading of each camera that is not omnidirectional as an arrow.
 
     :param places: (K, 2) of the cameras.
     :param frame: (2, 2) from the map frame to that of the picture; its scale is the length of the
@@ -152,7 +153,7 @@ def draw_scale_bar(axes: Axes, size: float) -> None:
 
 
 def dark(colour: str) -> tuple[float, float, float]:
-    """Return a colour as dark as white letters on it need."""
+    """Return a colour, darkened if needed so that white letters on it are readable."""
     rgb = np.array(to_rgb(colour))
     light = float(rgb @ [0.2126, 0.7152, 0.0722])
     return tuple(rgb * min(1.0, 0.5 / max(light, 1e-6)))
@@ -180,7 +181,7 @@ def draw_inner_letters(axes: Axes, walls: Sequence[InnerWall], frame: np.ndarray
     :param frame: (2, 2) rotation from the map frame to that of the picture.
     :param away: metres, from a wall to its letter.
     :param least: metres, between two letters.
-    :param taken: (L, 2) places that are taken already.
+    :param taken: (L, 2) places of other marks.
     :param size: of the letters, points.
     :param style: other properties of the texts.
     """
@@ -217,6 +218,6 @@ def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
 
 
 def zone_legend(rig: Rig) -> dict[str, Patch]:
-    """Return what explains the kinds of zones that a rig has."""
+    """Return the legend entries of the kinds of zones that a rig has."""
     return {kind: Patch(facecolor='none', **STYLES[kind])
             for kind in dict.fromkeys(kind for kind, _ in zones_of(rig))}

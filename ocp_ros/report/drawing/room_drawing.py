@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""A room as it is drawn: discs on its surfaces, without the ceiling, cut open for the viewer."""
+"""Drawing of a room: discs on its surfaces, without the ceiling and the front walls."""
 
 from typing import NamedTuple
 
@@ -26,31 +26,32 @@ from ocp_ros.scenes.scene import NEIGHBOURS
 from scipy.spatial import cKDTree, ConvexHull
 
 INK, PALE_INK = '#1c2530', '#66707c'
-#: Lightness falls evenly with height, so that walls are dark in the plan.
+#: Lightness decreases evenly with height, so that walls are dark in the plan.
 HEIGHTS = LinearSegmentedColormap.from_list(
     'heights', ['#e6e4dc', '#c9cfd1', '#a3aeb6', '#748593', '#4a5b6b', '#2a3644'])
-#: Directions to the right, up and towards the viewer.
+#: Direction to the light: right, up and towards the viewer.
 LIGHT = np.array([-0.35, 0.6, 0.72])
 ELEVATION = np.radians(42.0)
-#: The viewer stands in the south, so that x runs right and y runs away as in the plan.
+#: Azimuths of the viewer, in the south: x points right and y points away from the viewer, as in
+#: the plan.
 AZIMUTHS = np.radians([-60.0, -120.0])
-#: What is level and higher above the floor than this may be a ceiling, metres.
+#: A level surface higher above the floor than this may be a ceiling, metres.
 HEADROOM = 1.8
-#: Width of the columns that stay or go together when walls are taken away, metres.
+#: Width of the columns that are kept or removed as a whole with the front walls, metres.
 COLUMN = 0.3
-#: How many neighbours agree on where the inside of a wall is.
+#: Number of neighbours whose votes for the inside of a wall are averaged.
 VOTERS = 60
 
 
 class Room(NamedTuple):
     """
-    What is drawn of a room.
+    The points of a room for drawing.
 
     :ivar points: (N, 3) metres.
     :ivar normals: (N, 3) unit vectors of either sign.
     :ivar inward: (N, 3) from the walls around the room into it; zero for all other points.
-    :ivar radius: (N,) metres, of the disc that stands for a point.
-    :ivar colours: (N, 3) RGB by height, or by not being observed.
+    :ivar radius: (N,) metres, of the disc of a point.
+    :ivar colours: (N, 3) RGB.
     """
 
     points: np.ndarray
@@ -60,7 +61,7 @@ class Room(NamedTuple):
     colours: np.ndarray
 
     def only(self, keep: np.ndarray) -> 'Room':
-        """Return the part of the room that a mask keeps."""
+        """Return the part of the room that a mask selects."""
         return Room(*(values[keep] for values in self))
 
 
@@ -78,7 +79,7 @@ def room_of(points: np.ndarray, colours: np.ndarray) -> Room:
 
 
 def some_of(count: int, most: int) -> np.ndarray:
-    """Return the indices of at most so many of some points: drawn at random, always the same."""
+    """Return at most ``most`` of ``count`` indices, drawn at random with a fixed seed."""
     if count <= most:
         return np.arange(count)
     return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
@@ -93,7 +94,7 @@ def fit(axes: Axes, shown: np.ndarray, margin: float = 0.0) -> None:
 
 
 def heights_of(points: np.ndarray) -> np.ndarray:
-    """Return the height of each point as a share of the room's: (N,) from 0 to 1."""
+    """Return the height of each point as a share of the room's height: (N,) from 0 to 1."""
     low, high = np.percentile(points[:, 2], [2.0, 98.0])
     return np.clip((points[:, 2] - low) / max(high - low, 1e-6), 0.0, 1.0)
 
@@ -102,8 +103,8 @@ def _surface(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
     Fit discs to the surfaces behind the points.
 
-    :returns: (N, 3) unit normals of either sign and (N,) radii in metres, smaller where points lie
-        on no surface.
+    :returns: (N, 3) unit normals of either sign and (N,) radii in metres, smaller for points that
+        are not on a surface.
     """
     distance, near = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))
     normals = edge_aware_normals(points, near)
@@ -116,7 +117,7 @@ def _surface(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _columns(points: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the number of each point's column in the plan, (N,), and the columns' tops, (M,)."""
+    """Return the column number of each point in the plan, (N,), and the columns' tops, (M,)."""
     cell = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / width).astype(np.int64)
     keys, column = np.unique(cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True)
     top = np.full(len(keys), -np.inf)
@@ -126,10 +127,10 @@ def _columns(points: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _ceiling(points: np.ndarray, normals: np.ndarray, width: float) -> np.ndarray:
     """
-    Find what hides the room from above: (N,) bool.
+    Find the points that hide the room from above: (N,) bool.
 
-    A lid is level, above head height and the topmost thing in its column. A few lids are the tops
-    of cupboards; a ceiling covers a good part of the room.
+    A lid is a level surface above head height and the highest surface in its column. A few lids
+    are the tops of cupboards; a ceiling covers a large part of the room.
     """
     z = points[:, 2]
     low, high = np.percentile(z, [2.0, 99.5])
@@ -138,7 +139,7 @@ def _ceiling(points: np.ndarray, normals: np.ndarray, width: float) -> np.ndarra
     lid &= z > low + max(HEADROOM, 0.6 * (high - low))
     if len(np.unique(column[lid])) < 0.12 * len(top):
         return np.zeros(len(points), dtype=bool)
-    # Lamps and the upper ends of walls go with the ceiling.
+    # Lamps and the upper ends of walls are removed with the ceiling.
     return lid | (z > np.percentile(z[lid], 5.0) - 0.1)
 
 
@@ -164,17 +165,17 @@ def _inward(points: np.ndarray, normals: np.ndarray, reach: float) -> np.ndarray
 
 
 def _view(azimuth: float, elevation: float) -> np.ndarray:
-    """Return the rotation to the viewer's axes, right, up and towards: (3, 3)."""
+    """Return the rotation to the viewer's axes (right, up, towards the viewer): (3, 3)."""
     (c, s), (ce, se) = ((np.cos(a), np.sin(a)) for a in (azimuth, elevation))
     return np.array([[-s, c, 0.0], [-se * c, -se * s, ce], [ce * c, ce * s, se]])
 
 
 def cut_open(room: Room, view: np.ndarray) -> Room:
-    """Take away the walls that turn their backs on the viewer."""
+    """Remove the front walls, whose inner sides face away from the viewer."""
     z, level = room.points[:, 2], np.abs(room.normals[:, 2])
     column, top = _columns(room.points, COLUMN)
     low, high = np.percentile(z, [2.0, 99.5])
-    # A column decides as a whole: single points would leave tatters.
+    # Keep or remove whole columns: a decision by point would leave isolated points.
     away = np.bincount(column, -(room.inward @ view[2]))
     upright = np.bincount(column, level < 0.5)
     cut = (away > 0.15 * upright) & (top > low + 0.75 * (high - low))
@@ -182,7 +183,7 @@ def cut_open(room: Room, view: np.ndarray) -> Room:
 
 
 def open_view(room: Room) -> tuple[np.ndarray, Room]:
-    """Choose the side from which more of the room's level surfaces is seen."""
+    """Choose the view with more visible level surfaces; return it and the room cut open for it."""
     candidates = []
     for azimuth in AZIMUTHS:
         view = _view(azimuth, ELEVATION)
@@ -201,11 +202,11 @@ def open_view(room: Room) -> tuple[np.ndarray, Room]:
 
 class Eye(NamedTuple):
     """
-    Somebody who looks at a room from a distance, so that what is near is larger.
+    A viewer of a room, for perspective projection.
 
-    :ivar view: (3, 3) rotation to the viewer's axes, right, up and towards.
-    :ivar target: (3,) metres, what is looked at.
-    :ivar distance: metres from the viewer to it.
+    :ivar view: (3, 3) rotation to the viewer's axes: right, up, towards the viewer.
+    :ivar target: (3,) metres, centre of the picture.
+    :ivar distance: metres from the viewer to the target.
     """
 
     view: np.ndarray
@@ -213,18 +214,18 @@ class Eye(NamedTuple):
     distance: float
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
-        """Return where points (..., 3), metres, are in the picture: (..., 2) metres."""
+        """Project points (..., 3), metres, to the picture: (..., 2) metres."""
         seen = (points - self.target) @ self.view.T
-        # What is beside or behind the viewer is not of this picture.
+        # The limit avoids a division by 0 for points beside or behind the viewer.
         return seen[..., :2] / np.maximum(1.0 - seen[..., 2:] / self.distance, 0.2)
 
 
 def eye_at(points: np.ndarray, azimuth: float) -> Eye:
     """
-    Stand so that a room fills the picture.
+    Return the viewer for whom a room fills the picture.
 
     :param points: (N, 3) metres.
-    :param azimuth: radians, where the viewer stands, seen from the room's middle.
+    :param azimuth: radians, direction from the centre of the room to the viewer.
     """
     low, high = np.percentile(points, [1.0, 99.0], axis=0)
     size = float(np.linalg.norm(high - low))
@@ -236,9 +237,9 @@ def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
     """
     Draw each point as a disc on its surface, from back to front.
 
-    :param eye: of the same view; in parallel projection where there is none.
-    :param contrast: how much darker what faces away from the light is; 0 for not at all.
-    :returns: the outline of the room, where also ranges end.
+    :param eye: viewer of the same view; None for parallel projection.
+    :param contrast: darkening of surfaces that face away from the light; 0 for none.
+    :returns: the outline of the room, to clip the drawn ranges.
     """
     flatten = eye or (lambda points: points @ view[:2].T)
     normals = room.normals * np.where(room.normals @ view[2] < 0.0, -1.0, 1.0)[:, None]
@@ -251,7 +252,7 @@ def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
     discs = flatten(room.points[:, None] + room.radius[:, None, None] * rim)
     order = np.argsort(room.points @ view[2])
     colours = np.clip(room.colours * shade[:, None], 0.0, 1.0)[order]
-    # Seen edge-on, a wall is its line alone.
+    # A wall seen edge-on is drawn by the lines of its discs, so these are thicker.
     widths = np.where(np.abs(normals @ view[2]) < 0.2, 4.5, 0.8)[order]
     flat = flatten(room.points)
     outline = Polygon(flat[ConvexHull(flat, qhull_options='QJ').vertices], fill=False, linewidth=0)

@@ -43,9 +43,9 @@ from ocp_ros.report.drawing.room_drawing import (
 from ocp_ros.rooms.generator import generate_room, plan_of
 from ocp_ros.scenes.scene import Scene
 
-#: What nobody sees; no camera has this colour.
+#: Colour of points that no camera sees; no camera has this colour.
 UNOBSERVED = '#c44e3b'
-#: Points of a room among others.
+#: Number of points of each room in a picture of several rooms.
 SHOWN = 20_000
 
 
@@ -55,14 +55,14 @@ def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | 
     """
     Write a PNG of 1800 x 950 pixels: a plan of the room and a view into it.
 
-    :param path: file to write; its folder is made.
+    :param path: file to write; its folder is created.
     :param points: (N, 3) the whole room, metres, map frame, z up.
     :param observed: (N,) bool, points that the final placement sees, or None.
-    :param trajectories: (T, K, 3) metres, the cameras after each turn; row 0 is the start.
+    :param trajectories: (T, K, 3) metres, positions after each time step; row 0 is the start.
     :param max_range: range of every camera, metres.
     :param title: headline.
     :param subtitle: line of numbers below it.
-    :raises ValueError: for a wrong shape or range; the message says what came.
+    :raises ValueError: for a wrong shape or range; the message contains the wrong value.
     """
     points, observed, paths = _checked(points, observed, trajectories, max_range)
     room = room_of(points, coloured(points, observed))
@@ -79,7 +79,7 @@ def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | 
 
 
 def _checked(points, observed, trajectories, max_range: float):
-    """Return the arrays as float64 and bool; refuse what cannot be drawn."""
+    """Return the arrays as float64 and bool; raise an error for a wrong shape or range."""
     points, paths = np.asarray(points, np.float64), np.asarray(trajectories, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
         raise ValueError(f'points: found shape {points.shape}; expected (N, 3), N of 4 or more')
@@ -95,25 +95,25 @@ def _checked(points, observed, trajectories, max_range: float):
 
 
 def coloured(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
-    """Colour points by height, those not observed in red: (N, 3)."""
+    """Return the colours of points by height, in red for unobserved points: (N, 3) RGB."""
     height = heights_of(points)
     colours = HEIGHTS(height)[:, :3]
     if observed is not None:
-        # The shade goes on telling the height.
+        # The lightness still shows the height.
         red = 1.1 * np.array(to_rgb(UNOBSERVED)) * (1.0 - 0.5 * height[~observed, None])
         colours[~observed] = 0.45 * colours[~observed] + 0.55 * red
     return colours
 
 
 def _disc_grid(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return x, y (up) and the distance from the centre on a square that holds the unit disc."""
+    """Return x, y (up) and the distance from the centre on a square around the unit disc."""
     x, y = np.meshgrid(np.linspace(-1.0, 1.0, size), np.linspace(1.0, -1.0, size))
     return x, y, np.hypot(x, y)
 
 
 def _draw_range(axes: Axes, centre: np.ndarray, max_range: float, colour: str, strength: float,
                 clip: Polygon) -> None:
-    """Draw the ball that a camera measures as a bubble: clear inside, soft towards its rim."""
+    """Draw the range of a camera as a disc: transparent inside, coloured towards its rim."""
     r = _disc_grid(256)[2]
     image = np.full((*r.shape, 4), (*to_rgb(colour), 0.0))
     image[..., 3] = np.where(r < 1.0, 0.22 * strength * r ** 8, 0.0)
@@ -139,8 +139,8 @@ def draw_ball(axes: Axes, at: np.ndarray, label: str, colour: str) -> None:
 
 
 def _draw_cameras(axes: Axes, paths: np.ndarray, max_range: float, clip: Polygon) -> None:
-    """Draw ranges, paths (T, K, 2), starts and final positions, and fit the axes to all of it."""
-    # Many bubbles on top of each other would hide the room.
+    """Draw ranges, paths (T, K, 2), starts and final positions, and fit the axes to them."""
+    # With many cameras the discs are paler, so that the room stays visible.
     strength = min(1.0, 2.0 / np.sqrt(paths.shape[1]))
     casing = [patheffects.withStroke(linewidth=4.5, foreground='white')]
     for k in range(paths.shape[1]):
@@ -165,7 +165,7 @@ def draw_plan(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> No
 
 
 def _draw_cutaway(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
-    """Draw the room in parallel projection with the walls nearest to the viewer taken away."""
+    """Draw the room in parallel projection without its front walls."""
     view, part = open_view(room)
     outline = draw_discs(axes, part, view)
     floor = float(np.percentile(part.points[:, 2], 2.0))
@@ -196,7 +196,7 @@ def _draw_triad(axes: Axes, view: np.ndarray) -> None:
 
 
 def draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | None) -> None:
-    """Explain the marks in one line below the panels; None where all colours are of heights."""
+    """Draw a legend in one line below the panels; ``unseen`` is None if all points are seen."""
     ladder = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
     dot = {'color': PALE_INK, 'linestyle': 'none', 'marker': 'o'}
     entries = {
@@ -218,9 +218,9 @@ def draw_rooms(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
     """
     Write a PNG of rooms cut open.
 
-    :param path: file to write; its folder is made.
+    :param path: file to write; its folder is created.
     :param scenes: titles and rooms.
-    :param columns: how many beside each other.
+    :param columns: largest number of rooms in a row.
     """
     columns = min(columns, len(scenes))
     rows = -(-len(scenes) // columns)
@@ -238,7 +238,7 @@ def draw_rooms(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
 
 
 def titled(seed: int, points: int) -> tuple[str, Scene]:
-    """Return a generated room with its kind and size."""
+    """Return a title with kind and size of a generated room, and the room."""
     plan = plan_of(seed)
     width, depth, height = plan.size
     return (f'{seed}: {plan.kind.replace("_", " ")}, {width:.1f} x {depth:.1f} x {height:.1f} m',

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One page that says at a glance what a placement is worth and how to mount it."""
+"""The report page of a placement: key figures, pictures and the installer's table."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -31,26 +31,28 @@ from ocp_ros.report.drawing.plan_marks import camera_colour, dark, zone_legend
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.key_figures import Figures, figures_of
 
-#: Inches: A4 on its side, its margins, and dots of each.
+#: Width, height and margin of A4 landscape, inches, and dots per inch.
 WIDTH, HEIGHT, MARGIN, DOTS = 11.69, 8.27, 0.4, 150
 #: Inches between the margins.
 INSIDE = WIDTH - 2.0 * MARGIN
-#: Cameras that the table has room for, and inches of a row; more cameras have lower rows.
+#: Largest number of cameras in the table of the first page; height of a row, and of a row with
+#: more than ``FEW`` cameras, inches.
 MOST, ROW, LOW_ROW, FEW = 20, 0.175, 0.135, 9
-#: Inches: bottom of the table; height of a picture's title; least and greatest width of the plan;
-#: width of a map.
+#: Inches: bottom of the table; height of a picture's title; smallest and largest width of the
+#: plan; width of a map.
 FOOT, TITLE, PLAN, MAP = 0.42, 0.32, (1.8, 3.7), 2.1
-#: How many times as wide as deep rooms are whose maps lie below the plan, and widths of these.
+#: Ratio of width to depth of a room above which the maps are below the plan, and the widths of
+#: plan and map then, inches.
 WIDE, WIDE_PLAN, WIDE_MAP = 1.6, 6.0, 2.85
-#: The pages; the second one where the table has more rows than the first one has room for.
+#: Files of the pages; the second page has the table if it does not fit on the first one.
 PAGES = ('report.png', 'report_2.png')
 DEPTH_ERROR = ('Depth error: how much deeper the room looks when only the points that the cameras '
                'see are left; five times the mean over viewpoints and directions. '
                '0 m is perfect.')
 GOOD, BAD = '#00664d', '#b04a00'
-#: Doubts about the room that there is space for.
+#: Largest number of doubts about the room on the page.
 DOUBTS = 2
-#: Where the viewer stands: before the corners of two walls.
+#: Azimuth of the viewer at each corner of two walls, degrees.
 CORNERS = {'C, D': -125.0, 'B, C': -55.0, 'A, B': 55.0, 'D, A': 125.0}
 #: Left, bottom, width and height, inches.
 Box: TypeAlias = tuple[float, float, float, float]
@@ -58,9 +60,9 @@ Box: TypeAlias = tuple[float, float, float, float]
 
 def draw(folder: Path, judged: Assessment) -> Iterator[Path]:
     """
-    Write the pages as PNG, A4 on its side, and yield each: one, or two with many cameras.
+    Write the pages as PNG, A4 landscape, and yield each path: one, or two with many cameras.
 
-    :param folder: it is made where it is not there.
+    :param folder: it is created if it does not exist.
     """
     for name, figure in zip(PAGES, figures_of_pages(judged)):
         with all_letters():
@@ -69,7 +71,7 @@ def draw(folder: Path, judged: Assessment) -> Iterator[Path]:
 
 
 def figures_of_pages(judged: Assessment) -> Iterator[Figure]:
-    """Draw the pages: pictures with the table; a long table has a page of its own."""
+    """Draw the pages: pictures with the table; a long table has its own page."""
     with all_letters():
         pages = [_pictures(judged)]
         if len(judged.placement.cameras) > MOST:
@@ -78,7 +80,7 @@ def figures_of_pages(judged: Assessment) -> Iterator[Figure]:
 
 
 def _pictures(judged: Assessment) -> Figure:
-    """Draw the page of the pictures in the fonts that are set."""
+    """Draw the page with the pictures."""
     found = figures_of(judged)
     figure, room = _page(found), assessment_pictures.room_for(judged)
     _draw_head(figure, found)
@@ -101,7 +103,7 @@ def _pictures(judged: Assessment) -> Figure:
 
 
 def _table_page(judged: Assessment) -> Figure:
-    """Draw the page of a table with many cameras."""
+    """Draw the page with the table of many cameras."""
     figure = _page(figures_of(judged))
     rows = len(judged.placement.cameras) + 1
     _draw_cameras(figure, judged, min(ROW, (7.4 - FOOT) / rows))
@@ -109,7 +111,7 @@ def _table_page(judged: Assessment) -> Figure:
 
 
 def _page(found: Figures) -> Figure:
-    """Return a page with the room's name, what is in it and the verdict, and with its foot."""
+    """Return a page with its title, subtitle, verdict and foot."""
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DOTS, facecolor='white')
     write(figure, (MARGIN, 7.92), found.title, 5.6, 15, INK, bold=True)
     write(figure, (MARGIN, 7.66), found.subtitle, 4.6 if found.doubts else 10.8, 8, PALE_INK)
@@ -121,7 +123,7 @@ def _page(found: Figures) -> Figure:
 
 
 class _Slots(NamedTuple):
-    """Where the pictures are: left, bottom, width and height of each, inches."""
+    """Boxes of the pictures: left, bottom, width and height of each, inches."""
 
     plan: Box
     counts: Box
@@ -131,10 +133,10 @@ class _Slots(NamedTuple):
 
 def _slots(judged: Assessment, bottom: float, high: float) -> _Slots:
     """
-    Share a page: the plan gets as much of it as its room fills.
+    Divide a page into boxes; the width of the plan depends on the shape of the room.
 
-    :param bottom: of all pictures, inches.
-    :param high: of all pictures, inches.
+    :param bottom: lower edge of all pictures, inches.
+    :param high: total height of all pictures, inches.
     """
     width, depth = (wall.length for wall in judged.walls[:2])
     half = 0.5 * (high - TITLE)
@@ -178,21 +180,21 @@ def _axes(figure: Figure, box: Box) -> Axes:
 
 
 def _titled(figure: Figure, box: Box, title: str) -> Axes:
-    """Add axes in a box, inches, and write above it what they show."""
+    """Add axes in a box, inches, with a title above it."""
     left, bottom, _, height = box
     write(figure, (left, bottom + height + 0.14), title, WIDTH, 8, INK, bold=True)
     return _axes(figure, box)
 
 
 def _few_ticks(most: float) -> np.ndarray:
-    """Return 0 and a few round values up to the most of a colour bar, spread by their roots."""
+    """Return 0 and three round values up to the maximum of a colour bar with a root scale."""
     unit = 10.0 ** np.floor(np.log10(most))
     top = np.floor(most / unit) * unit
     return np.array([0.0, 0.1 * top, 0.4 * top, top])
 
 
 def _draw_head(figure: Figure, found: Figures) -> None:
-    """Write what is doubtful, and the key figures."""
+    """Write the doubts about the room, and the key figures."""
     for number, doubt in enumerate(found.doubts[:DOUBTS]):
         more = len(found.doubts) - DOUBTS
         text = f'{doubt} (and {more} more)' if more > 0 and number == DOUBTS - 1 else doubt
@@ -212,7 +214,7 @@ def _draw_head(figure: Figure, found: Figures) -> None:
 
 
 def _draw_legend(figure: Figure, y: float, judged: Assessment) -> None:
-    """Explain the marks of all pictures in one line, inches from the bottom."""
+    """Draw the legend of all pictures in one line, ``y`` inches from the bottom."""
     entries = {'camera': Line2D([], [], color=camera_colour(0), marker='o', markersize=6,
                                 linestyle='none'),
                'field of view and range': Patch(facecolor='#cfe3f0', edgecolor='#0072b2'),
@@ -234,8 +236,8 @@ def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None)
     """
     Draw the installer's table at the foot of a page.
 
-    :param step: height of a row, inches; by the number of cameras unless given.
-    :returns: how high the table reaches, inches.
+    :param step: height of a row, inches; None to choose it by the number of cameras.
+    :returns: upper edge of the table, inches.
     """
     rows = [['', 'camera', 'sensor', 'place', 'above floor', 'pan', 'tilt', 'x, y, z (m)',
              'error reduction']]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""ROS 1 and ROS 2 bags, read without a ROS installation: what is in them, and their messages."""
+"""Read the topics and messages of ROS 1 and ROS 2 bags without a ROS installation."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,19 +31,20 @@ from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 from ocp_ros.util.settings import ConfigurationError
 import yaml
 
-#: Messages of a topic that are asked for their frame, and the longest name of one.
+#: Number of messages of a topic whose frame is read, and the longest name of a frame, bytes.
 ASKED, LONGEST = 20, 1000
-#: Bytes of metadata, which is text: a bag of hundreds of topics and files has a tenth of it.
+#: Largest size of the metadata, bytes: a bag of hundreds of topics and files has a tenth of it.
 METADATA = 2_000_000
-#: What a bag may take: of memory at once, and of seconds for all its messages.
+#: Limits for reading a bag: bytes of memory, and seconds for all its messages.
 COST = ReadingCost(1_500_000_000, 0, 10)
-#: Bytes that files which are compressed as a whole may have: so many, and for each of their own.
+#: Largest size, unpacked, of files that are compressed as a whole: a constant number of bytes, and
+#: bytes for each packed byte.
 UNPACKED, UNPACKED_PER_BYTE = 500_000_000, 50
-#: What may be an alias in YAML; whether it is one, only a parser knows.
+#: Text that may be an alias in YAML; only the parser decides whether it is one.
 ALIAS = re.compile(rb'(^|[\s,\[{])\*\w')
-#: What a file begins with that is a ROS 1 bag, and how files of ROS 2 bags are called.
+#: First bytes of a ROS 1 bag, suffixes of the files of ROS 2 bags, suffix of packed files.
 ROS1, ROS2_FILES, PACKED = b'#ROSBAG V', ('.mcap', '.db3'), '.zstd'
-#: How types of images end.
+#: Endings of the names of image types.
 IMAGES = ('/Image', '/CompressedImage')
 
 
@@ -51,8 +52,8 @@ class Topic(NamedTuple):
     """
     A topic of a bag.
 
-    :ivar kind: its type, as ROS 2 writes it.
-    :ivar count: how many messages there are.
+    :ivar kind: its message type, as ROS 2 writes it.
+    :ivar count: number of messages.
     """
 
     name: str
@@ -65,8 +66,8 @@ class Recorded(NamedTuple):
     A message of a bag.
 
     :ivar kind: one of the values of ``KINDS``.
-    :ivar time: when it was recorded, nanoseconds.
-    :ivar cdr: the message as ROS 2 serialises it.
+    :ivar time: time of recording, nanoseconds.
+    :ivar cdr: the message, serialised by ROS 2 (CDR).
     """
 
     topic: str
@@ -76,15 +77,15 @@ class Recorded(NamedTuple):
 
 
 class BrokenMessage(ValueError):
-    """A message of a bag that does not hold what its type says."""
+    """A message of a bag whose content does not fit its type."""
 
 
 class Bag:
     """
-    A bag, read by a process of its own; use it in a ``with`` statement.
+    A bag, read by a separate process; use it in a ``with`` statement.
 
     :param path: a ROS 1 bag, the folder of a ROS 2 bag, or a file in it.
-    :raises ConfigurationError: if it cannot be read, in one sentence.
+    :raises ConfigurationError: if it cannot be read; the text is one sentence.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -104,7 +105,7 @@ class Bag:
             raise
 
     def __enter__(self) -> 'Bag':
-        """Return itself."""
+        """Return the bag."""
         return self
 
     def __exit__(self, *exception) -> None:
@@ -119,7 +120,7 @@ class Bag:
             self._process = None
 
     def _start(self) -> dict[str, Any]:
-        """Start the process that reads, and return what it says of the bag."""
+        """Start the process that reads, and return its description of the bag."""
         size = sum(file.stat().st_size for file in self._files)
         packed = max(sum(file.suffix == PACKED for file in self._files), 1)
         self._process = GuardedProcess(
@@ -131,7 +132,7 @@ class Bag:
         return json.loads(self._answer()[-1])
 
     def _answer(self) -> tuple[int, int, int, bytearray]:
-        """Return the next answer of the process: what it is, topic, time and content."""
+        """Return the next answer of the process: its kind, topic number, time and content."""
         header = self._process.read(HEADER.size)
         if len(header) < HEADER.size:
             raise ValueError('its reader ended too early')
@@ -140,13 +141,13 @@ class Bag:
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
-        """Turn what the library stumbles over into one sentence."""
+        """Convert any error of the library to a ConfigurationError of one sentence."""
         try:
             yield
         except (ConfigurationError, PermissionError):
             raise
         except Exception as error:
-            # Bytes that are no bag let it stumble in more ways than it has names for.
+            # Bytes that are no bag make the library raise errors of many types.
             why = ' '.join(str(error).split()) or type(error).__name__
             raise ConfigurationError(
                 f'{self.path}: found a bag that cannot be read ({why.rstrip(".")}); expected a '
@@ -155,16 +156,16 @@ class Bag:
 
     @property
     def topics(self) -> list[Topic]:
-        """Return all topics by name."""
+        """Return all topics, sorted by name."""
         return [Topic(*topic) for topic in self._found['topics']]
 
     @property
     def clouds(self) -> list[str]:
         """
-        Return the topics of clouds by name.
+        Return the topics of clouds, sorted by name.
 
-        :raises ConfigurationError: if there is none; of depth images it is said what makes clouds
-            of them.
+        :raises ConfigurationError: if there is none; for depth images the text says how to convert
+            them to clouds.
         """
         names = [topic.name for topic in self.topics if KINDS.get(topic.kind) == CLOUD]
         if not names:
@@ -180,16 +181,16 @@ class Bag:
 
     @property
     def start(self) -> int:
-        """Return when the first message was recorded, nanoseconds."""
+        """Return the time at which the first message was recorded, nanoseconds."""
         return self._found['start']
 
     @property
     def seconds(self) -> float:
-        """Return how long the recording is."""
+        """Return the duration of the recording, seconds."""
         return max(self._found['end'] - 1 - self.start, 0) * 1e-9
 
     def frames(self, topic: Topic) -> list[str]:
-        """Return the frames of a topic's first messages; for transforms none."""
+        """Return the frames of a topic's first messages; empty for transforms and other types."""
         if KINDS.get(topic.kind) not in (CLOUD, POSES):
             return []
         return sorted({_frame(item.cdr) if isinstance(item, Recorded) else '?'
@@ -201,11 +202,11 @@ class Bag:
         Yield the messages of some topics in the order in which they were recorded.
 
         :param names: topics whose kinds are among ``KINDS``.
-        :param start: from when on, nanoseconds.
-        :param stop: until when, nanoseconds; that itself not included.
-        :param most: how many at most.
-        :returns: what can be read; for what cannot the reason.
-        :raises ConfigurationError: where the bag ends too early.
+        :param start: time of recording from which on, nanoseconds.
+        :param stop: time of recording before which, nanoseconds.
+        :param most: largest number of messages.
+        :returns: the messages; for a message that cannot be read, the reason.
+        :raises ConfigurationError: if the bag ends too early.
         """
         topics = self.topics
         with self._readable():
@@ -223,15 +224,15 @@ class Bag:
                             f'{topic}: found a message that is no {kind} '
                             f'({content.decode()}); expected one; it is left out')
             except BaseException:
-                # What it would still say belongs to this question.
+                # The process would still send the remaining answers to this request: end it.
                 self._end()
                 raise
 
     def transforms(self, cdr: bytes) -> list:
         """
-        Return the transforms of a message of them, for those who lack its type.
+        Return the transforms of a serialised TFMessage; tf2_msgs need not be installed.
 
-        :raises BrokenMessage: if it is none.
+        :raises BrokenMessage: if it is no TFMessage.
         """
         try:
             message: Any = _store().deserialize_cdr(cdr, TRANSFORMS)
@@ -243,13 +244,13 @@ class Bag:
 
 @cache
 def _store() -> Any:
-    """Return the types of messages."""
+    """Return the message types that rosbags can deserialise."""
     from rosbags.typesys import get_typestore, Stores
     return get_typestore(Stores.ROS2_JAZZY)
 
 
 def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
-    """Return whether a bag is one of ROS 1, the bag, and the files that it consists of."""
+    """Return whether a bag is of ROS 1, the path of the bag, and the files that it consists of."""
     expected = ('expected a ROS 1 bag or the folder of a ROS 2 bag, in which metadata.yaml and '
                 '.mcap or .db3 files are')
     if not path.exists():
@@ -283,7 +284,7 @@ def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
 
 
 def _check_metadata(path: Path) -> None:
-    """Refuse metadata in which values stand for others: written out, they may fill the memory."""
+    """Refuse metadata with YAML aliases: when they are expanded, they may fill the memory."""
     text = read_regular(path, METADATA)
     loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
     if ALIAS.search(text) and any(isinstance(event, yaml.AliasEvent)
@@ -293,7 +294,7 @@ def _check_metadata(path: Path) -> None:
 
 def _frame(cdr: bytes) -> str:
     """Return the frame of a message that begins with a header."""
-    # Byte order, stamp, and a text that ends with a zero byte.
+    # The header has the byte order, the stamp, and a text that ends with a zero byte.
     length, = struct.unpack_from('>I' if cdr[1] % 2 == 0 else '<I', cdr, 12)
     if length > min(LONGEST, len(cdr) - 16):
         return '?'

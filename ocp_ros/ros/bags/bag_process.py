@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-A process that reads a bag with rosbags: a few kilobytes may expand to gigabytes, or without end.
+A process that reads a bag with rosbags, within limits of memory, time and file access.
 
-:mod:`~ocp_ros.ros.bags.bag_files` starts it and says what it may use. It first answers with the
-topics, then each line of its standard input with messages. An answer is a row of ``HEADER`` and
-its content. What is wrong with the bag is one line of its standard error.
+The limits are needed because a few kilobytes of a bag may expand to gigabytes, or without end.
+:mod:`~ocp_ros.ros.bags.bag_files` starts the process and sets the limits. The process first writes
+the topics, then, for each line of its standard input, messages. An answer is a ``HEADER`` and its
+content. An error of the bag is one line on standard error.
 """
 
 from collections.abc import Iterator
@@ -34,29 +35,29 @@ from ocp_ros.util.confinement import allow_seconds, confine, limit
 
 CLOUD, POSES = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseArray'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
-#: The types that are read; old bags have transforms of another name and the same layout.
+#: The types that are read; old bags use another type name for transforms, with the same layout.
 KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage': TRANSFORMS}
-#: Bytes that a field of a cloud, a pose and a transform take at least in ROS 1.
+#: Least number of bytes of one list element in ROS 1: field of a cloud, pose, transform.
 PARTS = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
-#: Bytes of the largest message: a cloud of five million points takes less.
+#: Bytes of the largest message: a cloud of five million points is smaller.
 LARGEST = 200_000_000
-#: What an answer is, the number of its topic, when it was recorded, and bytes of its content.
+#: The kind of an answer, the number of its topic, its time of recording, bytes of its content.
 HEADER = struct.Struct('<BIqQ')
 TOPICS, MESSAGE, BROKEN, END = range(4)
-#: What is imported before all else is given up.
+#: Packages that are imported before the process gives up its access to files.
 PACKAGES = ('apsw', 'numpy', 'rosbags.rosbag1', 'rosbags.rosbag2', 'rosbags.serde.cdr',
             'rosbags.serde.primitives', 'rosbags.serde.ros1', 'rosbags.serde.utils',
             'rosbags.typesys.stores.ros2_jazzy')
-#: All tables that a bag of ROS 2 has in SQLite, or SQLite makes.
+#: All tables of a ROS 2 bag in SQLite, including those that SQLite itself makes.
 TABLES = {'schema', 'metadata', 'topics', 'messages', 'message_definitions', 'sqlite_sequence',
           'sqlite_stat1', 'sqlite_stat4'}
 
 
 def check_schema(path: Path) -> None:
     """
-    Refuse an SQLite file that could do more than hold rows: its views and columns may be programs.
+    Refuse an SQLite file with anything but plain tables: views and computed columns can run code.
 
-    :raises ValueError: if it is no bag.
+    :raises ValueError: if the file has such an entry.
     """
     import apsw
     database = apsw.Connection(f'file:{path}?immutable=1',
@@ -64,7 +65,7 @@ def check_schema(path: Path) -> None:
     for kind, name, sql in list(database.execute('SELECT type, name, sql FROM sqlite_master')):
         plain = kind == 'index' or (kind == 'table' and name in TABLES and
                                     sql.lstrip()[:13].upper().startswith('CREATE TABLE'))
-        # The last column tells those that are computed, or of a module.
+        # The last column is not 0 for columns that are computed or hidden.
         if not plain or kind == 'table' and any(
                 column[-1] for column in database.execute(f'PRAGMA table_xinfo("{name}")')):
             raise ValueError(f'{path.name} has the {kind} {name[:60]!r}, which is none of a bag')
@@ -81,10 +82,10 @@ def open_reader(path: Path, is_ros1: bool) -> Any:
         from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
         class CheckedReader(Sqlite3Reader):
-            """A reader that first looks whether the file is a bag."""
+            """A reader that checks the schema of the file first."""
 
             def open(self) -> None:  # noqa: A003
-                """Look, then open it."""
+                """Check the schema, then open the file."""
                 check_schema(self.path)
                 super().open()
 
@@ -97,10 +98,10 @@ def open_reader(path: Path, is_ros1: bool) -> Any:
 
 class Answers:
     """
-    Answer what is asked of a bag.
+    Answer requests for the content of a bag.
 
     :param reader: of rosbags, open.
-    :param out: where answers go.
+    :param out: stream to which answers are written.
     """
 
     def __init__(self, reader: Any, is_ros1: bool, out: BinaryIO) -> None:
@@ -115,7 +116,7 @@ class Answers:
         self._out.write(content)
 
     def topics(self) -> None:
-        """Say what is in the bag."""
+        """Write the topics, and the start and the end of the recording."""
         reader = self._reader
         self._answer(TOPICS, content=json.dumps({
             'topics': [(name, reader.topics[name].msgtype or 'several types',
@@ -125,7 +126,7 @@ class Answers:
 
     def messages(self, names: list[str], start: int | None, stop: int | None, most: int | None
                  ) -> None:
-        """Write the messages of some topics, ``most`` of them at most."""
+        """Write the messages of some topics, at most ``most`` messages."""
         connections = [one for one in self._reader.connections
                        if one.topic in names and one.msgtype in KINDS]
         found: Iterator = self._reader.messages(connections, start, stop) if connections else (
@@ -148,9 +149,11 @@ class Answers:
 
 def check_count(raw: bytes, kind: str) -> None:
     """
-    Refuse a ROS 1 message whose list is longer than its bytes: the library would go on for hours.
+    Refuse a ROS 1 message that states more list elements than its bytes can hold.
 
-    :raises ValueError: if so.
+    The library would read it for hours.
+
+    :raises ValueError: if the number is too large.
     """
     start = 0
     if kind != TRANSFORMS:
@@ -165,16 +168,16 @@ def main(arguments: list[str]) -> int:
     """
     Serve a bag.
 
-    :param arguments: the most bytes of memory, seconds of all cores for an answer and bytes of a
-        file that is written; ``1`` or ``2`` for the version of ROS; a folder to write to; the bag;
-        and the files in it that may be read.
+    :param arguments: three limits (bytes of memory; processor seconds of all cores for an answer;
+        bytes of a written file); ``1`` or ``2`` for the version of ROS; a folder to write to; the
+        bag; and the files of the bag that may be read.
     :returns: the exit code: 1 if the bag cannot be read.
     """
     memory, seconds, written = map(int, arguments[:3])
     limit(memory, seconds, written)
     version, folder, bag, *files = arguments[3:]
     with os.fdopen(os.dup(1), 'wb') as out:
-        # What libraries print is no answer.
+        # Output that libraries print must not get into the answers: it goes to standard error.
         os.dup2(2, 1)
         try:
             for package in PACKAGES:

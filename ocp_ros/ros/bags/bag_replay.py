@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-``ocp replay``: publish the clouds of a bag, so that ``policy_node`` can be tried on them.
+``ocp replay``: publish the clouds of a bag, as input for ``policy_node``.
 
-Where the cameras are comes from the command line, from recorded ``camera_poses`` or from recorded
-transforms. In the first and the last case cloud topic i is camera i, and its frame is said to be
-``camera_<i>``, which ``policy_node`` places by the poses: nobody needs tf2.
+The poses of the cameras come from the command line, from recorded ``camera_poses`` or from
+recorded transforms. In the first and the last case cloud topic i is camera i, and its clouds are
+published in the frame ``camera_<i>``. ``policy_node`` places that frame by the poses, without tf2.
 """
 
 from collections.abc import Iterable, Iterator
@@ -50,14 +50,14 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-#: Seconds: between two looks whether somebody listens, and from then until the first message,
-#: since who listens learns of the other side a little later.
+#: Seconds between two checks for subscribers, and seconds from the moment all have subscribed to
+#: the first message: a subscriber discovers the publisher a little later.
 TICK, SETTLE = 0.05, 0.3
 #: Seconds that the last messages may take to arrive.
 FLUSH = 2.0
-#: Seconds of the recording between the end of a loop and the next, at least.
+#: Least time between the end of one loop and the beginning of the next, seconds of the recording.
 GAP = 0.1
-#: How the names of frames end in which z is forward, x right and y down.
+#: Endings of the names of optical frames, in which z is forward, x right and y down.
 OPTICAL_ENDS = ('optical', 'optical_frame')
 
 
@@ -66,9 +66,9 @@ class Replay(Node):
     Publish a bag's messages when they are due.
 
     :param bag: open.
-    :param options: what and how.
-    :ivar done: is done when all is published; its exception says why it could not be.
-    :raises ConfigurationError: if the bag has nothing of what is wanted.
+    :param options: which topics to publish, and how.
+    :ivar done: is done when all messages are published; its exception is the error, if any.
+    :raises ConfigurationError: if the bag has none of the wanted topics.
     """
 
     def __init__(self, bag: Bag, options: ReplayOptions, **kwargs) -> None:
@@ -76,7 +76,7 @@ class Replay(Node):
         self.bag, self.options, self.done = bag, options, Future()
         self.topics = chosen_topics(bag, options.topics)
         if options.poses and not options.topics:
-            # Who says where the cameras are knows better than the bag.
+            # Poses of the command line replace those of the bag.
             self.topics = {name: one for name, one in self.topics.items() if one[0] == CLOUD}
         self.counts = dict.fromkeys(self.topics, 0)
         self.left_out = 0
@@ -85,7 +85,7 @@ class Replay(Node):
         check_known([name for name in self._frames_given if name], self._clouds, '--frame')
         has_poses = len(self._clouds) < len(self.topics)
         self._has_transforms = any(KINDS.get(t.kind) == TRANSFORMS for t in bag.topics)
-        #: Whether the poses are ours to say: by the command line, or by transforms.
+        #: Whether this node publishes poses: from the command line, or from transforms.
         self._posing = bool(options.poses) or (self._has_transforms and not has_poses)
         self._check_poses(has_poses)
         self._tree = TransformTree()
@@ -99,7 +99,7 @@ class Replay(Node):
             TICK, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _check_poses(self, has_poses: bool) -> None:
-        """Make sure that each camera has a pose, or warn that nobody will say where it is."""
+        """Check that each camera has a pose; warn if there are neither poses nor transforms."""
         given, clouds = len(self.options.poses), len(self._clouds)
         if given and has_poses:
             raise ConfigurationError('--pose: found it with recorded poses; expected one of the '
@@ -115,7 +115,7 @@ class Replay(Node):
                 'cloud')
 
     def _make_publishers(self) -> None:
-        """Create a publisher for each topic, and one for what is known of the cameras."""
+        """Create a publisher for each topic, and one for the poses if this node publishes them."""
         self._publishers_of: dict[str, Any] = {
             name: self.create_publisher(TYPES[kind], new, LOOP)
             for name, (kind, new) in self.topics.items()}
@@ -123,7 +123,7 @@ class Replay(Node):
             self._poses = self.create_publisher(PoseArray, topics.CAMERA_POSES, LOOP)
 
     def _schedule(self) -> Iterator[tuple[float, int, Recorded | BrokenMessage]]:
-        """Yield what comes when, seconds, and by how much its stamps move on, nanoseconds."""
+        """Yield each message with its due time (s) and the shift of its stamps (ns)."""
         options, names = self.options, list(self.topics)
         if self._has_transforms:
             names += [t.name for t in self.bag.topics if KINDS.get(t.kind) == TRANSFORMS]
@@ -134,7 +134,7 @@ class Replay(Node):
         moved = 0
         while True:
             count, last = 0, begin
-            # Transforms that never change may have been told before the part that is wanted.
+            # Static transforms may have been recorded before the part that is replayed.
             since = self.bag.start if self._has_transforms else begin
             for item in self.bag.messages(names, since, end):
                 if isinstance(item, Recorded):
@@ -150,11 +150,11 @@ class Replay(Node):
                     f'{self.bag.seconds:.3g} s; change --start or --duration')
             if not options.loop:
                 return
-            # As far apart as clouds are on average.
+            # The gap between two loops is the mean time between two clouds.
             moved += int(1e9 * (length + max(length / count, GAP)))
 
     def _on_time(self) -> None:
-        """Publish what is due, and come again when the next is."""
+        """Publish the next message if it is due, and set the timer for the one after it."""
         try:
             if self._began is None and not self._somebody_listens():
                 return
@@ -163,7 +163,7 @@ class Replay(Node):
             self._end(error)
 
     def _somebody_listens(self) -> bool:
-        """Return whether to begin: everything is listened to, or that was waited for in vain."""
+        """Return whether to begin: all topics have subscribers, or ``wait`` seconds are over."""
         now, mine = time.monotonic(), list(self._publishers_of.values())
         if self._posing:
             mine.append(self._poses)
@@ -191,19 +191,19 @@ class Replay(Node):
         self._timer.timer_period_ns = int(1e9 * min(max(wait, 1e-4), 1.0))
 
     def flush(self) -> None:
-        """Wait until who listens reliably has everything, but not for long."""
+        """Wait until reliable subscribers have all messages, at most ``FLUSH`` seconds."""
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=FLUSH))
 
     def _nothing_placed(self) -> ConfigurationError | None:
-        """Return what is wrong if no cloud was published."""
+        """Return an error if no cloud was published."""
         if any(self.counts[name] for name in self._clouds):
             return None
         return ConfigurationError(f'{self.bag.path}: found no cloud that could be published; '
                                   'expected some; the warnings say why')
 
     def _end(self, error: ConfigurationError | None = None) -> None:
-        """Stop."""
+        """Stop, with an error if there is one."""
         self._timer.cancel()
         if error is not None:
             self.done.set_exception(error)
@@ -211,7 +211,7 @@ class Replay(Node):
             self.done.set_result(None)
 
     def _publish(self, item: Recorded | BrokenMessage, moved: int) -> None:
-        """Publish a message, or say why not."""
+        """Publish a message, or log why it is left out."""
         try:
             if isinstance(item, BrokenMessage):
                 raise item
@@ -231,7 +231,7 @@ class Replay(Node):
         self.counts[item.topic] += 1
 
     def _message(self, item: Recorded):
-        """Return a message that rclpy knows."""
+        """Return a recorded message as an rclpy message."""
         try:
             return deserialize_message(item.cdr, TYPES[item.kind])
         except Exception as error:
@@ -239,7 +239,7 @@ class Replay(Node):
                                 f'({error}); expected one; it is left out') from error
 
     def _place(self, topic: str, cloud: PointCloud2) -> None:
-        """Give a cloud its frame, and say where the cameras are before it comes."""
+        """Set the frame of a cloud, and publish the camera poses before it."""
         frame, number = cloud.header.frame_id, self._clouds.index(topic)
         optical = frame.endswith(OPTICAL_ENDS)
         if self._posing:
@@ -257,7 +257,7 @@ class Replay(Node):
         cloud.header.frame_id = given or cloud.header.frame_id
 
     def _looked_up(self, topic: str, frame: str, optical: bool) -> Pose:
-        """Return where the camera of a cloud is by the recorded transforms."""
+        """Return the pose (body axes) of the camera of a cloud from the recorded transforms."""
         fixed = self.options.fixed_frame
         found = None if frame == fixed else self._tree.pose(frame, fixed)
         if found is None:
@@ -268,7 +268,7 @@ class Replay(Node):
         return Pose(found.position, found.rotation @ OPTICAL_TO_BODY.T) if optical else found
 
     def _say_where(self, header: Header) -> None:
-        """Publish where the cameras are, with the stamp of a cloud."""
+        """Publish the camera poses, with the stamp of a cloud."""
         posed = [self._posed[name] for name in self._clouds]
         message = positions_to_msg(
             np.array([pose.position for pose in posed]),
@@ -280,17 +280,17 @@ class Replay(Node):
 
 
 class TransformTree:
-    """Where each frame is in its parent, as last told."""
+    """The latest pose of each frame in its parent."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Pose]] = {}
 
     def add(self, transforms: Iterable) -> None:
         """
-        Take note of transforms.
+        Add transforms, or replace older ones.
 
         :param transforms: each with ``header.frame_id``, ``child_frame_id`` and ``transform``.
-        :raises MessageError: if one has no direction or is not finite.
+        :raises MessageError: if a rotation is invalid or a number is not finite.
         """
         for one in transforms:
             move, name = one.transform, one.child_frame_id.lstrip('/')
@@ -302,10 +302,10 @@ class TransformTree:
                 position, rotation_of(move.rotation, f'transform of {name!r}')))
 
     def pose(self, frame: str, fixed: str) -> Pose | None:
-        """Return where a frame is in another one above it; None where nobody has said so."""
+        """Return the pose of a frame in one of its ancestors; None if there is no chain."""
         frame, fixed = frame.lstrip('/'), fixed.lstrip('/')
         position, rotation = np.zeros(3), LEVEL
-        # So many steps and no more: frames may have been told in a circle.
+        # Limit the number of steps: the recorded transforms may form a cycle.
         for _ in range(len(self._parents) + 1):
             if frame == fixed:
                 return Pose(position, rotation)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What each camera of a rig sees in a bag, in its body frame."""
+"""Clouds of each camera of a rig from a bag, in the camera's body frame."""
 
 from collections.abc import Mapping, Sequence
 from itertools import islice
@@ -27,21 +27,21 @@ from ocp_ros.util.settings import check_known, ConfigurationError
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-#: Clouds of a topic that are taken together: noise of one frame is not that of the next.
+#: Number of clouds of a topic that are joined: their noise is independent.
 FRAMES = 5
 
 
 def recorded_clouds(path: Path, names: Sequence[str], chosen: Mapping[str, str],
                     frame: str | None = None) -> dict[str, np.ndarray]:
     """
-    Read what cameras see in a bag.
+    Read the clouds of cameras from a bag.
 
     :param names: of the cameras, in the order of the placement.
-    :param chosen: topics by camera; where there are none, a topic with the camera's name in it, or
-        else the topics in their order.
-    :param frame: of the clouds, ``'optical'`` or ``'body'``; None to go by their frame's name.
+    :param chosen: topic of each camera. If empty: the topics with the name of a camera as a part,
+        or else all topics in their order.
+    :param frame: axes of the clouds, ``'optical'`` or ``'body'``; None: by the name of the frame.
     :returns: (N, 3) float32, metres, body frame, by camera.
-    :raises ConfigurationError: if the bag cannot be read, or whose a topic is is not clear.
+    :raises ConfigurationError: if the bag cannot be read, or the topic of a camera is not clear.
     """
     with Bag(path) as bag:
         topics = bag.clouds
@@ -65,7 +65,7 @@ def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -
 
 
 def _cloud(bag: Bag, topic: str, frame: str | None) -> np.ndarray:
-    """Return the first clouds of a topic together."""
+    """Return the first ``FRAMES`` clouds of a topic, joined."""
     clouds, why = [], 'it has no message'
     for item in islice(bag.messages([topic]), FRAMES):
         try:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What ``ocp replay`` publishes, and how."""
+"""Options of ``ocp replay``, and the topics that it publishes."""
 
 from dataclasses import dataclass
 
@@ -23,25 +23,25 @@ from ocp_ros.ros.interface import topics
 from ocp_ros.util.settings import check_known, ConfigurationError
 from sensor_msgs.msg import PointCloud2
 
-#: What is published of what is recorded.
+#: The types of recorded messages that are published.
 TYPES = {CLOUD: PointCloud2, POSES: PoseArray}
 
 
 @dataclass(frozen=True)
 class ReplayOptions:
     """
-    What is replayed and how.
+    Which topics to replay, and how.
 
     :ivar topics: names of topics, or ``name:=new``; empty for all clouds, and the poses if any.
-    :ivar rate: how many times as fast as it was recorded.
-    :ivar loop: whether to begin anew at the end, without end.
-    :ivar start: seconds of the recording to leave out.
-    :ivar duration: seconds of it to replay; all by default.
-    :ivar frames: the frame of the clouds of a topic in place of the recorded one; that of ``''``
-        is for all others.
-    :ivar poses: (6,) each, x, y, z, yaw, pitch, roll of each camera, metres and radians.
-    :ivar fixed_frame: of the poses.
-    :ivar wait: seconds to wait for somebody who listens.
+    :ivar rate: factor of the recorded speed.
+    :ivar loop: whether to begin again at the end, without limit.
+    :ivar start: seconds at the beginning of the recording to leave out.
+    :ivar duration: seconds of the recording to replay; None for all.
+    :ivar frames: pairs of a topic and the frame of its clouds, in place of the recorded one; the
+        topic ``''`` stands for all others.
+    :ivar poses: one (6,) array per camera: x, y, z, yaw, pitch, roll, metres and radians.
+    :ivar fixed_frame: frame of the poses.
+    :ivar wait: seconds to wait for subscribers.
     """
 
     topics: tuple[str, ...] = ()
@@ -57,11 +57,11 @@ class ReplayOptions:
 
 def chosen_topics(bag: Bag, wanted: tuple[str, ...]) -> dict[str, tuple[str, str]]:
     """
-    Choose what to replay.
+    Choose the topics to replay.
 
     :param wanted: see :class:`ReplayOptions`.
-    :returns: recorded name to kind and the name to publish under, clouds in their order.
-    :raises ConfigurationError: if a topic is not there or of another kind, or there is no cloud.
+    :returns: type and published name by recorded name; clouds keep their order.
+    :raises ConfigurationError: if a topic is missing or of another type, or there is no cloud.
     """
     known = {topic.name: topic for topic in bag.topics}
     names = dict(name.split(':=', 1) if ':=' in name else (name, name) for name in wanted)
@@ -82,7 +82,7 @@ def chosen_topics(bag: Bag, wanted: tuple[str, ...]) -> dict[str, tuple[str, str
 
 
 def _poses_among(known: list) -> str | None:
-    """Return the topic that says where the cameras are: by its name, or the only one."""
+    """Return the topic of the camera poses: by its name, or the only PoseArray; else None."""
     arrays = [topic.name for topic in known if topic.kind == POSES]
     named = [name for name in arrays if name.split('/')[-1] == topics.CAMERA_POSES]
     if named:

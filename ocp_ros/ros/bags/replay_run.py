@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What ``ocp replay`` does with its command line."""
+"""Run ``ocp replay`` with the options of its command line."""
 
 import argparse
 from collections.abc import Iterator
@@ -36,7 +36,7 @@ def options_of(arguments: argparse.Namespace) -> ReplayOptions:
     """
     Read the options of the command line.
 
-    :raises ConfigurationError: for a pose that is none.
+    :raises ConfigurationError: if a pose is malformed.
     """
     frames = [given.rpartition('=')[::2] for given in arguments.frame]
     return ReplayOptions(
@@ -47,10 +47,10 @@ def options_of(arguments: argparse.Namespace) -> ReplayOptions:
 
 def pose_of(text: str) -> np.ndarray:
     """
-    Read a pose, angles in degrees.
+    Read a pose whose angles are in degrees.
 
     :returns: (6,) x, y, z, yaw, pitch, roll: metres and radians.
-    :raises ConfigurationError: if it is none.
+    :raises ConfigurationError: if the pose is malformed.
     """
     try:
         numbers = [float(number) for number in text.split(',')]
@@ -66,7 +66,7 @@ def pose_of(text: str) -> np.ndarray:
 
 
 def topics_of(bag: Bag) -> list[dict[str, Any]]:
-    """Return what is in a bag, topic by topic, and what would be published of it."""
+    """Return the topics of a bag, with the names under which they would be published."""
     chosen: dict[str, tuple[str, str]] = {}
     with suppress(ConfigurationError):
         chosen = chosen_topics(bag, ())
@@ -78,9 +78,9 @@ def topics_of(bag: Bag) -> list[dict[str, Any]]:
 @contextmanager
 def _noted_signals(executor: Executor) -> Iterator[list[int]]:
     """
-    Note the signals that end a program, and wake who waits.
+    Record the signals that end a program, and wake the executor.
 
-    Nothing is raised: rclpy swallows what is raised in the wrong moment, and would go on for ever.
+    No error is raised: rclpy swallows an error at the wrong moment and would continue for ever.
     """
     noted: list[int] = []
 
@@ -100,7 +100,7 @@ def replay(arguments: argparse.Namespace) -> dict[str, Any]:
     """
     Publish the clouds of a bag, or list its topics.
 
-    :returns: what was published, or what is there, as plain data.
+    :returns: the published messages, or the topics of the bag, as plain data.
     :raises ConfigurationError: if the bag or an option cannot be used.
     """
     options = options_of(arguments)
@@ -111,7 +111,7 @@ def replay(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _publish(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
-    """Publish a bag to its end, and return what it was."""
+    """Publish a bag to its end, and return the number of messages of each topic."""
     stay_local()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     executor, node = SingleThreadedExecutor(), None

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Messages to arrays and back, as plain functions; what is malformed is refused with a reason."""
+"""Messages to arrays and back, as plain functions; malformed messages raise a MessageError."""
 
 from array import array
 from collections.abc import Mapping
@@ -28,11 +28,11 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
-#: Metres: no camera is farther from the origin, be it that of a country's survey.
+#: Metres: largest distance of a camera from the origin, enough for national survey coordinates.
 FARTHEST = 1e7
-#: Letters of an error that are logged: what it quotes, such as a name, may be of any length.
+#: Characters of an error that are logged: a name that it quotes may be of any length.
 LONGEST_ERROR = 600
-#: Quaternions that are shorter say nothing about a direction.
+#: Least length of a quaternion that defines a rotation.
 SHORTEST = 1e-6
 
 
@@ -41,7 +41,7 @@ class MessageError(ValueError):
 
 
 def shortened(error: Exception) -> str:
-    """Return what an error says, without the most of what a message may have brought into it."""
+    """Return the text of an error, cut to ``LONGEST_ERROR`` characters."""
     text = str(error)
     return text if len(text) <= LONGEST_ERROR else f'{text[:LONGEST_ERROR]} ...'
 
@@ -57,7 +57,7 @@ def ns_to_stamp(nanoseconds: int) -> Time:
 
 
 def ns_of(fields: Mapping[str, float], name: str) -> int:
-    """Return the stamp that two fields ``<name>_sec`` and ``<name>_nanosec`` make, nanoseconds."""
+    """Return the stamp in the fields ``<name>_sec`` and ``<name>_nanosec``, nanoseconds."""
     return int(fields[f'{name}_sec']) * 1_000_000_000 + int(fields[f'{name}_nanosec'])
 
 
@@ -73,7 +73,7 @@ def cloud_to_msg(points: np.ndarray, header: Header) -> PointCloud2:
         is_bigendian=False, is_dense=True,
         fields=[PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
                 for k, name in enumerate('xyz')])
-    # An array of bytes is what the setter takes without looking at every element.
+    # The setter takes an array of type 'B' without checking each element.
     message.data = array('B', points.tobytes())
     return message
 
@@ -100,8 +100,8 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
     """
     Unpack the positions of a cloud of any field layout.
 
-    Drivers are known to send a ``row_step`` of 0 or of the whole cloud; where the bytes are just
-    enough for the points, it has nothing to say.
+    Some drivers send a ``row_step`` of 0 or of the whole cloud. It is ignored if the number of
+    bytes is exactly that of the points.
 
     :returns: (N, 3) float32, metres, in the message's frame; points without a finite position
         (no return) are left out.
@@ -120,7 +120,7 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
         return np.empty((0, 3), dtype=np.float32)
     points = np.empty((height, width, 3), dtype=np.float32)
     order, data = '>' if message.is_bigendian else '<', memoryview(message.data)
-    # What does not fit becomes inf and goes with the points that have no position.
+    # Values too large for float32 become inf, and their points are left out below.
     with np.errstate(over='ignore', invalid='ignore'):
         for k, field in enumerate(fields):
             points[..., k] = np.ndarray(
@@ -132,7 +132,7 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
 
 
 def _field(message: PointCloud2, name: str) -> PointField:
-    """Return the one field of a name, which has to be a number within the point."""
+    """Return the only field of a name; it has to be one float within the bytes of a point."""
     found = [field for field in message.fields if field.name == name]
     if len(found) != 1:
         names = [field.name for field in message.fields]
@@ -150,10 +150,10 @@ def _field(message: PointCloud2, name: str) -> PointField:
 def positions_to_msg(positions: np.ndarray, header: Header,
                      headings: np.ndarray | None = None) -> PoseArray:
     """
-    Pack where cameras are as poses.
+    Pack camera positions and headings as poses.
 
     :param positions: (K, 3), metres, in the header's frame.
-    :param headings: (K, 3) yaw, pitch and roll in radians; None for level cameras along x.
+    :param headings: (K, 3) yaw, pitch and roll in radians; None: level cameras that look along x.
     """
     message = PoseArray(header=header, poses=[
         Pose(position=Point(x=float(x), y=float(y), z=float(z))) for x, y, z in positions])
@@ -166,11 +166,11 @@ def positions_to_msg(positions: np.ndarray, header: Header,
 def moved_to(poses: PoseArray, positions: np.ndarray,
              turned: Mapping[int, np.ndarray] | None = None) -> PoseArray:
     """
-    Pack cameras at other positions, turned as they are but for some.
+    Pack cameras at new positions, with their present orientations except for some.
 
-    :param poses: where they are now.
-    :param positions: (K, 3), metres, in the same frame.
-    :param turned: yaw, pitch and roll in radians, (3,), of the cameras that are turned.
+    :param poses: present poses.
+    :param positions: new positions, (K, 3), metres, in the same frame.
+    :param turned: new yaw, pitch and roll in radians, (3,), of the cameras that are rotated.
     """
     message = positions_to_msg(positions, poses.header)
     for pose, now in zip(message.poses, poses.poses, strict=True):
@@ -181,7 +181,7 @@ def moved_to(poses: PoseArray, positions: np.ndarray,
 
 
 def quaternion_of(heading: np.ndarray) -> Quaternion:
-    """Pack yaw, pitch and roll in radians, (3,), as a quaternion of length 1."""
+    """Pack a heading (3,) of yaw, pitch and roll in radians as a quaternion of length 1."""
     x, y, z, w = Rotation.from_euler('ZYX', heading).as_quat()
     return Quaternion(x=float(x), y=float(y), z=float(z), w=float(w))
 
@@ -190,9 +190,10 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
     """
     Unpack camera positions.
 
-    :param cameras: how many are expected; None for what a rig may have.
+    :param cameras: expected number; None for any number that a rig may have.
     :returns: (K, 3) float64, metres, in the message's frame.
-    :raises MessageError: if the number differs or a coordinate is not finite, or no place.
+    :raises MessageError: if the number differs, or a coordinate is not finite or beyond
+        ``FARTHEST``.
     """
     count = len(message.poses)
     if not 1 <= count <= MOST_CAMERAS or cameras not in (None, count):
@@ -209,9 +210,9 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
 
 def msg_to_poses(message: PoseArray, cameras: int | None = None) -> list[CameraPose]:
     """
-    Unpack where cameras are and how they are turned.
+    Unpack camera poses.
 
-    :param cameras: how many are expected; None for what a rig may have.
+    :param cameras: expected number; None for any number that a rig may have.
     :returns: a pose per camera, in the message's frame.
     :raises MessageError: as :func:`msg_to_positions` and :func:`rotation_of`.
     """
@@ -222,10 +223,10 @@ def msg_to_poses(message: PoseArray, cameras: int | None = None) -> list[CameraP
 
 def rotation_of(quaternion: Quaternion, whose: str) -> np.ndarray:
     """
-    Turn a quaternion of any length into a matrix.
+    Convert a quaternion of any length to a rotation matrix.
 
-    :param whose: it is, for the error.
-    :returns: (3, 3) float64, from the body frame to that of the message.
+    :param whose: name of its owner, for the error.
+    :returns: (3, 3) float64, from the body frame to the frame of the message.
     :raises MessageError: if it is zero or not finite.
     """
     xyzw = np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
@@ -247,8 +248,9 @@ def msg_to_fields(message: Float64MultiArray, expected: tuple[str, ...]) -> dict
     """
     Unpack named numbers.
 
-    :param expected: names that must be there.
-    :raises MessageError: if labels and data do not match, a name is missing or not finite.
+    :param expected: names of the fields that are required.
+    :raises MessageError: if the numbers of labels and data differ, or an expected field is missing
+        or not finite.
     """
     labels = message.layout.dim[0].label.split(',') if message.layout.dim else []
     if len(labels) != len(message.data):
@@ -263,7 +265,7 @@ def msg_to_fields(message: Float64MultiArray, expected: tuple[str, ...]) -> dict
 
 
 def bytes_to_msg(blob: bytes) -> UInt8MultiArray:
-    """Pack a blob."""
+    """Pack bytes."""
     message, size = UInt8MultiArray(), len(blob)
     message.layout.dim = [MultiArrayDimension(label='safetensors', size=size, stride=size)]
     message.data = array('B', blob)
@@ -271,5 +273,5 @@ def bytes_to_msg(blob: bytes) -> UInt8MultiArray:
 
 
 def msg_to_bytes(message: UInt8MultiArray) -> bytes:
-    """Unpack a blob."""
+    """Unpack bytes."""
     return bytes(message.data)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Frames of cameras: where their clouds are in the frame of the poses, and tf for others."""
+"""Frames of cameras: transform clouds into the frame of the poses, and publish tf."""
 
 from collections.abc import Callable, Mapping, Sequence
 import re
@@ -33,27 +33,27 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_msgs.msg import Header
 
-#: Frames of the cameras by their place among the poses: body (x forward, y left, z up) and
-#: optical (z forward, x right, y down), as REP-103 has them.
+#: Names of the camera frames with the camera's index among the poses: body (x forward, y left,
+#: z up) and optical (z forward, x right, y down), as in REP-103.
 SENSOR = re.compile(r'camera_([0-9]{1,4})(_optical)?')
-#: Fewer points than these tell nothing of their axes; the least part of a point's distance that is
-#: along the way ahead, and the share of the points of which that is so.
+#: For the check of axes: the least number of points; the least ratio of a point's forward
+#: coordinate to its distance; the share of the points that must reach that ratio.
 FEW, ALONG, NEARLY_ALL = 100, 0.4, 0.999
-#: Metres from a camera within which a frame that tf2 knows is taken to be that camera's own.
+#: Metres: a frame of tf2 within this distance of a camera counts as that camera's frame.
 OWN = 0.3
 
 
 class LateTransformError(MessageError):
-    """A transform is older than the arrival of the cameras: a newer one may be on its way."""
+    """A transform is older than the arrival of the cameras: a newer one may still come."""
 
 
 class LiveRig(NamedTuple):
     """
-    Where cameras stand.
+    Poses of cameras that stand still.
 
     :ivar frame: of the poses, usually ``map``.
     :ivar poses: one per camera.
-    :ivar since: stamp in nanoseconds from which on they have been standing there.
+    :ivar since: stamp in nanoseconds since which the cameras have been standing there.
     """
 
     frame: str
@@ -62,15 +62,15 @@ class LiveRig(NamedTuple):
 
     @property
     def positions(self) -> np.ndarray:
-        """Return where the cameras are: (K, 3) float64, metres."""
+        """Return the positions of the cameras: (K, 3) float64, metres."""
         return np.array([pose.position for pose in self.poses])
 
 
 class Sighting(NamedTuple):
     """
-    What live cameras see, and from where they are said to see it.
+    The newest clouds of live cameras, with the reported poses of the cameras.
 
-    :ivar rig: their poses.
+    :ivar rig: the poses.
     :ivar clouds: (N, 3) metres, body frame, by the number of the camera.
     """
 
@@ -80,9 +80,9 @@ class Sighting(NamedTuple):
 
 class Transforms:
     """
-    What tf2 knows of frames, where it is installed: without it nothing.
+    Look up frames in tf2; if tf2 is not installed, no frame is found.
 
-    :param node: listens to ``/tf`` and ``/tf_static``.
+    :param node: gets the subscriptions of ``/tf`` and ``/tf_static``.
     """
 
     def __init__(self, node: Node) -> None:
@@ -95,22 +95,23 @@ class Transforms:
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
     def forget(self) -> None:
-        """Forget what is not static: its stamps are those of a clock that has been set."""
+        """Drop all transforms that are not static: the clock of their stamps has been set."""
         if self._buffer is not None:
             self._buffer.clear()
 
     def knows(self, frame: str, parent: str) -> bool:
-        """Return whether any node publishes where a frame is in another."""
+        """Return whether a transform from a frame to a parent frame is known."""
         return self._buffer is not None and self._buffer.can_transform(parent, frame, Time())
 
     def pose(self, frame: str, rig: LiveRig) -> Pose:
         """
-        Look up where a frame is in that of the rig.
+        Look up the pose of a frame in the frame of the rig.
 
-        The newest transform is taken, not that of a cloud's stamp, which transforms reach later
-        than clouds do: cameras whose clouds count stand still.
+        The newest transform is taken, not the one at the stamp of a cloud: transforms may arrive
+        later than clouds, and cameras stand still while their clouds are used.
 
-        :raises MessageError: if nobody knows, or nothing newer than the arrival of the cameras.
+        :raises MessageError: if there is no transform, or none newer than the arrival of the
+            cameras (:class:`LateTransformError`).
         """
         expected = (f'expected {rig.frame!r}, camera_<i> or camera_<i>_optical with i from 0 to '
                     f'{len(rig.poses) - 1}, or one that tf2 takes to {rig.frame!r}')
@@ -137,22 +138,22 @@ class Transforms:
 
 
 def publish_tf() -> Any:
-    """Declare the setting of nodes that show where cameras are."""
+    """Declare the setting ``publish_tf`` of nodes that publish camera poses."""
     return setting(True, 'publish camera_<i>, camera_<i>_link and camera_<i>_optical on /tf and '
                          '/tf_static, where tf2_msgs is installed')
 
 
 class CameraFrames:
     """
-    Publish the frames of cameras for others, where tf2_msgs is installed: without it nothing.
+    Publish the frames of cameras on tf; publish nothing if tf2_msgs is not installed.
 
-    ``camera_<i>`` is the body of camera i in the frame of the poses. In it stand, by
-    ``/tf_static``, ``camera_<i>_optical`` and ``camera_<i>_link``: the latter is the body again,
-    by the name that the frames of most drivers begin with.
+    ``camera_<i>`` is the body frame of camera i; its parent is the frame of the poses. On
+    ``/tf_static`` its children ``camera_<i>_optical`` and ``camera_<i>_link`` are published. The
+    latter equals the body frame: it is the root frame of most camera drivers.
 
-    :param node: publishes.
+    :param node: gets the publishers.
     :param wanted: the parameter ``publish_tf``.
-    :param taken: returns whether another node publishes a frame in its parent already.
+    :param taken: returns whether another node already publishes a frame in its parent.
     """
 
     def __init__(self, node: Node, wanted: bool, taken: Callable[[str, str], bool]) -> None:
@@ -170,7 +171,7 @@ class CameraFrames:
 
     def publish(self, header: Header, poses: Sequence[Pose]) -> None:
         """
-        Publish where cameras are; stamps have to rise.
+        Publish the poses of cameras; stamps have to increase.
 
         :param header: stamp and frame of the poses.
         """
@@ -183,7 +184,7 @@ class CameraFrames:
             for camera in sorted(self._published)]))
 
     def _begin(self, header: Header, cameras: int) -> None:
-        """Publish the static frames of a number of cameras."""
+        """Publish the static frames of all cameras whose frames no other node publishes."""
         parent = header.frame_id.lstrip('/')
         others = {camera for camera in range(cameras) if camera not in self._published
                   and self._taken(f'camera_{camera}', parent)}
@@ -200,7 +201,7 @@ class CameraFrames:
 
 
 def transform(header: Header, child: str, pose: Pose) -> TransformStamped:
-    """Return the transform from a frame to a child that has a pose in it."""
+    """Return the transform message of a child frame, by its pose in the parent frame."""
     row = positions_to_msg(pose.position[None], header, heading_of(pose.rotation)[None]).poses[0]
     at = row.position
     return TransformStamped(
@@ -212,18 +213,19 @@ def transform(header: Header, child: str, pose: Pose) -> TransformStamped:
 def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
            ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Take a cloud into the frame of the poses.
+    Transform a cloud into the frame of the poses.
 
-    Points in the very origin of their frame are a sensor's word for "no return". A frame of tf2
-    that is at a camera is that camera's; who has seen the points of any other, nobody knows.
+    Points exactly at the origin of their frame mean "no return" and are left out. A frame of tf2
+    at the position of a camera counts as that camera's frame. For any other frame it is unknown
+    which camera observed the points: then all cameras are returned.
 
     :param points: (N, 3) float32, metres, in ``frame``.
-    :returns: (M, 3) float32, metres, in the frame of the poses, M <= N, and (C, 3) metres, where
-        the cameras are that may have seen them.
-    :raises MessageError: if nobody knows where the frame is.
+    :returns: the points, (M, 3) float32, metres, in the frame of the poses, M <= N, and (C, 3)
+        metres, the positions of the cameras that may have observed them.
+    :raises MessageError: if the pose of the frame is unknown, or the points have other axes.
     """
     points = points[points.any(axis=1)]
-    # As in ROS 1.
+    # Remove the leading slash, which frames of ROS 1 may have.
     frame = frame.lstrip('/')
     if frame == rig.frame.lstrip('/'):
         return points, rig.positions
@@ -238,14 +240,14 @@ def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
         _check_axes(points, frame, bool(found[2]))
         if found[2]:
             pose = Pose(pose.position, pose.rotation @ OPTICAL_TO_BODY)
-    # What is too far out for float32 is out of range in any case.
+    # Points too far away for float32 are out of range in any case.
     with np.errstate(over='ignore', invalid='ignore'):
         moved = points @ pose.rotation.T.astype(np.float32) + pose.position.astype(np.float32)
     return moved, seen_from
 
 
 def _check_axes(points: np.ndarray, frame: str, optical: bool) -> None:
-    """Refuse points of a camera that all lie ahead by the other convention of axes."""
+    """Refuse points that lie ahead of the camera only in the other convention of axes."""
     if len(points) < FEW:
         return
     least = ALONG * np.linalg.norm(points.astype(np.float64), axis=1)
@@ -261,7 +263,7 @@ def _check_axes(points: np.ndarray, frame: str, optical: bool) -> None:
 
 def in_range(points: np.ndarray, cameras: np.ndarray, low: float, high: float) -> np.ndarray:
     """
-    Keep the points whose nearest camera is neither too near nor too far.
+    Keep the points whose distance to the nearest camera is within a range.
 
     :param points: (N, 3) float32, metres.
     :param cameras: (C, 3) metres, same frame.
@@ -279,5 +281,5 @@ def in_range(points: np.ndarray, cameras: np.ndarray, low: float, high: float) -
 
 
 def in_body(points: np.ndarray, pose: Pose) -> np.ndarray:
-    """Return points (N, 3) of the frame of a pose in that of the camera's body."""
+    """Transform points (N, 3) from the frame of a pose to the body frame of its camera."""
     return (points - pose.position) @ pose.rotation

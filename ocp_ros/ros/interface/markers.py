@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Markers for RViz and Foxglove: cameras, the ways they took, and what they could see."""
+"""Markers for RViz and Foxglove: cameras, their trajectories, and their fields of view."""
 
 from collections.abc import Sequence
 
@@ -32,11 +32,11 @@ MOVE_COLOUR = ColorRGBA(r=1.0, g=0.75, b=0.1, a=1.0)
 def rig_markers(trajectories: np.ndarray, poses: Sequence[Pose], models: Sequence[CameraModel],
                 header: Header) -> MarkerArray:
     """
-    Draw a rig: of each camera its place, its way, and its frustum, or its range all around.
+    Draw a rig: the position, trajectory and frustum (or range sphere) of each camera.
 
-    :param trajectories: (T, K, 3), metres: where the cameras were after each turn, last row now.
-    :param poses: K, where they are now and how they are turned.
-    :param models: what each of them sees, or one model for all.
+    :param trajectories: (T, K, 3), metres: camera positions after each turn; the last row is now.
+    :param poses: K present poses.
+    :param models: one camera model per camera, or one for all.
     """
     markers = []
     for camera, pose in enumerate(poses):
@@ -56,10 +56,10 @@ def rig_markers(trajectories: np.ndarray, poses: Sequence[Pose], models: Sequenc
 
 def frustum_edges(pose: Pose, model: CameraModel) -> np.ndarray:
     """
-    Return the edges of a viewing pyramid whose corners are as far away as the camera sees.
+    Return the edges of a viewing pyramid whose corners are at the maximum range of the camera.
 
-    :param model: one with an image plane.
-    :returns: (16, 3) metres: eight pairs of ends, four edges from the camera, four at the end.
+    :param model: a pinhole camera.
+    :returns: (16, 3) metres: end points of eight edges, four from the camera and four of the base.
     """
     lens = model.lens
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], dtype=np.float64)
@@ -74,15 +74,15 @@ def frustum_edges(pose: Pose, model: CameraModel) -> np.ndarray:
 def move_markers(positions: np.ndarray, targets: np.ndarray, moving: np.ndarray, header: Header
                  ) -> MarkerArray:
     """
-    Draw where cameras shall be moved.
+    Draw an arrow for each camera that is to be moved.
 
-    :param positions: (K, 3) metres, where they are.
-    :param targets: (K, 3) metres, where they shall go.
-    :param moving: (K,) bool; the others have no arrow.
+    :param positions: (K, 3) metres, present positions.
+    :param targets: (K, 3) metres, target positions.
+    :param moving: (K,) bool; cameras with False get no arrow.
     """
     markers = []
     for camera, moves in enumerate(moving):
-        # Diameters of the shaft and of the head, length of the head.
+        # The scale has the diameters of shaft and head, and the length of the head.
         arrow = Marker(header=header, ns='moves', id=camera, type=Marker.ARROW,
                        action=Marker.ADD if moves else Marker.DELETE,
                        scale=Vector3(x=0.04, y=0.1, z=0.1), color=MOVE_COLOUR,
@@ -100,7 +100,7 @@ def _points(positions: np.ndarray) -> list[Point]:
 def _lines(header: Header, namespace: str, number: int, kind: int, width: float,
            colour: ColorRGBA, points: list[Point]) -> Marker:
     """Draw lines."""
-    # RViz complains of a line of one point.
+    # RViz warns about a line of one point.
     lines = Marker(header=header, ns=namespace, id=number, type=kind,
                    action=Marker.ADD if len(points) > 1 else Marker.DELETE,
                    scale=Vector3(x=width), color=colour, points=points)

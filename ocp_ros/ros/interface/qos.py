@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Quality of service: both ends of every topic, and the tests, take it from here."""
+"""Quality of service profiles of all topics, for publishers, subscriptions and tests."""
 
 from rclpy.qos import (
     DurabilityPolicy,
@@ -25,28 +25,28 @@ from rclpy.qos import (
 
 def _profile(reliability: ReliabilityPolicy, durability: DurabilityPolicy, depth: int
              ) -> QoSProfile:
-    """Return a profile that keeps the last few messages."""
+    """Return a profile that keeps the last ``depth`` messages."""
     return QoSProfile(
         reliability=reliability, durability=durability, history=HistoryPolicy.KEEP_LAST,
         depth=depth, liveliness=LivelinessPolicy.AUTOMATIC)
 
 
 def _reliable(durability: DurabilityPolicy, depth: int) -> QoSProfile:
-    """Return a reliable profile that keeps the last few messages."""
+    """Return a reliable profile that keeps the last ``depth`` messages."""
     return _profile(ReliabilityPolicy.RELIABLE, durability, depth)
 
 
-#: Turns, commands and rewards: every one counts.
+#: Turns, commands and rewards: no message may be lost.
 LOOP = _reliable(DurabilityPolicy.VOLATILE, 10)
 
-#: The same for somebody who must not miss a turn while the loop does not wait for them.
+#: The same for a subscriber that must not miss a turn although the loop does not wait for it.
 RECORDER = _reliable(DurabilityPolicy.VOLATILE, 200)
 
-#: The latest state for whoever comes late: scene, placement, weights, markers.
+#: The latest state, also for subscribers that come late: scene, placement, weights, markers.
 LATCHED = _reliable(DurabilityPolicy.TRANSIENT_LOCAL, 1)
 
-#: Where live cameras are, from rigs of any profile: one subscription, so that none comes late.
+#: Poses of live cameras, from rigs with any profile.
 POSES = _profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 10)
 
-#: Clouds of live cameras, from drivers of any profile: the newest counts, and no other.
+#: Clouds of live cameras, from drivers with any profile: only the newest cloud is used.
 SENSOR = _profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 1)

@@ -34,7 +34,7 @@ ERROR_CLOUD = 'error_cloud'
 TRUE_COVERAGE_CLOUD = 'true_coverage_cloud'
 TRUE_ERROR_CLOUD = 'true_error_cloud'
 
-#: What is on each topic, as ROS 2 writes types.
+#: Message type of each topic, as ROS 2 writes it.
 TYPES = {
     OBSERVATION: 'sensor_msgs/msg/PointCloud2', CAMERA_POSES: 'geometry_msgs/msg/PoseArray',
     CAMERA_COMMANDS: 'geometry_msgs/msg/PoseArray', REWARD: 'std_msgs/msg/Float64MultiArray',
@@ -49,14 +49,15 @@ TYPES = {
     TRUE_COVERAGE_CLOUD: 'sensor_msgs/msg/PointCloud2',
     TRUE_ERROR_CLOUD: 'sensor_msgs/msg/PointCloud2'}
 
-#: A 64-bit float cannot hold today's nanoseconds, so stamps come in two numbers each:
-#: the turn this message describes, and the one before it, whose command led here.
+#: Fields of ``reward``. A 64-bit float cannot hold today's nanoseconds exactly, so each stamp is
+#: two numbers. ``stamp`` is that of the turn that the message describes, ``previous`` that of the
+#: turn before, whose command led to it.
 REWARD_FIELDS = (
     'stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'episode', 'step', 'reward',
     'delta_space_coverage', 'delta_depth_error', 'penalty', 'space_coverage', 'depth_error',
     'terminated', 'truncated')
 
-#: How the training is, as a namespace's policy and whoever watches are told.
+#: Fields of ``training``: the state of the training, for the policy of a namespace and observers.
 TRAINING_FIELDS = ('hold', 'updates', 'behind', 'turns', 'transitions', 'incomplete',
                    'inconsistent', 'refused', 'dropped')
 
@@ -68,8 +69,8 @@ def camera_info(camera: int) -> str:
 
 def share(number: int) -> str:
     """
-    Name the field of ``reward`` that tells what the move of one camera was worth.
+    Return the name of the field of ``reward`` with the reward share of one camera's move.
 
-    :param number: 0 for the camera that chose first, and so on; step 0 has no such fields.
+    :param number: 0 for the camera that moved first, and so on; step 0 has no such fields.
     """
     return f'share_{number}'

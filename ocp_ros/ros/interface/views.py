@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-What one can look at: the rig, and clouds of what it sees and misses.
+Views of the rig: markers, and clouds of its coverage and its depth error.
 
-Nothing of it is made unless somebody looks, and then after the turn: an answer never waits.
+They are computed only while they have subscribers, and after the turn: no answer waits for them.
 """
 
 from collections.abc import Callable, Sequence
@@ -37,20 +37,20 @@ from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-#: Metres that a camera has to move for its way to go on.
+#: Metres that a camera has to move before a new row is added to the trajectories.
 STEP = 0.001
-#: Places of a camera's way that are kept; of a longer one every other is left out.
+#: Rows of the trajectories that are kept; every second row of longer ones is dropped.
 LONGEST = 2000
 
 
 class RigView:
     """
-    Show a rig: markers, and a CameraInfo for each camera with an image plane.
+    Show a rig: markers, and a CameraInfo for each pinhole camera.
 
-    :param node: publishes.
+    :param node: gets the publishers.
     :param topic: of the markers.
-    :param models: what each camera sees, or one model for all.
-    :param cameras: how many have a CameraInfo.
+    :param models: one camera model per camera, or one for all.
+    :param cameras: number of cameras for which a CameraInfo is published.
     """
 
     def __init__(self, node: Node, topic: str, models: Sequence[CameraModel], cameras: int
@@ -65,11 +65,11 @@ class RigView:
                                             partial(self._info, camera, model)))
 
     def forget(self) -> None:
-        """Forget the ways of the cameras."""
+        """Clear the trajectories of the cameras."""
         self._way.clear()
 
     def turn(self, header: Header, poses: list[Pose]) -> None:
-        """Show where the cameras are."""
+        """Show the poses of the cameras in a turn."""
         self._header, self._poses = header, poses
         now = np.array([pose.position for pose in poses])
         if self._way and self._way[-1].shape != now.shape:
@@ -97,13 +97,13 @@ class RigView:
 
 class CloudView:
     """
-    Show what the cameras see and miss as two clouds.
+    Show the coverage and the depth error of the cameras as two clouds.
 
-    :param node: publishes.
-    :param coverage: topic of the points with ``count``: how many cameras see each.
-    :param error: topic of the points with ``error``, where depth is lost: metres, which add up to
-        the depth error.
-    :param judge: tells both of the latest turn; None where there is nothing to tell.
+    :param node: gets the publishers.
+    :param coverage: topic of the points with ``count``: the number of cameras that see each point.
+    :param error: topic of the points with a depth error, in the field ``error``: metres; their sum
+        is the depth error.
+    :param judge: computes both for the latest turn; returns None if this is not possible.
     """
 
     def __init__(self, node: Node, coverage: str, error: str, judge: Callable[[], PointMaps | None]
@@ -111,37 +111,37 @@ class CloudView:
         self._judge, self._maps, self._header = judge, None, Header()
         self._views = [OnDemand(node, PointCloud2, coverage, self._coverage),
                        OnDemand(node, PointCloud2, error, self._error)]
-        # When what called has ended, which may be somebody's answer.
+        # The timer publishes after the present callback has ended, which may answer a turn.
         self._soon = node.create_timer(
             1e-3, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._soon.cancel()
 
     def turn(self, header: Header) -> None:
-        """Show a turn soon."""
+        """Show a turn after the present callback has ended."""
         self._header, self._maps = header, None
         if any(view.wanted for view in self._views):
             self._soon.reset()
 
     def _update(self) -> None:
-        """Publish for those who listen."""
+        """Publish the clouds that have subscribers."""
         self._soon.cancel()
         for view in self._views:
             view.update()
 
     def _known(self) -> PointMaps | None:
-        """Judge the latest turn, once."""
+        """Return the maps of the latest turn; compute them once."""
         if self._maps is None:
             self._maps = self._judge()
         return self._maps
 
     def _coverage(self) -> PointCloud2 | None:
-        """Return how many cameras see each point."""
+        """Return the cloud of the number of cameras that see each point."""
         if (maps := self._known()) is None:
             return None
         return cloud_with(maps.points, 'count', maps.count.astype(np.uint32), self._header)
 
     def _error(self) -> PointCloud2 | None:
-        """Return the points at which depth is lost."""
+        """Return the cloud of the points with a depth error."""
         if (maps := self._known()) is None:
             return None
         lost = maps.error > 0.0
@@ -151,10 +151,10 @@ class CloudView:
 
 def camera_info(model: CameraModel, header: Header) -> CameraInfo | None:
     """
-    Describe a camera without distortion whose axis is in the middle of its image.
+    Describe a camera without distortion whose optical axis is in the middle of its image.
 
-    :param header: its frame is that of the camera, z forward, x right, y down.
-    :returns: None for a camera without an image plane or of unknown resolution.
+    :param header: its frame is the optical frame of the camera: z forward, x right, y down.
+    :returns: None for a camera that is no pinhole camera, or of unknown resolution.
     """
     if model.lens.kind != PINHOLE or model.resolution is None:
         return None
@@ -171,17 +171,17 @@ def camera_info(model: CameraModel, header: Header) -> CameraInfo | None:
 
 class OnDemand:
     """
-    Publish the latest state, latched, while there are subscribers; who comes late gets it too.
+    Publish the latest state, latched, while there are subscribers, also for late subscribers.
 
     :param node: gets the publisher.
     :param kind: type of the messages.
     :param topic: their topic.
-    :param make: makes the message of the latest state; None where there is nothing yet.
+    :param make: makes the message of the latest state; returns None while there is no state.
     """
 
     def __init__(self, node: Node, kind: type, topic: str, make: Callable[[], Any]) -> None:
         self._make = make
-        #: Messages that were made.
+        #: Number of messages that were made.
         self.made = 0
         self._publisher = node.create_publisher(
             kind, topic, LATCHED,
@@ -189,16 +189,16 @@ class OnDemand:
 
     @property
     def wanted(self) -> bool:
-        """Return whether anybody listens."""
+        """Return whether there is a subscriber."""
         return self._publisher.get_subscription_count() > 0
 
     def update(self) -> None:
-        """Publish the latest state if anybody listens."""
+        """Publish the latest state if there is a subscriber."""
         if self.wanted and (message := self._make()) is not None:
             self.made += 1
             self._publisher.publish(message)
 
     def _on_matched(self, info: QoSPublisherMatchedInfo) -> None:
-        """Publish for somebody who has just come."""
+        """Publish the latest state for a new subscriber."""
         if info.current_count_change > 0:
             self.update()

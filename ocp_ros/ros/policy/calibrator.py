@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-Where live cameras hang by what they see, and whether they still hang there.
+Register the clouds of live cameras to a scan: their true poses, and later their drift.
 
-Registration takes seconds: it runs in a thread of its own, one job at a time, and turns go on.
+Registration takes seconds: it runs in a separate thread, one job at a time, and turns continue.
 """
 
 from collections.abc import Callable, Mapping
@@ -41,20 +41,20 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-#: Seconds between two looks whether drift is to be checked.
+#: Seconds between two checks whether a drift check is due.
 TICK = 1.0
 
 
 class Calibrator:
     """
-    Register live cameras to a scan, when asked and, where that is wanted, every now and then.
+    Register live cameras to a scan on request, and check their drift at intervals if configured.
 
     :param node: gets the service and a timer.
     :param config: of the node, with ``scan``.
-    :param decider: knows the rig file, and what each camera sees where there is none.
+    :param decider: has the rig, or without a rig file the model of each camera.
     :param sighted: returns the newest cloud of each camera.
-    :param final: returns whether the cameras stay where they are.
-    :raises ConfigurationError: if there is no such scan.
+    :param final: returns whether the placement is final.
+    :raises ConfigurationError: if the file of the scan does not exist.
     """
 
     def __init__(self, node: Node, config: PolicyNodeConfig, decider: Decider,
@@ -67,20 +67,20 @@ class Calibrator:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='calibrator')
         self._scan: ScanSurfaces | None = None
         self._busy, self._checked_at = False, time.monotonic()
-        #: What is wrong with cameras that hung elsewhere at the last check.
+        #: A sentence for each camera that had drifted at the last check.
         self.drifted: list[str] = []
         self.checks = 0
         node.create_service(Trigger, '~/calibrate', self._on_calibrate)
         node.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def change(self, config: PolicyNodeConfig) -> None:
-        """Go on with other parameters."""
+        """Continue with other parameters."""
         self._config = config
         if not config.drift_seconds:
             self.drifted = []
 
     def close(self) -> None:
-        """Begin no other job."""
+        """Stop starting jobs."""
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     async def _on_calibrate(self, request: Trigger.Request, response: Trigger.Response
@@ -100,7 +100,7 @@ class Calibrator:
         return response
 
     def _on_tick(self) -> None:
-        """Check whether cameras drift, if it is time to."""
+        """Start a drift check if one is due."""
         due = self._config.drift_seconds
         if not due or self._busy or not self._final() or \
                 time.monotonic() - self._checked_at < due:
@@ -114,7 +114,7 @@ class Calibrator:
         self._begun(lambda: self._drift(placement, sighting.clouds))
 
     def _begun(self, job: Callable[[], tuple[bool, str]]) -> Future:
-        """Run a job in the thread; the future has whether it went well, and what to say."""
+        """Run a job in the thread; the future holds whether it succeeded, and a message."""
         done, self._busy = Future(executor=self._node.executor), True
 
         def run() -> None:
@@ -123,7 +123,7 @@ class Calibrator:
             except (UserError, OSError) as error:
                 result = False, shortened(error)
             except Exception as error:
-                # Whatever a scan or a cloud does to a registration, this node goes on.
+                # Any error of a scan or a cloud in the registration must not end this node.
                 result = False, f'found {type(error).__name__}: {shortened(error)}'
             self._busy = False
             if not result[0]:
@@ -134,13 +134,13 @@ class Calibrator:
         return done
 
     def _surfaces(self) -> ScanSurfaces:
-        """Return the scan, which is read once."""
+        """Return the surfaces of the scan; read the scan once."""
         if self._scan is None:
             self._scan = ScanSurfaces(load_scene(self._config.scan))
         return self._scan
 
     def _placement(self, rig: LiveRig) -> Placement:
-        """Return where the cameras are said to be."""
+        """Return the placement with the reported poses of the cameras."""
         poses = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in rig.poses])
         known, models = self._decider.rig, self._decider.models
         if known is not None and len(poses) >= len(known.cameras):
@@ -152,7 +152,7 @@ class Calibrator:
 
     def _calibrated(self, placement: Placement, clouds: Mapping[int, np.ndarray]
                     ) -> tuple[bool, str]:
-        """Register the cameras, and write where they hang."""
+        """Register the cameras, and write their registered poses to a file."""
         found, broken = calibrate(self._surfaces(), placement, _by_name(placement, clouds))
         lines = []
         for placed in placement.cameras:
@@ -174,13 +174,13 @@ class Calibrator:
         return given, '\n'.join(lines)
 
     def _drift(self, placement: Placement, clouds: Mapping[int, np.ndarray]) -> tuple[bool, str]:
-        """Note which cameras hang elsewhere than they are said to."""
+        """Find the cameras whose registered pose differs from their reported pose."""
         self.drifted = drift(self._surfaces(), placement, _by_name(placement, clouds))
         self.checks += 1
         return not self.drifted, '; '.join(self.drifted)
 
     def status(self) -> tuple[str, dict[str, object]]:
-        """Return what is wrong, if anything, and values to show."""
+        """Return a warning, empty if all is well, and values to show."""
         return '; '.join(self.drifted), {'drift_checks': self.checks}
 
 

@@ -13,12 +13,13 @@
 # limitations under the License.
 
 """
-Commands to the cameras, which one policy sends: ROS counts who publishes them.
+Commands to the cameras: only one policy sends them, as the publishers in the ROS graph show.
 
-A node creates its publisher only where the graph has no other one, and commands once it has been
-alone for a while: discovery takes time. If several nodes create theirs at the same moment, they
-see each other, destroy them and look again, each at intervals of its own, so one of them is the
-next to be alone. A node that has commanded goes on, whoever publishes beside it.
+A node creates its publisher only if the graph has no other publisher of the topic. It commands
+once it has been the only one for a while, since discovery takes time. If several nodes create
+publishers at the same moment, each discovers the others, destroys its publisher and tries again
+after a random interval, so that one of them is first. A node that has commanded continues, even
+if another publisher appears.
 """
 
 from collections.abc import Callable
@@ -35,13 +36,13 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
 from rclpy.publisher import Publisher
 
-#: Seconds until a new node knows all others: those of config/fastdds_local.xml announce
+#: Seconds until a new node has discovered all others: with config/fastdds_local.xml nodes announce
 #: themselves once a second.
 SETTLING = 1.5
-#: Seconds from one look at the graph to the next, at least and at most, and seconds that a new
-#: publisher is visible before it is used.
+#: Shortest and longest interval between two checks of the graph, seconds; and seconds for which a
+#: new publisher is visible before it is used.
 LOOK, VISIBLE = (0.15, 0.35), 0.5
-#: The longest time that the last command of a node has to arrive.
+#: The longest wait for the acknowledgement of a node's last command.
 ARRIVAL = Duration(seconds=0.5)
 
 
@@ -59,9 +60,9 @@ class Commander:
 
     def begin(self, go_on: Callable[[], None]) -> None:
         """
-        Try to command, again and again.
+        Try to become the commander, at random intervals.
 
-        :param go_on: is called while this node may command and has not done so.
+        :param go_on: is called while this node may command and has not commanded yet.
         """
         self._go_on = go_on
         self._node.create_timer(random.uniform(*LOOK), self._look,
@@ -69,29 +70,29 @@ class Commander:
         self._look()
 
     def end(self) -> None:
-        """Let others command; the node destroys what it has created since :meth:`begin`."""
+        """Let other nodes command; the node destroys the entities created since :meth:`begin`."""
         if self._publisher is not None:
             self._publisher.wait_for_all_acked(ARRIVAL)
         self._publisher, self._commanded = None, False
 
     def publish(self, message: PoseArray) -> None:
-        """Command the cameras; expects that nothing waits."""
+        """Command the cameras; call it only if ``waits`` is False."""
         self._commanded = True
         self._publisher.publish(message)
 
     @property
     def waits(self) -> bool:
-        """Return whether this node has to let others command."""
+        """Return whether this node may not command yet."""
         return not self._commanded and (
             self._publisher is None or time.monotonic() < self._ready or self._others > 0)
 
     @property
     def _others(self) -> int:
-        """Return how many others publish commands."""
+        """Return the number of other publishers of commands."""
         return self._node.count_publishers(self._topic) - (self._publisher is not None)
 
     def _look(self) -> None:
-        """Take the place that is free, or leave it to others."""
+        """Create the publisher if there is no other, or destroy it if there is one."""
         if self._commanded:
             return
         if self._others > 0:
@@ -105,7 +106,7 @@ class Commander:
             self._go_on()
 
     def wrong(self) -> str:
-        """Return what is wrong, if anything, and tell the log."""
+        """Return and log a warning if other nodes command; else return an empty text."""
         if self._publisher is None:
             return diagnostics.crowd(self._node, self._topic, 'one policy, so this one holds', 0)
         return diagnostics.crowd(self._node, self._topic, 'one policy')

@@ -20,19 +20,19 @@ from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from rclpy.node import Node
 from std_msgs.msg import String
 
-#: Radians: cameras that are turned by less count as standing still.
+#: Radians: cameras that rotate by less count as standing still.
 WIDEST = 0.02
 
 
 class Convergence:
     """
-    Tell on ``placement_status`` how near the placement is to being final, and why it is.
+    Publish on ``placement_status`` the progress towards a final placement, and why it is final.
 
-    :param node: publishes.
-    :ivar still: turns in which no camera has moved.
+    :param node: gets the publisher.
+    :ivar still: number of latest turns in which no camera has moved.
     :ivar longest: metres, the longest move of the last turn.
     :ivar why: why the placement is final; empty while it is not.
-    :ivar gaps: what it does without, such as a camera that was silent for most turns.
+    :ivar gaps: data that were missing, such as clouds of a camera that was silent in most turns.
     """
 
     def __init__(self, node: Node) -> None:
@@ -43,22 +43,22 @@ class Convergence:
     def begin(self) -> None:
         """Begin an episode."""
         self.still, self.longest, self.why, self.gaps = 0, 0.0, '', ''
-        #: Turns played when the placement became final.
+        #: Number of turns played when the placement became final; None before.
         self._after: int | None = None
 
     def moved(self, longest: float, widest: float, config: PolicyNodeConfig) -> None:
-        """Take note of the longest move of a turn, metres, and the widest turn, radians."""
+        """Record the longest move of a turn, metres, and its largest rotation, radians."""
         self.longest = longest
         still = longest < config.convergence_distance and widest < WIDEST
         self.still = self.still + 1 if still else 0
 
     def reason(self, step: int, over: bool, alone: bool, config: PolicyNodeConfig) -> str:
         """
-        Say why the placement is final from now on; nothing while it is not.
+        Return why the placement is final from now on; empty while it is not.
 
         :param step: turns played so far.
-        :param over: whether a simulation has said that its last turn is played.
-        :param alone: whether a policy plays without lookahead, which refines to the end.
+        :param over: whether the simulation has reported that its last turn is played.
+        :param alone: whether the policy plays without lookahead, which uses all turns.
         """
         if over:
             return 'the simulation has played its last turn'
@@ -72,7 +72,7 @@ class Convergence:
         return ''
 
     def say(self, step: int, config: PolicyNodeConfig) -> str:
-        """Publish how it stands, if that is news, and return it."""
+        """Publish the status text if it has changed, and return it."""
         if self.why:
             self._after = step if self._after is None else self._after
             text = (f'final after {self._after} turns: {self.why}' if not self.gaps else
@@ -86,6 +86,6 @@ class Convergence:
         return text
 
     def values(self) -> dict[str, object]:
-        """Return what diagnostics show."""
+        """Return the values for diagnostics."""
         return {'final': self.why or '-', 'gaps': self.gaps or '-',
                 'longest_move': f'{self.longest:.3f}', 'standing_still': self.still}

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What ``policy_node`` decides in a turn: messages to a rig state, one step, and back."""
+"""Decision of a turn in ``policy_node``: messages to a rig state, one planner step, and back."""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -43,22 +43,22 @@ if TYPE_CHECKING:
 
 
 def limits_of(config: PolicyNodeConfig) -> Limits:
-    """Return what a rig can do in one turn."""
+    """Return the limits of a rig's moves in one turn."""
     return Limits(config.max_step, config.max_turn, config.wall_margin, config.clearance)
 
 
 class Decider:
     """
-    Ask a planner where cameras go, and hold its answer to the floor and to a rig file.
+    Ask a planner for the next camera poses, within the observed floor and the rig's constraints.
 
     :param config: of the node.
-    :param checkpoint: weights of the policy; None where none is asked.
+    :param checkpoint: weights of the policy; None if no policy is used.
     :param log: of the node.
-    :ivar rig: the rig file; None where there is none.
-    :ivar learned: the part of the planner that runs the policy; None where there is none.
-    :ivar step: takes the time steps.
-    :ivar held: sentences, one for each camera that stays since it may go nowhere.
-    :ivar widest: the widest rotation of a camera that was commanded last, radians.
+    :ivar rig: the rig of the rig file; None without a rig file.
+    :ivar learned: the part of the planner that runs the policy; None without a policy.
+    :ivar step: computes the time steps.
+    :ivar held: a sentence for each camera that stays because it has no feasible pose to go to.
+    :ivar widest: the largest camera rotation of the last command, radians.
     :raises ConfigurationError: if the rig file cannot be used.
     """
 
@@ -67,22 +67,22 @@ class Decider:
         self._config, self._log = config, log
         planner, self.learned = make_planner(config, checkpoint)
         self.rig = load_rig(config.rig_file) if config.rig_file else None
-        # Whatever happens in a step, this node goes on.
+        # An error in a step is logged and must not end this node.
         self.step = OnlineStep(planner, limits_of(config), self.rig, log.error)
         self.held: list[str] = []
         self.widest = 0.0
 
     @property
     def planner(self) -> Online:
-        """Return what chooses the moves."""
+        """Return the planner that chooses the moves."""
         return self.step.planner
 
     def reset(self) -> None:
-        """Forget the turns of the last episode."""
+        """Drop the data of the last episode."""
         self.step.reset()
 
     def change(self, config: PolicyNodeConfig) -> None:
-        """Go on with other parameters; a planner that begins anew knows what it needs."""
+        """Continue with other parameters; make a new planner if it depends on them."""
         before, self._config, planner = self._config, config, self.planner
         if not planned_alike(before, config):
             planner, self.learned = make_planner(
@@ -91,34 +91,34 @@ class Decider:
 
     @property
     def models(self) -> tuple[CameraModel, ...]:
-        """Return what each camera sees, or one model for all."""
+        """Return the camera model of each camera, or one for all."""
         if self.rig is not None:
             return self.rig.models
         return (CameraModel(self._config.min_range, self._config.max_range),)
 
     @property
     def alone(self) -> bool:
-        """Return whether a policy plays without lookahead, which refines to the end."""
+        """Return whether the policy plays without lookahead, which uses all turns."""
         return self.planner is self.learned
 
     def movable(self, poses: PoseArray) -> int:
-        """Return how many cameras are to be placed; they come first, then those in place."""
+        """Return the number of cameras to place; they come first, then the fixed cameras."""
         return len(poses.poses) if self.rig is None else len(self.rig.cameras)
 
     @property
     def in_place(self) -> tuple[list[Pose], int]:
-        """Return the poses of the cameras that nobody moves, and how many others there are."""
+        """Return the poses of the fixed cameras, and the number of cameras to place."""
         return ([], 0) if self.rig is None else (
             list(map(Pose.of, self.rig.fixed_poses)), len(self.rig.cameras))
 
     def check(self, cloud: np.ndarray, poses: PoseArray) -> None:
         """
-        Refuse what is no turn.
+        Refuse a turn that cannot be used.
 
-        :param cloud: (N, 3) float32, metres: the points seen so far.
-        :param poses: where the cameras are.
-        :raises MessageError: if nothing was seen, or not a room, or the cameras are of another
-            rig, or the heading of a camera with a frustum is missing.
+        :param cloud: (N, 3) float32, metres: the points observed so far.
+        :param poses: of the cameras.
+        :raises MessageError: if the cloud is empty or larger than a room, the cameras are of
+            another rig, or the heading of a camera with a limited field of view is missing.
         """
         if len(cloud) == 0:
             raise MessageError('cloud: found no finite point; expected what the cameras see')
@@ -130,11 +130,11 @@ class Decider:
 
     def state(self, poses: PoseArray) -> RigState:
         """
-        Return how the cameras stand and what each sees; those in place as told, or as in the file.
+        Return the poses and models of the cameras; fixed cameras as in the message or the file.
 
-        :param poses: of all cameras of the rig, or of those that are to be placed.
-        :raises MessageError: if they are of another rig, or the heading of a camera with a frustum
-            is missing.
+        :param poses: of all cameras of the rig, or only of the cameras to place.
+        :raises MessageError: if they are of another rig, or the heading of a camera with a limited
+            field of view is missing.
         """
         count = len(poses.poses)
         models, movable, pitch = self.models * count, self.movable(poses), (0.0, 0.5 * np.pi)
@@ -158,11 +158,11 @@ class Decider:
 
     def decide(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> PoseArray:
         """
-        Choose where the cameras go and how they are turned there.
+        Choose the next positions and headings of the cameras.
 
-        :param cloud: (N, 3) float32, metres: the points seen so far.
-        :param poses: where the cameras are.
-        :param turn: turns played so far.
+        :param cloud: (N, 3) float32, metres: the points observed so far.
+        :param poses: present poses of the cameras.
+        :param turn: number of turns played so far.
         """
         state, turns = self.state(poses), self._config.turns
         command = self.step(cloud, state, min(turn, turns), turns)
@@ -176,14 +176,14 @@ class Decider:
 
     def plan_ahead(self, interrupted: Callable[[], bool]) -> None:
         """
-        Let the planner think about the next turn while the cameras move.
+        Let the planner plan the next turn while the cameras move.
 
-        :param interrupted: returns whether that has to end.
+        :param interrupted: returns whether planning has to end.
         """
         self.step.plan_ahead(interrupted)
 
     def expected(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
-        """Say what a command is expected to bring; nothing where too little has been seen."""
+        """Return the expected gain of a command as a sentence; empty with too few points."""
         try:
             return str(ExpectedGain.of(cloud, self.state(poses), self.state(command).placement,
                                        self._config.max_range))
@@ -191,6 +191,6 @@ class Decider:
             return ''
 
     def plan(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> None:
-        """Let the planner choose moves that nobody makes."""
+        """Let the planner choose moves that are not executed."""
         turns = self._config.turns
         self.step.plan(cloud, self.state(poses), min(turn, turns), turns)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a policy tells those who learn from it, and how it waits for them."""
+"""Experiences that an exploring policy publishes for a trainer, and its wait for the trainer."""
 
 from collections.abc import Callable
 import time
@@ -28,16 +28,16 @@ from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-#: Seconds after which a trainer that asked to wait and says nothing more is not waited for.
+#: Seconds after which the policy stops waiting for a trainer that is silent.
 PATIENCE = 5.0
 
 
 class Experiences:
     """
-    Publish what a policy read and chose, and hold it while a trainer is behind.
+    Publish the observations and choices of a policy, and make it wait while a trainer is behind.
 
     :param node: gets the publisher and the subscription.
-    :param policy: tells the policy that runs.
+    :param policy: returns the policy that runs.
     :param go_on: is called when the trainer has caught up.
     """
 
@@ -55,7 +55,7 @@ class Experiences:
         return self._held_at is not None and time.monotonic() - self._held_at < PATIENCE
 
     def _on_training(self, message: Float64MultiArray) -> None:
-        """Learn whether the trainer can take more; what cannot be read holds nobody."""
+        """Read whether the trainer asks to wait; ignore a message that cannot be read."""
         try:
             hold = bool(msg_to_fields(message, ('hold',))['hold'])
         except MessageError:
@@ -65,20 +65,20 @@ class Experiences:
             self._go_on()
 
     def _look(self) -> None:
-        """Go on without a trainer that has fallen silent."""
+        """Continue without a trainer that has become silent."""
         if self._held_at is not None and not self.held:
             self._held_at = None
             self._go_on()
 
     def tell(self, stamp: int, turn: int, targets: np.ndarray) -> None:
         """
-        Publish what was chosen since the last call, if it was for all cameras.
+        Publish the choices since the last call, if they are for all cameras.
 
-        With the map actor, some cameras choose again in a turn, and the others go on.
+        With the map actor only some cameras choose again in a turn; the others keep their targets.
 
         :param stamp: of the turn, nanoseconds.
-        :param turn: turns of the episode before it.
-        :param targets: (K, 3) metres: where the cameras were sent, those in place left out.
+        :param turn: number of turns of the episode before this one.
+        :param targets: (K, 3) metres: commanded positions, without those of fixed cameras.
         """
         policy = self._policy()
         choices = policy.take()

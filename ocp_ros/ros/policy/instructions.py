@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a person who moves the cameras has to do, in words."""
+"""Instructions in words for a person who moves the cameras."""
 
 import numpy as np
 
@@ -22,11 +22,11 @@ FINAL = f'the placement is final: {STAY}'
 
 def moving(positions: np.ndarray, targets: np.ndarray, least: float) -> np.ndarray:
     """
-    Tell which cameras have to be moved.
+    Return which cameras have to be moved.
 
-    :param positions: (K, 3) metres, where they are.
-    :param targets: (K, 3) metres, where they shall go.
-    :param least: shorter moves are not worth it, metres.
+    :param positions: (K, 3) metres, present positions.
+    :param targets: (K, 3) metres, target positions.
+    :param least: moves up to this length are left out, metres.
     :returns: (K,) bool.
     """
     return np.linalg.norm(targets - positions, axis=1) > least
@@ -36,13 +36,13 @@ def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
                  turns: np.ndarray | None = None, least_turn: float = np.inf,
                  expected: str = '') -> str:
     """
-    Write one line per camera that has to be moved or turned; see :func:`moving`.
+    Write one line for each camera that has to be moved or rotated; see :func:`moving`.
 
-    :param least: at least a centimetre, which is what the words tell.
-    :param turns: (K, 2) radians: how far each has to be turned, counter-clockwise seen from above
-        and down; None where none has to be.
-    :param least_turn: smaller turns are not worth it, radians; at least a degree.
-    :param expected: a sentence on what this is expected to bring, so that a person can stop.
+    :param least: at least 0.01 m: the lines are written in centimetres.
+    :param turns: (K, 2) radians: the rotation of each camera, counter-clockwise seen from above,
+        and down; None if no camera is rotated.
+    :param least_turn: rotations up to this angle are left out, radians; at least a degree.
+    :param expected: a sentence on the expected gain, so that a person can decide to stop.
     """
     turns = np.zeros((len(targets), 2)) if turns is None else turns
     moved, turned = moving(positions, targets, least), np.linalg.norm(turns, axis=1) > least_turn
@@ -57,7 +57,7 @@ def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
 
 
 def _turn(yaw: float, pitch: float) -> str:
-    """Write how one camera is turned: degrees to the left and down."""
+    """Write the rotation of one camera, from degrees to the left and down."""
     ways = [f'{abs(angle):.0f} degrees {words[int(angle < 0.0)]}' for angle, words in
             ((yaw, ('to the left', 'to the right')), (pitch, ('down', 'up')))
             if abs(angle) >= 0.5]
@@ -65,11 +65,11 @@ def _turn(yaw: float, pitch: float) -> str:
 
 
 def _move(position: np.ndarray, target: np.ndarray) -> str:
-    """Write where one camera goes."""
+    """Write the move of one camera: the distance along each axis, and the target."""
     way = target - position
     ways = [f'{abs(length):.2f} m {words[int(length < 0.0)]}' for length, words in zip(way, (
         ('towards +x', 'towards -x'), ('towards +y', 'towards -y'), ('up', 'down')), strict=True)
         if abs(length) >= 0.005]
-    # Adding 0 makes -0 a 0.
+    # Adding 0 changes -0 to 0.
     ends = [f'{end + 0.0:.2f}' for end in np.round(target, 2)[:3 if abs(way[2]) >= 0.005 else 2]]
     return f'{" and ".join(ways)}, to ({", ".join(ends)})'

@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Turns of real cameras: clouds come when they come, and a rig or a person carries out commands.
+Turns of real cameras: clouds arrive at any time, and a rig or a person carries out commands.
 
-Messages wait unread, the newest of each topic; each turn reads one of each. So the executor is
-busy for one cloud or for one answer at a time, however fast the cameras are.
+The newest message of each topic is stored unread, and each turn reads one cloud of each topic. So
+the executor is busy with one cloud or one answer at a time, however fast the cameras are.
 """
 
 from collections import Counter
@@ -70,31 +70,30 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
-#: Seconds between two looks at the clock, where no message comes, and between two times that a
-#: command is sent while the cameras have not arrived: it may have been lost.
+#: Seconds between two checks whether a turn is due, also without messages; and seconds after which
+#: a command is sent again to cameras that have not arrived: it may have been lost.
 TICK, AGAIN = 0.1, 1.0
-#: Metres and radians by which poses differ at least for new instructions to a person.
+#: Least change of poses, metres and radians, that leads to new instructions for a person.
 SAME = 0.05
 
 
 class LiveTurns:
     """
-    Fuse what cameras see while they stand, and ask where they shall go.
+    Fuse the clouds of cameras that stand still, and ask for the next command.
 
-    :param node: gets the subscriptions, and tells its log what goes wrong.
+    :param node: gets the subscriptions; its log gets the warnings.
     :param config: of the node.
-    :param commands: where commands go.
-    :param answer: is asked once per turn: the fused cloud (N, 3) float32, metres, and where the
-        cameras are give the command.
-    :param final: returns whether the cameras stay where they are: then clouds are no longer read.
-    :param refuse: takes note of a message that cannot be used.
-    :param waits: returns whether nothing may be commanded now.
-    :param expect: says what a command is expected to bring, for a person: the fused cloud, where
-        the cameras are and the command give a sentence.
-    :param plan_ahead: is called after each command, to think while the cameras move.
-    :param in_place: poses of the cameras that nobody moves, where a rig file says so, and how many
-        others there are.
-    :raises ConfigurationError: if there can be no such topic.
+    :param commands: publishes the commands.
+    :param answer: is called once per turn with the fused cloud (N, 3) float32, metres, and the
+        camera poses; returns the command.
+    :param final: returns whether the placement is final: then clouds are no longer read.
+    :param refuse: counts and logs a message that cannot be used.
+    :param waits: returns whether this node may not command now.
+    :param expect: is called with the fused cloud, the camera poses and the command; returns a
+        sentence on the expected gain, for a person.
+    :param plan_ahead: is called after each command, to plan while the cameras move.
+    :param in_place: poses of the fixed cameras of a rig file, and the number of cameras to place.
+    :raises ConfigurationError: if the name of a topic is invalid.
     """
 
     def __init__(self, node: Node, config: PolicyNodeConfig, commands: Commander,
@@ -111,18 +110,18 @@ class LiveTurns:
         self._await_turns()
         #: The newest cloud of each topic, unread.
         self._newest: dict[str, PointCloud2] = {}
-        #: The newest poses, as they came and as what they mean.
+        #: The newest poses, as a message and as arrays.
         self._poses: PoseArray | None = None
         self._rig: LiveRig | None = None
-        #: How many cameras there are and the frame of their poses, once a turn was answered.
+        #: The number of cameras and the frame of their poses, once a turn was answered.
         self._known: tuple[int, str] | None = None
         self._command: PoseArray | None = None
-        #: Where it sends the cameras, (K, 3) metres, and the rotations of those that it turns.
+        #: Of the command: targets, (K, 3) metres, and rotations (3, 3) of cameras that it rotates.
         self._sent: tuple[np.ndarray, dict[int, np.ndarray]] = np.empty((0, 3)), {}
         self._instruction = self._expected = ''
-        #: Of the last instruction, targets, positions and turns: (K, 8) metres and radians.
+        #: Of the last instruction: targets, positions and rotations, (K, 8) metres and radians.
         self._left = np.empty((0, 8))
-        #: Turns that were decided, and of how many of them each topic brought a cloud.
+        #: Number of turns that were decided, and for each topic the number of them with a cloud.
         self._decided, self._brought = 0, Counter[str]()
         self._observation = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         if config.manual:
@@ -136,26 +135,26 @@ class LiveTurns:
         self._again = node.create_timer(AGAIN, self._command_again, clock=steady)
 
     def _await_turns(self) -> None:
-        """Wait for cameras and clouds of which nothing is known yet."""
+        """Begin to wait for cameras and clouds, without any data of earlier turns."""
         self._turns: Turns[PointCloud2] = Turns(self._config.clouds, *self._patience()[:3])
         self._turns.change(*self._patience())
         self._jumps = self._turns.jumps
 
     def _patience(self) -> tuple[float, float, float, float, float]:
-        """Return what turns wait for: distance, how long for what, and angle."""
+        """Return the arguments of ``Turns.change``: distance (m), three times (s), angle (rad)."""
         config = self._config
         return (config.arrival_distance,
                 math.inf if config.manual else config.arrival_timeout, config.cloud_timeout,
-                # Cameras that shall stay need not be told so as often as clouds come.
+                # With a final placement the same command need not be sent for every cloud.
                 max(config.turn_seconds, AGAIN if self._final() else 0.0), config.arrival_angle)
 
     def hold(self) -> None:
-        """Tell cameras that may be on their way to stay where they are."""
+        """Command cameras that may be moving to stay where they are."""
         if self._poses is not None and self._command is not None and not self._turns.standing:
             self._commands.publish(self._poses)
 
     def reset(self) -> None:
-        """Forget what was seen, and where cameras were sent."""
+        """Drop the fused cloud, the poses and the last command."""
         self._fused.clear()
         self._known = self._command = self._poses = self._rig = None
         self._instruction, self._left, self._expected = '', np.empty((0, 8)), ''
@@ -163,12 +162,12 @@ class LiveTurns:
         self._await_turns()
 
     def change(self, config: PolicyNodeConfig) -> None:
-        """Go on with other parameters."""
+        """Continue with other parameters."""
         self._config = config
         self._turns.change(*self._patience())
 
     def _names(self, clouds: list[str]) -> dict[str, str]:
-        """Return the full names of the topics of clouds."""
+        """Return the full names of the cloud topics, by their given names."""
         try:
             names = {topic: self._node.resolve_topic_name(topic) for topic in clouds}
         except rclpy_implementation.RCLError as error:
@@ -183,13 +182,13 @@ class LiveTurns:
         return names
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
-        """Keep a cloud; act if it was the last one that was waited for."""
+        """Store a cloud, and play the turn if it is due."""
         self._newest[topic] = message
         self._turns.on_cloud(topic, stamp_to_ns(message.header.stamp), message)
         self._act()
 
     def _on_poses(self, message: PoseArray) -> None:
-        """Take note of where the cameras are; act if that is where they were sent."""
+        """Store the camera poses, and play the turn if it is due."""
         try:
             rig = LiveRig(message.header.frame_id, msg_to_poses(message))
             self._check_known(rig)
@@ -207,7 +206,7 @@ class LiveTurns:
         self._act()
 
     def _check_known(self, rig: LiveRig) -> None:
-        """Refuse poses of another rig than that which has been commanded."""
+        """Refuse poses of another rig than the one that has been commanded."""
         found = len(rig.poses), rig.frame
         if self._known not in (None, found):
             raise MessageError(
@@ -216,9 +215,9 @@ class LiveTurns:
                 f'{self._node.get_name()} again')
 
     def _act(self) -> None:
-        """Read the clouds that this turn can use, and play it once they are all here."""
+        """Read the clouds that this turn can use, and play the turn once it is due."""
         if self._jumps != self._turns.jumps:
-            # Transforms have stamps of a clock that has been set.
+            # The clock was set: the stamps of the transforms received so far are invalid.
             self._jumps = self._turns.jumps
             self._transforms.forget()
         late: list[str] = []
@@ -227,7 +226,7 @@ class LiveTurns:
             try:
                 self._fuse(message)
             except LateTransformError as error:
-                # Transforms come on another topic than poses, and may be on their way.
+                # Transforms come on another topic than poses, and may still arrive.
                 if self._turns.wait_on(topic, stamp_to_ns(message.header.stamp), message):
                     late.append(topic)
                 else:
@@ -250,7 +249,7 @@ class LiveTurns:
                 'waiting', throttle_duration_sec=10.0)
 
     def _fuse(self, message: PointCloud2) -> None:
-        """Add what a camera sees to the fused cloud."""
+        """Add a camera's cloud to the fused cloud."""
         if self._final():
             return
         rig = self._rig._replace(poses=list(map(Pose, *self._turns.measured)),
@@ -260,7 +259,7 @@ class LiveTurns:
         self._fused.add(in_range(points, cameras, self._config.min_range, self._config.max_range))
 
     def _play(self) -> None:
-        """Ask where the cameras shall go, and wait for them."""
+        """Ask for the command of this turn, send it, and begin to wait for the cameras."""
         self._complain()
         header = Header(stamp=ns_to_stamp(self._turns.stamp), frame_id=self._rig.frame)
         poses = self._settled(header)
@@ -268,7 +267,7 @@ class LiveTurns:
         try:
             self._command = self._answer(self._fused.points, poses)
         except MessageError as error:
-            # What was fused belongs together no longer, or there is nothing of it.
+            # The fused points do not belong to one room any more, or there are none.
             self._fused.clear()
             self._turns.restarted()
             self._refuse(error)
@@ -294,17 +293,17 @@ class LiveTurns:
 
     @property
     def gaps(self) -> str:
-        """Say which topics brought clouds to less than half of the turns."""
+        """Return which topics brought clouds in less than half of the turns, in words."""
         return ', '.join(f'{topic} brought a cloud in {self._brought[topic]} of {self._decided} '
                          'turns' for topic in self._config.clouds
                          if 2 * self._brought[topic] < self._decided)
 
     def _settled(self, header: Header) -> PoseArray:
         """
-        Return where the cameras stand.
+        Return the poses of the cameras that stand.
 
-        A camera that arrived is where it was sent: what is measured of it is that and noise, and
-        heights and headings that were copied from measurements would wander turn after turn.
+        For a camera that arrived it is the commanded pose: the measured pose has noise, and
+        heights and headings copied from measurements would drift from turn to turn.
         """
         message = PoseArray(header=header)
         for camera, measured in enumerate(map(Pose, *self._turns.measured)):
@@ -313,14 +312,14 @@ class LiveTurns:
         return message
 
     def _measured(self, camera: int, mean: Pose) -> PoseMsg:
-        """Return a mean pose as a message: the newest as it came where that is the mean."""
+        """Return a mean pose as a message; the newest message itself if it equals the mean."""
         if all(map(np.array_equal, mean, self._rig.poses[camera])):
             return self._poses.poses[camera]
         return positions_to_msg(mean.position[None], Header(),
                                 heading_of(mean.rotation)[None]).poses[0]
 
     def _sent_to(self, camera: int, measured: Pose) -> PoseMsg | None:
-        """Return where a camera was sent, if that is where it is."""
+        """Return the commanded pose of a camera if the camera has arrived there; else None."""
         if self._command is None:
             return None
         sent = self._command.poses[camera]
@@ -331,15 +330,15 @@ class LiveTurns:
         return sent if there else None
 
     def _turned(self, poses: PoseArray) -> dict[int, np.ndarray]:
-        """Return the rotations, (3, 3), of the cameras that the command turns."""
+        """Return the commanded rotations, (3, 3), of the cameras that the command rotates."""
         return {camera: rotation_of(goal.orientation, f'command: camera {camera}')
                 for camera, (goal, now) in enumerate(zip(self._command.poses, poses.poses))
                 if goal.orientation != now.orientation}
 
     def _command_again(self) -> None:
-        """Send the command again to cameras that have not arrived; tell a person what is left."""
+        """Send the command again to cameras that have not arrived; update the instructions."""
         if self._waits():
-            # What was seen is old when others stop commanding: see it again.
+            # The clouds are old when other nodes stop commanding: ask for new ones.
             self._turns.restarted()
         elif self._command is not None and not self._turns.standing:
             self._commands.publish(self._command)
@@ -348,7 +347,7 @@ class LiveTurns:
 
     def _instruct(self, positions: np.ndarray, targets: np.ndarray,
                   turned: dict[int, np.ndarray], header: Header) -> None:
-        """Tell a person which cameras to move where, (K, 3) metres each, and to turn how."""
+        """Publish which cameras a person has to move, (K, 3) metres each, and to rotate."""
         least = self._config.arrival_distance
         turns = np.zeros((len(targets), 2))
         for camera, rotation in turned.items():
@@ -356,7 +355,7 @@ class LiveTurns:
                                         heading_of(rotation))
         text = FINAL if self._final() else instructions(
             positions, targets, least, turns, self._config.arrival_angle, self._expected)
-        # Instructions are new where what is left to do has changed by more than noise of poses.
+        # Publish new instructions only if the remaining moves changed by more than pose noise.
         left = np.column_stack([targets, positions, turns])
         same = (self._left.shape == left.shape and (np.abs(left - self._left) < SAME).all()
                 and _asked(text) == _asked(self._instruction))
@@ -368,7 +367,7 @@ class LiveTurns:
             self._node.get_logger().info(text)
 
     def _complain(self) -> None:
-        """Say in the log what this turn does without."""
+        """Log which data this turn lacks."""
         log = self._node.get_logger()
         if self._turns.silent():
             log.warning(f'{self._silence()}; expected a cloud since the cameras stand; going on '
@@ -384,13 +383,13 @@ class LiveTurns:
                         'turn begins at their present positions', throttle_duration_sec=1.0)
 
     def _silence(self) -> str:
-        """Say which topics are silent, and what is known of them."""
+        """Return which topics are silent, and why, in words."""
         return 'no clouds: ' + ', '.join(
             f'{topic} ({why})' for topic, why in self._turns.silent().items())
 
     def sighted(self) -> Sighting:
         """
-        Return the newest cloud of each camera: of topic i that of camera i, unless frames say so.
+        Return the newest cloud of each camera: topic i is camera i unless its frame is another's.
 
         :raises MessageError: if poses or clouds are missing or cannot be used.
         """
@@ -411,7 +410,7 @@ class LiveTurns:
         return Sighting(self._rig, clouds)
 
     def status(self) -> tuple[str, dict[str, object]]:
-        """Return what is wrong, if anything, and values to show."""
+        """Return a warning, empty if all is well, and values to show."""
         silent, wrong = self._turns.silent(), ''
         if self._turns.lost and not (
                 self._config.manual and self._command is not None):
@@ -433,5 +432,5 @@ class LiveTurns:
 
 
 def _asked(text: str) -> list[str]:
-    """Return what an instruction asks for, but for how far: the cameras, or to leave them."""
+    """Return the lines of an instruction without the distances: the names of the cameras."""
     return [line.partition(':')[0] for line in text.splitlines()]

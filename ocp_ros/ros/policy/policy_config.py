@@ -23,7 +23,7 @@ from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
 
 LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned_lookahead'
-#: Defaults where a person moves the cameras, to whom each turn is work: few turns, long moves.
+#: Defaults with ``manual``: few turns with long moves, since each turn is work for a person.
 BY_HAND = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
 
 
@@ -110,7 +110,7 @@ class PolicyNodeConfig:
                'defaults are then few turns with long moves')
 
     def __post_init__(self) -> None:
-        """Refuse what contradicts itself."""
+        """Refuse parameters that contradict each other."""
         if self.min_range >= self.max_range:
             raise ConfigurationError(
                 f'min_range: found {self.min_range} m with max_range {self.max_range} m; '
@@ -125,11 +125,11 @@ class PolicyNodeConfig:
 
     @property
     def clouds(self) -> list[str]:
-        """Return the topics of live clouds; none where a simulation is answered."""
+        """Return the topics of live clouds; empty with a simulation."""
         names = [name.strip() for name in self.cloud_topics.split(',')]
         return [name for name in names if name]
 
     @property
     def weightless(self) -> bool:
-        """Return whether no policy is asked."""
+        """Return whether no policy, and so no weights, are needed."""
         return self.planner == LOOKAHEAD and not self.explore

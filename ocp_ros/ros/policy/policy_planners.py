@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Which planner ``policy_node`` asks, by its parameters."""
+"""Make the planner of ``policy_node`` from its parameters."""
 
 from typing import TYPE_CHECKING
 
@@ -29,24 +29,24 @@ from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
 if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint
 
-#: Parameters that a planner is made with and that may change.
+#: Parameters that the constructor of a planner takes and that may change at run time.
 PLANNED_WITH = ('max_step', 'max_range', 'wall_margin', 'clearance')
 
 
 class ExploringMap(MapActor):
-    """Places drawn from the distribution of a trained map actor."""
+    """Draw target positions from the distribution of a trained map actor."""
 
     def _ahead(self, turns: int) -> bool:
-        """Draw for each turn when it has come: what was read is told with the turn."""
+        """Return False: draw at each turn, since its observation is published with the turn."""
         return False
 
     def choose(self, known: MapTurn, camera: int, over: float) -> None:
-        """Draw where a camera goes."""
+        """Draw the target position of a camera."""
         known.send_to(camera, self.policy.draw(known.experience(camera), self.rng))
 
 
 class Exploring(Learned):
-    """Moves drawn from the distribution of a trained policy."""
+    """Draw moves from the distribution of a trained policy."""
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
@@ -57,18 +57,18 @@ class Exploring(Learned):
 def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
                  ) -> tuple[Online, Learned | MapActor | None]:
     """
-    Build what chooses the moves.
+    Build the planner that chooses the moves.
 
-    :param config: which planner, and what it is told of the rig.
-    :param checkpoint: weights of the policy; None where none is asked.
-    :returns: the planner, and its part that runs the policy.
+    :param config: the name of the planner, and the limits of the rig.
+    :param checkpoint: weights of the policy; None if no policy is used.
+    :returns: the planner, and its part that runs the policy (None without a policy).
     """
     rng = np.random.default_rng(config.seed)
     margins = config.wall_margin, config.clearance
     settings = rng, config.max_step, config.max_range, *margins
     if checkpoint is None:
         return Lookahead(*settings), None
-    # Only here: PyTorch takes longer to import than all the rest.
+    # Imported only here: PyTorch takes longer to import than all other packages together.
     from ocp_ros.policy.policy import make_policy
     from ocp_ros.ros.policy.recorded_policy import RecordedPolicy, RecordedValues
     if config.explore:
@@ -86,5 +86,5 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
 
 
 def planned_alike(one: PolicyNodeConfig, other: PolicyNodeConfig) -> bool:
-    """Return whether a planner that was made with one does for the other."""
+    """Return whether two configurations make the same planner."""
     return all(getattr(one, name) == getattr(other, name) for name in PLANNED_WITH)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What ``policy_node`` has to show: what it knows, judged on what has been seen so far."""
+"""Views of ``policy_node``: the rig, and its coverage and error on the observed points."""
 
 from collections.abc import Callable, Sequence
 
@@ -32,7 +32,7 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from rclpy.node import Node
 
-#: Points of an observed cloud that is judged, and rows of the depth maps of its error.
+#: Largest number of observed points that are evaluated, and rows of the depth maps of the error.
 MOST, ROWS = 15000, 64
 
 
@@ -40,11 +40,11 @@ class PolicyViews:
     """
     Show the turns of ``policy_node``.
 
-    :param node: publishes.
-    :param models: what each camera sees, or one model for all.
-    :param live: whether nobody else shows the rig, as a simulation does.
-    :param rig_state: tells of a turn's poses how the cameras of a rig file stand, those in place
-        included; None where there is no rig file.
+    :param node: gets the publishers.
+    :param models: one camera model per camera, or one for all.
+    :param live: whether cameras are live: then this node shows the rig, otherwise the simulation.
+    :param rig_state: converts the poses of a turn to the state of all cameras of a rig file, fixed
+        cameras included; None without a rig file.
     """
 
     def __init__(self, node: Node, models: Sequence[CameraModel], live: bool,
@@ -56,26 +56,26 @@ class PolicyViews:
         self._rig = RigView(node, topics.RIG_MARKERS, models, known) if live else None
 
     def change(self, models: Sequence[CameraModel]) -> None:
-        """Show what other cameras see from now on."""
+        """Use other camera models from now on."""
         self._models = models
         if self._rig is not None:
             self._rig.models = models
 
     def turn(self, cloud: np.ndarray, poses: PoseArray) -> None:
-        """Show a turn: the points (N, 3) seen so far, metres, and where the cameras are."""
+        """Show a turn: the points (N, 3) observed so far, metres, and the camera poses."""
         self._turn = cloud, poses
         self._clouds.turn(poses.header)
         if self._rig is not None:
             self._rig.turn(poses.header, self._standing(poses))
 
     def _standing(self, poses: PoseArray) -> list[Pose]:
-        """Return where the cameras of a turn are and how they are turned, all that are known."""
+        """Return the poses of all known cameras in a turn."""
         if self._sight is None:
             return msg_to_poses(poses)
         return [Pose.of(row) for row in self._sight(poses).placement]
 
     def _judge(self) -> PointMaps | None:
-        """Judge the latest turn; None where there is none, or nothing that can be judged."""
+        """Return the maps of the latest turn; None if there is no turn or it cannot be used."""
         if self._turn is None:
             return None
         try:
@@ -87,11 +87,11 @@ class PolicyViews:
 def observed_maps(cloud: np.ndarray, poses: list[Pose],
                   models: Sequence[CameraModel]) -> PointMaps:
     """
-    Judge cameras on what has been seen so far, as if it were the room.
+    Evaluate cameras on the points observed so far, as if they were the whole room.
 
     :param cloud: (N, 3) float32, metres.
     :param poses: of the cameras.
-    :param models: what each sees, or one model for all.
+    :param models: one camera model per camera, or one for all.
     :raises SceneError: if the cloud is no room.
     """
     scene = Scene(thinned(cloud, MOST), 'observed cloud')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Policies whose choices others can learn from."""
+"""Policies that record their choices, so that a trainer can learn from them."""
 
 import numpy as np
 from ocp_ros.policy.policy import Policy, ValuePolicy
@@ -20,20 +20,20 @@ from ocp_ros.training.experience import Choice
 
 
 class _Record:
-    """What was read and chosen since somebody asked last."""
+    """The choices since the last call of :meth:`take`."""
 
     def __init__(self, *args) -> None:
         super().__init__(*args)
         self._choices: list[Choice] = []
 
     def take(self) -> list[Choice]:
-        """Return the choices since the last call, in their order."""
+        """Return the choices since the last call, in their order, and clear them."""
         choices, self._choices = self._choices, []
         return choices
 
 
 class RecordedPolicy(_Record, Policy):
-    """A policy of moves that remembers what it read and chose."""
+    """A policy of moves that records its observations and choices."""
 
     def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
                ) -> np.ndarray:
@@ -44,10 +44,10 @@ class RecordedPolicy(_Record, Policy):
 
 
 class RecordedValues(_Record, ValuePolicy):
-    """A policy of places that remembers what it read and drew."""
+    """A policy of target positions that records its observations and choices."""
 
     def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
-        """Draw where a camera goes; see :meth:`~ocp_ros.policy.policy.ValuePolicy.draw`."""
+        """Draw a target position; see :meth:`~ocp_ros.policy.policy.ValuePolicy.draw`."""
         place = super().draw(inputs, rng)
         self._choices.append(Choice(inputs, place[None]))
         return place

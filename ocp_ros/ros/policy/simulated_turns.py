@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Turns of a simulation: an observation and poses of one stamp make a turn, whichever is first."""
+"""Turns of a simulation: an observation and poses with the same stamp make a turn."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -35,22 +35,22 @@ from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 
-#: Poses that are remembered: those of a turn and its observation need not be heard side by side,
-#: where others publish as well and this node is slow.
+#: Number of poses that are kept: the poses of a turn and its observation may arrive far apart if
+#: other nodes publish as well and this node is slow.
 REMEMBERED = 16
-#: Seconds that a turn waits for its reward at most, where the turn before had one: messages of
-#: several topics overtake each other, and only the reward says that an episode begins.
+#: Longest wait for the reward of a turn, seconds, if the turn before had a reward: messages of
+#: different topics overtake each other, and only the reward shows that an episode begins.
 PATIENCE = 0.25
 
 
 class TurnInfo(NamedTuple):
     """
-    What a simulation says of a turn.
+    The data of a turn from its reward message.
 
-    :ivar episode: its number.
-    :ivar step: turns of the episode before it.
-    :ivar over: whether it is the last one.
-    :ivar answered: the poses of the turn, if it has been answered already; else None.
+    :ivar episode: number of the episode.
+    :ivar step: number of turns of the episode before this one.
+    :ivar over: whether it is the last turn of the episode.
+    :ivar answered: the poses of the turn if it has been answered already; else None.
     """
 
     episode: int
@@ -61,16 +61,16 @@ class TurnInfo(NamedTuple):
 
 class SimulatedTurns:
     """
-    Put the messages of a turn together, and answer it.
+    Match the messages of a turn by their stamps, and answer the turn.
 
     :param node: gets the subscriptions.
-    :param commands: where answers go.
-    :param answer: is asked once per turn: the points (N, 3) float32, metres, seen so far, and
-        where the cameras are give the command.
-    :param told: is told once per turn which one it is.
-    :param refuse: takes note of a message that cannot be used.
-    :param waits: returns whether nothing may be commanded now.
-    :param plan_ahead: is called after each command, to think while the cameras move.
+    :param commands: publishes the answers.
+    :param answer: is called once per turn with the points (N, 3) float32, metres, observed so far,
+        and the camera poses; returns the command.
+    :param told: is called once per turn with its data.
+    :param refuse: counts and logs a message that cannot be used.
+    :param waits: returns whether this node may not command now.
+    :param plan_ahead: is called after each command, to plan while the cameras move.
     """
 
     def __init__(self, node: Node, commands: Commander,
@@ -80,23 +80,23 @@ class SimulatedTurns:
         self._commands, self._answer_turn, self._tell = commands, answer, told
         self._refuse, self._waits, self._reflect = refuse, waits, plan_ahead
         self.cloud: PointCloud2 | None = None
-        #: The latest poses by their stamps in nanoseconds, none older than the turn answered last.
+        #: The latest poses by their stamps in nanoseconds, from the turn answered last on.
         self.poses: dict[int, PoseArray] = {}
         self.answer: PoseArray | None = None
         #: Stamp of the latest reward, nanoseconds.
         self.told: int | None = None
-        #: Whether the reward of the turn at hand may still come.
+        #: Whether to wait for the reward of the present turn.
         self._patient = True
         self._late = node.create_timer(PATIENCE, self._give_up,
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._late.cancel()
-        # First, so that a new episode is known before its first turn is answered.
+        # Subscribe to the reward first, so that a new episode is noticed before its first answer.
         node.create_subscription(Float64MultiArray, topics.REWARD, self.on_reward, LOOP)
         node.create_subscription(PoseArray, topics.CAMERA_POSES, self.on_poses, LOOP)
         node.create_subscription(PointCloud2, topics.OBSERVATION, self.on_cloud, LOOP)
 
     def on_reward(self, message: Float64MultiArray) -> None:
-        """Learn which turn it is; real cameras have no such topic."""
+        """Read the number and the state of a turn; real cameras have no such topic."""
         try:
             fields = msg_to_fields(
                 message, ('stamp_sec', 'stamp_nanosec', 'episode', 'step', 'truncated'))
@@ -105,7 +105,7 @@ class SimulatedTurns:
             return
         stamp = ns_of(fields, 'stamp')
         if stamp == self.told:
-            # The turn was sent again: an episode that began with it goes on.
+            # The turn was sent again: an episode that began with it continues.
             return
         self.told = stamp
         answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
@@ -116,12 +116,12 @@ class SimulatedTurns:
             self.act()
 
     def on_cloud(self, message: PointCloud2) -> None:
-        """Keep the observation; act when its poses are here."""
+        """Store the observation, and answer the turn if its poses are here."""
         self.cloud = message
         self.act()
 
     def on_poses(self, message: PoseArray) -> None:
-        """Keep the poses; act when their observation is here."""
+        """Store the poses, and answer the turn if its observation is here."""
         stamp = stamp_to_ns(message.header.stamp)
         self.poses[stamp] = message
         if len(self.poses) > REMEMBERED:
@@ -130,7 +130,7 @@ class SimulatedTurns:
         self.act()
 
     def act(self) -> None:
-        """Answer a turn once both its messages are here; the same turn gets the same answer."""
+        """Answer a turn once both messages are here; a repeated turn gets the same answer."""
         cloud = self.cloud
         stamp = None if cloud is None else stamp_to_ns(cloud.header.stamp)
         if stamp not in self.poses or self._waits():
@@ -153,7 +153,7 @@ class SimulatedTurns:
         self._reflect()
 
     def _untold(self, stamp: int) -> bool:
-        """Return whether the reward of a turn may still come, as that of the turn before did."""
+        """Return whether to wait for the reward of a turn: the turn before had a reward."""
         before = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
         if self.told in (None, stamp) or self.told != before or not self._patient:
             self._late.cancel()

@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-When a turn of real cameras is due.
+Decide when a turn of real cameras is due.
 
-A turn begins when a command is sent and is due when every camera stands still where it was sent
-and every topic has delivered a cloud since. Nobody is waited for without end: neither for cameras
-that do not arrive nor for topics that are silent. Only stamps are compared with stamps; how long
-something takes is measured on this machine's own clock, which nobody sets. Poses are measurements:
-cameras that stand are where the mean of their poses is, and a single pose that is off does not
-mean that they have left.
+A turn begins when a command is sent. It is due when every camera stands still at its target and
+every topic has delivered a cloud since then. The wait is limited both for cameras that do not
+arrive and for topics that are silent. Stamps are compared only with stamps; durations are measured
+on the steady clock of this machine, which cannot be set. Poses are measurements: the position of a
+standing camera is the mean of its poses, and a single pose that is off does not mean that the
+camera has left.
 """
 
 from collections import deque
@@ -35,49 +35,49 @@ from scipy.spatial.transform import Rotation
 
 T = TypeVar('T')
 
-#: Nanoseconds: a stamp that goes back by more is that of a clock that was set, or of a recording
-#: that began anew.
+#: Nanoseconds: a stamp that goes back by more comes from a clock that was set, or from a recording
+#: that began again.
 JUMP = 1_000_000_000
-#: Cameras that were in place have left once they are so many times as far off as cameras may be
-#: that arrive: less may be the noise of their poses.
+#: A camera that had arrived counts as having left when its offset exceeds the arrival distance or
+#: angle by this factor: a smaller offset may be noise of the poses.
 LEFT = 4.0
-#: Nanoseconds: a cloud whose stamp is later than the poses by more has another clock, or one that
-#: is wrong; poses that came so many seconds ago tell nothing of it.
+#: Nanoseconds: a cloud whose stamp is later than that of the poses by more has another clock, or a
+#: wrong one. The comparison needs poses that came at most ``FRESH`` seconds ago.
 AHEAD, FRESH = 1_000_000_000, 0.5
-#: Poses that are averaged at most, and the seconds that cameras which nobody has sent anywhere are
-#: waited for at most.
+#: Largest number of poses that are averaged, and the longest wait for cameras before the first
+#: command, seconds.
 AVERAGED, FIRST = 100, 20.0
-#: Metres, and radians, within which cameras that stand seem to move.
+#: Metres and radians: measured poses of a standing camera vary by no more.
 STILL, STEADY = 0.02, 0.02
-#: Nanoseconds that they have to be seen within these, and seconds after which it is enough that
-#: nobody says any more where they are.
+#: Nanoseconds for which poses have to stay within these limits; seconds without new poses after
+#: which the cameras count as standing too.
 HOLD, QUIET = 200_000_000, 0.5
-#: Seconds for which a cloud waits that was taken too soon.
+#: Longest time for which clouds of a topic wait for a newer transform, seconds.
 PATIENCE = 1.0
-#: Seconds for which it is told that stamps went back.
+#: Seconds for which the status reports that stamps went back.
 TOLD = 10.0
-#: Who sends the poses, among the topics, which have names.
+#: Key of the poses in dictionaries whose other keys are names of cloud topics.
 POSES = ''
 
 
 class Turns(Generic[T]):
     """
-    Wait for cameras and clouds; of each topic only the newest cloud is kept.
+    Wait for cameras and clouds; keep only the newest cloud of each topic.
 
-    :param topics: the names of those that send clouds.
-    :param arrival_distance: a camera this near to where it was sent is there, metres; how high it
-        is counts if it was sent up or down.
-    :param arrival_timeout: cameras are waited for so long, seconds.
-    :param cloud_timeout: clouds are waited for so long since the cameras stand, seconds; at least
-        one has to be there in any case.
-    :param clock: tells the seconds.
-    :param shortest: a turn lasts so long at least, seconds.
-    :param arrival_angle: a camera turned to within this of how it shall be is there, radians.
-    :ivar positions: (K, 3) metres, where the cameras are; None while nobody has said so since they
-        were sent elsewhere.
-    :ivar overdue: whether this turn goes on though the cameras have not arrived.
-    :ivar late: turns that did.
-    :ivar jumps: how often stamps went back.
+    :param topics: names of the cloud topics.
+    :param arrival_distance: a camera within this distance of its target has arrived, metres; the
+        height counts only if the camera was sent up or down.
+    :param arrival_timeout: longest wait for cameras, seconds.
+    :param cloud_timeout: longest wait for clouds after the cameras stand, seconds; at least one
+        cloud is needed in any case.
+    :param clock: returns seconds of a steady clock.
+    :param shortest: shortest duration of a turn, seconds.
+    :param arrival_angle: a camera within this angle of its target has arrived, radians.
+    :ivar positions: (K, 3) metres, newest positions of the cameras; None while no poses came since
+        a command to go elsewhere.
+    :ivar overdue: whether this turn continues although the cameras have not arrived.
+    :ivar late: number of turns that were overdue.
+    :ivar jumps: number of times that stamps went back.
     """
 
     def __init__(self, topics: list[str], arrival_distance: float, arrival_timeout: float,
@@ -85,49 +85,51 @@ class Turns(Generic[T]):
                  shortest: float = 0.0, arrival_angle: float = np.pi) -> None:
         self._topics, self._clock = topics, clock
         self.change(arrival_distance, arrival_timeout, cloud_timeout, shortest, arrival_angle)
-        #: Newest stamp of whoever sends anything, nanoseconds.
+        #: Newest stamp of each source (cloud topic or ``POSES``), nanoseconds.
         self._heard: dict[str, int] = {}
-        #: Stamp of the newest poses, or from which on time has begun anew, nanoseconds.
+        #: Stamp of the newest poses, or the first stamp after the stamps went back, nanoseconds.
         self._posed = 0
-        #: Of each topic the newest cloud, and the stamp of the one that this turn has used.
+        #: The newest unread cloud of each topic with its stamp, and the stamp of the cloud that
+        #: this turn has used.
         self._waiting: dict[str, tuple[int, T]] = {}
         self._used: dict[str, int] = {}
-        #: Since when the clouds of a topic have been taken too soon.
+        #: Time since which the clouds of a topic have been waiting for a newer transform.
         self._too_soon: dict[str, float] = {}
-        #: Topics that some turn, maybe this one, did not wait for any longer.
+        #: Topics without a cloud in the last turn that was due; a cloud removes its topic.
         self._silent: set[str] = set()
         self.late = self.jumps = 0
         self.overdue = False
         self.positions: np.ndarray | None = None
-        #: Where the cameras were sent, if anywhere, and when.
+        #: Targets of the last command, (K, 3) metres, None before the first one, and its time.
         self._targets: np.ndarray | None = None
         #: (K,) bool, which of them were sent up or down.
         self._raised = np.zeros(0, dtype=bool)
-        #: How they are turned, and how those shall be that were to be turned.
+        #: Newest rotations of the cameras, and target rotations of the cameras that were rotated.
         self._rotations: Sequence[np.ndarray] = ()
         self._turned: Mapping[int, np.ndarray] = {}
         self._sent_at = clock()
-        #: The first poses that show all cameras standing in place: stamp in nanoseconds, and when
-        #: that was known.
+        #: The first poses that show all cameras standing at their targets: their stamp in
+        #: nanoseconds, and the time at which this was found.
         self._stand: tuple[int, float] | None = None
-        #: When they were first seen in place.
+        #: Time at which all cameras were first measured at their targets.
         self._near: float | None = None
-        #: Of the first poses that all since are about the same as: stamp, positions, rotations.
+        #: The first poses from which all later poses differ by noise only: stamp, positions,
+        #: rotations.
         self._anchor: tuple[int, np.ndarray, Sequence[np.ndarray]] | None = None
-        #: The newest poses: stamp, positions, rotations; and the stamp of the first of them that
-        #: show the cameras where they stand.
+        #: The newest poses: stamp, positions, rotations; and the stamp since which they show the
+        #: standing cameras.
         self._recent: deque[tuple[int, np.ndarray, Sequence[np.ndarray]]] = deque(maxlen=AVERAGED)
         self._stood = 0
-        #: How much later than the poses the clouds of a topic are, nanoseconds.
+        #: Offset of a topic's cloud stamps after the pose stamps, nanoseconds.
         self._ahead: dict[str, int] = {}
-        #: When the newest poses came.
+        #: Time at which the newest poses came.
         self._posed_at = clock()
-        #: Whose stamps went back last, and when.
+        #: Source whose stamps went back last, and the time of that.
         self._jumped = '', -math.inf
 
     def change(self, arrival_distance: float, arrival_timeout: float, cloud_timeout: float,
                shortest: float, arrival_angle: float = np.pi) -> None:
-        """Wait for something else from now on; the parameters are those of the class."""
+        """Change the limits of waiting; the parameters are those of the class."""
         self._arrival_distance, self._arrival_timeout, self._cloud_timeout, self._shortest = (
             arrival_distance, arrival_timeout, cloud_timeout, shortest)
         self._arrival_angle = arrival_angle
@@ -135,15 +137,15 @@ class Turns(Generic[T]):
     def sent(self, targets: np.ndarray, turned: Mapping[int, np.ndarray] | None = None,
              raised: np.ndarray | None = None) -> None:
         """
-        Begin a turn: the cameras were sent to (K, 3) metres.
+        Begin a turn: the cameras were sent to new targets.
 
-        Where they have been until now counts if they are there already: some rigs say where they
-        are when they move, and not otherwise.
+        If all cameras are at their targets already, the newest poses show that they stand: some
+        rigs publish poses only while they move.
 
         :param targets: (K, 3) metres.
-        :param turned: the rotations, (3, 3), of the cameras that were to be turned.
-        :param raised: (K,) bool, which of them were sent up or down; None for those whose
-            height is to be another.
+        :param turned: target rotations, (3, 3), of the cameras that are rotated.
+        :param raised: (K,) bool, whether a camera was sent up or down; None: if its target height
+            differs from its measured height.
         """
         self._targets, self._sent_at, self.overdue = targets, self._clock(), False
         self._raised = targets[:, 2] != self.positions[:, 2] if raised is None else raised
@@ -155,7 +157,7 @@ class Turns(Generic[T]):
         self.restarted()
 
     def restarted(self) -> None:
-        """Ask for new clouds: those of this turn were of no use."""
+        """Drop the clouds of this turn, and wait for new ones."""
         self._waiting.clear()
         self._used.clear()
         self._too_soon.clear()
@@ -163,12 +165,12 @@ class Turns(Generic[T]):
     def on_poses(self, stamp: int, positions: np.ndarray,
                  rotations: Sequence[np.ndarray] = ()) -> bool:
         """
-        Take note of where the cameras are.
+        Store measured poses of the cameras.
 
         :param stamp: nanoseconds.
         :param positions: (K, 3) metres.
-        :param rotations: K of (3, 3), needed once cameras were to be turned.
-        :returns: whether this is news.
+        :param rotations: K of (3, 3), needed once a command rotates cameras.
+        :returns: whether the poses were used: their stamp is not older than the last one.
         """
         if not self._is_news(POSES, stamp):
             return False
@@ -177,7 +179,7 @@ class Turns(Generic[T]):
         self._recent.append((stamp, positions, rotations))
         if self._targets is None and self._anchor and not self.overdue and self._far(
                 LEFT * self._arrival_distance, LEFT * self._arrival_angle):
-            # Somebody else moves them.
+            # Something else than this node moves the cameras.
             self._leave()
         if self._far(STILL, STEADY):
             self._anchor = stamp, positions, rotations
@@ -192,7 +194,7 @@ class Turns(Generic[T]):
     @property
     def measured(self) -> tuple[np.ndarray, list[np.ndarray]]:
         """
-        Return where cameras stand, by the mean of the poses that say so.
+        Return the mean of the measured poses since the cameras stand.
 
         :returns: (K, 3) metres, and K rotations (3, 3).
         """
@@ -206,12 +208,12 @@ class Turns(Generic[T]):
                         for k in range(len(poses[0][1]))]
 
     def _leave(self) -> None:
-        """Wait anew for cameras that do not stand any more."""
+        """Wait again for cameras that do not stand any more."""
         self._stand = self._near = None
         self._used.clear()
 
     def _far(self, distance: float, angle: float) -> bool:
-        """Return whether a camera is no longer where all poses had it for a while."""
+        """Return whether a camera is farther from its anchor pose than the given limits."""
         if self._anchor is None or len(self._anchor[1]) != len(self.positions):
             return True
         _, positions, rotations = self._anchor
@@ -220,7 +222,7 @@ class Turns(Generic[T]):
             angle_between(*pair) > angle for pair in zip(rotations, self._rotations))
 
     def _arrived(self, times: float = 1.0) -> bool:
-        """Return whether every camera is where it was sent, and turned so, or not far from it."""
+        """Return whether every camera is at its target, within ``times`` the arrival limits."""
         if self._targets is None:
             return True
         away = self.positions - self._targets
@@ -231,7 +233,7 @@ class Turns(Generic[T]):
             for camera, rotation in self._turned.items())
 
     def on_cloud(self, topic: str, stamp: int, cloud: T) -> None:
-        """Keep a cloud, whatever it is, in place of the one of its topic that waits."""
+        """Store a cloud; it replaces the unread cloud of its topic."""
         if self._is_news(topic, stamp):
             self._waiting[topic] = stamp, cloud
             late = self._clock() - self._posed_at
@@ -239,7 +241,7 @@ class Turns(Generic[T]):
                 self._ahead[topic] = stamp - self._posed - int(late * 1e9)
 
     def _is_news(self, source: str, stamp: int) -> bool:
-        """Return whether a stamp is no older than the last one, or from another time."""
+        """Return whether a stamp is not older than the last of its source, or a clock was set."""
         last = self._heard.get(source, stamp)
         if last - JUMP <= stamp < last:
             return False
@@ -253,7 +255,7 @@ class Turns(Generic[T]):
             now, before = self._clock(), self._jumped[1]
             self._jumped = source, now
             if self._stand is not None:
-                # Who sends stamps of two clocks does not keep the others waiting for ever.
+                # A source with stamps of two clocks must not restart the wait for ever.
                 again = now - before <= 2.0 * self._cloud_timeout
                 self._stand = stamp, self._stand[1] if again else now
         self._heard[source] = stamp
@@ -261,9 +263,9 @@ class Turns(Generic[T]):
 
     def take(self, but: Collection[str] = ()) -> tuple[str, T] | None:
         """
-        Take a cloud that this turn can use: the first of its topic since the cameras stand.
+        Take a cloud that this turn can use: one of a topic not used yet, since the cameras stand.
 
-        :param but: topics of which none is to be taken now.
+        :param but: topics to leave out now.
         """
         if self._standing():
             for topic in self._topics:
@@ -277,9 +279,9 @@ class Turns(Generic[T]):
 
     def wait_on(self, topic: str, stamp: int, cloud: T) -> bool:
         """
-        Give back a cloud that was taken too soon, to be taken again.
+        Give back a cloud that was taken before its transform came, to be taken again.
 
-        :returns: whether it may be; where that has lasted too long already another is asked for.
+        :returns: whether it waits; False if clouds of its topic have waited too long already.
         """
         now = self._clock()
         if now - self._too_soon.setdefault(topic, now) > PATIENCE:
@@ -289,12 +291,12 @@ class Turns(Generic[T]):
         return True
 
     def refuse(self, topic: str) -> None:
-        """Ask for another cloud of a topic: the one that was taken is of no use."""
+        """Wait for another cloud of a topic: the one that was taken cannot be used."""
         del self._used[topic]
         self._too_soon.pop(topic, None)
 
     def due(self) -> bool:
-        """Return whether all clouds of this turn are here, or some and time is up."""
+        """Return whether all clouds of this turn are here, or at least one and time is up."""
         up = self._standing() and self._time_is_up()
         if up:
             self._silent |= set(self._topics) - set(self._used)
@@ -303,16 +305,16 @@ class Turns(Generic[T]):
             len(self._used) == len(self._topics) or (up and bool(self._used)))
 
     def _time_is_up(self) -> bool:
-        """Return whether the cameras have stood for as long as clouds are waited for."""
+        """Return whether the cameras have been standing for ``cloud_timeout`` seconds."""
         return self._clock() - self._stand[1] >= self._cloud_timeout
 
     def _standing(self) -> bool:
-        """Return whether the cameras stand, or have been waited for long enough."""
+        """Return whether the cameras stand, or the wait for them is over."""
         self._settle()
         now = self._clock()
         patience = self._arrival_timeout
         if self._targets is None:
-            # They have not been sent anywhere: a person has nothing to do yet.
+            # No command was sent yet: the wait is limited even if a person moves the cameras.
             patience = min(patience, FIRST)
         if self._stand is None and self.positions is not None and (
                 now - self._sent_at >= patience):
@@ -322,7 +324,7 @@ class Turns(Generic[T]):
         return self._stand is not None
 
     def _settle(self) -> None:
-        """Let the cameras count as standing if they have been still, where they were sent."""
+        """Mark the cameras as standing if they have been still at their targets."""
         if self._stand is not None or self._near is None:
             return
         now = self._clock()
@@ -330,15 +332,15 @@ class Turns(Generic[T]):
                              or now - self._posed_at >= QUIET):
             self._stand, self._stood = (self._anchor[0], now), self._anchor[0]
         elif now - self._near >= self._cloud_timeout:
-            # They never seem to be still.
+            # The measured poses never become still: end the wait.
             self._stand = self._posed, now
 
     def silent(self) -> dict[str, str]:
-        """Return the topics that were not waited for any longer, and what is known of each."""
+        """Return the topics whose wait ended without a cloud, with a reason for each."""
         return {topic: self._last_sign(topic) for topic in self._topics if topic in self._silent}
 
     def _last_sign(self, topic: str) -> str:
-        """Say what a topic that was silent has last sent."""
+        """Return in words what a silent topic has sent last."""
         if topic not in self._heard:
             return 'nothing came'
         if self._ahead.get(topic, 0) > AHEAD:
@@ -347,13 +349,13 @@ class Turns(Generic[T]):
         return f'stamps {behind * 1e-9:.1f} s before the poses' if behind > 0 else 'nothing usable'
 
     def backward(self) -> str:
-        """Return whose stamps went back a short while ago, if anybody's."""
+        """Return the source whose stamps went back in the last ``TOLD`` seconds; else ''."""
         source, when = self._jumped
         return '' if self._clock() - when > TOLD else source or 'the poses'
 
     @property
     def used(self) -> set[str]:
-        """Return the topics of which this turn has taken a cloud."""
+        """Return the topics whose clouds this turn has used."""
         return set(self._used)
 
     @property
@@ -363,12 +365,12 @@ class Turns(Generic[T]):
 
     @property
     def since(self) -> int:
-        """Return the stamp of the poses since which clouds count, nanoseconds."""
+        """Return the stamp of the poses from which on clouds are used, nanoseconds."""
         return self._stand[0]
 
     @property
     def sent_nowhere(self) -> bool:
-        """Return whether no command has sent the cameras anywhere yet."""
+        """Return whether no command was sent yet."""
         return self._targets is None
 
     @property
@@ -378,17 +380,17 @@ class Turns(Generic[T]):
 
     @property
     def lost(self) -> bool:
-        """Return whether nobody has said for long where the cameras are."""
+        """Return whether no camera poses have come for ``cloud_timeout`` seconds."""
         return self.positions is None and self._clock() - self._sent_at >= self._cloud_timeout
 
     @property
     def stamp(self) -> int:
-        """Return the stamp of the newest cloud that was taken, nanoseconds."""
+        """Return the stamp of the newest cloud that this turn has used, nanoseconds."""
         return max(self._used.values())
 
 
 def _mean_rotation(rotations: Sequence[np.ndarray]) -> np.ndarray:
-    """Return the mean of rotations (3, 3), which are near to each other."""
+    """Return the mean of rotations (3, 3) that are close to each other."""
     if all(np.array_equal(rotation, rotations[0]) for rotation in rotations[1:]):
         return rotations[0]
     return Rotation.from_matrix(np.array(rotations)).mean().as_matrix()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Diagnostics: each node says once a second how it is."""
+"""Diagnostics: each node publishes its status once a second."""
 
 from collections.abc import Callable, Mapping
 
@@ -23,21 +23,21 @@ from rclpy.node import Node
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
-#: Why only one simulation sends turns.
+#: What is expected on a topic of turns: only one simulation sends them.
 ONE_SIMULATION = 'one simulation, or their turns get mixed up'
-#: Level, message in a few words, values to show.
+#: Level, short message, values to show.
 Status = tuple[bytes, str, Mapping[str, object]]
 
 
 def crowd(node: Node, topic: str, expected: str, most: int = 1) -> str:
     """
-    Say so, here and in the log, if too many nodes publish on a topic.
+    Return and log a warning if too many nodes publish on a topic.
 
-    :param node: knows who is there.
+    :param node: its ROS graph is read.
     :param topic: relative or full name.
-    :param expected: who should publish there.
-    :param most: how many publishers there may be.
-    :returns: a sentence, empty if there are not too many.
+    :param expected: the publishers that are expected, in words.
+    :param most: largest number of publishers.
+    :returns: the warning; empty if there are not too many publishers.
     """
     found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     if len(found) <= most:
@@ -55,13 +55,13 @@ class Health:
     Publish a node's status on ``/diagnostics``.
 
     :param node: the node.
-    :param status: asked once a second.
+    :param status: is called once a second and returns the status.
     """
 
     def __init__(self, node: Node, status: Callable[[], Status]) -> None:
         self._node, self._status = node, status
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        # Steady time: a stopped /clock is no reason to fall silent.
+        # Steady time: the status is published even if /clock stops.
         node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def publish(self) -> None:

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Nodes with a life cycle: nothing is sent before they are told to, and they can be put away.
+Nodes with a life cycle: they send nothing before they are activated, and can be cleaned up.
 
 By default a node configures and activates itself, so that ``ros2 run`` is one step. With
-``autostart: false`` it waits for ``ros2 lifecycle``, a launch file or a life cycle manager. Where
-it cannot be configured it says why, and another try can follow.
+``autostart: false`` it waits for ``ros2 lifecycle``, a launch file or a life cycle manager. If the
+node cannot be configured, it logs why and can be configured again.
 """
 
 from collections.abc import Callable
@@ -34,40 +34,40 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
-#: What whoever configures a node can put right.
+#: Errors that the user can correct: a wrong file or parameter.
 MENDABLE = (CheckpointError, ConfigurationError, SceneError, OSError)
-#: How topics begin that all nodes have.
+#: Beginnings of the names of topics that all nodes have.
 COMMON = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
 def autostart() -> Any:
-    """Declare the setting that all of them have."""
+    """Declare the setting ``autostart``, which all managed nodes have."""
     return setting(True, 'configure and activate the node at the start; false: wait for lifecycle '
                          'commands, such as `ros2 lifecycle set`')
 
 
 def _overridable(topic: str, profile: QoSProfile | int, settings: dict[str, Any]
                  ) -> QoSProfile | int:
-    """Let parameters ``qos_overrides`` change the profile of a topic of our own; return it."""
+    """Return the profile of a topic; for own topics ``qos_overrides`` parameters may change it."""
     if topic.startswith(('~', *COMMON)) or not isinstance(profile, QoSProfile):
         return profile
     settings.setdefault('qos_overriding_options', QoSOverridingOptions.with_default_policies())
-    # What they say is written into it.
+    # rclpy writes the overrides into the profile: it gets a copy.
     return copy(profile)
 
 
 class ManagedNode(LifecycleNode):
     """
-    A node whose life cycle is that of ROS 2.
+    A node with the life cycle of ROS 2.
 
     :param name: of the node.
     :param settings: dataclass of its parameters, with a field ``autostart``.
     :param instead: other defaults, see :func:`~ocp_ros.ros.runtime.parameters.declare`.
     :ivar config: parameters in effect.
-    :ivar configured: whether it has what it works with.
-    :ivar active: whether it sends anything.
-    :raises ConfigurationError: for parameters that cannot be.
+    :ivar configured: whether the node is configured.
+    :ivar active: whether the node is active and may send messages.
+    :raises ConfigurationError: for parameters that are invalid.
     """
 
     def __init__(self, name: str, settings: type,
@@ -77,7 +77,7 @@ class ManagedNode(LifecycleNode):
         self._mark: dict[str, set] = {}
         self._acting: dict[str, set] = {}
         self._failure: Exception | None = None
-        #: Whether whoever starts the node is told what fails.
+        #: Whether the constructor still runs: then it raises the error of a failed transition.
         self._starting = True
         self.config = declare(self, settings, instead)
         follow(self, self._change)
@@ -88,52 +88,52 @@ class ManagedNode(LifecycleNode):
         self._starting = False
 
     def create_publisher(self, msg_type, topic: str, qos_profile, **settings) -> Publisher:
-        """Create a publisher whose quality of service parameters may override."""
+        """Create a publisher; parameters may override its quality of service."""
         profile = _overridable(topic, qos_profile, settings)
         return super().create_publisher(msg_type, topic, profile, **settings)
 
     def create_subscription(self, msg_type, topic: str, callback, qos_profile, **settings
                             ) -> Subscription:
-        """Create a subscription whose quality of service parameters may override."""
+        """Create a subscription; parameters may override its quality of service."""
         profile = _overridable(topic, qos_profile, settings)
         return super().create_subscription(msg_type, topic, callback, profile, **settings)
 
     def configure(self) -> None:
-        """Get ready with the parameters; whatever is created is destroyed in the end."""
+        """Prepare with the parameters; entities created here are destroyed at clean-up."""
 
     def activate(self) -> None:
-        """Begin, or go on."""
+        """Start sending, or continue."""
 
     def deactivate(self) -> None:
-        """Hold."""
+        """Stop sending until the next activation."""
 
     def release(self) -> None:
-        """Let go of what is no entity of ROS."""
+        """Release everything that is not an entity of ROS."""
 
     def change(self, config: Any) -> None:
-        """Go on with other parameters, where the node is configured."""
+        """Continue with other parameters; is called only while the node is configured."""
 
     def _change(self, config: Any) -> None:
-        """Take note of other parameters."""
+        """Store changed parameters, and apply them if the node is configured."""
         self.config = config
         if self.configured:
             self.change(config)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Get ready, or say what is missing."""
+        """Configure the node, or log why that fails."""
         self.config = configured(self, type(self.config), {})
         self._mark = self._entities()
         self.configured = self._done(self.configure, self._put_away)
         return SUCCESS if self.configured else FAILURE
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Begin, or go on."""
+        """Activate the node."""
         self._acting = self._entities()
         self.active = self._done(self.activate, self._stand_down)
         return SUCCESS if self.active else FAILURE
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Hold."""
+        """Deactivate the node."""
         self._stand_down()
         return SUCCESS
 
@@ -143,7 +143,7 @@ class ManagedNode(LifecycleNode):
         return SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Hold, and release everything."""
+        """Deactivate the node and release everything."""
         if self.active:
             self._stand_down()
         self._put_away()
@@ -154,7 +154,7 @@ class ManagedNode(LifecycleNode):
         return self.on_shutdown(state)
 
     def _done(self, begin: Callable[[], None], undo: Callable[[], None]) -> bool:
-        """Make a step of the life cycle, or undo it and say why it could not be made."""
+        """Run a step of the life cycle; if it fails, undo it, log why and return False."""
         try:
             begin()
         except Exception as error:
@@ -168,33 +168,33 @@ class ManagedNode(LifecycleNode):
         return True
 
     def _stand_down(self) -> None:
-        """Hold, and destroy what was created since the node was activated."""
+        """Deactivate, and destroy all entities created since the activation."""
         self.deactivate()
         self.active = False
         self._destroy(self._acting)
 
     def _put_away(self) -> None:
-        """Destroy what was created since the node was configured."""
+        """Release everything, and destroy all entities created since the configuration."""
         self.configured = False
         self.release()
         self._destroy(self._mark)
 
     def _entities(self) -> dict[str, set]:
-        """Return what of ROS the node has at the moment."""
+        """Return the ROS entities that the node has now, by kind."""
         return {kind: set(getattr(self, f'{kind}s'))
                 for kind in ('publisher', 'subscription', 'timer', 'service', 'client')}
 
     def _destroy(self, kept: dict[str, set]) -> None:
-        """Destroy what of ROS the node has had since."""
+        """Destroy the ROS entities of the node that are not among those kept."""
         for kind, entities in self._entities().items():
             for entity in entities - kept.get(kind, entities):
                 getattr(self, f'destroy_{kind}')(entity)
 
     def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:
         """
-        Refuse a transition that the state does not have.
+        Refuse a transition that the present state does not allow.
 
-        rclpy raises an error then, which nobody catches: any caller of ``~/change_state`` could
+        rclpy raises an error then that is caught nowhere: any caller of ``~/change_state`` could
         end the node.
         """
         possible = {one[0]: one[1] for one in self._state_machine.available_transitions}

@@ -12,15 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How far nodes are heard: no farther than this machine, unless somebody asks for more."""
+"""Range of ROS discovery: only this machine, unless the environment asks for more."""
 
 import os
 
 from ocp_ros.util.resources import share_folder
 
-#: What keeps nodes of any middleware to this machine.
+#: Environment that limits nodes of any middleware to this machine.
 LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
-#: Where somebody may have said how far ROS shall look, or by which transport.
+#: Variables by which the user may have set the range of discovery or the transport.
 ASKED = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_DISCOVERY_SERVER',
          'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE',
          'FASTDDS_BUILTIN_TRANSPORTS', 'CYCLONEDDS_URI')
@@ -28,13 +28,14 @@ ASKED = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_DISCOVERY_S
 
 def local_transport() -> dict[str, str]:
     """
-    Return the environment that keeps nodes to this machine.
+    Return the environment that limits nodes to this machine.
 
-    With Fast DDS messages go by UDP. Of its shared memory a killed node keeps what it was
-    reading, until those who live have none left to send clouds in, and who lives may die of
-    SIGSEGV when it ends (``SharedMemChannelResource::release``, once in some 700 endings beside
-    killed nodes). Nodes that use shared memory are still heard, by UDP. Peers that were named
-    one by one (``ROS_STATIC_PEERS``) may be on other machines, which that UDP does not reach.
+    With Fast DDS, messages go by UDP and not by shared memory, for two reasons. A killed node
+    keeps the segments that it was reading, until the other nodes have no shared memory left for
+    clouds. And a living node may die of SIGSEGV when it ends
+    (``SharedMemChannelResource::release``, once in about 700 endings beside killed nodes). Nodes
+    that use shared memory are still received, by UDP. Peers in ``ROS_STATIC_PEERS`` may be on
+    other machines, which this UDP does not reach.
     """
     middleware = os.environ.get('RMW_IMPLEMENTATION') or 'rmw_fastrtps'
     if not middleware.startswith('rmw_fastrtps') or os.environ.get('ROS_STATIC_PEERS'):
@@ -45,13 +46,13 @@ def local_transport() -> dict[str, str]:
 
 def stay_local() -> bool:
     """
-    Keep this process to its machine where nobody has said how far ROS shall look.
+    Limit this process to its machine, unless a variable of ``ASKED`` sets the range of discovery.
 
-    Nodes on this machine are heard whatever they look for. Call it before ``rclpy.init``.
+    Nodes on this machine are received whatever their own range is. Call it before ``rclpy.init``.
 
-    :returns: whether nobody had.
+    :returns: whether it was limited: no variable was set.
     """
-    # Fast DDS would take a file of the current folder for the user's profile.
+    # Fast DDS would read a file of the current folder as the user's profile.
     os.environ.setdefault('SKIP_DEFAULT_XML_FILE', '1')
     if any(os.environ.get(name) for name in ASKED):
         return False

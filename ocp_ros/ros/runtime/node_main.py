@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-What every node's ``main`` does: start, spin, and end with code 0 when they are told to.
+The ``main`` of every node: start, spin, and end with exit code 0 on a signal.
 
 A node handles its signals itself. The handlers of rclpy wake the executor from a native thread,
 which reads the list of guard conditions without a lock (``rclpy/src/rclpy/signal_handler.cpp``,
-``trigger_guard_conditions``). Where the machine is busy, that thread runs late, when the executor
-has taken its guard condition out of the list and freed both: the process dies of SIGSEGV, whatever
-the main thread does at that moment. ``make endings`` looks for such crashes.
+``trigger_guard_conditions``). On a busy machine that thread may run after the executor has removed
+its guard condition from the list and freed both. The process then dies of SIGSEGV, whatever the
+main thread does. ``make endings`` looks for such crashes.
 """
 
 from collections.abc import Callable, Iterator
@@ -44,36 +44,36 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
-#: Ctrl-C, a polite kill, and a terminal that is closed.
+#: Ctrl-C, a plain ``kill``, and a closed terminal.
 ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-#: Environment variable with the process id of who started a node that ends with it.
+#: Environment variable with the id of the parent process with which a node shall end.
 PARENT = 'OCP_ROS_PARENT'
-#: Seconds after which an idle executor looks for signals.
+#: Seconds between two checks for signals in an idle executor.
 LOOK = 0.1
-#: Seconds that the middleware has to take a node down: ``ros2 launch`` kills 10 s after Ctrl-C.
+#: Seconds for the middleware to shut a node down: ``ros2 launch`` kills it 10 s after Ctrl-C.
 PATIENCE = 3.0
-#: Number of the file of errors, whatever ``sys.stderr`` is at the moment.
+#: File descriptor of standard error, even if ``sys.stderr`` is replaced.
 STDERR = 2
 #: ``PR_SET_PDEATHSIG`` of prctl(2).
 DEATH_SIGNAL = 1
-#: Packages that make kernels.
+#: Packages that compile the numerical kernels.
 COMPILERS = ('numba', 'llvmlite')
-#: What rclpy raises where it cannot read its arguments, or cannot start.
+#: Errors of rclpy when it cannot read its arguments or cannot start.
 REFUSALS = (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError)
-#: What a user can put right: told in one sentence, exit code 2.
+#: Errors that the user can correct: printed as one sentence, exit code 2.
 USER_ERRORS = (CheckpointError, ConfigurationError, SceneError, FileNotFoundError,
                InvalidParameterTypeException, InvalidParameterValueException)
 
 
 def ignore_signals() -> None:
-    """Let nothing interrupt this process any more."""
+    """Ignore all signals that end a process, from now on."""
     for number in ENDING:
         signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Let nothing interrupt a block."""
+    """Ignore all signals that end a process, within a block."""
     before = {number: signal.getsignal(number) for number in ENDING}
     ignore_signals()
     try:
@@ -84,12 +84,12 @@ def undisturbed() -> Iterator[None]:
 
 
 def about_security(error: Exception) -> bool:
-    """Return whether ROS has refused to start a node that was to be kept safe."""
+    """Return whether ROS refused to start a node because it cannot enable security (SROS 2)."""
     return isinstance(error, rclpy_implementation.RCLError) and 'security' in str(error).lower()
 
 
 def refusal(error: Exception) -> str:
-    """Return in one sentence why ROS has refused to start a node."""
+    """Return in one sentence why ROS refused to start a node."""
     words = ' '.join(str(error).split())
     if about_security(error):
         return (f'found that ROS cannot keep it safe, as ROS_SECURITY_ENABLE asks ({words}); '
@@ -100,18 +100,18 @@ def refusal(error: Exception) -> str:
 
 
 def end_with_parent() -> None:
-    """Let this process be told to end when its parent dies, where the parent asks for it."""
+    """Make the system send SIGTERM to this process when its parent dies, if ``PARENT`` is set."""
     parent = os.environ.get(PARENT)
     if parent is None or sys.platform != 'linux':
         return
     ctypes.CDLL(None).prctl(DEATH_SIGNAL, signal.SIGTERM)
     if str(os.getppid()) != parent:
-        # It has died already.
+        # The parent has died already.
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 def compiling(frame: FrameType | None) -> bool:
-    """Return whether a frame is of the compiler, or called by it: errors would be its end."""
+    """Return whether a frame is of the compiler or called by it: an error would break it."""
     while frame is not None:
         if str(frame.f_globals.get('__name__')).partition('.')[0] in COMPILERS:
             return True
@@ -121,24 +121,24 @@ def compiling(frame: FrameType | None) -> bool:
 
 def interrupt_on_signals() -> list[int]:
     """
-    Raise KeyboardInterrupt at the first signal that ends a node, and ignore those that follow.
+    Raise KeyboardInterrupt at the first signal that ends a node, and ignore later signals.
 
-    While kernels are compiled or read, nothing is raised: native code that calls Python back would
-    go on with what is not there. Whoever spins looks for the signal.
+    While kernels are compiled or loaded, nothing is raised: native code that calls Python would
+    continue with missing data. The loop in :func:`spin` checks the returned list instead.
 
-    :returns: a list that gets the number of that signal.
+    :returns: an empty list, to which the number of that signal is appended.
     """
     received: list[int] = []
 
     def interrupt(number, frame):
-        # What is saved from here on must not be lost to a second Ctrl-C.
+        # A second Ctrl-C must not interrupt the saving of data that follows.
         ignore_signals()
         received.append(number)
         if not compiling(frame):
             raise KeyboardInterrupt
 
     for number in ENDING:
-        # nohup ignores SIGHUP before a node starts, and so it stays.
+        # nohup sets SIGHUP to ignored before a node starts; keep it ignored.
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, interrupt)
     return received
@@ -148,8 +148,9 @@ def spin(executor: SingleThreadedExecutor, received: list[int]) -> None:
     """
     Spin until a signal comes.
 
-    A wait in native code ends often enough to notice it. An interrupt in the middle of a compiled
-    kernel becomes another error, which whoever called the kernel may take for one of its own.
+    A wait in native code ends every ``LOOK`` seconds, so that the signal is noticed. An interrupt
+    within a compiled kernel becomes another error, which the caller of the kernel may catch as its
+    own: therefore the list is checked too.
 
     :param received: gets the number of the signal.
     """
@@ -159,16 +160,16 @@ def spin(executor: SingleThreadedExecutor, received: list[int]) -> None:
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     """
-    Run one node until it is told to stop.
+    Run one node until a signal ends it.
 
-    What the node has to save is saved first, by its ``stop`` where it has one; then ROS is taken
+    At the end the node saves its data with its method ``stop``, if it has one; then ROS is shut
     down.
 
     :param make_node: builds the node.
     :param args: command line, None for that of the process.
     :returns: exit code.
     """
-    # What the engine has to say, such as how a large scan was thinned.
+    # Show log messages of the engine, such as how a large scan was thinned.
     logging.basicConfig(format='[%(levelname)s] [%(name)s]: %(message)s')
     logging.getLogger('ocp_ros').setLevel(logging.INFO)
     logging.captureWarnings(True)
@@ -202,8 +203,8 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
             code = 1
             raise
         else:
-            # A signal comes at any moment: in the middle of a conversion, which turns the
-            # interrupt into another error, or while somebody shuts the context down.
+            # A signal can come at any moment: during a message conversion, which turns the
+            # interrupt into another error, or while the context is shut down.
             code = 0
     finally:
         ignore_signals()
@@ -213,19 +214,19 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
 
 def take_down(node: Node | None, executor: SingleThreadedExecutor | None) -> None:
     """
-    Save what a node has to save, then end executor, node and context, in this order.
+    Save the data of a node, then end the executor, the node and the context, in this order.
 
-    Fast DDS 2.14 may wait for ever while it takes down a participant at the moment that another
-    one leaves (``DomainParticipantImpl::set_listener``): it waits until no callback runs, by
-    taking and releasing a lock in a tight loop, and the callback waits for that same lock. rclpy
-    keeps the interpreter's lock meanwhile. A thread in C writes the stacks and ends the process
-    then, with exit code 1.
+    Fast DDS 2.14 may wait for ever when it shuts down a participant while another participant
+    leaves (``DomainParticipantImpl::set_listener``): it takes and releases a lock in a tight loop
+    until no callback runs, and the callback waits for the same lock. rclpy keeps the interpreter's
+    lock meanwhile. Therefore a thread in C writes the stacks after ``PATIENCE`` seconds and ends
+    the process with exit code 1.
     """
     try:
         if hasattr(node, 'stop'):
             node.stop()
     finally:
-        # What was printed is not lost: the process may end without finalisers.
+        # Flush the output: the process may end without finalisers.
         sys.stdout.flush()
         faulthandler.dump_traceback_later(PATIENCE, exit=True, file=STDERR)
         if executor is not None:

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""ROS parameters from configuration dataclasses, which own the defaults."""
+"""ROS parameters from configuration dataclasses, which define the defaults."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import Field
@@ -35,21 +35,21 @@ import yaml
 
 T = TypeVar('T')
 
-#: How much a name for all nodes is like a parameter of this one if it is a misspelling.
+#: Least similarity (0 to 1) at which an unknown name for all nodes counts as a misspelt parameter.
 TYPO = 0.8
-#: How parameters begin that override the quality of service of topics.
+#: Beginning of the names of parameters that override the quality of service of topics.
 QOS = 'qos_overrides.'
 
 
 def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None = None) -> T:
     """
-    Declare every setting of a dataclass as a parameter and read what was given.
+    Declare every setting of a dataclass as a parameter, and read the given values.
 
-    From then on changes are refused that a running node cannot follow; see :func:`follow`.
+    From then on, changes that a running node cannot apply are refused; see :func:`follow`.
 
     :param node: the node that gets the parameters.
-    :param cls: configuration dataclass; groups become dotted names.
-    :param instead: other defaults of some settings, by the name of the flag that asks for them.
+    :param cls: configuration dataclass; settings of groups get dotted names.
+    :param instead: other defaults of some settings, by the flag (bool setting) that enables them.
     :returns: the configuration in effect.
     :raises ConfigurationError: for a parameter that does not exist.
     """
@@ -61,7 +61,7 @@ def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None 
             defaults |= others
     values = {name: node.declare_parameter(name, defaults[name], _descriptor(item)).value
               for name, item in settings.items()}
-    # Overrides that nobody declares would be dropped without a word.
+    # rclpy would drop overrides that are not declared without a warning.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
                and not name.startswith(QOS)]
     shared = {name for name in for_all_nodes(sys.argv, node.get_name()) & set(unknown)
@@ -77,10 +77,12 @@ def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None 
 
 def for_all_nodes(arguments: Sequence[str], own: str) -> set[str]:
     """
-    Return the parameters that files set for all nodes alone, under ``/**``: others may need them.
+    Return the parameters that files set only for all nodes (``/**``), not for this node.
+
+    Other nodes may need them, so they are no error here.
 
     :param arguments: of the command line, with ``--params-file FILE``.
-    :param own: name of this node; what a file says to it is not among them.
+    :param own: name of this node; parameters that a file sets for it are left out.
     """
     names: dict[bool, set[str]] = {True: set(), False: set()}
     for option, path in zip(arguments, arguments[1:]):
@@ -89,7 +91,7 @@ def for_all_nodes(arguments: Sequence[str], own: str) -> set[str]:
         try:
             content = yaml.safe_load(Path(path).read_text())
         except (OSError, UnicodeDecodeError, yaml.YAMLError):
-            # What is wrong with it, ROS itself says.
+            # ROS itself reports a file that cannot be read.
             continue
         for key, part in content.items() if isinstance(content, dict) else ():
             said = part.get('ros__parameters') if isinstance(part, dict) else None
@@ -109,10 +111,10 @@ def _flat(values: dict[str, Any], prefix: str = '') -> Iterator[str]:
 
 def follow(node: Node, change: Callable[[T], None]) -> None:
     """
-    Tell a node when its parameters have been changed.
+    Call a function when the parameters of a node have changed.
 
-    :param node: one whose ``config`` :func:`declare` has returned.
-    :param change: is called with the new configuration, once it is in effect.
+    :param node: its ``config`` is what :func:`declare` has returned.
+    :param change: is called with the new configuration once it is in effect.
     """
     cls = type(node.config)  # type: ignore[attr-defined]
     settings = leaves(cls)
@@ -127,16 +129,16 @@ def follow(node: Node, change: Callable[[T], None]) -> None:
 
 
 def configured(node: Node, cls: type[T], changes: dict[str, Any]) -> T:
-    """Return the configuration of a node by its parameters, with some changes."""
+    """Return the configuration from the parameters of a node, with some changes."""
     values = {name: node.get_parameter(name).value for name in leaves(cls)}
     return from_flat(cls, values | changes, node.get_name())
 
 
 def _check(node: Node, cls: type, parameters: list[Parameter]) -> SetParametersResult:
-    """Refuse changes that a running node cannot follow, and those that contradict others."""
+    """Refuse changes that a running node cannot apply, and changes that contradict others."""
     settings = leaves(cls)
     changes = {one.name: one.value for one in parameters if one.name in settings}
-    # What is read when a node is configured can change until then.
+    # Before the node is configured, all parameters may change.
     unconfigured = not getattr(node, 'configured', True)
     try:
         for name, value in changes.items():
@@ -157,7 +159,7 @@ def _descriptor(item: Field) -> ParameterDescriptor:
     low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
     constraints = [f'one of {", ".join(choices)}'] if choices else []
     if not item.metadata['running']:
-        # Not read-only to rclpy, which would refuse without a word of what to do.
+        # Not declared read-only: rclpy would refuse a change without saying what to do.
         constraints.append('read once, at the start')
     descriptor = ParameterDescriptor(
         description=item.metadata['description'],

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""How good a plan is: bounds by column generation."""
+"""Lower bounds and optimality gaps of placements by column generation."""

@@ -13,9 +13,9 @@
 # limitations under the License.
 
 """
-How much better than a placement any other one on a dense grid of poses may be.
+Certificate of a placement: lower bound and optimality gap over a dense grid of poses.
 
-What is proved holds for these poses, for the engine's visibility and for its depth maps.
+The proof holds for these poses, for the engine's visibility and for its depth maps.
 """
 
 from dataclasses import dataclass
@@ -26,17 +26,17 @@ from ocp_ros.simulation.objective import Objective
 @dataclass(frozen=True)
 class Certificate:
     """
-    What was proved of a placement.
+    Lower bound for a placement, and the grid that it holds for.
 
-    :ivar candidates: how many poses other placements may choose from.
-    :ivar step: metres: no feasible place is farther from one of theirs.
-    :ivar turn: degrees between their headings; 0 where each place has one.
+    :ivar candidates: number of poses of the grid.
+    :ivar step: largest distance of a feasible place from the grid, metres.
+    :ivar turn: degrees between the headings of a place; 0 if each place has one heading.
     :ivar rows: of the depth maps.
     :ivar found: loss of the placement.
-    :ivar bound: no placement on the candidates loses less.
-    :ivar closed: whether more time would not raise the bound.
-    :ivar on_grid: loss of the best placement on the candidates before some were added near it.
-    :ivar seconds: how long it took.
+    :ivar bound: lower bound of the loss of every placement on the grid.
+    :ivar closed: whether the bound is the best of this relaxation, so more time does not raise it.
+    :ivar on_grid: loss of the best placement on the grid before poses were added near it.
+    :ivar seconds: duration of search and proof.
     """
 
     candidates: int
@@ -51,17 +51,17 @@ class Certificate:
 
     @property
     def gap(self) -> float:
-        """Return the share of the loss that others on the candidates may be better by."""
+        """Return the optimality gap to placements on the grid, as a share of the loss."""
         return max((self.found - self.bound) / self.found, 0.0) if self.found > 0.0 else 0.0
 
     @property
     def moved(self) -> float:
-        """Return the share of the grid's loss that moving off the grid has gained."""
+        """Return the reduction of the loss by moves off the grid, as a share of ``on_grid``."""
         return max((self.on_grid - self.found) / self.on_grid, 0.0) if self.on_grid > 0.0 else 0.0
 
 
 def not_covered(objective: Objective) -> str | None:
-    """Say why no bound can be proved for a rig; None where one can."""
+    """Return the reason why no bound can be proved for a rig; None if one can be proved."""
     if objective.rig.seen_by > 1:
         return (f'found seen_by: {objective.rig.seen_by}; expected 1, for bounds are known where '
                 'one camera has to see a place')

@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-A bound for all poses of dense grids, and good choices of them, by column generation.
+Column generation: a lower bound for all poses of dense grids, and good choices of poses.
 
-A linear program chooses among a pool of some hundred poses; its loss is bounded from below by
-Benders cuts (:mod:`ocp_ros.search.proof.loss_trees`), made at its optima and half way from them to
-a core point. Its multipliers price all poses of the grids: they prove a bound that holds for every
-choice of these (a Lagrangian bound), and the poses that gain most join the pool, until none is
-left that would help.
+A linear program chooses among a pool of some hundred poses. Its loss is bounded from below by
+Benders cuts (:mod:`ocp_ros.search.proof.loss_trees`), computed at its optima and half way from
+them to a core point. Its multipliers price all poses of the grids. They prove a bound that holds
+for every choice of these poses (a Lagrangian bound), and the poses with the largest gains join the
+pool, until no pose would improve the choice.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -34,25 +34,26 @@ from ocp_ros.search.proof.loss_trees import LossTrees, NOTHING, seers_of
 from ocp_ros.util.threads import mapped
 from scipy.spatial.distance import cdist
 
-#: Poses that the pool begins with, poses that join it at a time, and those of one place.
+#: Number of poses in the first pool, largest number that joins at a time, and of these at one
+#: place.
 BEGINNING, JOINING, OF_A_PLACE = 300, 150, 3
-#: Poses leave the pool that gain less than this share of what a chosen one gains.
+#: A pose leaves the pool if it gains less than this share of the gain of a chosen pose.
 LEAVING = 0.5
-#: Share of the loss that a program's optimum may be below that of its cuts: first, then later.
+#: Relative tolerance between a program's optimum and the loss: first, then later.
 HASTY, PATIENT = 0.01, 0.002
-#: Optima of a program, and programs, at most.
+#: Largest number of optima of a program, and of programs.
 ROUNDS, PROGRAMS = 60, 12
-#: A bound this near to the program's optimum is as good as that, relative to it; and the loss from
-#: which on losses count as small: what is left of them is noise, which takes long to prove.
+#: Largest relative difference of bound and program's optimum at which the bound is closed; and the
+#: smallest loss for relative tolerances: smaller losses are mostly noise and slow to prove.
 CLOSED, SMALL = 0.004, 0.02
-#: Losses, relative, that differ by less are equal.
+#: Losses with a relative difference below this are equal.
 EQUAL = 1e-6
-#: Metres: how far from a place of the best choice others stay.
+#: Smallest distance of other choices from a place of the best choice, metres.
 APART = 0.6
 
 
 class Column(NamedTuple):
-    """A pose in the pool, by the numbers of its grid, its place and its heading."""
+    """A pose, given by the numbers of its grid, its place and its heading."""
 
     grid: int
     place: int
@@ -63,8 +64,8 @@ class Choice(NamedTuple):
     """
     A choice of poses.
 
-    :ivar loss: of these.
-    :ivar columns: of the poses, those of one grid after the other.
+    :ivar loss: of these poses.
+    :ivar columns: of the poses, sorted by grid.
     """
 
     loss: float
@@ -73,16 +74,16 @@ class Choice(NamedTuple):
 
 class ColumnGeneration:
     """
-    The relaxed choice of poses of grids, of which more places may be added later.
+    The relaxed choice of poses on grids; places may be added to the grids later.
 
     :param trees: of the loss.
     :param grids: one for each camera model.
-    :param counts: how many poses of each grid are chosen.
-    :param spacing: least distance of two cameras, metres.
-    :param points: N, of the scene.
-    :ivar bound: no choice of the poses that were priced loses less; of all grids, unless places
-        have been added since.
-    :ivar closed: whether the bound is as good as the relaxation can be.
+    :param counts: number of poses to choose from each grid.
+    :param spacing: smallest distance of two cameras, metres.
+    :param points: N, number of points of the scene.
+    :ivar bound: lower bound of the loss of every choice among the priced poses; these are all
+        poses of the grids, unless places were added since.
+    :ivar closed: whether the bound is the best that the relaxation can give.
     """
 
     def __init__(self, trees: LossTrees, grids: Sequence[PoseGrid], counts: Sequence[int],
@@ -93,7 +94,7 @@ class ColumnGeneration:
         self._pool: list[Column] = []
         self._seers = seers_of((), points)
         self._share = np.zeros(0)
-        #: Which customers were served by less than 1 where the cuts that matter were made.
+        #: For each active cut, the customers that were served by less than 1 at its point.
         self._cuts: list[np.ndarray] = []
         rng = np.random.default_rng(0)
         for number, grid in enumerate(grids):
@@ -103,7 +104,7 @@ class ColumnGeneration:
             self.join([poses[k] for k in some])
 
     def __len__(self) -> int:
-        """Return how many poses the grids have."""
+        """Return the number of poses of all grids."""
         return sum(map(len, self.grids))
 
     def pose(self, column: Column) -> np.ndarray:
@@ -111,12 +112,12 @@ class ColumnGeneration:
         return self.grids[column.grid].pose(column.place, column.heading)
 
     def join(self, columns: Iterable[Column]) -> None:
-        """Let poses join the pool."""
+        """Add poses to the pool."""
         known = set(self._pool)
         self._set_pool([*self._pool, *(column for column in columns if column not in known)])
 
     def _set_pool(self, pool: list[Column]) -> None:
-        """Let the pool be these poses."""
+        """Replace the pool."""
         self._pool = pool
         self._seers = seers_of([self.grids[one.grid].points(one.place, one.heading)
                                 for one in pool], self._points)
@@ -127,11 +128,11 @@ class ColumnGeneration:
 
     def close(self, over: Callable[[], bool], places: Sequence[np.ndarray] | None = None) -> None:
         """
-        Raise the bound until no pose would help, or there is no time left.
+        Raise the bound until no pose improves the choice, or until ``over``.
 
-        :param over: returns whether there is no time left.
-        :param places: numbers of the places of each grid that poses are priced of; all unless
-            named. Then the bound says nothing of the others.
+        :param over: returns whether to stop.
+        :param places: for each grid the numbers of the places to price; None for all. Otherwise
+            the bound does not hold for the other places.
         """
         self.bound, self.closed = 0.0, False
         places = [np.arange(len(grid.places)) for grid in self.grids] if places is None else places
@@ -151,8 +152,8 @@ class ColumnGeneration:
             self._set_pool([*self._staying(own, needed), *better])
 
     def _most(self, gains: dict[int, np.ndarray], count: int) -> float:
-        """Return the most that ``count`` poses of a grid gain, by the gains of its places."""
-        # With a spacing, one camera is at a place.
+        """Return the largest total gain of ``count`` poses, given the gains at each place."""
+        # With a spacing, there is at most one camera at a place.
         each = [best[:1] if self.spacing > 0.0 else best
                 for best in (-np.sort(-values) for values in gains.values())]
         return float(np.sort(np.concatenate([*each, np.zeros(count)]))[-count:].sum())
@@ -160,11 +161,11 @@ class ColumnGeneration:
     def _relaxed(self, tolerance: float, over: Callable[[], bool]
                  ) -> tuple[float, np.ndarray, float]:
         """
-        Solve the program of the pool.
+        Solve the linear program of the pool.
 
-        :param tolerance: share of the loss by which its cuts may be below the loss.
-        :returns: its optimum, the multipliers (T,) of all customers and what they lose together
-            where nothing is chosen.
+        :param tolerance: largest difference of cuts and loss, as a share of the loss.
+        :returns: its optimum, the multipliers (T,) of all customers, and the constant of the
+            Lagrangian bound, which is its value without any chosen pose.
         """
         trees, count = self.trees, len(self._pool)
         program = CutProgram(self._group, self.counts, len(trees.slack))
@@ -187,7 +188,7 @@ class ColumnGeneration:
             core = 0.5 * (core + found.share)
             if above - value <= tolerance * max(above, SMALL) or not found.optimal or over():
                 break
-        # Cuts of the last round have no multipliers yet.
+        # Cuts that were added in the last round have no multipliers yet.
         cuts, multipliers = program.cuts, found.multipliers
         active = np.flatnonzero(multipliers > NOTHING)
         weights, lost = np.zeros(len(trees.weight)), 0.0
@@ -203,7 +204,7 @@ class ColumnGeneration:
 
     def _gains(self, multipliers: np.ndarray, places: Sequence[np.ndarray],
                over: Callable[[], bool]) -> list[dict[int, np.ndarray]] | None:
-        """Return for each grid what the headings of each place gain; None if time ran out."""
+        """Return for each grid the gains of the headings at each place; None after ``over``."""
         trees = self.trees.priced(multipliers)
 
         def priced(grid: PoseGrid, batch: list[int]) -> list[tuple[int, np.ndarray]]:
@@ -217,14 +218,14 @@ class ColumnGeneration:
         return None if over() else gains
 
     def _needed(self, gains: Sequence[dict[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the gains (n,) of the pool, and for each grid what a chosen pose gains."""
+        """Return the gains (n,) of the pool, and for each grid its ``count``-th largest gain."""
         own = np.array([gains[one.grid][one.place][one.heading]
                         if one.place in gains[one.grid] else 0.0 for one in self._pool])
         return own, np.array([np.sort(own[self._group == group])[::-1][:count].min(initial=np.inf)
                               for group, count in enumerate(self.counts)])
 
     def _better(self, gains: Sequence[dict[int, np.ndarray]], needed: np.ndarray) -> list[Column]:
-        """Return the poses that gain more than what is chosen, the best of each place."""
+        """Return the poses with larger gains than needed, at most some of each place."""
         known, found = set(self._pool), []
         for number, of_grid in enumerate(gains):
             least = needed[number] * (1.0 + EQUAL) + NOTHING
@@ -237,7 +238,7 @@ class ColumnGeneration:
         return [column for _, column in found[:JOINING]]
 
     def _staying(self, own: np.ndarray, needed: np.ndarray) -> list[Column]:
-        """Return the poses of the pool that are chosen or might be, by their gains."""
+        """Return the poses that stay in the pool: chosen ones, and those with large gains."""
         stays = (self._share > NOTHING) | (own >= LEAVING * needed[self._group])
         for group, count in enumerate(self.counts):
             members = np.flatnonzero(self._group == group)
@@ -247,12 +248,13 @@ class ColumnGeneration:
     def choices(self, count: int, rng: np.random.Generator, over: Callable[[], bool]
                 ) -> list[Choice]:
         """
-        Round what the program chose, and exchange one pose after another for better ones.
+        Round the solution of the program, and improve it by exchanges of one pose.
 
-        After the first choice, others do without poses near one of its places.
+        After the first choice, every second attempt excludes the poses near a place of the best
+        choice.
 
-        :param count: of different choices at most.
-        :returns: the best first; none where the spacing leaves too few places.
+        :param count: largest number of different choices.
+        :returns: the best first; [] if the spacing leaves too few places.
         """
         found: dict[tuple[int, ...], float] = {}
         allowed = np.ones(len(self._share), dtype=bool)
@@ -286,7 +288,7 @@ class ColumnGeneration:
 
     def _exchanged(self, chosen: list[int], allowed: np.ndarray, over: Callable[[], bool]
                    ) -> tuple[list[int], float]:
-        """Exchange the pose whose exchange helps most until none does; return it and its loss."""
+        """Make the best exchange of one pose until none helps; return the choice and its loss."""
         loss = np.inf
         while True:
             best = (loss * (1.0 - EQUAL), None, None)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The linear program of a choice of poses: a variable for each part of the loss, with cuts."""
+"""The linear program that chooses poses: a variable for each part of the loss, with cuts."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -20,19 +20,19 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 
-#: Steps of the simplex method between two looks at the clock, and how many of these at most:
+#: Steps of the simplex method between two checks of the time, and largest number of such blocks:
 #: degenerate programs may cycle.
 ITERATIONS, LOOKS = 300, 20
 
 
 class Optimum(NamedTuple):
     """
-    What the linear program says.
+    Solution of the linear program.
 
-    :ivar optimal: whether it was solved; the multipliers hold in any case.
+    :ivar optimal: whether it was solved to the optimum; the multipliers are valid in any case.
     :ivar losses: (B,) of the parts.
-    :ivar share: (n,) from 0 to 1, how much of each pose is chosen.
-    :ivar multipliers: (R,) of the cuts, from 0 up; those of a part add up to 1 at most.
+    :ivar share: (n,) from 0 to 1, the chosen share of each pose.
+    :ivar multipliers: (R,) of the cuts, at least 0; the sum over a part's cuts is at most 1.
     """
 
     optimal: bool
@@ -45,10 +45,10 @@ class CutProgram:
     """
     Minimise the sum of the losses of the parts, none below 0, over choices of poses.
 
-    :param group: (n,) int64, the group of each pose: those of one camera model.
-    :param counts: (G,) how many of each group are chosen.
-    :param parts: B, of the loss.
-    :ivar cuts: (R, 2) int64: the number that its caller gave each cut, and its part.
+    :param group: (n,) int64, the group of each pose: a group has the poses of one camera model.
+    :param counts: (G,) number of poses to choose from each group.
+    :param parts: B, number of parts of the loss.
+    :ivar cuts: (R, 2) int64: the number of each cut, given by the caller, and its part.
     """
 
     def __init__(self, group: np.ndarray, counts: np.ndarray, parts: int) -> None:
@@ -74,7 +74,7 @@ class CutProgram:
     def add(self, number: int, consts: np.ndarray, gains: np.ndarray,
             which: np.ndarray | slice = slice(None)) -> None:
         """
-        Add cuts: part b loses ``consts[b] - gains[b] @ choice`` at least.
+        Add cuts: the loss of part b is at least ``consts[b] - gains[b] @ choice``.
 
         :param number: for :attr:`cuts`.
         :param consts: (B,).
@@ -89,7 +89,7 @@ class CutProgram:
             self.cuts = np.vstack([self.cuts, (number, part)])
 
     def solve(self, over: Callable[[], bool]) -> Optimum:
-        """Solve the program; where ``over`` tells that there is no time left, as far as it got."""
+        """Solve the program; if ``over`` returns True, return the solution so far."""
         limit = highspy.HighsModelStatus.kIterationLimit
         for _ in range(LOOKS):
             self._solver.run()

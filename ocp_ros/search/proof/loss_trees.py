@@ -15,16 +15,18 @@
 """
 The loss of a rig as a maximal covering problem on trees of points.
 
-A pixel of the depth maps reads its first visible point. With its points in order of distance, it
-loses the sum over j of (g_{j+1} - g_j) u_j, where g_j is its loss if point j is the first visible
-one, and u_j tells that none of the points 1..j is seen. The differences are not negative, so each
-beginning of a list (a prefix) is a customer with a weight, served by the poses that see any of its
-points. In the trees of :class:`~ocp_ros.geometry.depth_error.DepthError` a prefix is a node. What
-a region asks for is a tree of one node for each of its points.
+The depth of a pixel of the depth maps is that of its first visible point. With its points in order
+of distance, its loss is the sum over j of (g_{j+1} - g_j) u_j, where g_j is its loss if point j is
+the first visible one, and u_j is 1 if none of the points 1..j is visible, otherwise 0. The
+differences are not negative, so each prefix 1..j of a list is a customer with a weight. It is
+served by the poses that see at least one of its points. In the trees of
+:class:`~ocp_ros.geometry.depth_error.DepthError` a prefix is a node. The requirement of a region
+is a tree of one node for each of its points.
 
-Whatever multipliers u from 0 to the weights the customers have, no choice of poses loses less than
-the sum of u minus, for each chosen pose, the sum of u over the prefixes that it serves alone: its
-gain. Gains of all headings of a place are computed in one walk over the trees.
+Lower bound: for all multipliers u between 0 and the weights of the customers, the loss of every
+choice of poses is at least the sum of u minus the gains of the chosen poses. The gain of a pose is
+the sum of u over the prefixes that this pose serves. The gains of all headings of a place are
+computed in one traversal of the trees.
 """
 
 from collections.abc import Sequence
@@ -36,28 +38,28 @@ from ocp_ros.simulation.objective import Objective
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 
-#: Parts of the depth error with cuts of their own.
+#: Number of parts of the depth error; each part has its own cuts.
 PARTS = 16
-#: Customers whose poses add up to at least this are served.
+#: A customer is served if the shares of its poses add up to at least this.
 SERVED = 1.0 - 1e-9
-#: Shares that differ by less from 0 are 0.
+#: Shares below this count as 0.
 NOTHING = 1e-9
 
 
 class LossTrees(NamedTuple):
     """
-    Customers as nodes of trees, parents before children, each field (T,) unless said otherwise.
+    Customers as T nodes of trees, parents before children.
 
-    :ivar point: uint32, the point of a node.
-    :ivar end: uint32, the first node after those below this one.
-    :ivar parent: int32; -1 at a root.
-    :ivar weight: float64, what is lost where no point from the root to the node is seen, in units
-        of the loss.
-    :ivar depth: the most nodes from a root to a leaf.
-    :ivar parts: (B + 1,) int64, where each part begins; each has cuts of its own.
-    :ivar slack: (B,) how much of a part may be lost for nothing: the share of a region that need
-        not be seen.
-    :ivar rounding: by how much rounded weights may have raised the loss.
+    :ivar point: (T,) uint32, the point of a node.
+    :ivar end: (T,) uint32, the first node after the subtree of a node.
+    :ivar parent: (T,) int32; -1 at a root.
+    :ivar weight: (T,) float64, loss if no point from the root to the node is visible, in units of
+        the loss.
+    :ivar depth: largest number of nodes from a root to a leaf.
+    :ivar parts: (B + 1,) int64, first node of each part; each part has its own cuts.
+    :ivar slack: (B,) part of the loss that is free of cost: for a region, the share that need not
+        be visible.
+    :ivar rounding: largest amount by which clamped negative weights raise the loss.
     """
 
     point: np.ndarray
@@ -71,7 +73,7 @@ class LossTrees(NamedTuple):
 
     @classmethod
     def of(cls, objective: Objective) -> 'LossTrees':
-        """Build the trees of a rig's objective; what cameras in place serve weighs nothing."""
+        """Build the trees of a rig's objective; customers served by fixed cameras weigh 0."""
         error = objective.simulator.depth_error
         point, end = [error.trees.point], [error.trees.end]
         weights = [_prefix_weights(error.trees) / (error.pixels * error.worst)]
@@ -100,10 +102,10 @@ class LossTrees(NamedTuple):
 
     def unserved(self, seers: np.ndarray, share: np.ndarray) -> np.ndarray:
         """
-        Tell which customers are served by less than 1.
+        Return which customers are served by less than 1.
 
         :param seers: (N, W) uint64, bits of the poses that see each point.
-        :param share: (n,) from 0 to 1, how much of each pose is chosen.
+        :param share: (n,) from 0 to 1, the chosen share of each pose.
         :returns: (T,) bool.
         """
         shares = np.zeros(64 * seers.shape[1])
@@ -121,13 +123,13 @@ class LossTrees(NamedTuple):
     def cut(self, seers: np.ndarray, count: int, unserved: np.ndarray
             ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Linearise the loss of each part where some customers are served by less than 1.
+        Linearise the loss of each part at a choice, given its unserved customers.
 
-        Benders cuts (Cordeau, Furini, Ljubic 2019): for every choice z (n,) part b loses
-        ``consts[b] - gains[b] @ z`` at least.
+        Benders cuts (Cordeau, Furini, Ljubic 2019): for every choice z (n,) the loss of part b is
+        at least ``consts[b] - gains[b] @ z``.
 
         :param seers: (N, W) uint64, bits of the poses that see each point.
-        :param count: n, of poses.
+        :param count: n, number of poses.
         :param unserved: (T,) bool, from :meth:`unserved`.
         :returns: consts (B,) and gains (B, n).
         """
@@ -143,19 +145,19 @@ class LossTrees(NamedTuple):
         return np.array(mapped(part, range(len(self.slack)))), gains[:, :count]
 
     def priced(self, multipliers: np.ndarray) -> 'PricedTrees':
-        """Return the trees for the gains of poses: multipliers (T,), at most the weights."""
+        """Return the trees that give the gains of poses; multipliers (T,), at most the weights."""
         points, ends, sums = _kept(self.point, self.end, _sums_below(self.parent, multipliers))
         return PricedTrees(points, ends, sums, self.depth)
 
 
 class PricedTrees(NamedTuple):
     """
-    The nodes that still count; see :class:`LossTrees`.
+    The T nodes with multipliers in their subtrees; see :class:`LossTrees`.
 
     :ivar point: (T,) uint32.
     :ivar end: (T,) uint32.
-    :ivar below: (T,) float64, the sum of the multipliers of a node and of all below it.
-    :ivar depth: the most nodes from a root to a leaf.
+    :ivar below: (T,) float64, the sum of the multipliers in the subtree of a node.
+    :ivar depth: largest number of nodes from a root to a leaf.
     """
 
     point: np.ndarray
@@ -164,7 +166,7 @@ class PricedTrees(NamedTuple):
     depth: int
 
     def gains(self, seers: np.ndarray) -> np.ndarray:
-        """Return what each of 64 W poses gains: (64 W,), by the bits (N, W) of who sees what."""
+        """Return the gains (64 W,) of poses from the bits (N, W) of the poses that see a point."""
         gains = np.zeros(64 * seers.shape[1])
         _add_gains(self.point, self.end, self.below, seers, self.depth, 0, len(self.point), gains)
         return gains
@@ -172,9 +174,9 @@ class PricedTrees(NamedTuple):
 
 def seers_of(sees: Sequence[np.ndarray], points: int) -> np.ndarray:
     """
-    Return who sees each point.
+    Return which poses see each point.
 
-    :param sees: n arrays of points that each pose sees.
+    :param sees: for each of n poses the points that it sees.
     :returns: (points, W) uint64, bit k of word w for pose 64 w + k.
     """
     seers = np.zeros((points, max(-(-len(sees) // 64), 1)), dtype=np.uint64)
@@ -185,7 +187,7 @@ def seers_of(sees: Sequence[np.ndarray], points: int) -> np.ndarray:
 
 @njit(cache=True, nogil=True)
 def _prefix_weights(trees):
-    """Return what is lost where no point from a tree's root to a node is seen: (T,) metres."""
+    """Return the loss if no point from a tree's root to a node is visible: (T,) metres."""
     nodes = trees.point.shape[0]
     weights, path = np.zeros(nodes), np.empty(nodes, dtype=np.uint32)
     depth = 0
@@ -202,7 +204,7 @@ def _prefix_weights(trees):
 
 @njit(cache=True, nogil=True)
 def _parents(end):
-    """Return the parent of each node, -1 at a root: (T,) int32, and how deep the trees are."""
+    """Return the parent of each node, -1 at a root: (T,) int32, and the depth of the trees."""
     nodes = end.shape[0]
     parent, path = np.empty(nodes, dtype=np.int32), np.empty(nodes, dtype=np.int32)
     depth = deepest = 0
@@ -218,7 +220,7 @@ def _parents(end):
 
 @njit(nogil=True, inline='always')
 def _lowest(word):
-    """Return the number of the lowest bit of a word that is set."""
+    """Return the number of the lowest set bit of a word."""
     bits = (word & (~word + np.uint64(1))) - np.uint64(1)
     bits -= (bits >> np.uint64(1)) & np.uint64(0x5555555555555555)
     bits = ((bits & np.uint64(0x3333333333333333))
@@ -229,7 +231,7 @@ def _lowest(word):
 
 @njit(cache=True, nogil=True)
 def _mark_unserved(points, ends, seers, chosen, shares, deepest, first, last, found):
-    """Write :meth:`LossTrees.unserved` of the nodes from ``first`` to ``last``: (T,) bool."""
+    """Compute :meth:`LossTrees.unserved` of nodes ``first`` to ``last`` into ``found`` (T,)."""
     words, sums = seers.shape[1], np.zeros(deepest + 1)
     path, until = np.zeros((deepest + 1, words), dtype=np.uint64), np.empty(deepest + 1, np.int64)
     depth, node = 0, first
@@ -255,7 +257,7 @@ def _mark_unserved(points, ends, seers, chosen, shares, deepest, first, last, fo
 
 @njit(cache=True, nogil=True)
 def _sums_below(parent, values):
-    """Return the sum of the values of each node and of all below it: (T,)."""
+    """Return the sum of the values in the subtree of each node: (T,)."""
     sums = values.copy()
     for node in range(sums.shape[0] - 1, -1, -1):
         if parent[node] >= 0:
@@ -265,7 +267,7 @@ def _sums_below(parent, values):
 
 @njit(cache=True, nogil=True)
 def _kept(points, ends, sums):
-    """Leave out the nodes whose sums are 0: points, ends and sums of the others."""
+    """Remove the nodes whose sums are 0; return points, ends and sums of the other nodes."""
     nodes = points.shape[0]
     before, count = np.empty(nodes + 1, dtype=np.uint32), 0
     for node in range(nodes):
@@ -278,7 +280,7 @@ def _kept(points, ends, sums):
 
 @njit(cache=True, nogil=True)
 def _add_gains(points, ends, sums, seers, deepest, first, last, gains):
-    """Add to each pose's gain the sums at the topmost nodes whose point it sees: (64 W,)."""
+    """Add the sums at the topmost nodes whose point a pose sees to its gain: (64 W,)."""
     words, until = seers.shape[1], np.empty(deepest + 1, dtype=np.int64)
     path = np.zeros((deepest + 1, words), dtype=np.uint64)
     depth, node = 0, first
