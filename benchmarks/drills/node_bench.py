@@ -104,6 +104,8 @@ class Answers:
             Parameter('convergence_distance', value=0.0)])
         self._published = 0.0
         self.node._turns._reflect = self._reflect
+        # A node that has just begun looks first whether another one commands.
+        watch.until(lambda: not self.node._waits(), PATIENCE, 'the right to command', [])
 
     def _reflect(self) -> None:
         """Think as the node does, and remember when that began."""
@@ -264,10 +266,30 @@ def main(args: list[str] | None = None) -> int:
                 learned.append(training(pairs, options.seconds, Path(folder) / str(pairs)))
                 print(json.dumps(learned[-1]), flush=True)
     if options.record:
-        results.write('node_bench', {
-            'policy_latency_ms': turns, 'training': learned, 'load_average': os.getloadavg()[1],
+        results.write('nodes', {
+            'unit': 'ms from a received cloud to its published command, median and 99th percentile',
+            **published(turns), 'training': learned, 'load_average': os.getloadavg()[1],
             'cores': cores()}, results.command_of('drills.node_bench', args))
     return 0
+
+
+def published(turns: list[dict[str, Any]]) -> dict[str, Any]:
+    """
+    Return the figures of :func:`latency` as the documentation shows them.
+
+    :returns: ``value``, by planner and case; ``thought_meanwhile_ms``, median, 99th percentile and
+        maximum of the default planner's plans, which are made while the cameras move.
+    """
+    value: dict[str, dict[str, list[float]]] = {}
+    thought: dict[str, list[float]] = {}
+    for row in turns:
+        case = 'rig_of_four_d455' if row['rig'] else f'points_{row["points"]}'
+        value.setdefault(row['planner'], {})[f'{case}_ms'] = [
+            round(row[f'{name}_ms'], 1) for name in ('p50', 'p99')]
+        if row['planner'] == PolicyNodeConfig.planner and row['points'] == POINTS[0]:
+            thought['rig_of_four_d455' if row['rig'] else 'without_rig'] = [
+                round(row[f'{name}_thought_ms']) for name in ('p50', 'p99', 'max')]
+    return {'value': value, 'thought_meanwhile_ms': thought}
 
 
 if __name__ == '__main__':
