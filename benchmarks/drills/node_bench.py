@@ -267,7 +267,7 @@ def main(args: list[str] | None = None) -> int:
                 print(json.dumps(learned[-1]), flush=True)
     if options.record:
         results.write('nodes', {
-            'unit': 'ms from a received cloud to its published command, median and 99th percentile',
+            'unit': 'ms from a received cloud to the published command, median and 99 %',
             **published(turns), 'training': learned, 'load_average': os.getloadavg()[1],
             'cores': cores()}, results.command_of('drills.node_bench', args))
     return 0
