@@ -90,7 +90,7 @@ SENTENCES = [
      '8x2/lookahead/wins 8x2/lookahead/p 30x0.5/lookahead/wins 30x0.5/lookahead/p'),
     (RESULTS, '{} m in four rooms, and {} m', 'aiming/value/together/lookahead_{key}_m',
      'turned not_turned'),
-    (RESULTS, '{} ms (median) and {} ms at most, with four D455 {} and {} ms',
+    (RESULTS, '{} ms (median) and {} ms (99 %), with four D455 {} and {} ms',
      'nodes/thought_meanwhile_ms/{key}',
      'without_rig/0 without_rig/1 rig_of_four_d455/0 rig_of_four_d455/1'),
     (RESULTS, '{} malformed messages among {} valid',
