@@ -112,9 +112,9 @@ class PlanResult(ScoreResult):
 
     :ivar planner: name of the planner.
     :ivar evaluations: number of placements that were evaluated, or of turns that were played.
-    :ivar seconds: duration of the search.
-    :ivar gap: optimality gap as a share: any other placement has an objective value at most this
-        much lower; None if no bound was proved.
+    :ivar seconds: duration of the search, seconds.
+    :ivar gap: optimality gap: no placement on the candidate poses of the proof has an objective
+        value that is lower by more than this share; None if no bound was proved.
     :ivar reached: whether the target was reached; None if cameras were not counted.
     """
 
@@ -145,8 +145,8 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     :param mount: mount of all cameras if no rig is given: ``walls`` (the default), ``ceiling``,
         ``plane`` or ``free``.
     :param planner: name of the planner, see docs/reference/planners.md.
-    :param seconds: time for the search; default without ``evaluations``: 60, or with ``'auto'`` 15
-        for each number of cameras.
+    :param seconds: of search; default without ``evaluations``: 60, or with ``'auto'`` 15 for each
+        number of cameras.
     :param evaluations: number of placements to evaluate; the same seed gives the same result.
     :param seed: random seed.
     :param target: with ``'auto'``, the share to reach of what all candidates reach together.

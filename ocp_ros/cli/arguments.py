@@ -173,7 +173,7 @@ def frame_prefix(text: str) -> str:
 
 
 def add_overwrite(command: argparse.ArgumentParser) -> None:
-    """Add the option ``--overwrite``, which allows to replace existing files."""
+    """Add the option ``--overwrite``, which allows replacing existing files."""
     command.add_argument('--overwrite', action='store_true',
                          help='replace existing files also outside ./out; inputs are never '
                               'replaced')

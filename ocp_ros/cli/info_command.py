@@ -23,7 +23,7 @@ from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Measure a room, and draw a section of it."""
+    """Measure a room, and draw it cut open."""
     from ocp_ros.report.drawing.room_pictures import draw_rooms
     from ocp_ros.report.room_facts import facts_of
     claim_file(arguments, arguments.out, 'a picture')

@@ -63,7 +63,7 @@ def written_to(files: FileSet, judged: Assessment, more: Callable[[Path], Iterab
 
 def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
     """
-    Write the one-page report and the 3D page, and yield the path of each file.
+    Write the report of one or two pages and the 3D page, and yield the path of each file.
 
     :param folder: for the files; it is made if it does not exist.
     """

@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def show(found: Found) -> None:
-    """Print the published messages, or the topics of the bag."""
+    """Print the number of messages published on each topic, or the topics of the bag."""
     if 'topics' in found:
         _show_topics(found)
         return

@@ -37,7 +37,8 @@ from ocp_ros.simulation.simulator import Simulator
 
 #: Number of points of the search's scan, and of the judge's scan.
 POINTS, JUDGED_POINTS = 60_000, 90_000
-#: Size of the mounting errors, metres, and number of random mounting errors for the mean.
+#: Horizontal displacement of each camera by a mounting error, metres, and number of sets of errors
+#: that are averaged.
 MOUNTING, MOUNTINGS = 0.02, 8
 #: Random seed of the mounting errors; searches use another seed.
 SEED = 0
@@ -50,8 +51,8 @@ def worth_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
     """
     Return the error of a placement in metres, and its space coverage in cubic metres.
 
-    For a rig file the error is objective value x depth error without any visible point. It is the
-    depth error if the rig has no other requirements.
+    With a rig file the error is the objective value times the depth error of seeing nothing. This
+    is the depth error if the rig has no other requirements.
     """
     result = problem.judge(problem.look(placement))
     return problem.error(result), result.space_coverage
@@ -59,7 +60,7 @@ def worth_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
 
 class JudgedRoom:
     """
-    A room as a scan for searches and a scan for the judge.
+    A room with one scan for searches and one for the judge.
 
     :param name: the seed of a generated room, or the path of a scan.
     :param rotation: degrees about the vertical axis.
@@ -88,7 +89,7 @@ class JudgedRoom:
 
     @cached_property
     def promising(self) -> Problem:
-        """Return the problem of the search: its scan, and its engine for promised errors."""
+        """Return the problem of the search, with its scan and the engine of promised errors."""
         return make_problem(self.scene, self.config)
 
     @cached_property
@@ -103,7 +104,7 @@ class JudgedRoom:
         return self.promising.simulator
 
     def truth(self) -> Simulator:
-        """Return an engine with ray casting on the scan for searches."""
+        """Return a simulator on the scan for searches, with ray casting if there is a mesh."""
         engine = replace(self.config.engine, coverage_cell=JUDGING.coverage_cell)
         return Simulator(self.scene, replace(self.config, engine=with_rays(engine, self.scene)))
 

@@ -58,8 +58,8 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: The control: name and number of random placements.
 CONTROL, CONTROLS = 'random_placement', 16
-#: The best known placement: searches with ray casting. With a rig file the views of all candidates
-#: are slow to compute, so there is one search with this share of the evaluations.
+#: Searches with ray casting, whose best placement is the best known one. With a rig file the views
+#: of all candidates are slow to compute, so there is one search with this share of evaluations.
 TRUTH, RIG_SHARE = 'truth_search', 0.2
 #: The best placement of column generation on a grid and near it, with a lower bound.
 PROVED = 'priced_plane'
@@ -209,7 +209,7 @@ class Protocol:
 
     @property
     def yardsticks(self) -> tuple[str, ...]:
-        """Return the references; with rig files no ``PROVED``: the default planner proves it."""
+        """Return the references; for rig files the default planner replaces ``PROVED``."""
         return (CONTROL, TRUTH) if self.simulation.rig_file else YARDSTICKS
 
     @property

@@ -88,16 +88,17 @@ def summarise(rows: Rows) -> dict[str, Any]:
     Summarise a comparison.
 
     :param rows: of :func:`~ocp_ros.compare.protocol.run_task`.
-    :returns: ``planners``: by planner and budget (as text) ``sum`` of the delivered errors,
-        ``interval``, ``rooms``, ``wins``, ``regret`` (of the sums), ``regret_geometric`` (mean
-        over rooms), ``promised`` (sum), ``promise_over_delivered`` (mean over rooms),
-        ``promise_worst_room`` (the ratio farthest from 1), ``gap_closed``, ``seconds``, ``seeds``,
-        ``promised_over_bound`` (of the sums), and for online planners, whose budget is 0,
-        ``seconds_per_turn`` (median) and ``seconds_at_most``. A ratio is None if its denominator
-        is 0. Figures of the same kind are in ``truth``, for the searches with ray casting, and in
-        ``exact``, for the placements of column generation, with ``bounds`` by room. Then
-        ``rank_tests`` by budget, ``rooms`` with their reference errors, and ``notes`` on rooms
-        whose errors are too small to compare planners.
+    :returns: ``planners``: by planner and budget (as text) ``sum`` of the delivered errors and its
+        ``interval``, ``rooms`` (the errors by room), ``wins``, ``regret`` (of the sums),
+        ``regret_geometric`` (mean over rooms), ``promised`` (sum), ``promise_over_delivered``
+        (mean over rooms), ``promise_worst_room`` (the ratio farthest from 1), ``gap_closed``,
+        ``seconds`` and ``evaluations`` (means), ``seeds``, and for online planners, whose budget
+        is 0, ``seconds_per_turn`` (median) and ``seconds_at_most``. A ratio is None if its
+        denominator is 0. Most of these are also in ``truth``, for the searches with ray casting,
+        and, if there are proofs, in ``exact``, for the placements of column generation, with
+        ``bounds`` by room; then ``exact`` and the planners have ``promised_over_bound`` (of sums).
+        Further: ``rank_tests`` by budget, ``rooms`` with their reference errors, and ``notes`` on
+        rooms whose errors are too small to compare planners.
     """
     known, rooms = best_known(rows), list(dict.fromkeys(row['room'] for row in rows))
     control = per_room(rows, CONTROL, 1, 'depth_error')

@@ -40,8 +40,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-#: Longest wait for the first turn and for each later turn, seconds: the first one may wait until
-#: the kernels are compiled.
+#: Longest wait for the first turn and for each later turn, seconds: before the first turn the
+#: kernels are compiled on a machine that has never run them.
 START_TIMEOUT, TURN_TIMEOUT = 180.0, 60.0
 
 

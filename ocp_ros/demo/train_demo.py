@@ -84,7 +84,7 @@ def policies_of(watch: Watch, pairs: int) -> list[dict[str, str]]:
 
 
 def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, float]:
-    """Run until all turns are played and all policies have new weights; return the figures."""
+    """Run until all turns are played and all have new weights; return speed and losses."""
     node, processes = watch.node, []
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[state]}'))

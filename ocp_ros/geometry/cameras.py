@@ -24,7 +24,7 @@ from ocp_ros.util.kernels import njit
 OMNIDIRECTIONAL, PINHOLE, SPHERICAL = 0, 1, 2
 #: From the optical frame (z forward, x right, y down) to the body frame (x forward, y left, z up).
 OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-#: A camera counts as looking straight up or down if the level part of its direction is less.
+#: A camera looks straight up or down if the level part of its unit direction is below this.
 UPRIGHT = 1e-7
 
 

@@ -162,13 +162,13 @@ def lost_depth(trees, seen, most=np.inf):
 @njit(cache=True, nogil=True)
 def unsettled(trees, seen):
     """
-    Remove the nodes whose error is fixed by points that are visible anyway.
+    Remove the nodes at and below points that are visible anyway, and keep their error.
 
     :param trees: the trees of a :class:`DepthError`.
     :param seen: (W,) uint64, packed bits of the points.
-    :returns: the remaining trees, and the summed error of removed whole trees, metres. For
-        ``seen`` and any further points, :func:`lost_depth` of all trees equals that of the
-        remaining trees plus this sum.
+    :returns: the remaining trees, whose ``rest`` includes the errors of removed nodes, and the
+        summed error of trees that were removed as a whole, metres. For ``seen`` and any further
+        points, :func:`lost_depth` of all trees equals that of the remaining trees plus this sum.
     """
     most = trees.point.shape[0]
     before, kept = np.empty(most + 1, dtype=np.uint32), np.empty(most, dtype=np.uint32)
@@ -226,7 +226,7 @@ class DepthError:
         points of this scan does not reach that error on another scan.
     :ivar trees: the trees, for kernels that call :func:`lost_depth` many times.
     :ivar pixels: the divisor of the sum over all pixels: a fifth of the number of pixels of all
-        viewpoints.
+        viewpoints; scaled as described for ``folds``.
     """
 
     def __init__(self, points: np.ndarray, spacing: np.ndarray, far: float, places: np.ndarray,
@@ -311,7 +311,7 @@ class DepthError:
 
     def given(self, seen: np.ndarray) -> Callable[..., float]:
         """
-        Return a fast function of the error with some points and one further view.
+        Return a fast function that computes the error of some points and one further view.
 
         :param seen: (W,) uint64, packed bits of the points.
         :returns: a function of a view ((W,) uint64, packed bits) and of ``most``, see
@@ -338,7 +338,7 @@ class DepthError:
 
     def error_by_point(self, seen: np.ndarray) -> np.ndarray:
         """
-        Return the part of the error at each point: a pixel's error goes to its true point.
+        Return the error by points: that of a pixel goes to the point that it should show.
 
         :param seen: (W,) uint64, packed bits of the points.
         :returns: (N,) metres, in the order of the points; their sum is the error.

@@ -38,6 +38,7 @@ class EngineConfig:
                '(its five, in the rectangle along the walls)', choices=('air', 'paper'))
 
 
-#: The engine settings for the end of a search and for guaranteed results. Depth maps that are
-#: finer than the point spacing, or that use all points at once, overfit the scan.
+#: The engine settings of plans and comparisons, for which the expected error in the room itself
+#: was measured (:mod:`ocp_ros.planning.promise`). Searches overfit the scan if depth maps are
+#: finer than the point spacing, or use all points at once.
 PROMISING = EngineConfig(preset='fine', error_rows=64, error_folds=4)

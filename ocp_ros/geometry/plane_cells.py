@@ -28,7 +28,7 @@ INSIDE = 1e-6
 @njit(cache=True, nogil=True)
 def close_near(points, heights, clearance, low, edge, cells):
     """
-    Close the cells that contain a position nearer to a point than a distance, in 3D.
+    Close the cells with any position nearer to a point than a given distance, in 3D.
 
     :param points: (N, 3) metres.
     :param heights: (2,) metres, the lowest and the highest z of the positions.

@@ -130,7 +130,7 @@ class Workspace(NamedTuple):
     :ivar farthest_of_four: the same shape: the minimum of each cell and the three to the right and
         above.
     :ivar inverse: (256,) float32, 1 / distance of the disc after setting it back, 1/m; 0 for
-        points beyond the camera's range.
+        points beyond the camera's range or nearer than ``NEAREST``.
     :ivar row: (256,) float32, elevation in rows of the map.
     :ivar column: (256,) float32, azimuth in columns of the map.
     :ivar flat: (256,) float32, cosine of the elevation.
@@ -264,7 +264,7 @@ def _clamped(value, inverse):
 @njit(nogil=True, fastmath=FAST, error_model='numpy')
 def _sort_block(surfels, number, settings, out):
     """
-    Sort the discs of a block by the number of cells they fill; compute their own cells.
+    Sort the discs of a block by the cells they fill; compute their values in their own cells.
 
     :returns: the numbers of discs that fill only their own cell, up to four cells, and more; the
         indices of these discs are in the rows of ``out.listed``.

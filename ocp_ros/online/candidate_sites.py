@@ -66,7 +66,7 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
     :param seen: (S, W) uint64, packed bits of the points that each site sees.
     :param covered: (S, V) uint64, packed bits of the unseen cells that each site covers.
     :param trees: of the depth error.
-    :param pixels: number of pixels of its depth maps.
+    :param pixels: the divisor of its sums, see :class:`~ocp_ros.geometry.depth_error.DepthError`.
     :param weight: bonus for each covered cell, metres.
     :param kind_of: (K,) int64, the kind of site that each camera takes.
     :param own: (S,) int64, the sites, sorted by kind.

@@ -61,7 +61,7 @@ class StepConstraints:
     Correct the moves of a time step so that they satisfy the constraints on the observed cloud.
 
     :param limits: of one step.
-    :param rig: the rig file; None for cameras that move freely on a plane.
+    :param rig: the rig with its constraints; None for cameras that move freely on a plane.
     :ivar filter: applies the constraints of the rig file; None without one.
     """
 
@@ -117,8 +117,8 @@ class FreeWays(NamedTuple):
     Free distance around a camera in each horizontal direction.
 
     :ivar position: (3,) metres, of the camera.
-    :ivar reach: (SECTORS,) metres to the nearest observed point in each direction and the
-        directions beside it; 0 for a direction without a point.
+    :ivar reach: (SECTORS,) metres to the nearest observed point in the camera's view, in each
+        direction and the directions beside it; 0 if one of these has no such point.
     """
 
     position: np.ndarray

@@ -221,8 +221,8 @@ class _Search:
         The bonus is divided by the mean number of cells in a view, not by the number of all unseen
         cells: points already observed stay observed, so a view elsewhere costs nothing.
 
-        :param curiosity: bonus for a view of unseen cells alone, in multiples of the depth error
-            without any visible point.
+        :param curiosity: bonus for a view whose cells are all unseen, in multiples of the depth
+            error without any visible point.
         :param cameras: numbers of the cameras whose views are averaged.
         :param headings: (H, 3) radians, directions all around.
         """
@@ -272,5 +272,5 @@ class _Search:
 
 
 def _around(heading: np.ndarray, step: float) -> np.ndarray:
-    """Return four headings (4, 3): yaw and pitch changed by plus and minus a step, radians."""
+    """Return four headings (4, 3): yaw or pitch changed by plus or minus a step, radians."""
     return heading + step * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])

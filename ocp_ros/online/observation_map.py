@@ -15,9 +15,9 @@
 """
 Observation map: the observed cloud from above, as channels of a square grid for the map actor.
 
-Some channels describe the room: points by height, the depth error that belongs to these points,
-and the observed air. Other channels describe the remaining task beside the other cameras: the
-points that none of them sees, the depth error at these points, and the positions of the other
+Some channels describe the room: points by height, the depth error at these points if none is
+visible, and the observed air. Other channels describe the remaining task beside the other cameras:
+the points that none of them sees, the depth error at these points, and the positions of the other
 cameras. The map contains observed data alone, and no move is simulated.
 """
 

@@ -37,8 +37,8 @@ from scipy.optimize import linear_sum_assignment
 UNLIKE = 1e6
 #: Share of the episode after which plans are refined: earlier the observed cloud is too small.
 REFINING = 0.6
-#: From this number of time steps on, plans are computed while the cameras move, on the cloud
-#: before the move: in a shorter episode the loss by the older cloud would be too large.
+#: In episodes of at least this number of time steps, plans are computed while the cameras move, on
+#: the cloud before the move: in a shorter episode the loss by the older cloud would be too large.
 AHEAD = 20
 
 

@@ -66,9 +66,9 @@ class PartialMap:
 
     The viewpoints of the depth error are spread over the observed floor, see
     :func:`~ocp_ros.simulation.viewpoints.observed_viewpoints`. The bounding box includes a corner
-    of the :func:`smallest_rectangle` around the points if the nearest cameras see into it without
-    occlusion by observed points. So unseen corners of the room count as air, but not the corner
-    outside an L-shaped room, which is behind walls.
+    of the :func:`smallest_rectangle` around the points if one of the two nearest cameras sees into
+    it without occlusion by observed points. So unseen corners of the room count as air, but not
+    the corner outside an L-shaped room, which is behind walls.
 
     :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
     :param positions: (K, 3) metres: current positions of the cameras.
@@ -113,7 +113,7 @@ class PartialMap:
             observed_viewpoints(scene.points, corners), rows)
 
     def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Return which of the four test places, listed last, the nearest cameras see."""
+        """Return which of the four test places, listed last, a camera near each of them sees."""
         places = self.visibility.place_order
         lens, found = CameraModel(max_range=FAR).lens, np.zeros(4, dtype=bool)
         away = np.linalg.norm(tests[:, None] - positions[None], axis=2)

@@ -91,7 +91,7 @@ class Limits(NamedTuple):
     :ivar max_turn: largest rotation of a camera, radians; 0 if no camera rotates.
     :ivar wall_margin: cameras stay this far inside the observed bounding box, metres.
     :ivar clearance: cameras stay this far from all observed points, metres; a rig file replaces
-        the value.
+        any value but 0.
     """
 
     max_step: float
@@ -115,7 +115,12 @@ class Command(NamedTuple):
 
 
 def clearance_of(rig_state: RigState | None, otherwise: float) -> float:
-    """Return the rig's clearance, metres; ``otherwise`` if that is 0 or the rig has none."""
+    """
+    Return the distance that cameras keep from surfaces: that of the rig, or else of a setting.
+
+    :param otherwise: the setting, metres; 0 means no limit and is returned for every rig.
+    :returns: metres.
+    """
     if not otherwise or rig_state is None or rig_state.clearance is None:
         return otherwise
     return rig_state.clearance

@@ -29,8 +29,8 @@ from ocp_ros.rig.placement_file import Placed
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
 
-#: Degrees: a smaller angle counts as 0 (straight, level, upright); from this pitch on a camera
-#: looks straight down.
+#: Degrees: a smaller angle counts as 0 (straight, level, upright); beyond this pitch a camera
+#: looks straight down or up.
 STRAIGHT, DOWN = 0.5, 85.0
 #: Smallest distance of the point that a camera is aimed at, metres; largest distance of this point
 #: from the optical axis, metres; largest height that counts as on the floor, centimetres.

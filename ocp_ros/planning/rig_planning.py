@@ -65,8 +65,8 @@ class PlanTask:
     :ivar planner: one of :func:`~ocp_ros.search.registry.planner_names`.
     :ivar seconds: of search for each number of cameras; None for 60, or 15 with ``counting``,
         unless evaluations are given.
-    :ivar evaluations: largest number of placements to evaluate; then the same seed gives the same
-        result.
+    :ivar evaluations: largest number of placements to evaluate; with it and without ``seconds``,
+        the same seed gives the same result.
     :ivar seed: random seed.
     :ivar counting: criterion to choose the number of cameras; None for a given number.
     :raises ConfigurationError: if the planner does not exist or cannot choose the number.
@@ -88,7 +88,7 @@ class PlanTask:
         if seconds is None and self.evaluations is None:
             seconds = SECONDS if self.counting is None else SECONDS_EACH
         if seconds is None or self.planner == RIG_SEARCH:
-            # This planner includes the proof in its search.
+            # The search of ``RIG_SEARCH`` includes the proof.
             return Budget(seconds, self.evaluations), seconds
         return Budget((1.0 - PROVING) * seconds, self.evaluations), PROVING * seconds
 

@@ -141,8 +141,9 @@ class MapActor(PipelinedPlanner):
     def asked(self, cameras: int, turn: int, turns: int) -> np.ndarray:
         """Return the cameras that choose again in this time step, in their order."""
         asked = max(AGAIN, -(-OFTEN * cameras // turns))
-        # In the first plan that no time step waits for, all cameras choose twice. In an episode of
-        # many time steps the first plan is waited for, so one camera chooses.
+        # In the first plan of a short episode all cameras choose twice. In an episode of many time
+        # steps they do so in the second plan, which no time step waits for; in its first plan,
+        # which is waited for, one camera chooses.
         if self._turns == int(self._ahead(turns)):
             asked = max(asked, 2 * cameras)
         elif self._turns == 0:

@@ -165,7 +165,7 @@ class Extractor(nn.Module):
 
 
 def pooled(features: Tensor, present: Tensor) -> Tensor:
-    """Pool features (..., N, C) >= 0 where ``present`` (..., N) is 1, by mean and maximum."""
+    """Pool features (..., N, C) >= 0 of present items (..., N) by mean and maximum: (..., 2 C)."""
     features = features * present[..., None]
     count = present.sum(dim=-1, keepdim=True).clamp(min=1.0)
     return torch.cat([features.sum(dim=-2) / count, features.amax(dim=-2)], dim=-1)

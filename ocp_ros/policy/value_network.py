@@ -41,7 +41,7 @@ TEMPERATURE = 0.05
 
 
 class ResidualBlock(nn.Module):
-    """Two convolutions whose output is added to their input; with first weights it adds 0."""
+    """Two convolutions whose output is added to their input; before training they add 0."""
 
     def __init__(self, width: int) -> None:
         super().__init__()
@@ -173,7 +173,7 @@ class CellChoices:
         return -(self.shares * self._log).sum(dim=1)
 
     def divergence(self, other: 'CellChoices') -> Tensor:
-        """Return the Kullback-Leibler divergence from this to another one: (B,), in nats."""
+        """Return the Kullback-Leibler divergence D(this || other): (B,), in nats."""
         return (self.shares * (self._log - other._log)).sum(dim=1)
 
     def best(self) -> Tensor:

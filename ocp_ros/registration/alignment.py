@@ -16,7 +16,8 @@
 Point-to-plane registration of points to surfaces, from many starts at once.
 
 The method is iteratively reweighted least squares (Chen and Medioni, 1992) with the kernel of
-Geman and McClure. A point is matched only to a surface with a similar normal.
+Geman and McClure. A point is matched only to a surface that faces the camera and has a similar
+normal.
 """
 
 from typing import NamedTuple
@@ -123,7 +124,7 @@ class Matches(NamedTuple):
 
 
 def matched(surfaces: Surfaces, patches: Patches, poses: Poses, gate: float) -> Matches:
-    """Match points to the nearest surface points with similar normals."""
+    """Match points to the nearest surface points, if these face the camera as the points do."""
     arms = np.einsum('sij,mj->smi', poses.rotations, patches.points)
     placed = arms + poses.positions[:, None]
     distance, index = surfaces.tree.query(placed, distance_upper_bound=gate)

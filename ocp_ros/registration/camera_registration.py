@@ -62,7 +62,7 @@ SHIFTS, ARM, JUDGES, GAIN = (0.02, 0.04, 0.06, 0.08), 2.5, 2000, 1e-3
 APART, FARTHEST = (0.10, np.deg2rad(4.0)), (1.6, np.deg2rad(45.0))
 #: Metres and radians beyond which two answers are distinct.
 DISTINCT = 0.01, np.deg2rad(0.5)
-#: The largest number of refined poses, and their largest distance in score from the best.
+#: The largest number of refined poses, and how far their score may be below the best.
 MOST, MUCH_WORSE = 3, 0.2
 #: A surface explains a point within a distance across the surface (standard deviations plus
 #: metres) and a distance to its nearest point (metres); from the other distance on (standard

@@ -111,7 +111,7 @@ class ScanSurfaces:
 
     @cached_property
     def _two_sided(self) -> np.ndarray:
-        """Return on which sides of each point a similar surface is close to it: (2, N)."""
+        """Return whether a similar surface is close behind or in front of points: (2, N) bool."""
         return np.stack([self._backed(-1.0, THICK), self._backed(1.0, THICK)])
 
     @cached_property

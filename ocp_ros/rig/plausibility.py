@@ -23,8 +23,8 @@ from ocp_ros.scenes.scene import Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-#: The least share of the floor plan that a level layer fills if it is a floor or a ceiling, or a
-#: storey.
+#: The least share of the floor plan that a level layer fills: as a floor or a ceiling; and as one
+#: of several storeys.
 LAYER_SHARE, STOREY_SHARE = 0.2, 0.4
 #: Metres: layers nearer to each other are the two sides of one slab; the edge of a cell of the
 #: floor plan.

@@ -150,6 +150,7 @@ class Rig:
     :ivar fixed: the F cameras in place.
     :ivar mount: the mount of the K cameras.
     :ivar pitch: the least and the largest pitch, radians; positive looks down.
+    :ivar rolls: the rolls that the mount offers, radians.
     :ivar keep_clear: the least distance of a camera from any surface except its mount, metres.
     :ivar spacing: the least distance of two cameras, metres.
     :ivar keep_out: zones in which no camera may be.

@@ -34,8 +34,8 @@ FLAT = 0.08
 #: The number of points that define the plane of a surface, and the least cosine between their
 #: normals.
 VOTERS, ALIKE = 8, 0.9
-#: The least height of a ceiling in metres and as a share of the room's height; the least height of
-#: walls as a share of it.
+#: The least height of a ceiling in metres and as a share of the room's height, of which the lower
+#: one counts; the least height of walls as a share of it.
 HEADROOM, HEADROOM_SHARE, WALL_SHARE = 2.0, 0.8, 0.8
 #: Metres: the least height of a standing obstacle, such as a knee wall, a fence or a cupboard.
 STANDING = 1.0

@@ -83,7 +83,7 @@ def make_room(name: str, rotation: float, points: int = 15000, **reading: Any) -
 
     :param name: the seed of a generated room, or the path of a scan.
     :param rotation: degrees about the vertical axis.
-    :param points: the number of points of a room; larger scans are thinned to it.
+    :param points: the number of points of a generated room; larger scans are thinned to it.
     :param reading: options of a scan, those of ``READING``; see
         :func:`~ocp_ros.scenes.scene_files.load_scene`.
     :raises SceneError: if the scan cannot be used.

@@ -17,7 +17,7 @@
 
 The turns come from a simulation or from live cameras: see
 :mod:`ocp_ros.ros.policy.simulated_turns` and :mod:`ocp_ros.ros.policy.live_turns`. The node does
-not import open3d, stable-baselines3 or matplotlib; with lookahead it does not import PyTorch
+not import open3d, stable-baselines3 or matplotlib; with lookahead alone it does not import PyTorch
 either. Each turn brings all the data that the node needs about the episode. Data from earlier
 turns only improve its answers, so the node can be killed and restarted at any time.
 """
@@ -67,12 +67,12 @@ if TYPE_CHECKING:
 
 
 def load_checkpoint(path: Path) -> 'Checkpoint':
-    """Read weights; only this function imports PyTorch, which takes long."""
+    """Read weights; import PyTorch only now, since that takes long."""
     from ocp_ros.policy.checkpoint import Checkpoint
     return Checkpoint.load(path)
 
 
-#: Seconds that a planner may plan the next turn although messages wait: it needs a tenth of that.
+#: Seconds for which a planner may plan ahead although messages wait: it needs a tenth of that.
 UNDISTURBED = 2.0
 
 
@@ -155,7 +155,7 @@ class PolicyNode(ManagedNode):
         self._paused = False
 
     def _reflect(self) -> None:
-        """Let the planner plan the next turn ahead; stop late if a message waits."""
+        """Let the planner plan ahead; after ``UNDISTURBED`` seconds stop once a message waits."""
         alone = time.monotonic() + UNDISTURBED
         self._decider.plan_ahead(lambda: time.monotonic() > alone and has_news(self))
 
@@ -193,7 +193,7 @@ class PolicyNode(ManagedNode):
             self._calibrator.change(config)
 
     def _tell(self, told: TurnInfo) -> None:
-        """Take the number and the state of a turn from a simulation."""
+        """Take from a simulation which turn it is and whether it is the last."""
         # Step 0 always begins a new episode: a restarted simulation counts episodes from 1 again.
         if told.episode != self._episode or told.step == 0:
             self._start_episode(told.episode)
@@ -229,7 +229,7 @@ class PolicyNode(ManagedNode):
         return response
 
     def _waits(self) -> bool:
-        """Return whether the answer has to wait: inactive, paused, other commander or trainer."""
+        """Return whether an answer waits: node inactive or paused, other commander, or trainer."""
         return bool(not self.active or self._paused or self._commands.waits or (
             self._experiences and self._experiences.held))
 
@@ -251,7 +251,7 @@ class PolicyNode(ManagedNode):
         if self._why():
             self._settle(poses)
             if self._experiences:
-                # The experience of the last choice needs the observation that it led to.
+                # The last choice needs the observation that it led to: planning records it.
                 self._decider.plan(cloud, poses, self._step)
         # A final placement stays as it is, even if measured poses differ from it.
         answer = self._decider.decide(cloud, poses, self._step) if self._held is None else \
@@ -373,7 +373,7 @@ def placement_from(poses: PoseArray, decider: Decider, why: str) -> Placement:
     Make a placement from camera poses.
 
     :param poses: of the cameras, in the order of the rig.
-    :param decider: has the rig, or without a rig file the model of each camera.
+    :param decider: has the rig of the rig file, or without one the camera model.
     :param why: reason why the placement is final.
     """
     created = {**created_by('policy_node'), 'final': why}

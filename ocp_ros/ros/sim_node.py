@@ -181,7 +181,7 @@ class SimNode(ManagedNode):
         return dict(zip(topics.REWARD_FIELDS, values, strict=True)) | shares
 
     def _send_turn(self) -> None:
-        """Send the latest turn, and start the timer for its command again."""
+        """Send the latest turn, and restart the timer for its command."""
         for publisher, message in self._turn_messages:
             publisher.publish(message)
         self._resend.reset()
@@ -198,7 +198,7 @@ class SimNode(ManagedNode):
         if self.active:
             now = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.config.frame_id)
             self._frames.publish(now, self._camera_poses())
-        # No turn follows the last one, but the policy has to receive the message that it is last.
+        # No turn follows the last one, but the policy has to receive that it is the last.
         if self.active and not (self._answered and self.episode.turn.truncated):
             self._counts['resent_turns'] += 1
             self._send_turn()

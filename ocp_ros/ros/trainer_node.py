@@ -142,7 +142,7 @@ class TrainerNode(Node):
         self._publish_weights()
         learner, most = self.learner, self.config.most_behind
         before = self._hold
-        # Policies wait until half of the backlog is done, so that they do not stop at every turn.
+        # Policies wait until half of ``most_behind`` is left: else they would stop at every turn.
         self._hold = learner.failure is None and learner.behind > (most / 2 if before else most)
         self._ticks += 1
         due = self._ticks % STATUS == 0

@@ -44,10 +44,11 @@ REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec
                  'reward', 'terminated')
 #: The largest experience that is read, bytes.
 LARGEST = 1 << 24
-#: The largest reward that is accepted: the paper's penalty at its largest setting. Much larger
-#: rewards make the networks' weights overflow, and the training is lost.
+#: The largest magnitude of a reward that is accepted: the paper's penalty at its largest setting.
+#: Much larger rewards make the numbers of the networks overflow, and the training is lost.
 LARGEST_REWARD = 1e9
-#: Actions are moves in units of the longest step; random ones may be a little longer than 1.
+#: The largest action that is accepted: moves are in units of the longest step, and random ones
+#: may be a little longer than 1.
 LARGEST_ACTION = 10.0
 
 
@@ -95,7 +96,7 @@ class Source:
     :param namespace: full name.
     :param agent: defines the observations that the policies read.
     :param learn: takes a transition; returns whether there was room for it.
-    :ivar counts: numbers of transitions that were learned, refused and dropped.
+    :ivar counts: numbers of transitions that were taken, messages refused, transitions dropped.
     :ivar heard: when the last transition came, seconds of a steady clock.
     """
 

@@ -327,7 +327,7 @@ def _rows(values: np.ndarray, named: list[tuple[str, str]]) -> np.ndarray:
 
 def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str,
                    by_file: bool = False) -> None:
-    """Refuse invalid options; for points in memory, scale and up have to be given."""
+    """Refuse invalid options; points in memory have no file that gives their scale or up."""
     directions = [choice for choice in UP_CHOICES if by_file or choice != BY_FILE]
     for option, value in (('voxel_size', voxel_size), ('max_points', max_points),
                           ('scale', scale)):

@@ -40,9 +40,9 @@ AWAY, SHARE, FAR_SHARE = 1.0, 0.002, 0.05
 #: second number is a candidate; so is a point whose neighbour of the third number is farther than
 #: the fourth number times the median distance.
 AROUND, LISTED, NEIGHBOUR, FARTHER = 12, 3, 8, 3.0
-#: The least ratio of the smallest to the second eigenvalue for points that lie on no plane, and
-#: the largest ratio of the second to the first for points that lie on a line, such as the far
-#: rings of a laser scanner.
+#: The least ratio of the smallest to the middle eigenvalue for points that lie on no plane, and
+#: the largest ratio of the middle to the largest one for points that lie on a line, such as the
+#: far rings of a laser scanner.
 PLANE, LINE = 0.1, 0.05
 #: The number of passes, and the largest share of isolated points: a larger share is a property of
 #: the scanner, and no point counts as isolated.

@@ -141,14 +141,14 @@ class Pool:
         self._grids: dict[CameraModel, PoseGrid] = {}
         self._dense = dense
         models = rig.placed_models
-        #: Whether the views of all drawn poses were computed.
+        #: Whether the views of all offered poses were computed, not only of a part.
         self.complete = True
         for model in models:
             camera, count = rig.models.index(model), max(most // len(models), 1)
             offered = _offered(problem.region, model, max(count, among // len(models)))
             poses = offered[:count]
-            # The first LEAST poses are spread over the room; the others are sorted by position, so
-            # that poses of one position are computed together.
+            # The first LEAST poses are spread over the room; the others are grouped by position,
+            # so that poses of one position are computed together.
             _, first, place = np.unique(poses[:, :3], axis=0, return_index=True,
                                         return_inverse=True)
             rank = np.where(np.arange(len(poses)) < LEAST, -1, first[place.ravel()])
@@ -251,7 +251,7 @@ def keeps_spacing(poses: np.ndarray, sites: Sequence[MountedCamera], spacing: fl
 def best_addition(objective: Objective, pool: Pool, sites: Sequence[MountedCamera],
                   among: np.ndarray | None = None) -> MountedCamera | None:
     """
-    Choose the candidate for the next camera of a rig with the best objective value.
+    Choose the candidate for the next camera of a rig with the least ``objective.promise``.
 
     :param sites: of the cameras before it.
     :param among: numbers of candidates to choose from; None for all candidates.
@@ -312,7 +312,7 @@ def check_regions(objective: Objective, pool: Pool) -> None:
     """
     Check that all candidates together see the required share of each region.
 
-    :raises ConfigurationError: if they do not, and the views of all candidates are known.
+    :raises ConfigurationError: if they do not, and the views of all offered poses were computed.
     """
     rig = objective.rig
     shares = objective.judge(pool.union_views(rig)).regions

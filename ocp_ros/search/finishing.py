@@ -15,12 +15,12 @@
 """
 Search on a lattice of places, then finish by local search between them.
 
-To compute a view is the slow part of an evaluation, and it takes longer with more points. So for
+Computing a view is the slow part of an evaluation, and it takes longer with more points. So for
 most of the budget, the planner evaluates cameras at places of a lattice, and the view of each
-place is computed once. At the end, the best placements are evaluated at their exact positions and
-improved by local search. Among the best results, the answer is the placement with the best mean
+place is computed once. At the end, the best placements are evaluated again and improved by local
+search between these places. Among the best results, the answer is the placement with the best mean
 score over small mounting errors. This excludes a placement whose score depends on the exact cells
-of a depth map.
+of a map.
 """
 
 from collections.abc import Callable, Sequence

@@ -29,8 +29,8 @@ from ocp_ros.search.planner import Planner, Scores, Search
 
 #: First and last step of the local search, metres, and the number of directions that it tries.
 FIRST_STEP, LAST_STEP, DIRECTIONS = 0.4, 0.02, 8
-#: Candidates of a search with exchange: their smallest number, the divisor of the budget for each
-#: camera, and their largest number.
+#: Candidates of a search with exchange: their smallest number; the evaluations of the budget for
+#: each candidate and camera; and their largest number.
 FEWEST, SHARE, MOST = 20, 16, 150
 #: Number of random places from which two removed cameras are placed again.
 REBUILT = 48

@@ -92,7 +92,7 @@ class PoseGrid:
         return points[(bits[:, heading >> 6] >> np.uint64(heading & 63)) & np.uint64(1) > 0]
 
     def batches(self, places: np.ndarray) -> list[list[int]]:
-        """Divide places into batches whose headings together fit into 64 bits."""
+        """Batch places whose headings together fit into 64 bits; one with more is alone."""
         batches, left = [], 0
         for place in places.tolist():
             left -= len(self.headings[place])

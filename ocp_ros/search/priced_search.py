@@ -80,7 +80,8 @@ class PricedSearch:
     """
     One search by column generation and local refinement.
 
-    :param problem: the rig in the room, with ``seen_by`` 1 and no objective for pairs of cameras.
+    :param problem: the rig in the room, with ``seen_by`` 1 and without ``calibratable`` or regions
+        of air.
     :param pool: candidates, with the grids of the rig's models.
     :param budget: with evaluations and without seconds, the result is reproducible.
     :param seed: random seed.
@@ -229,7 +230,7 @@ def relaxation_of(problem: Problem, pool: Pool, over: Callable[[], bool]) -> Col
 def certified(problem: Problem, relax: Callable[[], ColumnGeneration], found: float,
               on_grid: float, budget: Budget) -> tuple[Certificate | None, str]:
     """
-    Prove the optimality gap of a placement to all placements on the grids.
+    Prove the optimality gap of a placement with respect to all placements on the grids.
 
     :param relax: returns the column generation.
     :param found: the loss of the placement.

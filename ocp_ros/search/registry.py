@@ -53,8 +53,8 @@ RIG_SEARCH = 'rig_search'
 SCAN, SCORES, OBSERVED = 'the scan', 'scores', 'observed points'
 #: Entry-point group of packages with planners.
 GROUP = 'ocp_ros.planners'
-#: Environment variable with the names of broken planners for which a warning was given; then the
-#: names that planners must not have.
+#: Environment variable with the names of broken planners for which a warning was given; and names
+#: that planners must not have, since they mean something else.
 TOLD = 'OCP_ROS_BROKEN_PLANNERS'
 TAKEN = ('random_placement', 'truth_search', 'priced_plane')
 

@@ -135,7 +135,8 @@ class RigPlanner:
         """
         Find the best placement of a rig.
 
-        :param before: result for a rig with one camera less; the new placement is not worse.
+        :param before: result for a rig with one camera less; the new placement is not worse if
+            one more camera fits beside that one.
         :raises ConfigurationError: if the cameras do not fit into the room.
         """
         problem, start = self.problem(rig), ()

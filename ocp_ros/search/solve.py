@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The loop that runs a planner: it measures time, counts evaluations, stores best and trace."""
+"""The loop of a planner: it measures time, counts evaluations, and keeps best and trace."""
 
 from bisect import insort
 from collections.abc import Callable, Sequence

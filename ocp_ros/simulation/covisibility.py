@@ -158,7 +158,7 @@ def _shared(points, seen, positions, cosine):
 
 @njit(cache=True, nogil=True)
 def _clique(linked, among, count):
-    """Return whether ``count`` cameras of the bit set ``among`` are all linked to each other."""
+    """Return whether any ``count`` cameras of the bits ``among`` are all linked to each other."""
     if count == 0:
         return True
     one, everyone = 0, among

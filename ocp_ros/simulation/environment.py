@@ -47,9 +47,10 @@ class CameraPlacementEnv(gym.Env):
     its constraints. A camera moves to the allowed position nearest to its target. The views of
     cameras in place are included.
 
-    **Action space** ``Box(-1, 1, (K, 2))``: each camera's move in units of ``max_step``, shortened
-    to the unit disc. Moves of absent cameras are ignored. A rig file may add columns (named by
-    ``axes``): ``z`` if the mount allows a range of heights, and ``yaw`` and ``pitch`` in units of
+    **Action space**
+    ``Box(-1, 1, (K, 2))``: each camera's move in units of ``max_step``, shortened to the unit
+    disc. Moves of absent cameras are ignored. A rig file may add columns (named by ``axes``):
+    ``z`` if the mount allows a range of heights, and ``yaw`` and ``pitch`` in units of
     ``max_turn`` if a camera is not omnidirectional.
 
     **Observation space**
@@ -66,6 +67,7 @@ class CameraPlacementEnv(gym.Env):
     **Reward**
     See :mod:`ocp_ros.simulation.reward`; all terms are in ``info``.
 
+    **Start**
     A scene drawn from ``scenes``, rotated by an angle drawn from ``rotations``, with a drawn
     number of cameras near its centre; ``options`` may set ``scene`` (index), ``rotation``
     (degrees) and ``cameras``.
@@ -77,7 +79,7 @@ class CameraPlacementEnv(gym.Env):
     :param scenes: rooms to draw from; a room is loaded when its episode begins.
     :param config: rig, engine, episode and reward.
     :param observation_points: the number P of points of an observed cloud.
-    :param fewest: the least number of cameras of an episode; the largest is K; K by default.
+    :param fewest: the least number of cameras of an episode, K by default; the largest is K.
     :param rotations: degrees about the vertical axis.
     :raises ConfigurationError: if the rig file cannot be used, or does not fit these numbers of
         cameras and rotations.
@@ -114,7 +116,7 @@ class CameraPlacementEnv(gym.Env):
             for name, shape in shapes.items()})
 
     def _check_rig(self) -> None:
-        """Refuse too few cameras for a rig file, and rotations if the rig has poses in the map."""
+        """Refuse too few cameras for a rig file, and rotations that its map coordinates forbid."""
         rig, cameras = self.rig, len(self.rig.cameras)
         if self.fewest < cameras and not rig.free:
             raise ConfigurationError(f'fewest: found {self.fewest} with a rig file; expected '
@@ -153,7 +155,7 @@ class CameraPlacementEnv(gym.Env):
 
     def _observation(self) -> dict[str, np.ndarray]:
         """Return the observation of the agent."""
-        # If no camera sees any point, the camera positions stand for the cloud.
+        # Until a camera has seen a point, the camera positions stand for the cloud.
         cloud = self.episode.observed_cloud
         if len(cloud) == 0:
             cloud = self.episode.turn.positions.astype(np.float32)
@@ -181,7 +183,7 @@ class RoomsByName(Sequence[Scene]):
     Rooms that are made each time they are accessed.
 
     :param names: seeds of generated rooms, or paths of scans.
-    :param points: the number of points of a room; larger scans are thinned to it.
+    :param points: the number of points of a generated room; larger scans are thinned to it.
     """
 
     def __init__(self, names: Sequence[int | str | PathLike[str]], points: int = 15000) -> None:
@@ -203,7 +205,7 @@ def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points
     Return the environment that ``gymnasium.make`` makes.
 
     :param rooms: seeds of generated rooms, or paths of scans.
-    :param points: the number of points of a room; larger scans are thinned to it.
+    :param points: the number of points of a generated room; larger scans are thinned to it.
     :param cameras: the number of cameras without a rig file; 4 by default.
     :param config: rig, engine, episode and reward.
     :param more: other arguments of :class:`CameraPlacementEnv`.
@@ -218,5 +220,5 @@ def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points
     return CameraPlacementEnv(RoomsByName(rooms, points), config, **more)
 
 
-# Gymnasium 1 does not load entry points of packages: importing this module registers it.
+# Gymnasium 1 loads no entry points of packages: importing this module registers the environment.
 gym.register(ENVIRONMENT, f'{__name__}:{environment_of.__name__}')

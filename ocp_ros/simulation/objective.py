@@ -43,7 +43,7 @@ class RigEvaluation(NamedTuple):
         overlaps that link all cameras, if the rig requires it.
     :ivar depth_error: metres.
     :ivar space_coverage: cubic metres.
-    :ivar regions: (R,) the share of each region's points that are seen.
+    :ivar regions: (R,) the share of each region's points, or of its cells of air, that are seen.
     :ivar seen: the points that enough cameras see.
     :ivar connected: whether all cameras are linked, or the rig does not require it.
     """
@@ -181,10 +181,10 @@ class Objective:
 
     def promise(self, views: Sequence[View]) -> float:
         """
-        Return the mean of the losses with 1, 2, ... required cameras per point.
+        Return the mean of the losses if 1, 2, ... cameras have to see a point or cell of air.
 
-        The largest number is that of the rig or of a region of air. This value also distinguishes
-        placements with too few cameras, which all have the same loss.
+        The last number is the largest that the rig or a region of air requires. This value also
+        distinguishes placements with too few cameras, which all have the same loss.
 
         :param views: as for :meth:`judge`.
         """
@@ -202,7 +202,7 @@ class Objective:
 
         :param seen: packed bits of the points that count as seen.
         :param views: the views of all cameras, for regions of air.
-        :param most: the limit of the number of cameras that have to see these regions.
+        :param most: upper limit of the number of cameras that have to see a cell of air.
         """
         error = self.simulator.depth_error(seen)
         shares = np.array([

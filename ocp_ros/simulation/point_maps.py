@@ -42,7 +42,7 @@ def maps_of(simulator: Simulator, poses: Sequence[Pose]) -> PointMaps:
     """
     Compute the maps of a placement.
 
-    :param simulator: the engine for the room; camera k has its model k, or its only model.
+    :param simulator: the engine for the room; camera k has the engine's model k, or its only one.
     :param poses: the poses of K cameras, K >= 1.
     """
     views = [simulator.look(pose, camera) for camera, pose in enumerate(poses)]

@@ -115,7 +115,7 @@ class Problem:
 
     @cached_property
     def _middle(self) -> np.ndarray:
-        """Return the middle of the room at the lowest camera height: (3,) metres."""
+        """Return the room's middle at the mount's lowest height, else its top: (3,) metres."""
         region, heights = self.region, self.rig.mount.heights
         level = region.top if heights is None else region.floor + heights[0]
         return np.array([*self.simulator.scene.bounds.mean(axis=0)[:2], level])

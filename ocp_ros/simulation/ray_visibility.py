@@ -30,7 +30,8 @@ class RayVisibility:
     """
     Visibility of points and of positions in the air by rays cast at a mesh.
 
-    It has the interface of :class:`~ocp_ros.geometry.visibility.SurfelVisibility`.
+    It has the ``look`` and ``narrowed`` of
+    :class:`~ocp_ros.geometry.visibility.SurfelVisibility`, and replaces it.
 
     :param points: (N, 3) float32, metres, map frame.
     :param places: (M, 3) float32, metres.

@@ -16,7 +16,7 @@
 Rewards of one turn.
 
 ``paper``: section III-C of arXiv 2110.11106, a weighted sum of the gain of coverage and the
-reduction of depth error, or a penalty, raised to the third power. This reward has a flaw: a camera
+reduction of depth error, or a penalty, raised to the third power. The power has a flaw: a camera
 that moves away slowly and jumps back gains reward.
 
 ``potential``: the difference of a potential, -2 ln(D / D_none + 0.01) + 3 x covered share, so that
@@ -35,8 +35,10 @@ class RewardTerms(NamedTuple):
 
     :ivar reward: the reward itself.
     :ivar delta_space_coverage: cubic metres gained.
-    :ivar delta_depth_error: the reduction of the depth error, metres; positive is better.
-    :ivar penalty: 1.0 if a camera was commanded to leave the bounding box, else 0.0.
+    :ivar delta_depth_error: the reduction of the error of rewards, metres, see
+        :meth:`~ocp_ros.simulation.problem.Problem.error`; positive is better.
+    :ivar penalty: 1.0 if a camera was commanded to a position that is not allowed (on a plane:
+        out of the bounding box), else 0.0.
     """
 
     reward: float
@@ -65,9 +67,9 @@ def reward(before: tuple[float, float], after: tuple[float, float], outside: boo
     """
     Reward a turn.
 
-    :param before: space coverage (cubic metres) and depth error (metres) before the turn.
+    :param before: space coverage (cubic metres) and error of rewards (metres) before the turn.
     :param after: the same after the turn.
-    :param outside: whether a camera was commanded to leave the bounding box.
+    :param outside: whether a camera was commanded to a position that is not allowed.
     :param volume: the volume of the bounding box, cubic metres.
     :param worst: the depth error of seeing nothing, metres.
     :param config: the kind of reward and its weights.

@@ -63,9 +63,9 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
     Place viewpoints in the middles of 16 equal parts of the air at half height.
 
     The parts are found by halving, each time across the direction of largest variance. The cells
-    of air are aligned with the walls, and ties are broken in the order of the room. So the result
-    does not depend on random numbers or on the axes of the scan. If there is too little air at
-    half height, all heights are used; if there is none, the paper's five viewpoints.
+    of air are aligned with the walls, and ties are broken by coordinates along the walls. So the
+    result does not depend on random numbers or on the axes of the scan. If there is too little air
+    at half height, all heights are used; if there is none, the paper's five viewpoints.
     """
     angle = wall_direction(scene)
     aligned = turned(scene, -np.rad2deg(angle))

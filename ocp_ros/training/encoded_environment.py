@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The environment with the observations and actions of the networks, each encoded once."""
+"""The environment with the inputs and actions of the networks; a turn is encoded once."""
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -142,7 +142,7 @@ class EncodedObservation(gym.ObservationWrapper):
 
 class CameraByCamera(gym.Wrapper):
     """
-    The cameras choose one after the other; each observation has the targets chosen before.
+    The cameras choose one after the other; each observation has the targets chosen so far.
 
     An action is the move of one camera, and its reward is that of this move alone. When all
     cameras have chosen, the turn is played. An observation is for one camera, so the number of
@@ -203,7 +203,7 @@ class CameraByCamera(gym.Wrapper):
         return self.encoded.inputs(self.camera)
 
     def _judge(self, camera: int) -> RewardTerms:
-        """Return the reward of one camera's move, with the moves chosen before it."""
+        """Return the reward of one camera's move, given the moves chosen before it."""
         episode = unwrapped(self.env).episode
         pose = np.concatenate([self.encoded.positions[camera], episode.turn.headings[camera]])
         self._views[camera] = episode.simulator.look(pose, camera)

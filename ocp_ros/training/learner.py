@@ -112,10 +112,10 @@ class Learner:
         # The replay file may have transitions that came after the state was saved: count them too.
         known = self.model.replay_buffer.size()
         self.model.num_timesteps = max(self.transitions, known)
-        #: Number of transitions at the last save of all, and number of those not in memory now.
+        #: Number of transitions when the replay file was written last, and of those not in memory.
         self._saved = self.transitions
         self._lost = self.transitions - known
-        # Gradient steps of transitions that are not in memory: they count as paid.
+        # Steps taken for transitions that are not in memory any more do not count for the others.
         self._paid = max(self.updates - max(self._owed(self.transitions), 0.0), 0.0)
         return run
 

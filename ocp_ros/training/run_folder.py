@@ -65,7 +65,7 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     """
     Write the settings and rooms of a run, or check that the run in the folder has the same ones.
 
-    :raises ConfigurationError: if the folder has another run, or files that are of no run.
+    :raises ConfigurationError: if the folder has another run, or files of another origin.
     """
     path, rooms = folder / CONFIG, folder / ROOMS
     _check_name(folder)

@@ -44,7 +44,7 @@ from torch.nn.functional import grid_sample, smooth_l1_loss
 BETA, BEST_COUNTS, GOOD = 0.1, 6.0, 0.1
 #: Gradient steps in which the step size grows linearly from 0.
 WARM = 100
-#: Weight and temperature of the loss between the softmax of labels and that of predictions.
+#: Weight and temperature of the divergence of the softmax of predictions from that of labels.
 SHARPNESS, TEMPERATURE = 0.03, 0.05
 
 

@@ -147,7 +147,7 @@ class TrueRoom:
         self._seen = [seen for place in at for seen in self._looks(place, turned)]
 
     def _looks(self, place: np.ndarray, turned: np.ndarray) -> list[np.ndarray]:
-        """Return the packed visible points of a position, for each heading (D, 3), radians."""
+        """Return the packed points visible from a position, for each heading (D, 3), radians."""
         lens = self.engine.models[0].lens
         # The preset of this engine never uses the other kind of visibility, points as cubes.
         look = cast(SurfelVisibility, self.engine.visibility)

@@ -23,7 +23,7 @@ State = TypeVar('State')
 
 
 def between(first: float, last: float, share: float | np.ndarray) -> float | np.ndarray:
-    """Return a value between the first and the last on a geometric scale."""
+    """Return the value at a share (0: first, 1: last) of the way on a geometric scale."""
     return first * (last / first) ** share
 
 

@@ -98,7 +98,7 @@ def cache_folder() -> Path | None:
     Return the cache folder of the package: ``OCP_ROS_CACHE``, or a folder in the user's cache.
 
     :returns: an absolute path, created with access for this user only; None if it cannot be
-        created.
+        created, or the path is relative.
     """
     base = os.environ.get('XDG_CACHE_HOME', '')
     if not os.path.isabs(base):

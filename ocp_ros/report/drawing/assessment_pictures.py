@@ -164,7 +164,7 @@ def _hide_outside(axes: Axes, room: Room) -> None:
 
 def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
     """
-    Draw the rectangle around the room and the letters; dashed if most of a side is no wall.
+    Draw the rectangle around the room and its letters; a side that is mostly no wall is dashed.
 
     :returns: (4, 2) places of its letters. Letters of inner walls are moved away from cameras.
     """
@@ -185,7 +185,7 @@ def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
 
 
 def _halo(width: float) -> list[patheffects.AbstractPathEffect]:
-    """Return the path effect of a white outline around letters, its width in points."""
+    """Return the path effect of a white outline around letters, of a width in points."""
     return [patheffects.withStroke(linewidth=width, foreground='white')]
 
 

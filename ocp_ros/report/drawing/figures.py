@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Figures: atomic files, fonts for all letters, and texts and tables that fit their space."""
+"""Figures as whole files, with fonts for all letters, and texts and tables that fit."""
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence

@@ -196,7 +196,7 @@ def _draw_triad(axes: Axes, view: np.ndarray) -> None:
 
 
 def draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | None) -> None:
-    """Draw a legend in one line below the panels; ``unseen`` is None if all points are seen."""
+    """Draw a legend below the panels; ``unseen`` is None if colours show only heights."""
     ladder = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
     dot = {'color': PALE_INK, 'linestyle': 'none', 'marker': 'o'}
     entries = {

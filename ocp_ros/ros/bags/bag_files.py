@@ -35,7 +35,8 @@ import yaml
 ASKED, LONGEST = 20, 1000
 #: Largest size of the metadata, bytes: a bag of hundreds of topics and files has a tenth of it.
 METADATA = 2_000_000
-#: Limits for reading a bag: bytes of memory, and seconds for all its messages.
+#: Limits for reading a bag: bytes of memory, bytes of memory for each byte of the bag, and seconds
+#: of all cores for an answer, to which seconds by the size of the bag are added.
 COST = ReadingCost(1_500_000_000, 0, 10)
 #: Largest size, unpacked, of files that are compressed as a whole: a constant number of bytes, and
 #: bytes for each packed byte.
@@ -202,8 +203,9 @@ class Bag:
         Yield the messages of some topics in the order in which they were recorded.
 
         :param names: topics whose kinds are among ``KINDS``.
-        :param start: time of recording from which on, nanoseconds.
-        :param stop: time of recording before which, nanoseconds.
+        :param start: earliest time of recording, nanoseconds; None for the beginning.
+        :param stop: time of recording, nanoseconds, at which to stop, itself excluded; None for
+            the end.
         :param most: largest number of messages.
         :returns: the messages; for a message that cannot be read, the reason.
         :raises ConfigurationError: if the bag ends too early.

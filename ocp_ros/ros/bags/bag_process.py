@@ -55,7 +55,9 @@ TABLES = {'schema', 'metadata', 'topics', 'messages', 'message_definitions', 'sq
 
 def check_schema(path: Path) -> None:
     """
-    Refuse an SQLite file with anything but plain tables: views and computed columns can run code.
+    Refuse an SQLite file with more than plain tables and indices: views can run code.
+
+    Computed columns and those of modules can run code as well.
 
     :raises ValueError: if the file has such an entry.
     """

@@ -150,7 +150,7 @@ class Replay(Node):
                     f'{self.bag.seconds:.3g} s; change --start or --duration')
             if not options.loop:
                 return
-            # The gap between two loops is the mean time between two clouds.
+            # The gap between two loops is the mean time between two clouds, at least ``GAP``.
             moved += int(1e9 * (length + max(length / count, GAP)))
 
     def _on_time(self) -> None:

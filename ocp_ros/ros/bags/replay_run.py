@@ -100,7 +100,7 @@ def replay(arguments: argparse.Namespace) -> dict[str, Any]:
     """
     Publish the clouds of a bag, or list its topics.
 
-    :returns: the published messages, or the topics of the bag, as plain data.
+    :returns: numbers of published messages, or the topics of the bag, as plain data.
     :raises ConfigurationError: if the bag or an option cannot be used.
     """
     options = options_of(arguments)
@@ -111,7 +111,7 @@ def replay(arguments: argparse.Namespace) -> dict[str, Any]:
 
 
 def _publish(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
-    """Publish a bag to its end, and return the number of messages of each topic."""
+    """Publish a bag to its end; return the numbers of messages published and left out."""
     stay_local()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     executor, node = SingleThreadedExecutor(), None

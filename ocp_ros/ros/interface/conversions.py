@@ -28,7 +28,7 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
-#: Metres: largest distance of a camera from the origin, enough for national survey coordinates.
+#: Metres: largest coordinate of a camera on any axis, enough for national survey coordinates.
 FARTHEST = 1e7
 #: Characters of an error that are logged: a name that it quotes may be of any length.
 LONGEST_ERROR = 600
@@ -192,8 +192,8 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
 
     :param cameras: expected number; None for any number that a rig may have.
     :returns: (K, 3) float64, metres, in the message's frame.
-    :raises MessageError: if the number differs, or a coordinate is not finite or beyond
-        ``FARTHEST``.
+    :raises MessageError: if the number differs or is none that a rig may have, or a coordinate is
+        not finite or beyond ``FARTHEST``.
     """
     count = len(message.poses)
     if not 1 <= count <= MOST_CAMERAS or cameras not in (None, count):

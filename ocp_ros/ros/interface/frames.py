@@ -110,8 +110,8 @@ class Transforms:
         The newest transform is taken, not the one at the stamp of a cloud: transforms may arrive
         later than clouds, and cameras stand still while their clouds are used.
 
-        :raises MessageError: if there is no transform, or none newer than the arrival of the
-            cameras (:class:`LateTransformError`).
+        :raises MessageError: if there is no transform, none newer than the arrival of the cameras
+            (:class:`LateTransformError`), or one that is not finite.
         """
         expected = (f'expected {rig.frame!r}, camera_<i> or camera_<i>_optical with i from 0 to '
                     f'{len(rig.poses) - 1}, or one that tf2 takes to {rig.frame!r}')
@@ -149,7 +149,7 @@ class CameraFrames:
 
     ``camera_<i>`` is the body frame of camera i; its parent is the frame of the poses. On
     ``/tf_static`` its children ``camera_<i>_optical`` and ``camera_<i>_link`` are published. The
-    latter equals the body frame: it is the root frame of most camera drivers.
+    latter equals the body frame and is named as most drivers name their root frame.
 
     :param node: gets the publishers.
     :param wanted: the parameter ``publish_tf``.

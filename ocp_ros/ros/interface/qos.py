@@ -45,7 +45,7 @@ RECORDER = _reliable(DurabilityPolicy.VOLATILE, 200)
 #: The latest state, also for subscribers that come late: scene, placement, weights, markers.
 LATCHED = _reliable(DurabilityPolicy.TRANSIENT_LOCAL, 1)
 
-#: Poses of live cameras, from rigs with any profile.
+#: Poses of live cameras, from rigs with any profile: a single subscription receives them all.
 POSES = _profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 10)
 
 #: Clouds of live cameras, from drivers with any profile: only the newest cloud is used.

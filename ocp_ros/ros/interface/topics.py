@@ -71,6 +71,6 @@ def share(number: int) -> str:
     """
     Return the name of the field of ``reward`` with the reward share of one camera's move.
 
-    :param number: 0 for the camera that moved first, and so on; step 0 has no such fields.
+    :param number: 0 for the camera that chose first, and so on; step 0 has no such fields.
     """
     return f'share_{number}'

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Register the clouds of live cameras to a scan: their true poses, and later their drift.
+Register the clouds of live cameras to a scan, for their poses and later for their drift.
 
 Registration takes seconds: it runs in a separate thread, one job at a time, and turns continue.
 """
@@ -51,7 +51,7 @@ class Calibrator:
 
     :param node: gets the service and a timer.
     :param config: of the node, with ``scan``.
-    :param decider: has the rig, or without a rig file the model of each camera.
+    :param decider: has the rig of the rig file, or without one the camera models.
     :param sighted: returns the newest cloud of each camera.
     :param final: returns whether the placement is final.
     :raises ConfigurationError: if the file of the scan does not exist.
@@ -80,7 +80,7 @@ class Calibrator:
             self.drifted = []
 
     def close(self) -> None:
-        """Stop starting jobs."""
+        """Start no more jobs; drop the waiting ones."""
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     async def _on_calibrate(self, request: Trigger.Request, response: Trigger.Response
@@ -123,7 +123,7 @@ class Calibrator:
             except (UserError, OSError) as error:
                 result = False, shortened(error)
             except Exception as error:
-                # Any error of a scan or a cloud in the registration must not end this node.
+                # No error that a scan or a cloud causes in the registration may end this node.
                 result = False, f'found {type(error).__name__}: {shortened(error)}'
             self._busy = False
             if not result[0]:

@@ -13,13 +13,13 @@
 # limitations under the License.
 
 """
-Commands to the cameras: only one policy sends them, as the publishers in the ROS graph show.
+Commands to the cameras, sent by one policy alone: nodes count the publishers in the ROS graph.
 
 A node creates its publisher only if the graph has no other publisher of the topic. It commands
 once it has been the only one for a while, since discovery takes time. If several nodes create
-publishers at the same moment, each discovers the others, destroys its publisher and tries again
-after a random interval, so that one of them is first. A node that has commanded continues, even
-if another publisher appears.
+publishers at the same moment, each discovers the others, destroys its publisher and checks again,
+each at an interval of its own, drawn at random, so that one of them is the next to be alone. A
+node that has commanded continues, even if another publisher appears.
 """
 
 from collections.abc import Callable
@@ -60,7 +60,7 @@ class Commander:
 
     def begin(self, go_on: Callable[[], None]) -> None:
         """
-        Try to become the commander, at random intervals.
+        Check until this node may command, at an interval that is drawn at random once.
 
         :param go_on: is called while this node may command and has not commanded yet.
         """

@@ -58,7 +58,7 @@ class Convergence:
 
         :param step: turns played so far.
         :param over: whether the simulation has reported that its last turn is played.
-        :param alone: whether the policy plays without lookahead, which uses all turns.
+        :param alone: whether the policy plays without lookahead; lookahead uses all turns.
         """
         if over:
             return 'the simulation has played its last turn'

@@ -98,7 +98,7 @@ class Decider:
 
     @property
     def alone(self) -> bool:
-        """Return whether the policy plays without lookahead, which uses all turns."""
+        """Return whether the policy plays without lookahead; lookahead uses all turns."""
         return self.planner is self.learned
 
     def movable(self, poses: PoseArray) -> int:
@@ -107,7 +107,7 @@ class Decider:
 
     @property
     def in_place(self) -> tuple[list[Pose], int]:
-        """Return the poses of the fixed cameras, and the number of cameras to place."""
+        """Return the fixed cameras' poses and the number to place; [] and 0 without a rig file."""
         return ([], 0) if self.rig is None else (
             list(map(Pose.of, self.rig.fixed_poses)), len(self.rig.cameras))
 
@@ -183,7 +183,7 @@ class Decider:
         self.step.plan_ahead(interrupted)
 
     def expected(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
-        """Return the expected gain of a command as a sentence; empty with too few points."""
+        """Return the expected gain of a command as a sentence; empty if too little was seen."""
         try:
             return str(ExpectedGain.of(cloud, self.state(poses), self.state(command).placement,
                                        self._config.max_range))

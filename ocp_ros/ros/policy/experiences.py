@@ -72,9 +72,9 @@ class Experiences:
 
     def tell(self, stamp: int, turn: int, targets: np.ndarray) -> None:
         """
-        Publish the choices since the last call, if they are for all cameras.
+        Publish the choices since the last call, if they are finite and for all cameras.
 
-        With the map actor only some cameras choose again in a turn; the others keep their targets.
+        With the map actor the choices of some cameras are enough: the others keep their targets.
 
         :param stamp: of the turn, nanoseconds.
         :param turn: number of turns of the episode before this one.

@@ -38,7 +38,7 @@ def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
     """
     Write one line for each camera that has to be moved or rotated; see :func:`moving`.
 
-    :param least: at least 0.01 m: the lines are written in centimetres.
+    :param least: at least 0.01 m: the lines have metres with two decimals.
     :param turns: (K, 2) radians: the rotation of each camera, counter-clockwise seen from above,
         and down; None if no camera is rotated.
     :param least_turn: rotations up to this angle are left out, radians; at least a degree.

@@ -15,7 +15,7 @@
 """
 Turns of real cameras: clouds arrive at any time, and a rig or a person carries out commands.
 
-The newest message of each topic is stored unread, and each turn reads one cloud of each topic. So
+Of each topic only the newest cloud is stored, unread, and each turn reads one of each topic. So
 the executor is busy with one cloud or one answer at a time, however fast the cameras are.
 """
 
@@ -93,7 +93,8 @@ class LiveTurns:
         sentence on the expected gain, for a person.
     :param plan_ahead: is called after each command, to plan while the cameras move.
     :param in_place: poses of the fixed cameras of a rig file, and the number of cameras to place.
-    :raises ConfigurationError: if the name of a topic is invalid.
+    :raises ConfigurationError: if the name of a topic is invalid, is given twice or is that of the
+        fused cloud.
     """
 
     def __init__(self, node: Node, config: PolicyNodeConfig, commands: Commander,
@@ -110,7 +111,7 @@ class LiveTurns:
         self._await_turns()
         #: The newest cloud of each topic, unread.
         self._newest: dict[str, PointCloud2] = {}
-        #: The newest poses, as a message and as arrays.
+        #: The newest poses, as a message and as a rig.
         self._poses: PoseArray | None = None
         self._rig: LiveRig | None = None
         #: The number of cameras and the frame of their poses, once a turn was answered.
@@ -300,9 +301,9 @@ class LiveTurns:
 
     def _settled(self, header: Header) -> PoseArray:
         """
-        Return the poses of the cameras that stand.
+        Return the poses at which the cameras stand.
 
-        For a camera that arrived it is the commanded pose: the measured pose has noise, and
+        The pose of a camera that arrived is the commanded one: the measured pose has noise, and
         heights and headings copied from measurements would drift from turn to turn.
         """
         message = PoseArray(header=header)
@@ -312,7 +313,7 @@ class LiveTurns:
         return message
 
     def _measured(self, camera: int, mean: Pose) -> PoseMsg:
-        """Return a mean pose as a message; the newest message itself if it equals the mean."""
+        """Return a mean pose as a message; the newest pose unchanged if it equals the mean."""
         if all(map(np.array_equal, mean, self._rig.poses[camera])):
             return self._poses.poses[camera]
         return positions_to_msg(mean.position[None], Header(),
@@ -338,7 +339,7 @@ class LiveTurns:
     def _command_again(self) -> None:
         """Send the command again to cameras that have not arrived; update the instructions."""
         if self._waits():
-            # The clouds are old when other nodes stop commanding: ask for new ones.
+            # These clouds will be old once other nodes stop commanding: wait for new ones then.
             self._turns.restarted()
         elif self._command is not None and not self._turns.standing:
             self._commands.publish(self._command)
@@ -347,7 +348,14 @@ class LiveTurns:
 
     def _instruct(self, positions: np.ndarray, targets: np.ndarray,
                   turned: dict[int, np.ndarray], header: Header) -> None:
-        """Publish which cameras a person has to move, (K, 3) metres each, and to rotate."""
+        """
+        Publish which cameras a person has to move or rotate.
+
+        :param positions: (K, 3) metres, present positions.
+        :param targets: (K, 3) metres, target positions.
+        :param turned: target rotations, (3, 3), of the cameras that are rotated.
+        :param header: of the markers.
+        """
         least = self._config.arrival_distance
         turns = np.zeros((len(targets), 2))
         for camera, rotation in turned.items():
@@ -389,7 +397,7 @@ class LiveTurns:
 
     def sighted(self) -> Sighting:
         """
-        Return the newest cloud of each camera: topic i is camera i unless its frame is another's.
+        Return the newest cloud by camera: topic i is of camera i, unless its frame names another.
 
         :raises MessageError: if poses or clouds are missing or cannot be used.
         """
@@ -432,5 +440,5 @@ class LiveTurns:
 
 
 def _asked(text: str) -> list[str]:
-    """Return the lines of an instruction without the distances: the names of the cameras."""
+    """Return what an instruction asks for, without distances: the cameras, or to leave them."""
     return [line.partition(':')[0] for line in text.splitlines()]

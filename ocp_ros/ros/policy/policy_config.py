@@ -131,5 +131,5 @@ class PolicyNodeConfig:
 
     @property
     def weightless(self) -> bool:
-        """Return whether no policy, and so no weights, are needed."""
+        """Return whether no policy is needed, and so no weights."""
         return self.planner == LOOKAHEAD and not self.explore

@@ -86,5 +86,5 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
 
 
 def planned_alike(one: PolicyNodeConfig, other: PolicyNodeConfig) -> bool:
-    """Return whether two configurations make the same planner."""
+    """Return whether a planner made with one configuration also suits the other."""
     return all(getattr(one, name) == getattr(other, name) for name in PLANNED_WITH)

@@ -80,7 +80,7 @@ class SimulatedTurns:
         self._commands, self._answer_turn, self._tell = commands, answer, told
         self._refuse, self._waits, self._reflect = refuse, waits, plan_ahead
         self.cloud: PointCloud2 | None = None
-        #: The latest poses by their stamps in nanoseconds, from the turn answered last on.
+        #: The latest poses by their stamps in nanoseconds, none older than the turn answered last.
         self.poses: dict[int, PoseArray] = {}
         self.answer: PoseArray | None = None
         #: Stamp of the latest reward, nanoseconds.
@@ -96,7 +96,7 @@ class SimulatedTurns:
         node.create_subscription(PointCloud2, topics.OBSERVATION, self.on_cloud, LOOP)
 
     def on_reward(self, message: Float64MultiArray) -> None:
-        """Read the number and the state of a turn; real cameras have no such topic."""
+        """Read which turn it is and whether it is the last; real cameras have no such topic."""
         try:
             fields = msg_to_fields(
                 message, ('stamp_sec', 'stamp_nanosec', 'episode', 'step', 'truncated'))

@@ -95,7 +95,7 @@ class Turns(Generic[T]):
         self._used: dict[str, int] = {}
         #: Time since which the clouds of a topic have been waiting for a newer transform.
         self._too_soon: dict[str, float] = {}
-        #: Topics without a cloud in the last turn that was due; a cloud removes its topic.
+        #: Topics whose wait ended without a cloud, now or before; using a cloud removes its topic.
         self._silent: set[str] = set()
         self.late = self.jumps = 0
         self.overdue = False
@@ -104,7 +104,7 @@ class Turns(Generic[T]):
         self._targets: np.ndarray | None = None
         #: (K,) bool, which of them were sent up or down.
         self._raised = np.zeros(0, dtype=bool)
-        #: Newest rotations of the cameras, and target rotations of the cameras that were rotated.
+        #: Newest rotations of all cameras, and target rotations of those that the command rotates.
         self._rotations: Sequence[np.ndarray] = ()
         self._turned: Mapping[int, np.ndarray] = {}
         self._sent_at = clock()
@@ -120,7 +120,7 @@ class Turns(Generic[T]):
         #: standing cameras.
         self._recent: deque[tuple[int, np.ndarray, Sequence[np.ndarray]]] = deque(maxlen=AVERAGED)
         self._stood = 0
-        #: Offset of a topic's cloud stamps after the pose stamps, nanoseconds.
+        #: By how much the stamps of a topic's clouds are later than those of poses, nanoseconds.
         self._ahead: dict[str, int] = {}
         #: Time at which the newest poses came.
         self._posed_at = clock()
@@ -170,7 +170,8 @@ class Turns(Generic[T]):
         :param stamp: nanoseconds.
         :param positions: (K, 3) metres.
         :param rotations: K of (3, 3), needed once a command rotates cameras.
-        :returns: whether the poses were used: their stamp is not older than the last one.
+        :returns: whether the poses were used: their stamp is not older than the last one, or a
+            clock was set.
         """
         if not self._is_news(POSES, stamp):
             return False
@@ -263,7 +264,7 @@ class Turns(Generic[T]):
 
     def take(self, but: Collection[str] = ()) -> tuple[str, T] | None:
         """
-        Take a cloud that this turn can use: one of a topic not used yet, since the cameras stand.
+        Take a cloud that this turn can use: since the cameras stand, of a topic not used yet.
 
         :param but: topics to leave out now.
         """

@@ -154,7 +154,13 @@ class ManagedNode(LifecycleNode):
         return self.on_shutdown(state)
 
     def _done(self, begin: Callable[[], None], undo: Callable[[], None]) -> bool:
-        """Run a step of the life cycle; if it fails, undo it, log why and return False."""
+        """
+        Run a step of the life cycle; if it fails, undo it and store the error.
+
+        The error is logged, unless the constructor is going to raise it.
+
+        :returns: whether the step succeeded.
+        """
         try:
             begin()
         except Exception as error:

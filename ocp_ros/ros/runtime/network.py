@@ -34,8 +34,8 @@ def local_transport() -> dict[str, str]:
     keeps the segments that it was reading, until the other nodes have no shared memory left for
     clouds. And a living node may die of SIGSEGV when it ends
     (``SharedMemChannelResource::release``, once in about 700 endings beside killed nodes). Nodes
-    that use shared memory are still received, by UDP. Peers in ``ROS_STATIC_PEERS`` may be on
-    other machines, which this UDP does not reach.
+    that use shared memory are still heard, by UDP. Peers in ``ROS_STATIC_PEERS`` may be on other
+    machines, which this UDP does not reach.
     """
     middleware = os.environ.get('RMW_IMPLEMENTATION') or 'rmw_fastrtps'
     if not middleware.startswith('rmw_fastrtps') or os.environ.get('ROS_STATIC_PEERS'):
@@ -46,9 +46,9 @@ def local_transport() -> dict[str, str]:
 
 def stay_local() -> bool:
     """
-    Limit this process to its machine, unless a variable of ``ASKED`` sets the range of discovery.
+    Limit this process to its machine, unless a variable of ``ASKED`` is set.
 
-    Nodes on this machine are received whatever their own range is. Call it before ``rclpy.init``.
+    Nodes on this machine are found whatever their own range is. Call it before ``rclpy.init``.
 
     :returns: whether it was limited: no variable was set.
     """

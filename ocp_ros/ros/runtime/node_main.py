@@ -66,14 +66,14 @@ USER_ERRORS = (CheckpointError, ConfigurationError, SceneError, FileNotFoundErro
 
 
 def ignore_signals() -> None:
-    """Ignore all signals that end a process, from now on."""
+    """Ignore the signals of ``ENDING`` from now on."""
     for number in ENDING:
         signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Ignore all signals that end a process, within a block."""
+    """Ignore the signals of ``ENDING`` within a block."""
     before = {number: signal.getsignal(number) for number in ENDING}
     ignore_signals()
     try:

@@ -36,7 +36,7 @@ class Certificate:
     :ivar bound: lower bound of the loss of every placement on the grid.
     :ivar closed: whether the bound is the best of this relaxation, so more time does not raise it.
     :ivar on_grid: loss of the best placement on the grid before poses were added near it.
-    :ivar seconds: duration of search and proof.
+    :ivar seconds: duration of the proof, including the search if both share one budget.
     """
 
     candidates: int

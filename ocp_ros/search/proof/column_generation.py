@@ -34,8 +34,8 @@ from ocp_ros.search.proof.loss_trees import LossTrees, NOTHING, seers_of
 from ocp_ros.util.threads import mapped
 from scipy.spatial.distance import cdist
 
-#: Number of poses in the first pool, largest number that joins at a time, and of these at one
-#: place.
+#: Number of poses of each grid in the first pool, largest number of poses that join at a time, and
+#: of these at one place.
 BEGINNING, JOINING, OF_A_PLACE = 300, 150, 3
 #: A pose leaves the pool if it gains less than this share of the gain of a chosen pose.
 LEAVING = 0.5
@@ -225,7 +225,7 @@ class ColumnGeneration:
                               for group, count in enumerate(self.counts)])
 
     def _better(self, gains: Sequence[dict[int, np.ndarray]], needed: np.ndarray) -> list[Column]:
-        """Return the poses with larger gains than needed, at most some of each place."""
+        """Return the poses with larger gains than needed, at most ``OF_A_PLACE`` of each place."""
         known, found = set(self._pool), []
         for number, of_grid in enumerate(gains):
             least = needed[number] * (1.0 + EQUAL) + NOTHING

@@ -152,7 +152,7 @@ class LossTrees(NamedTuple):
 
 class PricedTrees(NamedTuple):
     """
-    The T nodes with multipliers in their subtrees; see :class:`LossTrees`.
+    The T nodes with positive multipliers in their subtrees; see :class:`LossTrees`.
 
     :ivar point: (T,) uint32.
     :ivar end: (T,) uint32.
