@@ -147,7 +147,7 @@ def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
 def test_no_choice_of_all_poses_is_below_the_bound(more):
     problem = problem_of(2, 'omnidirectional', **more)
     relaxation, grid = few_of(problem, 40)
-    relaxation.close(lambda: False)
+    relaxation.raise_bound(lambda: False)
     points, places = len(problem.simulator.scene), grid.places
     views = [view_of(grid, place, 0, points) for place in range(len(places))]
     losses = {(one, other): problem.objective.loss([views[one], views[other]])
@@ -164,14 +164,14 @@ def test_no_choice_of_all_poses_is_below_the_bound(more):
 def test_poses_that_join_later_count():
     problem = problem_of(2, 'omnidirectional')
     relaxation, grid = few_of(problem, 10)
-    relaxation.close(lambda: False)
+    relaxation.raise_bound(lambda: False)
     before, rng = relaxation.choices(1, np.random.default_rng(0), lambda: False)[0], (
         np.random.default_rng(1))
     places = problem.region.candidates(problem.rig.models[0], 200)[:, :3]
     first = len(grid.places)
     grid.add(places, [np.zeros((1, 3))] * len(places))
     relaxation.join([Column(0, first, 0)])
-    relaxation.close(lambda: False)
+    relaxation.raise_bound(lambda: False)
     after = relaxation.choices(4, rng, lambda: False)[0]
     assert relaxation.bound <= after.loss < before.loss and len(relaxation) == first + len(places)
 

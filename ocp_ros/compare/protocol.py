@@ -313,7 +313,7 @@ def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
     add(space.grid(protocol.candidates))
     relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid], [space.cameras], 0.0,
                                   len(fine.scene))
-    relaxation.close(over)
+    relaxation.raise_bound(over)
     best = relaxation.choices(CHOICES, rng, over)[0]
     angles = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -321,7 +321,7 @@ def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
         places = grid.places[[column.place for column in best.columns], :2]
         add((places[:, None] + step * np.concatenate([ring, 0.5 * ring])).reshape(-1, 2))
         relaxation.join(best.columns)
-        relaxation.close(over)
+        relaxation.raise_bound(over)
         best = min([best, *relaxation.choices(CHOICES, rng, over)])
     unit, bound = fine.depth_error.worst, min(relaxation.bound, best.loss)
     yield {'evaluations': 0, 'seconds': time.process_time() - began,

@@ -141,6 +141,10 @@ def lost_depth(trees, seen, most=np.inf):
     """
     Sum the depth errors of the pixels of all viewpoints.
 
+    A pixel has a list of points, the nearest first, and shows the first of them that is seen. Its
+    error is the distance of that point beyond the nearest one, or the whole depth that is missing
+    if none is seen. So the subtree below a seen point is skipped; see :class:`Trees`.
+
     :param trees: the trees of a :class:`DepthError`.
     :param seen: (W,) uint64, packed bits of the points.
     :param most: metres; the sum may stop as soon as it exceeds this value.

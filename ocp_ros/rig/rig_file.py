@@ -201,10 +201,10 @@ class Rig:
     @property
     def clearance(self) -> float | None:
         """
-        Return the clearance from surfaces of a horizontal plane of positions, metres.
+        Return the distance that cameras on a horizontal plane keep from all points, metres.
 
-        :returns: 0 for cameras mounted on a surface, which the plane cannot distinguish from
-            others; None if the rig has no clearance and a setting gives it.
+        :returns: 0 for cameras that are mounted on walls or the ceiling: on a plane their own
+            surface looks like any other; None without a rig file: ``episode.clearance`` applies.
         """
         if self.free:
             return None

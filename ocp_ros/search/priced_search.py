@@ -48,14 +48,14 @@ from ocp_ros.util.threads import mapped
 
 #: Shares of the time at which the grid, the refinement and its repetitions end; the rest is for
 #: the proof.
-GRID, POLISHED, NEARER = 0.4, 0.6, 0.8
+GRID_SHARE, POLISHED_SHARE, NEARER_SHARE = 0.4, 0.6, 0.8
 #: Number of choices that are refined first, and in each repetition.
 STARTS, AGAIN = 8, 4
 #: Moves of a choice, and with a budget of evaluations the number of evaluations for each choice.
 MOVES, EACH = 700, 250
 #: Distances from the results within which poses join the grid in each repetition, metres; number
 #: of results with such poses; places for each camera; radians between headings for each metre.
-NEAR, ANSWERS, PLACES, TURN = (0.3, 0.12, 0.05), 3, 10, np.deg2rad(20.0)
+STEPS_M, ANSWERS, PLACES, TURN = (0.3, 0.12, 0.05), 3, 10, np.deg2rad(20.0)
 #: Number of headings on either side of the pose, in yaw and in pitch.
 YAWS, PITCHES = 4, 2
 #: Results whose cameras all differ by less than this count as equal, metres.
@@ -100,28 +100,35 @@ class PricedSearch:
             self._starts = int(np.clip(most // EACH, 1, STARTS))
             self._again = max(self._starts // 2, 1)
             self._moves = max(most // (2 * self._starts), 1)
-            self._moves_again = max(most // (2 * len(NEAR) * self._again), 1)
+            self._moves_again = max(most // (2 * len(STEPS_M) * self._again), 1)
 
     def used(self) -> float:
         """Return the approximate used share of the budget."""
         return self.budget.share(self.evaluations, self.budget.evaluations)
 
-    def _by(self, share: float) -> Callable[[], bool]:
+    def _share_used(self, share: float) -> Callable[[], bool]:
         """Return a function that returns whether a share of the time is used."""
         return lambda: self.budget.share(0, None) >= share
 
     def run(self) -> SearchResult:
-        """Return the best placement."""
-        relaxation = relaxation_of(self.problem, self.pool, self._by(0.5 * GRID))
-        relaxation.close(self._by(GRID))
-        choices = relaxation.choices(self._starts, self._rng, self._by(GRID))
+        """
+        Return the best placement that is found, with its proof.
+
+        The steps: the relaxation over the grid of poses is solved, which gives a lower bound and
+        some choices of poses; each choice is polished by small moves off the grid; poses near the
+        best placements join the grid, with ever smaller steps, and the best choices of them are
+        polished again; at last the bound is raised on all poses for the certificate.
+        """
+        relaxation = relaxation_of(self.problem, self.pool, self._share_used(0.5 * GRID_SHARE))
+        relaxation.raise_bound(self._share_used(GRID_SHARE))
+        choices = relaxation.choices(self._starts, self._rng, self._share_used(GRID_SHARE))
         starts = [self._sites(relaxation, choice) for choice in choices]
-        found = self._polish([*starts, self.start] if self.start else starts, NEAR[0],
-                             self._moves, POLISHED)
+        found = self._polish([*starts, self.start] if self.start else starts, STEPS_M[0],
+                             self._moves, POLISHED_SHARE)
         on_grid = min((choice.loss for choice in choices), default=np.inf)
         first = found
-        for step in NEAR if found else ():
-            if self._by(NEARER)():
+        for step in STEPS_M if found else ():
+            if self._share_used(NEARER_SHARE)():
                 break
             found = self._nearer(relaxation, found, step)
         if not found:
@@ -150,7 +157,7 @@ class PricedSearch:
         """Refine placements by decreasing moves; return the results and the start, best first."""
         seeds = self._rng.integers(2 ** 32, size=len(starts))
         found = mapped(lambda one: self._moved(one[0], far, moves, np.random.default_rng(one[1]),
-                                               self._by(share)), list(zip(starts, seeds)))
+                                               self._share_used(share)), list(zip(starts, seeds)))
         if self.start:
             found.append(self._judged(self.start))
         return sorted(found, key=lambda one: one.loss)
@@ -188,11 +195,11 @@ class PricedSearch:
         for one in best:
             relaxation.join([self._add_near(relaxation, site.pose, camera, step)
                              for camera, site in enumerate(one.sites)])
-        relaxation.close(self._by(NEARER), [np.arange(first, len(grid.places))
+        relaxation.raise_bound(self._share_used(NEARER_SHARE), [np.arange(first, len(grid.places))
                                             for first, grid in zip(before, relaxation.grids)])
-        choices = relaxation.choices(self._again, self._rng, self._by(NEARER))
+        choices = relaxation.choices(self._again, self._rng, self._share_used(NEARER_SHARE))
         again = self._polish([self._sites(relaxation, choice) for choice in choices], step,
-                             self._moves_again, NEARER)
+                             self._moves_again, NEARER_SHARE)
         return sorted([*best, *again], key=lambda one: one.loss)
 
     def _add_near(self, relaxation: ColumnGeneration, pose: np.ndarray, camera: int, step: float
@@ -240,7 +247,7 @@ def certified(problem: Problem, relax: Callable[[], ColumnGeneration], found: fl
     """
     try:
         relaxation = relax()
-        relaxation.close(lambda: budget.share(0, None) >= 1.0)
+        relaxation.raise_bound(lambda: budget.share(0, None) >= 1.0)
         if relaxation.bound <= 0.0 < found:
             return None, ('the bound is 0, for these poses together miss almost nothing'
                           if relaxation.closed else 'there was no time to prove one')

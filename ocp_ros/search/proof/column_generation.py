@@ -126,7 +126,8 @@ class ColumnGeneration:
         self._near = cdist(places, places) < self.spacing
         self._share = np.zeros(len(pool))
 
-    def close(self, over: Callable[[], bool], places: Sequence[np.ndarray] | None = None) -> None:
+    def raise_bound(self, over: Callable[[], bool],
+                    places: Sequence[np.ndarray] | None = None) -> None:
         """
         Raise the bound until no pose improves the choice, or until ``over``.
 
