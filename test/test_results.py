@@ -93,6 +93,10 @@ SENTENCES = [
     (RESULTS, '{} ms (median) and {} ms (99 %), with four D455 {} and {} ms',
      'nodes/thought_meanwhile_ms/{key}',
      'without_rig/0 without_rig/1 rig_of_four_d455/0 rig_of_four_d455/1'),
+    (RESULTS, 'is {} of that at the start with the repaired network, and {} with the literal one '
+     '(at best {} and {})', 'paper_agent/rows/{key}',
+     'critics_60000_0/ratio literal_60000_0/ratio critics_60000_0/least_ratio '
+     'literal_60000_0/least_ratio'),
     (RESULTS, '{} malformed messages among {} valid',
      'drills/fuzz/value/{key}', 'malformed_messages valid_messages'),
     (RESULTS, '{} turns, {} nodes killed, {} malformed messages',
