@@ -196,7 +196,7 @@ class PricedSearch:
             relaxation.join([self._add_near(relaxation, site.pose, camera, step)
                              for camera, site in enumerate(one.sites)])
         relaxation.raise_bound(self._share_used(NEARER_SHARE), [np.arange(first, len(grid.places))
-                                            for first, grid in zip(before, relaxation.grids)])
+                               for first, grid in zip(before, relaxation.grids)])
         choices = relaxation.choices(self._again, self._rng, self._share_used(NEARER_SHARE))
         again = self._polish([self._sites(relaxation, choice) for choice in choices], step,
                              self._moves_again, NEARER_SHARE)
