@@ -27,7 +27,6 @@ A run that was interrupted goes on. ``--record`` writes what the runs of the fol
 """
 
 import argparse
-from copy import deepcopy
 import logging
 from pathlib import Path
 from typing import Any
@@ -70,7 +69,7 @@ def merged(settings: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
 
 def config_of(rung: str, seed: int, interactions: int) -> TrainingConfig:
     """Return the settings of a rung: those of all rungs up to it."""
-    nested = merged(deepcopy(read_plain(BASE).data), COMMON)
+    nested = merged(read_plain(BASE).data, COMMON)
     nested['simulation']['reward'] = COMMON['simulation']['reward']
     for name, more in RUNGS.items():
         nested = merged(nested, more)

@@ -36,7 +36,7 @@ FEWEST, SHARE, MOST = 20, 16, 150
 REBUILT = 48
 NOBODY = np.empty((0, 2))
 #: Yields placements, gets scores, and ends with positions and their depth error.
-SearchResult = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
+PlacementSteps = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
 
 
 class GreedyError(Planner):
@@ -86,7 +86,7 @@ class GreedySwap(Planner):
 
 
 def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.ndarray],
-         placed: np.ndarray = NOBODY) -> SearchResult:
+         placed: np.ndarray = NOBODY) -> PlacementSteps:
     """
     Place cameras one by one.
 
@@ -103,7 +103,7 @@ def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.nda
     return placed, error
 
 
-def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> SearchResult:
+def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> PlacementSteps:
     """Move one camera to the best of some places (M, 2), even if its old place is better."""
     trials = np.repeat(placed[None], len(places), axis=0)
     trials[:, camera] = places
@@ -112,7 +112,7 @@ def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> SearchRes
     return trials[choice], scores.error[choice]
 
 
-def exchange(placed: np.ndarray, candidates: np.ndarray) -> SearchResult:
+def exchange(placed: np.ndarray, candidates: np.ndarray) -> PlacementSteps:
     """Move one camera at a time to its best candidate, until no exchange reduces the error."""
     scores = yield [placed]
     error, unchanged, camera = scores.error[0], 0, 0
@@ -125,7 +125,7 @@ def exchange(placed: np.ndarray, candidates: np.ndarray) -> SearchResult:
     return placed, error
 
 
-def descend(planner: Planner, placed: np.ndarray, error: float) -> SearchResult:
+def descend(planner: Planner, placed: np.ndarray, error: float) -> PlacementSteps:
     """Run a local search: move one camera at a time on a ring of places with decreasing radius."""
     step, unchanged, camera = FIRST_STEP, 0, 0
     while step >= LAST_STEP:
