@@ -52,8 +52,8 @@ RUNGS: dict[str, dict[str, Any]] = {
                           'radius_1': 1.5, 'keys_2': 8, 'group_2': 8, 'radius_2': 3.0,
                           'pooled': 128},
                 'sac': {'augmentation': 'none', 'bfloat16': True}},
-    'updates': {'updates_per_turn': 0.5,
-                'sac': {'batch_size': 256, 'gamma': 0.95, 'n_steps': 3, 'tau': 0.01,
+    'updates': {'updates_per_turn': 0.25,
+                'sac': {'batch_size': 128, 'gamma': 0.95, 'n_steps': 3, 'tau': 0.01,
                         'learning_rate': 5e-4}},
     'blocks': {'agent': {'blocks': 2, 'hidden': 128}},
     'augmented': {'sac': {'augmentation': 'jitter'}}}

@@ -19,6 +19,7 @@ It is the only model of the room that online planners and policies use.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Frustum, OMNIDIRECTIONAL, Pose
@@ -108,9 +109,14 @@ class PartialMap:
         self.points = scene.points[order]
         self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
         self._views: dict[tuple[bytes, Frustum | None], View] = {}
-        self.depth_error = DepthError(
-            self.points, scene.spacing[order], scene.diameter,
-            observed_viewpoints(scene.points, corners), rows)
+        self._scene, self._corners, self._rows = scene, corners, rows
+
+    @cached_property
+    def depth_error(self) -> DepthError:
+        """Return the depth error; it is computed when it is first needed."""
+        scene = self._scene
+        return DepthError(self.points, scene.spacing[self.visibility.order], scene.diameter,
+                          observed_viewpoints(scene.points, self._corners), self._rows)
 
     def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Return which of the four test places, listed last, a camera near each of them sees."""
