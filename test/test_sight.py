@@ -19,15 +19,14 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import pack
 from ocp_ros.online.candidate_sites import (
-    ANYWHERE,
+    ANYWHERE_SHARE,
     Candidates,
-    COLD,
     EXCHANGES,
-    HOT,
+    FIRST_TEMPERATURE,
     IN_A_ROW,
     kinds_of,
+    LAST_TEMPERATURE,
     most_places,
-    Sites,
 )
 from ocp_ros.online.greedy_step import GreedyStep, POINTS, ROWS
 from ocp_ros.online.lookahead import Lookahead
@@ -146,10 +145,10 @@ def test_cameras_take_places_of_their_kind_only():
     model = PartialMap(CLOUD, rig_state.placement[:, :3], 4.0, 2000, 16)
     space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
     places = space.placement(space.grid(12))
-    sites = Sites(model, places, [rig_state.placement], rig_state, np.zeros_like(
+    sites = Candidates(model, places, [rig_state.placement], rig_state, np.zeros_like(
         model.look(START).covered), 0.0)
-    assert len(sites.sites) == 3 + len(places) * (len(directions(rig_state.pitch, 8, 2)) + 1)
-    own = sites.sites[3:]
+    assert len(sites.poses) == 3 + len(places) * (len(directions(rig_state.pitch, 8, 2)) + 1)
+    own = sites.poses[3:]
     aimed = {tuple(row[3:]) for row in own[:-len(places)]}
     assert len(aimed) == 16 and not own[-len(places):, 4:].any()
     chosen = sites.fill()
@@ -157,7 +156,7 @@ def test_cameras_take_places_of_their_kind_only():
     for _ in range(3):
         chosen = sites.anneal(chosen, rng)
         values.append(sites.value(chosen))
-        assert all(site in sites._of_kind[kind] for site, kind in zip(chosen, sites.kind_of))
+        assert all(site in sites.of_kind[kind] for site, kind in zip(chosen, sites.kind_of))
     assert (np.diff(values) <= 0.0).all()
 
 
@@ -167,27 +166,26 @@ def test_annealing_agrees_with_its_twin(kinds, weight):
     rig_state = rig()
     model = PartialMap(CLOUD, rig_state.placement[:, :3], 4.0, 2000, 16)
     space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
-    places, unseen = space.grid(20), pack(model.cells % 3 > 0)
-    if kinds == 1:
-        found = Candidates(model, places, space, 3, unseen, weight)
-    else:
-        found = Sites(model, space.placement(places), [], rig_state, unseen, weight)
+    places, unseen = space.placement(space.grid(20)), pack(model.cells % 3 > 0)
+    found = Candidates(model, places, [], RigState.omnidirectional(3) if kinds == 1 else rig_state,
+                       unseen, weight)
     kind_of = [0, kinds - 1, 0]
 
     def annealed(state, rng):
         shares = np.arange(EXCHANGES) / EXCHANGES
-        temperatures = model.depth_error.worst * between(HOT, COLD, shares)
+        temperatures = model.depth_error.worst * between(
+            FIRST_TEMPERATURE, LAST_TEMPERATURE, shares)
         best, best_value = list(state), np.inf
         for block in range(0, EXCHANGES, IN_A_ROW):
             camera, value = int(rng.integers(0, 3)), found.value(state)
             if value < best_value:
                 best, best_value = list(state), value
-            own = found._of_kind[kind_of[camera]]
+            own = found.of_kind[kind_of[camera]]
             for temperature in temperatures[block:block + IN_A_ROW]:
-                if rng.random() < ANYWHERE:
+                if rng.random() < ANYWHERE_SHARE:
                     site = own[rng.integers(0, len(own))]
                 else:
-                    near = found._near[state[camera]][:len(own)]
+                    near = found.near[state[camera]][:len(own) - 1]
                     site = near[rng.integers(0, len(near))]
                 trial = [*state[:camera], int(site), *state[camera + 1:]]
                 most, trial_value = value + temperature * rng.exponential(), found.value(trial)
@@ -203,7 +201,7 @@ def test_annealing_agrees_with_its_twin(kinds, weight):
         assert found.anneal(start, rng) == annealed(start, twin)
         # They drew as often, so what is drawn next is the same.
         assert rng.bit_generator.state == twin.bit_generator.state
-        start = [int(found._of_kind[kind][0]) for kind in kind_of]
+        start = [int(found.of_kind[kind][0]) for kind in kind_of]
 
 
 def test_nobody_is_matched_with_a_place_of_another_kind():

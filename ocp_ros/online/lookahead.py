@@ -31,7 +31,7 @@ In an episode of many time steps the next plan is computed while the cameras mov
 
 import numpy as np
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.online.candidate_sites import Candidates, most_places, Sites
+from ocp_ros.online.candidate_sites import Candidates, most_places
 from ocp_ros.online.online_planner import (
     KnownTurn,
     matched,
@@ -136,13 +136,9 @@ class Lookahead(PipelinedPlanner):
         count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
         plans = [np.hstack([space.placement(space.inside(plan[:, :2])), plan[:, 3:]])
                  for plan in plans]
-        if self.directional:
-            places = space.placement(space.grid(min(count, most_places(self.rig_state))))
-            self._candidates = Sites(model, places, plans, self.rig_state, unseen, weight)
-        else:
-            places = np.vstack([*(plan[:, :2] for plan in plans), space.grid(count)])
-            self._candidates = Candidates(model, places, space, cameras, unseen, weight,
-                                          fixed_views(model, self.rig_state))
+        state = self.rig_state or RigState.omnidirectional(cameras)
+        places = space.placement(space.grid(min(count, most_places(state))))
+        self._candidates = Candidates(model, places, plans, state, unseen, weight)
         begun = np.arange(len(plans) * cameras).reshape(-1, cameras).tolist()
         if not self._planned(cameras):
             begun.append(self._candidates.fill())
@@ -157,9 +153,9 @@ class Lookahead(PipelinedPlanner):
 
     def _settle(self, positions: np.ndarray) -> None:
         """Assign the chosen sites to the cameras with the shortest total path."""
-        candidates, chosen = self._candidates, np.array(self._chosen)
-        chosen = chosen[matched(positions, candidates.places[chosen], candidates.kind_of)]
-        self.targets, self.headings = candidates.places[chosen], candidates.headings(chosen)
+        poses = self._candidates.poses[self._chosen]
+        poses = poses[matched(positions, poses[:, :2], self._candidates.kind_of)]
+        self.targets, self.headings = poses[:, :2], poses[:, 3:] if self.directional else None
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan in small steps, among the positions that the cameras can still reach."""

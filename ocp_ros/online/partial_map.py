@@ -150,16 +150,17 @@ class PartialMap:
         self._views[key] = view
         return view
 
-    def look_many(self, position: np.ndarray, headings: np.ndarray, lens: Frustum) -> list[View]:
+    def look_many(self, position: np.ndarray, headings: np.ndarray, lens: Frustum | None
+                  ) -> list[View]:
         """
         Compute the views of a camera at one position with many headings.
 
         :param position: (3,) metres.
         :param headings: (H, 3) yaw, pitch and roll in radians.
-        :param lens: frustum of the camera.
+        :param lens: frustum of the camera; None for an omnidirectional camera.
         """
-        around = self.look(position, lens._replace(kind=OMNIDIRECTIONAL))
-        if lens.kind == OMNIDIRECTIONAL:
+        around = self.look(position, lens and lens._replace(kind=OMNIDIRECTIONAL))
+        if lens is None or lens.kind == OMNIDIRECTIONAL:
             return [around] * len(headings)
         poses = np.hstack([np.broadcast_to(position, headings.shape), headings])
         return clipped(self.visibility, around, poses, lens)

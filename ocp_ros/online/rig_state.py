@@ -50,6 +50,11 @@ class RigState(NamedTuple):
     turns: bool = True
     clearance: float | None = None
 
+    @classmethod
+    def omnidirectional(cls, cameras: int) -> 'RigState':
+        """Return the state of omnidirectional cameras whose poses are not used."""
+        return cls(np.zeros((cameras, 6)), (CameraModel(),) * cameras, cameras)
+
     @property
     def lenses(self) -> list[Frustum | None]:
         """
