@@ -38,7 +38,7 @@ from ocp_ros.rig.schemas import PLACEMENT, RIG
 from ocp_ros.rooms.scene_source import READING, room_named, ROOM_POINTS, sha256_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import scene_of
-from ocp_ros.search.pose_annealing import Progress
+from ocp_ros.search.budget import Progress
 from ocp_ros.search.registry import RIG_SEARCH
 from ocp_ros.util.settings import (
     check_positive,

@@ -24,6 +24,8 @@ from ocp_ros.search.finishing import (
     differ,
     distinct,
     LAST_APART,
+    LATTICE,
+    LatticeScorer,
     MOUNTING,
     MOUNTINGS,
     search_and_finish,
@@ -31,7 +33,7 @@ from ocp_ros.search.finishing import (
     steadiest,
 )
 from ocp_ros.search.registry import PLANNERS
-from ocp_ros.search.scorer import LATTICE, LatticeScorer, Scorer
+from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import Archive, KEPT, solve
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig

@@ -26,8 +26,7 @@ from ocp_ros.planning.findings import evaluate_placement
 from ocp_ros.rig.placement_file import created_by, data_of, Placement, placement_of
 from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.search.budget import Budget
-from ocp_ros.search.pose_annealing import Progress
+from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
 from ocp_ros.simulation.ray_visibility import with_rays

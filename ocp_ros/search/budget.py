@@ -20,6 +20,9 @@ import time
 
 from ocp_ros.util.settings import check_positive, check_whole, ConfigurationError
 
+#: Gets the used share of the budget and the smallest loss so far.
+Progress = Callable[[float, float], None]
+
 
 class Budget:
     """

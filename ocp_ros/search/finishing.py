@@ -30,12 +30,13 @@ import time
 import numpy as np
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import mounted
-from ocp_ros.search.evolution import matched
 from ocp_ros.search.greedy import descend
 from ocp_ros.search.planner import Planner, Scores, Search
-from ocp_ros.search.scorer import LatticeScorer
+from ocp_ros.search.population import matched
 from ocp_ros.search.solve import Result, solve
 
+#: Metres between the places of the lattice.
+LATTICE = 0.25
 #: Share of the evaluations for the end, and the share of these for the elites.
 FINISHING, JUDGED_ANEW = 0.15, 0.1
 #: Smallest difference of two placements in the position of one camera, metres: among the elites,
@@ -48,6 +49,29 @@ CHOOSING, MOUNTINGS, MOUNTING, CHOICES = 0.15, 8, 0.05, 24
 SEED = 1
 
 Score = Callable[[Sequence[np.ndarray]], Scores]
+
+
+class LatticeScorer:
+    """
+    Score placements with each camera moved to its nearest place on a lattice.
+
+    A room has some hundred such places, so the view of each is computed once and cached.
+
+    :param score: returns the scores of placements (n, 3).
+    :param space: feasible region of the cameras.
+    """
+
+    def __init__(self, score: Score, space: FreePlane) -> None:
+        self._score, self._space = score, space
+
+    def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
+        """Score B placements (n, 3)."""
+        return self._score([self._space.placement(self.snapped(placement[:, :2]))
+                            for placement in placements])
+
+    def snapped(self, positions: np.ndarray) -> np.ndarray:
+        """Move positions (n, 2) to feasible positions at, or nearest to, places of the lattice."""
+        return self._space.inside((np.floor(positions / LATTICE) + 0.5) * LATTICE)
 
 
 class FinishingDescent(Planner):

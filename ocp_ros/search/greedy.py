@@ -13,7 +13,9 @@
 # limitations under the License.
 
 """
-Greedy placement: one camera after the other, each at the best remaining place.
+Baselines without a search, and greedy placement with local search.
+
+Greedy placement adds one camera after the other, each at the best remaining place.
 
 Space coverage and the reduction of the depth error are monotone and submodular. So greedy
 placement by either of them reaches at least 1 - 1/e of the optimum on the same candidates
@@ -31,12 +33,45 @@ from ocp_ros.search.planner import Planner, Scores, Search
 FIRST_STEP, LAST_STEP, DIRECTIONS = 0.4, 0.02, 8
 #: Candidates of a search with exchange: their smallest number; the evaluations of the budget for
 #: each candidate and camera; and their largest number.
-FEWEST, SHARE, MOST = 20, 16, 150
+MIN_CANDIDATES, EVALUATIONS_EACH, MAX_CANDIDATES = 20, 16, 150
 #: Number of random places from which two removed cameras are placed again.
 REBUILT = 48
-NOBODY = np.empty((0, 2))
+#: Placements that are drawn together.
+BATCH = 32
+NO_CAMERAS = np.empty((0, 2))
 #: Yields placements, gets scores, and ends with positions and their depth error.
 PlacementSteps = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
+
+
+class Random(Planner):
+    """The best of uniformly drawn placements."""
+
+    descends = False
+
+    def search(self) -> Search:
+        """Draw placements until the budget is used up."""
+        while True:
+            yield [self.space.random(self.rng) for _ in range(BATCH)]
+
+
+class RegularGrid(Planner):
+    """The best of the regular arrangements in rows and columns; some cells may stay empty."""
+
+    descends = False
+
+    def search(self) -> Search:
+        """Try every number of columns once."""
+        cameras, low, size = self.space.cameras, self.space.low, self.space.size
+        arrangements = []
+        for columns in range(1, cameras + 1):
+            rows = -(-cameras // columns)
+            x, y = np.meshgrid((np.arange(columns) + 0.5) / columns,
+                               (np.arange(rows) + 0.5) / rows)
+            cells = np.stack([x, y], axis=-1).reshape(-1, 2)
+            # If there are more cells than cameras, cells in the middle stay empty.
+            keep = np.argsort(-np.abs(cells - 0.5).max(axis=1), kind='stable')[:cameras]
+            arrangements.append(self.space.inside(low + cells[np.sort(keep)] * size))
+        yield arrangements
 
 
 class GreedyError(Planner):
@@ -70,7 +105,8 @@ class GreedySwap(Planner):
         """Place greedily, exchange, run the local search, and repeat it by ruin and recreate."""
         cameras = self.space.cameras
         # A coarse grid suffices: neighbours have similar views, and the local search refines.
-        most = np.clip(self.budget // (SHARE * cameras), FEWEST, MOST)
+        most = np.clip(self.budget // (EVALUATIONS_EACH * cameras), MIN_CANDIDATES,
+                       MAX_CANDIDATES)
         candidates = self.space.grid(int(most))
         placed, _ = yield from fill(cameras, candidates, self.energy)
         best, error = yield from exchange(placed, candidates)
@@ -86,7 +122,7 @@ class GreedySwap(Planner):
 
 
 def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.ndarray],
-         placed: np.ndarray = NOBODY) -> PlacementSteps:
+         placed: np.ndarray = NO_CAMERAS) -> PlacementSteps:
     """
     Place cameras one by one.
 

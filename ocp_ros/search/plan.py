@@ -29,11 +29,10 @@ import time
 
 import numpy as np
 from ocp_ros.online.rollout import play
-from ocp_ros.search.budget import Budget
+from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import check_regions, check_room, MountedCamera, Pool, pool_of
 from ocp_ros.search.finishing import search_and_finish
-from ocp_ros.search.planner import Scores
-from ocp_ros.search.pose_annealing import answered, Progress, SearchResult, views_of
+from ocp_ros.search.pose_annealing import answered, SearchResult, views_of
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
 from ocp_ros.search.scorer import Scorer
@@ -95,47 +94,26 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH, pool: Pool
     return before if before.loss < found.loss else found
 
 
-class RigScorer:
+class RigScorer(Scorer):
     """
-    Score proposed placements by the rig's objective, until the budget is used up.
+    Score positions by the rig's objective, with the cameras mounted at feasible poses near them.
 
     The ``error`` of the scores is the rig's objective value: depth error / depth error without any
-    visible point, plus the costs of regions. ``space_coverage`` is in cubic metres.
+    visible point, plus the costs of regions. ``space_coverage`` is in cubic metres. The heights of
+    positions are not used.
 
-    :param decoder: mounts the cameras at feasible poses.
-    :param budget: of the search; a batch stops at its end, but at least one placement is scored.
-    :param progress: called after each placement.
+    :param decoder: mounts the cameras.
+    :param budget: see :class:`~ocp_ros.search.scorer.Scorer`, as for ``progress``.
     """
 
     def __init__(self, decoder: Decoder, budget: Budget, progress: Progress | None = None) -> None:
-        self.decoder, self.budget = decoder, budget
-        self.evaluations, self.least = 0, np.inf
-        self._progress = progress
+        super().__init__(decoder.objective.simulator, budget, progress)
+        self.decoder = decoder
 
-    @property
-    def used(self) -> float:
-        """Return the used share of the budget."""
-        return self.budget.share(self.evaluations, self.budget.evaluations)
-
-    def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
-        """
-        Score placements.
-
-        :param placements: B placements, (n, 3) or (n, 2) metres; heights are not used.
-        :returns: scores of all placements, or of the first ones if the budget is used up.
-        """
-        worths = []
-        for placement in placements:
-            if self.evaluations and self.used >= 1.0:
-                break
-            sites = self.decoder(placement[:, :2])
-            worths.append(self.decoder.objective.judge(views_of(sites)))
-            self.evaluations += 1
-            self.least = min(self.least, worths[-1].loss)
-            if self._progress is not None:
-                self._progress(self.used, self.least)
-        return Scores(np.array([worth.loss for worth in worths]),
-                      np.array([worth.space_coverage for worth in worths]))
+    def judge(self, placement: np.ndarray) -> tuple[float, float]:
+        """Return the objective value and the space coverage, cubic metres."""
+        found = self.decoder.objective.judge(views_of(self.decoder(placement[:, :2])))
+        return found.loss, found.space_coverage
 
 
 def _searched(make: Callable, problem: Problem, pool: Pool, budget: Budget, seed: int,

@@ -31,7 +31,7 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.online.rollout import Outcome
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
-from ocp_ros.search.budget import Budget
+from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import (
     best_addition,
     keeps_spacing,
@@ -71,8 +71,6 @@ LEAST = 1e-3
 #: Seconds between two reports of progress.
 REPORTED = 0.2
 T = TypeVar('T')
-#: Gets the used share of the budget and the smallest loss so far.
-Progress = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)

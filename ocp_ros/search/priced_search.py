@@ -28,13 +28,12 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.rig.feasible_region import DENSE
-from ocp_ros.search.budget import Budget
+from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import MountedCamera, packed, Pool
 from ocp_ros.search.pose_annealing import (
     anneal,
     in_background,
     moved,
-    Progress,
     SearchResult,
     views_of,
 )

@@ -34,12 +34,14 @@ from ocp_ros.online.online_planner import Online, settings_of
 from ocp_ros.policy.learned import planned_by
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.annealing import FixedAnnealing, TransDimensionalAnnealing
-from ocp_ros.search.baselines import Random, RegularGrid
-from ocp_ros.search.bee_colony import BeeColony
-from ocp_ros.search.evolution import CmaEs, DifferentialEvolution
-from ocp_ros.search.greedy import GreedyCoverage, GreedyError, GreedySwap
-from ocp_ros.search.particle_swarm import BinaryParticleSwarm
+from ocp_ros.search.greedy import GreedyCoverage, GreedyError, GreedySwap, Random, RegularGrid
 from ocp_ros.search.planner import Planner
+from ocp_ros.search.population import (
+    BeeColony,
+    BinaryParticleSwarm,
+    CmaEs,
+    DifferentialEvolution,
+)
 from ocp_ros.search.priced_search import search
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.util.resources import DEFAULT_MODEL, find_model

@@ -21,10 +21,10 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.search.budget import Budget
+from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import best_addition, check_regions, pool_of, random_sites
 from ocp_ros.search.plan import plan
-from ocp_ros.search.pose_annealing import Progress, SearchResult
+from ocp_ros.search.pose_annealing import SearchResult
 from ocp_ros.search.priced_search import certified, relaxation_of
 from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import ColumnGeneration

@@ -18,21 +18,19 @@ from collections.abc import Callable, Sequence
 from functools import lru_cache
 
 import numpy as np
-from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.planner import Scores
 from ocp_ros.simulation.simulator import Simulator, View
 
 #: Size of the cache of views, bytes: 16,000 views in a room of 25,000 points.
-REMEMBERED = 64_000_000
-#: Metres between the places of a lattice.
-LATTICE = 0.25
+CACHE_BYTES = 64_000_000
 
 
 def remembered_looks(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
     """Return ``look`` of an engine with a cache of views by pose and camera."""
     nothing = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
 
-    @lru_cache(max(REMEMBERED // nothing, 64))
+    @lru_cache(max(CACHE_BYTES // nothing, 64))
     def look(kind: int, pose: bytes) -> View:
         return simulator.look(np.frombuffer(pose), kind)
 
@@ -43,50 +41,50 @@ def remembered_looks(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
 
 class Scorer:
     """
-    Score placements by the engine.
+    Score placements by the engine, until the budget is used up.
 
     :param simulator: the engine for a scene.
+    :param budget: of the search; a batch stops at its end, but at least one placement is scored.
+        None for no limit.
+    :param progress: called after each placement.
+    :ivar evaluations: number of scored placements.
     """
 
-    def __init__(self, simulator: Simulator) -> None:
+    def __init__(self, simulator: Simulator, budget: Budget | None = None,
+                 progress: Progress | None = None) -> None:
         self.simulator, self._look = simulator, remembered_looks(simulator)
+        self._budget, self._progress = budget, progress
+        self.evaluations, self._least = 0, np.inf
+
+    @property
+    def used(self) -> float:
+        """Return the used share of the budget."""
+        if self._budget is None:
+            return 0.0
+        return self._budget.share(self.evaluations, self._budget.evaluations)
 
     def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
         """
         Score placements.
 
         :param placements: B placements of the simulator, (n, 3) or (n, 6), n >= 0.
+        :returns: scores of all placements, or of the first ones if the budget is used up.
         """
-        judged = np.array([self._judged(placement) for placement in placements])
-        return Scores(*judged.reshape(-1, 2).T)
+        judged: list[tuple[float, float]] = []
+        for placement in placements:
+            if self.evaluations and self.used >= 1.0:
+                break
+            judged.append(self.judge(placement))
+            self.evaluations += 1
+            self._least = min(self._least, judged[-1][0])
+            if self._progress is not None:
+                self._progress(self.used, self._least)
+        return Scores(*np.array(judged).reshape(-1, 2).T)
 
-    def _judged(self, placement: np.ndarray) -> tuple[float, float]:
+    def judge(self, placement: np.ndarray) -> tuple[float, float]:
         """Return the depth error, metres, and the space coverage, cubic metres."""
         if len(placement) == 0:
             return self.simulator.depth_error.worst, 0.0
         result = self.simulator.judge([
             self._look(pose, camera) for camera, pose in enumerate(placement)])
         return result.depth_error, result.space_coverage
-
-
-class LatticeScorer:
-    """
-    Score placements with each camera moved to its nearest place on a lattice.
-
-    A room has some hundred such places, so the view of each is computed once and cached.
-
-    :param score: returns the scores of placements (n, 3).
-    :param space: feasible region of the cameras.
-    """
-
-    def __init__(self, score: Callable[[Sequence[np.ndarray]], Scores], space: FreePlane) -> None:
-        self._score, self._space = score, space
-
-    def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
-        """Score B placements (n, 3)."""
-        return self._score([self._space.placement(self.snapped(placement[:, :2]))
-                            for placement in placements])
-
-    def snapped(self, positions: np.ndarray) -> np.ndarray:
-        """Move positions (n, 2) to feasible positions at, or nearest to, places of the lattice."""
-        return self._space.inside((np.floor(positions / LATTICE) + 0.5) * LATTICE)

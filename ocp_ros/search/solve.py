@@ -71,7 +71,6 @@ class Archive:
 
 
 def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], evaluations: int,
-          seconds: float = np.inf, progress: Callable[[int, float], None] | None = None,
           clock: Callable[[], float] = time.perf_counter) -> Result:
     """
     Run a planner until its budget is used up or its search ends.
@@ -80,8 +79,6 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     :param score: returns the scores of placements (n, 3); if it returns fewer scores than
         placements, the search ends with these.
     :param evaluations: largest number of placements to score.
-    :param seconds: largest time; a batch that has started is finished.
-    :param progress: called after each batch with the evaluations so far and the best error.
     :param clock: returns the current time, seconds.
     :raises ValueError: if a planner places cameras outside its space or too many cameras, or no
         placement was scored.
@@ -90,8 +87,6 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     best, found, trace = (np.inf, 0, 0.0), None, []
     archive = Archive()
     while (batch := planner.ask()) is not None and count < evaluations:
-        if count and clock() - began >= seconds:
-            break
         batch = batch[:evaluations - count]
         for positions in batch:
             _check(planner, positions)
@@ -106,8 +101,6 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
                                      float(scores.space_coverage[k]))
                 trace.append((count + k + 1, now, found[1]))
         count += len(scores.error)
-        if progress is not None:
-            progress(count, found[1])
         if len(scores.error) < len(planner.ask()):
             break
         planner.tell(scores)
