@@ -67,7 +67,8 @@ def merged(settings: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
     return found
 
 
-def config_of(rung: str, seed: int, interactions: int) -> TrainingConfig:
+def config_of(rung: str, seed: int, interactions: int, demonstrations: int = 0
+              ) -> TrainingConfig:
     """Return the settings of a rung: those of all rungs up to it."""
     nested = merged(read_plain(BASE).data, COMMON)
     nested['simulation']['reward'] = COMMON['simulation']['reward']
@@ -76,7 +77,7 @@ def config_of(rung: str, seed: int, interactions: int) -> TrainingConfig:
         if name == rung:
             break
     nested |= {'seed': seed, 'interactions': interactions}
-    nested['sac']['buffer_size'] = interactions
+    nested['sac'] |= {'buffer_size': interactions, 'demonstrations': demonstrations}
     return from_nested(TrainingConfig, nested, rung)
 
 
@@ -84,7 +85,8 @@ def row_of(folder: Path) -> dict[str, Any]:
     """Return what a run has done, from its lines of progress."""
     lines = [line for line in records(folder) if 'ratio' in line]
     config, last = read_config(folder / 'config.yaml'), lines[-1]
-    return {'seed': config.seed, 'interactions': last['interactions'],
+    return {'seed': config.seed, 'demonstrations': config.sac.demonstrations,
+            'interactions': last['interactions'],
             'updates': last['updates'], 'minutes': round(last['seconds'] / 60.0, 1),
             'ratio': round(last['ratio'], 3),
             'least_ratio': round(min(line['ratio'] for line in lines), 3),
@@ -98,6 +100,8 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--rungs', nargs='*', default=(), choices=tuple(RUNGS))
     parser.add_argument('--seed', type=int, default=0)
     parser.add_argument('--interactions', type=int, default=COMMON['interactions'])
+    parser.add_argument('--demonstrations', type=int, default=0, help='first interactions that '
+                        'are demonstrations')
     parser.add_argument('--out', type=Path, default=Path('out/ladder'))
     results.add_record(parser, 'paper_agent')
     options = parser.parse_args(argv)
@@ -105,7 +109,10 @@ def main(argv: list[str] | None = None) -> None:
     command = results.command_of('paper_agent', argv)
     for rung in options.rungs:
         folder = options.out / f'{rung}_{options.interactions}_{options.seed}'
-        train(config_of(rung, options.seed, options.interactions), folder, command)
+        if options.demonstrations:
+            folder = folder.with_name(f'{folder.name}_demonstrations')
+        train(config_of(rung, options.seed, options.interactions, options.demonstrations), folder,
+              command)
         print(rung, row_of(folder), flush=True)
     if options.record:
         rows = {folder.name: row_of(folder) for folder in sorted(options.out.iterdir())

@@ -275,7 +275,7 @@ def test_an_experience_that_lies_is_refused(agent):
             assert all(np.isfinite(choice.actions).all() for choice in found.choices)
 
 
-def test_a_learner_sums_up_no_rewards(small_agent, tmp_path):
-    """Turns may be missing between its transitions."""
-    with pytest.raises(ConfigurationError, match='sac.n_steps: found 3; expected 1'):
-        Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SacConfig(n_steps=3))
+@pytest.mark.parametrize('name', ['n_steps', 'demonstrations'])
+def test_a_learner_has_only_what_nodes_send_it(small_agent, tmp_path, name):
+    with pytest.raises(ConfigurationError, match=f'sac.{name}: found 3'):
+        Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SacConfig(**{name: 3}))

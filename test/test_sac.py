@@ -31,6 +31,7 @@ from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.augmentation import CloudReplayBuffer, SYMMETRIES, turn, turn_observation
+from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import CameraByCamera, encoded_space, playable
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.sac_state import load_replay, load_state, save_replay, save_state
@@ -142,6 +143,29 @@ def test_rewards_of_some_steps_are_summed_up_within_an_episode(small_agent, tmp_
     drawn = again.replay_buffer.sample(200)
     assert drawn.rewards[:, 0].unique().tolist() == [*sorted(sums.tolist()), 1e9]
     assert not drawn.dones.any()
+
+
+def test_demonstrations_stay_and_are_half_of_each_batch(small_agent):
+    model = make_sac(replace(SAC, demonstrations=20, augmentation='none', buffer_size=100),
+                     small_agent)
+    seen = {name: value[None] for name, value in observation(small_agent).items()}
+    for step in range(250):
+        model.replay_buffer.add(seen, seen, np.zeros((1, 1, 2)), np.array([float(step)]),
+                                np.array([False]), [{}])
+    drawn = model.replay_buffer.sample(1000)
+    rewards, demonstrated = drawn.rewards[:, 0], drawn.rewards[:, 0] < 20
+    assert 500 <= demonstrated.sum() < 700
+    assert set(rewards[~demonstrated].tolist()) <= set(range(170, 250))
+
+
+def test_demonstrated_episodes_end_at_good_placements(room, small_agent):
+    env = environment(room, small_agent)
+    demonstrator, truncated = Demonstrator([env], 0), False
+    env.reset(seed=0)
+    start = env.unwrapped.episode.turn.depth_error
+    while not truncated:
+        _, _, _, truncated, _ = env.step(demonstrator()[0])
+    assert env.unwrapped.episode.turn.depth_error < 0.5 * start
 
 
 def played_by_sac(model, env, seen):

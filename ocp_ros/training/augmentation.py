@@ -158,12 +158,22 @@ class CloudReplayBuffer(DictReplayBuffer):
     :param n_steps: number of rewards that are summed before the value of the critics is added.
     :param gamma: discount of the rewards.
     :param augmentation: augmentation of each sample: ``none``, ``symmetries`` or ``jitter``.
+    :param demonstrations: number of first transitions that are kept for good; half of each batch
+        is drawn from them.
     """
 
     def __init__(self, *args, n_steps: int = 1, gamma: float = 0.99,
-                 augmentation: str = 'symmetries', **kwargs) -> None:
+                 augmentation: str = 'symmetries', demonstrations: int = 0, **kwargs) -> None:
         super().__init__(*args, **kwargs)
         self.n_steps, self.gamma, self.augmentation = n_steps, gamma, augmentation
+        #: Number of first rows that are not overwritten.
+        self.kept = min(-(-demonstrations // self.n_envs), self.buffer_size - 1)
+
+    def add(self, obs, next_obs, action, reward, done, infos) -> None:
+        """Store a transition of each environment."""
+        super().add(obs, next_obs, action, reward, done, infos)
+        if self.full:
+            self.pos = max(self.pos, self.kept)
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
         """Draw a batch, and augment it as ``augmentation`` says: one symmetry per transition."""
@@ -181,12 +191,15 @@ class CloudReplayBuffer(DictReplayBuffer):
 
     def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
         """Return n-step transitions, each of a random environment."""
+        if kept := min(self.kept, self.size()):
+            batch_inds[::2] = np.random.randint(kept, size=len(batch_inds[::2]))
         column, steps = np.random.randint(self.n_envs, size=len(batch_inds)), np.arange(
             self.n_steps)
         rows = (batch_inds[:, None] + steps) % self.buffer_size
-        # A sum ends at the end of an episode, and at the newest step: the oldest step follows it.
-        ends = (self.dones[rows, column[:, None]] > 0.0) | (
-            rows == (self.pos - 1) % self.buffer_size)
+        # A sum ends at the end of an episode, and at rows that no later step follows.
+        last_rows = [self.pos - 1, self.kept - 1, self.buffer_size - 1] if self.kept else [
+            (self.pos - 1) % self.buffer_size]
+        ends = (self.dones[rows, column[:, None]] > 0.0) | np.isin(rows, last_rows)
         ends[:, -1] = True
         last = ends.argmax(axis=1)
         shares = self.gamma ** steps * (steps <= last[:, None])

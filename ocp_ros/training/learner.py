@@ -71,15 +71,18 @@ class Learner:
     :param start: weights to start from, or None.
     :ivar dropped: number of transitions for which the inbox had no room.
     :ivar losses: losses of the critics in the latest bursts of gradient steps.
-    :raises ConfigurationError: if ``sac.n_steps`` is greater than 1.
+    :raises ConfigurationError: if ``sac.n_steps`` is above 1, or ``sac.demonstrations`` above
+        0.
     """
 
     def __init__(self, config: LearnerConfig, agent: AgentConfig, sac: SacConfig,
                  start: Checkpoint | None = None) -> None:
-        if sac.n_steps > 1:
-            raise ConfigurationError(
-                f'sac.n_steps: found {sac.n_steps}; expected 1: turns may be missing between the '
-                'transitions that arrive, so their rewards cannot be summed up; set it to 1')
+        for name, found, expected in (('n_steps', sac.n_steps, 1),
+                                      ('demonstrations', sac.demonstrations, 0)):
+            if found > expected:
+                raise ConfigurationError(
+                    f'sac.{name}: found {found}; expected {expected}: the transitions that arrive '
+                    f'are those of nodes, and some may be missing; set it to {expected}')
         self.config, self.agent, self.sac = config, agent, sac
         self.folder = Path(config.folder)
         self.model = make_sac(sac, agent, seed=config.seed)

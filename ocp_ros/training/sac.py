@@ -14,10 +14,12 @@
 
 """Soft actor-critic from stable-baselines3 on the agent's networks."""
 
+from collections.abc import Callable
 from contextlib import suppress
 import ctypes
 from typing import Any
 
+import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.training.augmentation import CloudReplayBuffer, MapReplayBuffer
@@ -51,10 +53,15 @@ class AgentSac(SAC):
         #: Number of gradient steps of SAC itself so far, and the function that returns the
         #: imitation loss of a batch of a given size; None for no imitation loss.
         self.own_updates, self.imitation_loss = 0, None
+        #: Chooses the actions of the first interactions; None for no demonstrations.
+        self.demonstrator: Callable[[], np.ndarray] | None = None
         super().__init__(*args, **kwargs)
 
     def _sample_action(self, learning_starts, action_noise=None, n_envs=1):
-        """Draw actions: from a trained actor at once, otherwise at random in the beginning."""
+        """Draw actions: of a demonstrator first, of an untrained actor at random."""
+        if self.demonstrator is not None and self.num_timesteps < self.config.demonstrations:
+            actions = self.demonstrator()
+            return actions, actions
         return super()._sample_action(0 if self.warm else learning_starts, action_noise, n_envs)
 
     def _update_learning_rate(self, optimizers) -> None:
@@ -110,10 +117,12 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
     buffer, settings = MapReplayBuffer if agent.map else DictReplayBuffer, {}
     if agent.one_by_one and not agent.map:
         buffer, settings = CloudReplayBuffer, {'n_steps': sac.n_steps, 'gamma': sac.gamma,
-                                               'augmentation': sac.augmentation}
+                                               'augmentation': sac.augmentation,
+                                               'demonstrations': sac.demonstrations}
     model = AgentSac(
         policy, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
-        buffer_size=sac.buffer_size, learning_starts=sac.learning_starts,
+        buffer_size=sac.buffer_size,
+        learning_starts=max(sac.learning_starts, sac.demonstrations),
         batch_size=sac.batch_size, tau=sac.tau, gamma=sac.gamma, ent_coef=f'auto_{sac.entropy}',
         target_entropy=sac.target_entropy * 2 * cameras, tensorboard_log=tensorboard, seed=seed,
         device=sac.device, _init_setup_model=False, policy_kwargs=arguments,

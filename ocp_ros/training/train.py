@@ -35,6 +35,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.simulation.environment import CameraPlacementEnv, KEPT
+from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES
 from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
@@ -249,6 +250,8 @@ def learn(run: Run) -> None:
     if not model.replay_buffer.size():
         model.learning_starts += model.num_timesteps
     model.set_env(environments(config, room_names(config.rooms, 'training')))
+    if config.sac.demonstrations:
+        model.demonstrator = Demonstrator(model.env.venv.envs, config.seed)
     # The seed depends on the number of interactions: a resumed run plays other episodes.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)

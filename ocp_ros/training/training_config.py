@@ -16,7 +16,7 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.agent_config import AgentConfig, CLOUD
 from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError, group, LARGEST_SEED, MOST_CAMERAS, setting
@@ -46,6 +46,10 @@ class SacConfig:
     bfloat16: bool = setting(
         False, 'with agent.inputs cloud: the network that is trained computes with 16 bits in '
                'place of 32, which is faster on processors that can')
+    demonstrations: int = setting(
+        0, 'with agent.inputs cloud: first interactions in which cameras go to placements that '
+           'are planned with the whole scan; they stay in the replay buffer, and half of each '
+           'batch is drawn from them; trainer_node knows 0 alone', 0, 1000000)
     burn_in: int = setting(
         0, 'gradient steps of the critics alone before the actor learns', 0, 1 << 31)
     imitation: float = setting(
@@ -162,6 +166,10 @@ class TrainingConfig:
                 'of all other cameras')
         for count in (self.fewest_cameras, len(rig.cameras)):
             self.agent.check_cameras(count)
+        if self.sac.demonstrations and not (rig.free and self.agent.inputs == CLOUD):
+            raise ConfigurationError(
+                f'sac.demonstrations: found {self.sac.demonstrations} with agent.inputs '
+                f'{self.agent.inputs!r}; expected 0, or agent.inputs cloud without a rig file')
         if not (self.interactions or (self.agent.map and self.values.steps)):
             raise ConfigurationError(
                 'interactions: found 0 and no dense values to learn; expected something to learn '

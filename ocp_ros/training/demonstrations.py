@@ -1,0 +1,66 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Demonstrations: episodes in which cameras go to placements planned with the whole scan."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from ocp_ros.online.online_planner import matched
+from ocp_ros.search.greedy import GreedySwap
+from ocp_ros.search.scorer import Scorer
+from ocp_ros.search.solve import solve
+from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import space_of
+from ocp_ros.training.encoded_environment import CameraByCamera, unwrapped
+
+#: Evaluations of the search for the placement of an episode.
+EVALUATIONS = 300
+
+
+class Demonstrator:
+    """
+    Choose the actions of cameras that go straight to a good placement of their room.
+
+    :param envs: the environments.
+    :param seed: random seed of the searches.
+    """
+
+    def __init__(self, envs: Sequence[CameraByCamera], seed: int) -> None:
+        self._envs, self._rng = envs, np.random.default_rng(seed)
+        #: The episode and the targets (K, 2), metres, of each environment.
+        self._plans: list[tuple[Episode | None, np.ndarray]] = [
+            (None, np.empty((0, 2)))] * len(envs)
+
+    def __call__(self) -> np.ndarray:
+        """Return the next action of each environment: (E, 1, 2) float32."""
+        return np.array([[self._action(number)] for number in range(len(self._envs))], np.float32)
+
+    def _action(self, number: int) -> np.ndarray:
+        """Return the move (2,) of the camera that chooses next, in units of the longest step."""
+        env = self._envs[number]
+        episode = unwrapped(env).episode
+        if self._plans[number][0] is not episode:
+            self._plans[number] = episode, self._targets(episode)
+        target = self._plans[number][1][env.camera]
+        move = (target - env.encoded.positions[env.camera, :2]) / episode.config.max_step
+        return move / max(np.linalg.norm(move), 1.0)
+
+    def _targets(self, episode: Episode) -> np.ndarray:
+        """Return where each camera of an episode goes: (K, 2) metres."""
+        positions = episode.turn.positions
+        space = space_of(episode.simulator, len(positions))
+        found = solve(GreedySwap(space, self._rng, EVALUATIONS), Scorer(episode.simulator),
+                      EVALUATIONS).placement[:, :2]
+        return found[matched(positions, found)]
