@@ -20,13 +20,13 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted
 from ocp_ros.search.finishing import (
-    APART,
+    CHOICES_APART_M,
     differ,
     distinct,
-    LAST_APART,
-    LATTICE,
+    ELITES_APART_M,
+    LATTICE_M,
     LatticeScorer,
-    MOUNTING,
+    MOUNTING_ERROR_M,
     MOUNTINGS,
     search_and_finish,
     SEED,
@@ -34,7 +34,7 @@ from ocp_ros.search.finishing import (
 )
 from ocp_ros.search.registry import PLANNERS
 from ocp_ros.search.scorer import Scorer
-from ocp_ros.search.solve import Archive, KEPT, solve
+from ocp_ros.search.solve import Archive, ARCHIVE_SIZE, solve
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -74,7 +74,7 @@ def test_each_place_of_the_lattice_is_looked_from_once(engine, monkeypatch):
         looks.append(pose.tobytes()), real(self, pose, camera))[1])
     lattice = LatticeScorer(Scorer(engine), space_of(engine))
     solve(planner(engine, 'annealing', 300), lattice, 300)
-    assert len(looks) == len(set(looks)) <= space_of(engine).area / LATTICE ** 2 * 2
+    assert len(looks) == len(set(looks)) <= space_of(engine).area / LATTICE_M ** 2 * 2
 
 
 def test_a_lattice_moves_cameras_by_less_than_its_edge_and_nowhere_they_may_not_be(engine):
@@ -85,7 +85,7 @@ def test_a_lattice_moves_cameras_by_less_than_its_edge_and_nowhere_they_may_not_
     assert space.contains(snapped).all()
     np.testing.assert_array_equal(lattice.snapped(positions), snapped)
     near = np.linalg.norm(snapped - positions, axis=1)
-    assert np.median(near) <= LATTICE * 0.71
+    assert np.median(near) <= LATTICE_M * 0.71
 
 
 def test_of_the_best_the_steadiest_is_chosen(engine):
@@ -94,9 +94,9 @@ def test_of_the_best_the_steadiest_is_chosen(engine):
     steady = steadiest(found, space, fine, 10, time.perf_counter)
 
     def off(placement):
-        return np.mean(fine(list(mounted(placement, MOUNTING, MOUNTINGS, SEED))).error)
+        return np.mean(fine(list(mounted(placement, MOUNTING_ERROR_M, MOUNTINGS, SEED))).error)
 
-    choices = distinct(found.best, 10, LAST_APART)
+    choices = distinct(found.best, 10, CHOICES_APART_M)
     assert off(steady.placement) == min(off(space.placement(choice)) for choice in choices)
     assert steady.evaluations == found.evaluations + MOUNTINGS * len(choices)
     assert steadiest(found, space, fine, 1, time.perf_counter) is found
@@ -124,11 +124,11 @@ def test_one_evaluation_is_enough(engine):
 
 def test_the_archive_keeps_the_best_and_the_first_of_equals():
     archive, rng = Archive(), np.random.default_rng(0)
-    errors = rng.integers(0, 300, 3 * KEPT).astype(float)
+    errors = rng.integers(0, 300, 3 * ARCHIVE_SIZE).astype(float)
     for number, error in enumerate(errors):
         archive.add((error,), np.array([[number, 0.0]]))
     numbers = [int(one[0, 0]) for one in archive.best]
-    assert numbers == np.argsort(errors, kind='stable')[:KEPT].tolist()
+    assert numbers == np.argsort(errors, kind='stable')[:ARCHIVE_SIZE].tolist()
 
 
 def test_elites_differ():
@@ -136,6 +136,7 @@ def test_elites_differ():
     placements = [rng.uniform(0.0, 1.0, (3, 2)) for _ in range(60)]
     chosen = distinct(placements, 10)
     assert np.array_equal(chosen[0], placements[0]) and len(chosen) == 10
-    assert min(differ(one, other) for k, one in enumerate(chosen) for other in chosen[:k]) >= APART
+    assert min(differ(one, other) for k, one in enumerate(chosen)
+               for other in chosen[:k]) >= ELITES_APART_M
     # Which camera has which number means nothing.
     assert len(distinct([placements[0], placements[0][::-1]], 10)) == 1

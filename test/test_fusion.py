@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
-from ocp_ros.online.cloud_fusion import FEWEST, FusedCloud
+from ocp_ros.online.cloud_fusion import FusedCloud, MIN_POINTS
 import pytest
 from scipy.spatial import cKDTree
 
@@ -42,7 +42,7 @@ def voxels(points, edge):
     return [tuple(int(np.floor(float(x) / edge)) for x in point) for point in points]
 
 
-@given(added=st.lists(clouds(), max_size=5), voxel=VOXELS, most=st.integers(FEWEST, 200))
+@given(added=st.lists(clouds(), max_size=5), voxel=VOXELS, most=st.integers(MIN_POINTS, 200))
 @budget(max_examples=60, deadline=None)
 def test_it_is_bounded_whatever_is_added_and_has_one_point_per_voxel(added, voxel, most):
     fused = FusedCloud(voxel, most)
@@ -58,7 +58,7 @@ def test_it_is_bounded_whatever_is_added_and_has_one_point_per_voxel(added, voxe
 
 
 @given(added=st.lists(clouds(), min_size=1, max_size=4), voxel=VOXELS,
-       most=st.integers(FEWEST, 200))
+       most=st.integers(MIN_POINTS, 200))
 @budget(max_examples=60, deadline=None)
 def test_the_same_cloud_again_changes_nothing(added, voxel, most):
     fused = FusedCloud(voxel, most)

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.geometry.cameras import Pose
 from ocp_ros.geometry.shadow_maps import in_reach
-from ocp_ros.online.constraint_filter import ABOVE, ConstraintFilter
+from ocp_ros.online.constraint_filter import ConstraintFilter, FREE_ABOVE_M
 from ocp_ros.online.rig_state import RigState
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import rig_of
@@ -73,7 +73,7 @@ def test_every_command_holds_or_the_camera_stays(drawn):
     if not np.array_equal(positions, drawn[2]) and not len(rig.fixed) and as_asked:
         # The judge of whole rooms agrees, where it can judge one of which a part is seen.
         moved = np.abs(positions - drawn[2]).max(axis=1) > 0.0
-        top = float(max(drawn[2][:, 2].max(), positions[:, 2].max())) + ABOVE
+        top = float(max(drawn[2][:, 2].max(), positions[:, 2].max())) + FREE_ABOVE_M
         assert FeasibleRegion(scene, rig, top).allowed(positions[moved]).all()
 
 

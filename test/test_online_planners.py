@@ -24,7 +24,7 @@ from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.observation_map import CELLS
-from ocp_ros.online.online_planner import AHEAD, Online, PipelinedPlanner
+from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, Online, PipelinedPlanner
 from ocp_ros.online.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
 from ocp_ros.online.rig_state import Limits, RigState
 from ocp_ros.online.rollout import play
@@ -155,11 +155,11 @@ THINKING = {
 @pytest.mark.parametrize('name', THINKING)
 def test_in_many_turns_plans_are_made_while_the_cameras_move(name, engine):
     """Who lets the planner reflect gets the same moves, without plans that are waited for."""
-    config = replace(CONFIG, episode=EpisodeConfig(turns=AHEAD, max_step=MAX_STEP))
+    config = replace(CONFIG, episode=EpisodeConfig(turns=MIN_PIPELINED_TURNS, max_step=MAX_STEP))
     prompt, late = (list(thinking(
         THINKING[name](),
         Episode(PlaneProblem(Simulator(engine.scene, config)), np.random.default_rng(7)),
-        AHEAD, reflects)) for reflects in (True, False))
+        MIN_PIPELINED_TURNS, reflects)) for reflects in (True, False))
     for (one, _), (other, _) in zip(prompt, late):
         np.testing.assert_array_equal(one, other)
     assert [turn for turn, (_, made) in enumerate(prompt) if made] == [0]
@@ -171,7 +171,7 @@ def test_in_few_turns_plans_are_made_of_the_newest_cloud(name, engine):
     episode = Episode(PlaneProblem(engine), np.random.default_rng(7))
     assert all(made for _, made in thinking(
         THINKING[name](), episode, CONFIG.episode.turns, True))
-    assert CONFIG.episode.turns < AHEAD
+    assert CONFIG.episode.turns < MIN_PIPELINED_TURNS
 
 
 class Sent(PipelinedPlanner):
@@ -190,9 +190,9 @@ def test_a_camera_with_a_cabinet_in_its_way_gets_to_its_target(furnished):
     """Straight on it would walk into the side of the cabinet in every turn."""
     step = OnlineStep(Sent([5.0, 2.0]), Limits(MAX_STEP, 0.0, MARGIN))
     placement = np.array([[3.0, 2.0, 1.9, 0.0, 0.0, 0.0]])
-    for turn in range(AHEAD):
+    for turn in range(MIN_PIPELINED_TURNS):
         state = RigState(placement, (CameraModel(),), 1)
-        placement = step(furnished.points, state, turn, AHEAD).placement
+        placement = step(furnished.points, state, turn, MIN_PIPELINED_TURNS).placement
     np.testing.assert_allclose(placement[0, :2], [5.0, 2.0], atol=FINE_EDGE)
 
 

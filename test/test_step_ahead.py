@@ -17,7 +17,7 @@
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.lookahead import Lookahead
-from ocp_ros.online.online_planner import AHEAD, settings_of
+from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, settings_of
 from ocp_ros.online.rig_state import Limits
 from ocp_ros.online.rollout import state_of
 from ocp_ros.online.step import OnlineStep
@@ -65,22 +65,22 @@ def steps(room, turns, reflects, monkeypatch):
 
 
 def test_only_the_first_step_is_waited_for(room, monkeypatch):
-    prompt, waited = steps(room, AHEAD, True, monkeypatch)
+    prompt, waited = steps(room, MIN_PIPELINED_TURNS, True, monkeypatch)
     assert {turn for turn, name in waited if name == 'think'} == {0}
     assert {turn for turn, name in waited if name == '_think'} == {0}
     # Where a camera could go nowhere, the newest points are asked as well: at first it happens.
     assert 0 in (looked := {turn for turn, name in waited if name == '_look'})
-    assert max(looked) < AHEAD // 2
-    late, _ = steps(room, AHEAD, False, monkeypatch)
+    assert max(looked) < MIN_PIPELINED_TURNS // 2
+    late, _ = steps(room, MIN_PIPELINED_TURNS, False, monkeypatch)
     np.testing.assert_array_equal(prompt, late)
     turned = np.abs(np.diff(prompt[:, :, 3], axis=0))
     assert turned.max() > 0.1 and np.ptp(prompt[:, :, :2], axis=0).max() > 0.5
 
 
 def test_in_few_turns_each_step_is_of_what_is_newest(room, monkeypatch):
-    _, waited = steps(room, AHEAD - 1, True, monkeypatch)
+    _, waited = steps(room, MIN_PIPELINED_TURNS - 1, True, monkeypatch)
     for name in ('_think', '_look', 'think'):
-        assert (AHEAD - 2, name) in waited
+        assert (MIN_PIPELINED_TURNS - 2, name) in waited
 
 
 def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):
@@ -89,12 +89,12 @@ def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):
     config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
     episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
     state = state_of(episode)
-    step(episode.observed_cloud, state, 0, AHEAD)
+    step(episode.observed_cloud, state, 0, MIN_PIPELINED_TURNS)
     step.plan_ahead()
     step.reset()
     looked = []
     monkeypatch.setattr(step.constraints.filter, '_look', lambda *given: looked.append(given))
-    step(episode.observed_cloud, beside(state), 0, AHEAD)
+    step(episode.observed_cloud, beside(state), 0, MIN_PIPELINED_TURNS)
     assert looked
 
 
@@ -124,7 +124,7 @@ def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
                       Limits(0.5, max_turn, 0.1), RIG)
     state = state_of(episode)
     for turn in range(3):
-        command = step(episode.observed_cloud, state, turn, AHEAD)
+        command = step(episode.observed_cloud, state, turn, MIN_PIPELINED_TURNS)
         step.plan_ahead()
         assert np.array_equal(command.placement[:, :3], state.placement[:, :3])
         assert bool(command.rotated) == bool(max_turn)

@@ -21,7 +21,7 @@ from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.online.observation_map import (
     CELLS,
-    EDGE,
+    EDGE_M,
     NUMBERS,
     ObservationMap,
     OF_OTHERS,
@@ -100,7 +100,7 @@ def test_a_room_that_is_turned_has_a_turned_map(room):
 def test_in_a_room_larger_than_the_grid_cells_are_larger():
     small = Window.around(np.array([[0.0, 0.0, 0.0], [5.0, 8.0, 3.0]]))
     large = Window.around(np.array([[0.0, 0.0, 0.0], [40.0, 10.0, 3.0]]))
-    assert small.edge == EDGE and large.edge == pytest.approx(41.0 / CELLS)
+    assert small.edge == EDGE_M and large.edge == pytest.approx(41.0 / CELLS)
     for window, bounds in ((small, (5.0, 8.0)), (large, (40.0, 10.0))):
         corners = np.array([[0.0, 0.0], bounds])
         assert (window.cell_of(corners) >= 0).all()
@@ -163,7 +163,7 @@ def test_nobody_is_sent_where_it_cannot_arrive(room):
     lowest = position[0, :2] + np.array([2.5, 0.0])
     actor = MapActor(Bowl(known.window, lowest), np.random.default_rng(0), 0.5, RANGE, 0.1, 0.0)
     actor.move(room.points, position, 0, 2)
-    assert np.linalg.norm(actor.targets[0] - position[0, :2]) <= 1.0 + EDGE
+    assert np.linalg.norm(actor.targets[0] - position[0, :2]) <= 1.0 + EDGE_M
 
 
 def test_what_is_seen_of_nothing_is_no_room():

@@ -18,7 +18,7 @@ import numpy as np
 from ocp_ros.geometry.clouds import cell_numbers, REACH
 
 #: Smallest value of ``most``: 8 voxels meet at the origin and never merge, whatever their edge.
-FEWEST = 8
+MIN_POINTS = 8
 
 
 class FusedCloud:
@@ -37,8 +37,8 @@ class FusedCloud:
     def __init__(self, voxel: float, most: int) -> None:
         if not 0.0 < voxel < np.inf:
             raise ValueError(f'voxel: found {voxel}; expected metres above 0')
-        if most < FEWEST:
-            raise ValueError(f'most: found {most} points; expected at least {FEWEST}')
+        if most < MIN_POINTS:
+            raise ValueError(f'most: found {most} points; expected at least {MIN_POINTS}')
         self.voxel, self.most = voxel, most
         self.clear()
 

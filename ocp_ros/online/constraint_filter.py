@@ -36,12 +36,13 @@ from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.util.settings import ConfigurationError
 
 #: Assumed free height above a camera, metres: cameras that look down do not observe it.
-ABOVE = 0.1
+FREE_ABOVE_M = 0.1
 #: Metres: a camera whose move is not longer than this counts as staying.
-STAYS = 0.01
-#: Number of horizontal directions in which the free distance around a camera is measured, and how
-#: many directions on either side of a path must be free too.
-SECTORS, ASIDE = 120, 1
+STAYING_M = 0.01
+#: Number of horizontal directions in which the free distance around a camera is measured.
+SECTORS = 120
+#: Number of directions on either side of a path that must be free too.
+SECTORS_ASIDE = 1
 
 
 class FilteredTargets(NamedTuple):
@@ -139,7 +140,7 @@ class FreeWays(NamedTuple):
         # A direction without observed points is unknown, so it does not count as free.
         free[np.isinf(free)] = 0.0
         return cls(pose.position, np.min(
-            [np.roll(free, k) for k in range(-ASIDE, ASIDE + 1)], axis=0))
+            [np.roll(free, k) for k in range(-SECTORS_ASIDE, SECTORS_ASIDE + 1)], axis=0))
 
     def clear(self, places: np.ndarray, least: float) -> np.ndarray:
         """Return which places (P, 3) are at least ``least`` metres before the first surface."""
@@ -202,7 +203,7 @@ class ConstraintFilter:
             within one step may move through the free space in its view: rigs start close
             together and do not see the floor below them.
         """
-        top, prepared = float(positions[:, 2].max()) + ABOVE, self._prepared
+        top, prepared = float(positions[:, 2].max()) + FREE_ABOVE_M, self._prepared
         if prepared:
             self._prepared, self._allowed.top = False, max(self._allowed.top, top)
         else:
@@ -216,7 +217,7 @@ class ConstraintFilter:
             others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
             found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
                                   cloud if prepared else None)
-            going = np.linalg.norm(targets[camera] - positions[camera]) > STAYS
+            going = np.linalg.norm(targets[camera] - positions[camera]) > STAYING_M
             if found is None and going and state is not None and not prepared:
                 found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
                                       None, FreeWays.of(cloud, state, camera))
@@ -248,7 +249,7 @@ class ConstraintFilter:
                 above, (low, high) = z - floor_height(scene), rig.mount.heights
                 rig = replace(rig, mount=rig.mount._replace(
                     heights=(min(above.min(), low), max(above.max(), high))))
-            self._allowed = FeasibleRegion(scene, rig, float(z.max()) + ABOVE)
+            self._allowed = FeasibleRegion(scene, rig, float(z.max()) + FREE_ABOVE_M)
         except (ConfigurationError, SceneError) as error:
             self._why = str(error)
 

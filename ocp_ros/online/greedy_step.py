@@ -23,15 +23,17 @@ from ocp_ros.rig.motion import bounded_moves, order_of
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.threads import mapped
 
-#: Number of directions, and the distances in each direction, metres.
-DIRECTIONS, DISTANCES = 8, (0.04, 0.15, 0.5)
+#: Number of directions of the moves.
+DIRECTIONS = 8
+#: Distances of the moves in each direction, metres.
+DISTANCES_M = (0.04, 0.15, 0.5)
 _ANGLES = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
 #: (1 + D * 3, 2) metres: staying, then the moves of each direction, the shortest first.
 MOVES = np.concatenate([np.zeros((1, 2)), (
     np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)[:, None]
-    * np.array(DISTANCES)[None, :, None]).reshape(-1, 2)])
+    * np.array(DISTANCES_M)[None, :, None]).reshape(-1, 2)])
 #: Constant that is added to compared errors, as a share of the error without any visible point.
-FLOOR = 0.01
+ERROR_FLOOR = 0.01
 #: Points and depth-map rows of the model: on a coarser one the best move is often a bad move.
 POINTS, ROWS = 12000, 64
 
@@ -73,7 +75,7 @@ def _values(known: ObservedTurn, camera: int, time: float) -> np.ndarray:
     """
     model, space = known.model, known.space
     others = known.beside(camera)
-    fresh, floor = known.unseen & ~others.covered, FLOOR * model.depth_error.worst
+    fresh, floor = known.unseen & ~others.covered, ERROR_FLOOR * model.depth_error.worst
     most = model.depth_error.worst + floor
     places = space.placement(space.inside(known.positions[camera, :2] + MOVES[1:]))
     bonus = curiosity(time) / known.count

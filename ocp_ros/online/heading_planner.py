@@ -29,7 +29,7 @@ from ocp_ros.geometry.cameras import CameraModel, Frustum
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.online.partial_map import curiosity, KeptModel, LookHistory, PartialMap
-from ocp_ros.online.rig_state import AROUND, directions, RigState
+from ocp_ros.online.rig_state import AIR_RADIUS_M, directions, RigState
 from ocp_ros.rig.motion import turned_towards, way_between
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import SceneError
@@ -40,9 +40,9 @@ POINTS, ROWS = 12000, 64
 #: Number of yaws and largest number of pitches of the candidate headings.
 YAWS, PITCHES = 12, 3
 #: Radians: steps of the local search around the best candidate.
-FINER = np.deg2rad([15.0, 7.5])
+FINE_STEPS = np.deg2rad([15.0, 7.5])
 #: Number of passes over all cameras.
-ROUNDS = 2
+PASSES = 2
 
 
 def never() -> bool:
@@ -92,7 +92,7 @@ class HeadingPlanner:
     def reset(self) -> None:
         """Discard the state of the last episode."""
         self._memory = LookHistory()
-        self._kept = KeptModel(self._range, self._wall_margin, POINTS, ROWS, AROUND)
+        self._kept = KeptModel(self._range, self._wall_margin, POINTS, ROWS, AIR_RADIUS_M)
         #: (K + F, 3) yaw, pitch, roll in radians: the goal headings of all cameras.
         self._headings: np.ndarray | None = None
         #: The time step for which goals were computed in advance.
@@ -160,12 +160,12 @@ class HeadingPlanner:
             sought.begin(self._begun(now, hint, reach))
         choices = {camera: self._choices(sought.goals[camera].heading, now[camera], reach)
                    for camera in self.aimed}
-        for _ in range(ROUNDS):
+        for _ in range(PASSES):
             for camera in np.roll(self.aimed, turn):
                 if interrupted():
                     break
                 sought.best(camera, choices[camera])
-                for step in FINER:
+                for step in FINE_STEPS:
                     near = _around(sought.goals[camera].heading, step)
                     sought.best(camera, self._allowed(near, now[camera], reach))
         return np.array([goal.heading for goal in sought.goals])

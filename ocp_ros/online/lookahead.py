@@ -37,37 +37,42 @@ from ocp_ros.online.online_planner import (
     matched,
     Online,
     PipelinedPlanner,
-    REFINING,
+    REFINING_SHARE,
 )
 from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap
-from ocp_ros.online.rig_state import AROUND, clearance_of, fixed_views, RigState, view_from
+from ocp_ros.online.rig_state import AIR_RADIUS_M, clearance_of, fixed_views, RigState, view_from
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.util.annealing import between
 from ocp_ros.util.threads import mapped
 
-#: Metres between candidates, and their largest number: in a large room the spacing is larger.
-SPACING, CANDIDATES = 0.5, 400
+#: Metres between candidate positions; in a large room the spacing is larger.
+SPACING_M = 0.5
+#: Largest number of candidate positions.
+MAX_PLACES = 400
 #: Points and depth-map rows of the model on which candidates are compared.
 QUICK_POINTS, QUICK_ROWS = 6000, 32
 #: Time steps for which candidates are reused if plans are computed while the cameras move. Their
 #: views are computed in the first of these time steps.
-KEPT = 2
-#: Points and depth-map rows of the model for the refinement, and the smallest number of time steps
-#: for which it is reused.
-REFINING_POINTS, REFINING_ROWS, REFINING_KEPT = 60000, 128, 4
+CANDIDATES_KEPT = 2
+#: Points and depth-map rows of the model for the refinement.
+REFINING_POINTS, REFINING_ROWS = 60000, 128
+#: Smallest number of time steps for which that model is reused.
+REFINING_KEPT = 4
 #: Proposals in a time step of refinement: in a short episode, in one of many time steps, and in a
-#: time step that also creates a model. Then the number of consecutive proposals for one camera:
-#: the views of the other cameras are merged once for these.
-STEPS, STEPS_OF_MANY, FEWER_STEPS, IN_A_ROW = 240, 112, 16, 16
-#: First and last temperature of the refinement, in multiples of the best plan's error, and the
-#: smallest error that is used for this product, metres.
-WARM, COOL, LEAST = 0.1, 0.003, 1e-3
+#: time step that also creates a model.
+PROPOSALS, PROPOSALS_OF_MANY, PROPOSALS_WITH_MODEL = 240, 112, 16
+#: Consecutive proposals for one camera: the views of the others are merged once for these.
+IN_A_ROW = 16
+#: First and last temperature of the refinement, in multiples of the best plan's error.
+FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.1, 0.003
+#: Smallest error that is used to compute temperatures, metres.
+MIN_ERROR_M = 1e-3
 #: Standard deviation of the first and last changes of a position, metres.
-FAR, NEAR = 0.5, 0.02
+FIRST_STEP_M, LAST_STEP_M = 0.5, 0.02
 #: The same for headings of cameras that are not omnidirectional, radians.
-WIDE, NARROW = 0.5, 0.05
+FIRST_TURN, LAST_TURN = 0.5, 0.05
 #: Proposals whose views are computed in parallel.
-TOGETHER = 4
+PARALLEL_PROPOSALS = 4
 
 
 class Lookahead(PipelinedPlanner):
@@ -104,11 +109,11 @@ class Lookahead(PipelinedPlanner):
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
-        if turn >= REFINING * turns:
+        if turn >= REFINING_SHARE * turns:
             self._refine(cloud, positions, turn, turns)
             return
         ahead = self._ahead(turns)
-        if self._candidates is None or not ahead or turn - self._made >= KEPT:
+        if self._candidates is None or not ahead or turn - self._made >= CANDIDATES_KEPT:
             self._look_around(cloud, positions, turn, turns)
         # In an episode of many time steps, the greedy choice suffices for the first one.
         if not (ahead and self._waited_for(turn, turns, len(positions))):
@@ -119,7 +124,7 @@ class Lookahead(PipelinedPlanner):
                      turns: int) -> None:
         """Compute the views of new candidates, the current and proposed plans included."""
         model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
-                           around=AROUND if self.directional else 0.0)
+                           around=AIR_RADIUS_M if self.directional else 0.0)
         unseen, self._space = self.memory.unseen(model), self.space(cloud, positions)
         plans = self._plans(len(positions))
         if self.guide is not None:
@@ -133,7 +138,7 @@ class Lookahead(PipelinedPlanner):
     def _list(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
               plans: list[np.ndarray], cameras: int) -> None:
         """List candidates, first the poses of some plans (K, 6), and choose the best plan."""
-        count = int(np.clip(space.area / SPACING ** 2, 4, CANDIDATES))
+        count = int(np.clip(space.area / SPACING_M ** 2, 4, MAX_PLACES))
         plans = [np.hstack([space.placement(space.inside(plan[:, :2])), plan[:, 3:]])
                  for plan in plans]
         state = self.rig_state or RigState.omnidirectional(cameras)
@@ -159,15 +164,15 @@ class Lookahead(PipelinedPlanner):
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan in small steps, among the positions that the cameras can still reach."""
-        steps = STEPS_OF_MANY if self._ahead(turns) else STEPS
+        steps = PROPOSALS_OF_MANY if self._ahead(turns) else PROPOSALS
         first_time = self._kept.made is None
         if first_time or (turn - self._made >= REFINING_KEPT
                           and not self._kept.lasts(cloud, positions)):
             self._kept.make(cloud, positions, FINE, clearance_of(self.rig_state, self.clearance))
-            self._made, steps = turn, FEWER_STEPS
+            self._made, steps = turn, PROPOSALS_WITH_MODEL
         if first_time:
             self._survey(positions)
-        (model, self._space), first = self._kept.made, REFINING * turns
+        (model, self._space), first = self._kept.made, REFINING_SHARE * turns
         reached = [self._space.reached(position[:2], self.max_step, turns - turn)
                    for position in positions]
         placed = best = np.array([
@@ -178,7 +183,7 @@ class Lookahead(PipelinedPlanner):
                  for camera, position in enumerate(self._space.placement(placed))]
         fixed = fixed_views(model, self.rig_state)
         error = best_error = model.error(views + fixed)
-        for step in range(0, steps, TOGETHER):
+        for step in range(0, steps, PARALLEL_PROPOSALS):
             if self.interrupted():
                 break
             if step % IN_A_ROW == 0:
@@ -186,9 +191,10 @@ class Lookahead(PipelinedPlanner):
                 others = model.together([*views[:camera], *views[camera + 1:], *fixed])
                 error_with = model.depth_error.given(others.seen)
             share = (turn - first + step / steps) / (turns - first)
-            temperature = max(best_error, LEAST) * between(WARM, COOL, share)
+            temperature = max(best_error, MIN_ERROR_M) * between(
+                FIRST_TEMPERATURE, LAST_TEMPERATURE, share)
             trials = [self._trial(camera, placed, headings, reached[camera], share)
-                      for _ in range(TOGETHER)]
+                      for _ in range(PARALLEL_PROPOSALS)]
             looks = mapped(lambda trial, model=model, camera=camera: view_from(
                 model, self.rig_state, camera, *trial), trials)
             for (position, heading), view in zip(trials, looks):
@@ -222,9 +228,9 @@ class Lookahead(PipelinedPlanner):
             are omnidirectional.
         """
         place = space.reflected(
-            placed[camera] + self.rng.normal(0.0, between(FAR, NEAR, share), 2))
+            placed[camera] + self.rng.normal(0.0, between(FIRST_STEP_M, LAST_STEP_M, share), 2))
         heading = None if headings is None else self._wiggled(
-            headings[camera], camera, between(WIDE, NARROW, share))
+            headings[camera], camera, between(FIRST_TURN, LAST_TURN, share))
         return space.placement(place[None])[0], heading
 
     def _planned_headings(self) -> np.ndarray | None:

@@ -33,18 +33,22 @@ from ocp_ros.simulation.simulator import View
 
 #: Cells along each side of the grid, and their smallest edge, metres: a room that is larger than
 #: the grid has larger cells.
-CELLS, EDGE = 64, 0.25
+CELLS, EDGE_M = 64, 0.25
 #: Smallest free border of the grid around the observed bounding box, metres.
-BORDER = 0.5
-#: Metres above the floor: limits between the slices of the points, and between low and high.
-SLICES, SPLIT = (0.15, 0.8, 1.5, 2.2), 1.2
-#: Metres above the floor: limits between the slices of the air, its lowest and its highest height.
-AIR, AIR_LOW, AIR_HIGH = (0.9, 1.55), 0.2, 2.4
+BORDER_M = 0.5
+#: Limits between the slices of the points, metres above the floor.
+SLICES_M = (0.15, 0.8, 1.5, 2.2)
+#: Limit between low and high points, metres above the floor.
+SPLIT_M = 1.2
+#: Limits between the slices of the air, metres above the floor.
+AIR_SLICES_M = (0.9, 1.55)
+#: Lowest and highest air, metres above the floor.
+AIR_LOW_M, AIR_HIGH_M = 0.2, 2.4
 #: Standard deviation of the spots that mark cameras and viewpoints, metres.
-SPOT = 0.4
+SPOT_M = 0.4
 #: Channels of the room with the observed air (after the points and their depth error), and the
 #: channel of the bounding box.
-SEEN_AIR = slice(len(SLICES) + 3, len(SLICES) + 4 + len(AIR))
+SEEN_AIR = slice(len(SLICES_M) + 3, len(SLICES_M) + 4 + len(AIR_SLICES_M))
 BOX = SEEN_AIR.stop
 #: Number of channels of the room, of channels of the other cameras, and of scalar inputs.
 OF_ROOM, OF_OTHERS, NUMBERS = BOX + 2, 7, 5
@@ -53,11 +57,11 @@ OF_LENS = 2
 #: The sides of the used part of a map are multiples of this.
 STRIDE = 8
 #: Number of points, and share of the error, at which a cell reaches the value 255.
-MANY, MUCH = 32.0, 0.03
+MANY_POINTS, MUCH_ERROR = 32.0, 0.03
 #: Factor of a share before its logarithm: a larger factor resolves smaller shares.
 FINE_SHARES = 500.0
 #: Added to errors before the logarithm, as a share of the depth error without any visible point.
-FLOOR = 0.005
+ERROR_FLOOR = 0.005
 
 
 def used_part(room: np.ndarray) -> tuple[slice, slice]:
@@ -67,7 +71,7 @@ def used_part(room: np.ndarray) -> tuple[slice, slice]:
     :param room: (``OF_ROOM``, 64, 64) of :class:`ObservationMap`.
     :returns: rows and columns, multiples of ``STRIDE`` each.
     """
-    box, border = room[BOX] > 0, 2 * round(BORDER / EDGE)
+    box, border = room[BOX] > 0, 2 * round(BORDER_M / EDGE_M)
     across = [int(np.count_nonzero(box.any(axis=axis))) + border for axis in (1, 0)]
     firsts = [(CELLS - min(-(-side // STRIDE) * STRIDE, CELLS)) // 2 for side in across]
     return slice(firsts[0], CELLS - firsts[0]), slice(firsts[1], CELLS - firsts[1])
@@ -125,14 +129,14 @@ class Window(NamedTuple):
     edge: float
 
     @classmethod
-    def around(cls, bounds: np.ndarray, least: float = EDGE) -> 'Window':
+    def around(cls, bounds: np.ndarray, least: float = EDGE_M) -> 'Window':
         """
         Place the grid around a bounding box.
 
         :param bounds: (2, 3) metres.
         :param least: smallest edge of the cells, metres.
         """
-        size = float((bounds[1] - bounds[0])[:2].max()) + 2.0 * BORDER
+        size = float((bounds[1] - bounds[0])[:2].max()) + 2.0 * BORDER_M
         edge = max(least, size / CELLS)
         return cls(bounds.mean(axis=0)[:2] - 0.5 * CELLS * edge, edge)
 
@@ -168,21 +172,21 @@ class ObservationMap:
     """
 
     def __init__(self, model: PartialMap, unseen: np.ndarray, cameras: int, max_range: float,
-                 height: float, least: float = EDGE) -> None:
+                 height: float, least: float = EDGE_M) -> None:
         self._model = model
         self.window = Window.around(model.bounds, least)
         floor = model.bounds[0, 2]
         above = model.points[:, 2] - floor
         cells = self.window.cell_of(model.points)
         #: For each point its cell in the channel of low or of high points, -1 outside.
-        self._halves = np.where(cells >= 0, cells + (above > SPLIT) * CELLS * CELLS, -1)
+        self._halves = np.where(cells >= 0, cells + (above > SPLIT_M) * CELLS * CELLS, -1)
         self._air = _AirColumns(model, self.window, floor)
-        slices = np.where(cells >= 0, cells + np.searchsorted(SLICES, above) * CELLS * CELLS, -1)
+        slices = np.where(cells >= 0, cells + np.searchsorted(SLICES_M, above) * CELLS * CELLS, -1)
         worth = model.depth_error.error_by_point(no_bits(len(model.points)))
         self.room = np.concatenate([
-            _density(_summed(slices, len(SLICES) + 1)),
+            _density(_summed(slices, len(SLICES_M) + 1)),
             _share(_summed(self._halves, 2, worth) / model.depth_error.worst),
-            _bytes(self._air.shares(~unseen, len(AIR) + 1)),
+            _bytes(self._air.shares(~unseen, len(AIR_SLICES_M) + 1)),
             self._box(), _spots(self.window, model.depth_error.viewpoints)])
         self._told = ((cameras - 1) / 7.0, max_range / self.window.edge / CELLS,
                       (height - floor) / 3.0, 2.0 * self.window.edge)
@@ -201,9 +205,9 @@ class ObservationMap:
         error, worst = float(lost.sum()), model.depth_error.worst
         channels = np.concatenate([
             _density(_summed(np.where(unseen, self._halves, -1), 2)),
-            _share(_summed(self._halves, 2, lost) / (error + FLOOR * worst)),
+            _share(_summed(self._halves, 2, lost) / (error + ERROR_FLOOR * worst)),
             _bytes(self._air.shares(together.covered, 2)), _spots(self.window, places)])
-        level = np.log((error + FLOOR * worst) / worst) / 5.0
+        level = np.log((error + ERROR_FLOOR * worst) / worst) / 5.0
         return channels, np.array([*self._told, level], dtype=np.float32)
 
     def _box(self) -> np.ndarray:
@@ -226,15 +230,15 @@ class _AirColumns:
         kept = np.flatnonzero(model.cells != NO_CELL)
         cells = cells_numbered(model.cells[kept])
         above = (cells[:, 2] + 0.5) * model.edge - floor
-        between = (above > AIR_LOW) & (above < AIR_HIGH)
+        between = (above > AIR_LOW_M) & (above < AIR_HIGH_M)
         self._kept, cells, above = kept[between], cells[between], above[between]
-        # A room lower than AIR_LOW has no cells of the air here.
+        # A room lower than AIR_LOW_M has no cells of the air here.
         low, high = (corners_of(cells) if len(cells) else np.zeros((2, 3), dtype=np.int64))[:, :2]
         self._shape = tuple(high - low + 1)
         column = cells[:, :2] - low
         self._columns = column[:, 0] * self._shape[1] + column[:, 1]
-        self._slices = {2: (above > SPLIT).astype(np.int64),
-                        len(AIR) + 1: np.searchsorted(AIR, above)}
+        self._slices = {2: (above > SPLIT_M).astype(np.int64),
+                        len(AIR_SLICES_M) + 1: np.searchsorted(AIR_SLICES_M, above)}
         #: For each row and column of the grid the index in the air, and whether air is there.
         self._at, there = [], []
         for k, axis in enumerate(window.axes):
@@ -263,12 +267,12 @@ def _summed(index: np.ndarray, channels: int, weights: np.ndarray | None = None)
 
 def _density(counts: np.ndarray) -> np.ndarray:
     """Convert counts of points into uint8 on a logarithmic scale."""
-    return _bytes(np.log1p(counts) / np.log1p(MANY))
+    return _bytes(np.log1p(counts) / np.log1p(MANY_POINTS))
 
 
 def _share(shares: np.ndarray) -> np.ndarray:
     """Convert shares of an error into uint8 on a logarithmic scale."""
-    return _bytes(np.log1p(FINE_SHARES * shares) / np.log1p(FINE_SHARES * MUCH))
+    return _bytes(np.log1p(FINE_SHARES * shares) / np.log1p(FINE_SHARES * MUCH_ERROR))
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:
@@ -282,6 +286,6 @@ def _spots(window: Window, places: np.ndarray) -> np.ndarray:
     marks = np.zeros((CELLS, CELLS))
     for place in places:
         marks = np.maximum(marks, np.multiply.outer(
-            np.exp(-0.5 * ((rows - place[0]) / SPOT) ** 2),
-            np.exp(-0.5 * ((columns - place[1]) / SPOT) ** 2)))
+            np.exp(-0.5 * ((rows - place[0]) / SPOT_M) ** 2),
+            np.exp(-0.5 * ((columns - place[1]) / SPOT_M) ** 2)))
     return _bytes(marks)[None]

@@ -23,7 +23,7 @@ from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.simulation.simulator import View
 
 #: Share of the episode after which the model uses the finest rules of visibility.
-LATE = 0.6
+LATE_SHARE = 0.6
 
 
 class ObservedTurn:
@@ -127,6 +127,6 @@ class ObservedTurns:
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         record_views(self._history, positions, self.rig_state)
-        model, space = self._kept(cloud, positions, FINE if turn >= LATE * turns else FAST,
+        model, space = self._kept(cloud, positions, FINE if turn >= LATE_SHARE * turns else FAST,
                                   clearance_of(self.rig_state, self._clearance))
         return ObservedTurn(model, self._history.unseen(model), space, positions, self.rig_state)

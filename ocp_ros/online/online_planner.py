@@ -34,12 +34,12 @@ from ocp_ros.simulation.simulation_config import EpisodeConfig
 from scipy.optimize import linear_sum_assignment
 
 #: Metres added to the path between a camera and a target of another kind, to forbid the pair.
-UNLIKE = 1e6
+OTHER_KIND_M = 1e6
 #: Share of the episode after which plans are refined: earlier the observed cloud is too small.
-REFINING = 0.6
+REFINING_SHARE = 0.6
 #: In episodes of at least this number of time steps, plans are computed while the cameras move, on
 #: the cloud before the move: in a shorter episode the loss by the older cloud would be too large.
-AHEAD = 20
+MIN_PIPELINED_TURNS = 20
 
 
 def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None = None
@@ -55,7 +55,7 @@ def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None
     """
     way = np.linalg.norm(positions[:, None, :2] - targets[None], axis=2)
     if kinds is not None:
-        way = way + np.where(kinds[:, None] == kinds[None], 0.0, UNLIKE)
+        way = way + np.where(kinds[:, None] == kinds[None], 0.0, OTHER_KIND_M)
     return linear_sum_assignment(way)[1]
 
 
@@ -243,7 +243,7 @@ class PipelinedPlanner(Online):
 
     def _ahead(self, turns: int) -> bool:
         """Return whether an episode of ``turns`` time steps plans while the cameras move."""
-        return turns >= AHEAD
+        return turns >= MIN_PIPELINED_TURNS
 
     def _waited_for(self, turn: int, turns: int, cameras: int) -> bool:
         """Return whether a time step waits for its own plan, on the newest cloud."""

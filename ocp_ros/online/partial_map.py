@@ -37,28 +37,31 @@ from scipy.spatial import ConvexHull, QhullError
 
 #: Edge of the cells of the air, metres. The grid is anchored to the origin of the map frame, so
 #: the cells stay the same while the observed bounding box grows.
-CELL = 0.5
+CELL_M = 0.5
 #: Largest number of cells of the air: if there are more, their edge is doubled.
-MOST_CELLS = 20_000
+MAX_CELLS = 20_000
 #: Number of a place that is not a cell.
 NO_CELL = -1
 #: Input points per output point: of a denser cloud, points are dropped before the slow voxel
 #: thinning.
-DENSE = 4
+DENSE_POINTS = 4
 #: Growth of the cloud, as a share, after which a cached model is replaced.
 GROWTH = 0.01
 #: Largest number of cached views of a model: planners try the same poses again in later steps.
-MOST_VIEWS = 4096
+MAX_VIEWS = 4096
 #: Bonus for covering all unseen cells at the start, in multiples of the depth error without any
-#: visible point, and the share of the episode after which the bonus is 0.
-CURIOSITY, EXPLORING = 2.0, 0.55
-#: Range of the test whether a corner of the room is visible, metres, and the number of cameras
-#: that test each corner.
-FAR, LOOKING = 100.0, 2
+#: visible point.
+CURIOSITY = 2.0
+#: Share of the episode after which the bonus is 0.
+EXPLORING_SHARE = 0.55
+#: Range of the test whether a corner of the room is visible, metres.
+TEST_RANGE_M = 100.0
+#: Number of cameras that test each corner.
+TEST_CAMERAS = 2
 #: Distance of the test place from a corner of the room, metres.
-INSIDE = 0.3
+INSET_M = 0.3
 #: A side of the box that the corners move by at most this is not changed, metres.
-SAME = 0.05
+SAME_M = 0.05
 
 
 class PartialMap:
@@ -121,9 +124,9 @@ class PartialMap:
     def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """Return which of the four test places, listed last, a camera near each of them sees."""
         places = self.visibility.place_order
-        lens, found = CameraModel(max_range=FAR).lens, np.zeros(4, dtype=bool)
+        lens, found = CameraModel(max_range=TEST_RANGE_M).lens, np.zeros(4, dtype=bool)
         away = np.linalg.norm(tests[:, None] - positions[None], axis=2)
-        near = np.argsort(away, axis=1)[:, :LOOKING]
+        near = np.argsort(away, axis=1)[:, :TEST_CAMERAS]
         for camera in np.unique(near):
             view = self.together([])
             self.visibility.look(Pose.of(positions[camera]), lens, view.seen, view.covered)
@@ -145,7 +148,7 @@ class PartialMap:
         view = self.together([])
         self.visibility.look(Pose.of(camera), self._lens if lens is None else lens,
                              view.seen, view.covered)
-        if len(self._views) >= MOST_VIEWS:
+        if len(self._views) >= MAX_VIEWS:
             self._views = {}
         self._views[key] = view
         return view
@@ -256,7 +259,7 @@ class LookHistory:
     """The cells of the air that at least one camera has covered since the episode began."""
 
     def __init__(self) -> None:
-        self._seen, self._edge = np.empty(0, dtype=np.int64), CELL
+        self._seen, self._edge = np.empty(0, dtype=np.int64), CELL_M
         self._visited: list[tuple[np.ndarray, Sequence[Frustum | None] | None]] = []
 
     def visit(self, cameras: np.ndarray, lenses: Sequence[Frustum | None] | None = None) -> None:
@@ -283,7 +286,7 @@ class LookHistory:
 
 def curiosity(time: float) -> float:
     """Return the bonus for all unseen cells, in multiples of the error without visible points."""
-    return CURIOSITY * max(1.0 - time / EXPLORING, 0.0)
+    return CURIOSITY * max(1.0 - time / EXPLORING_SHARE, 0.0)
 
 
 def cell_weight(model: PartialMap, unseen: np.ndarray, turn: int, turns: int) -> float:
@@ -293,8 +296,8 @@ def cell_weight(model: PartialMap, unseen: np.ndarray, turn: int, turns: int) ->
 
 def thinned(cloud: np.ndarray, most: int) -> np.ndarray:
     """Return at most ``most`` points of a cloud (M, 3), evenly spread if it has more."""
-    if len(cloud) > DENSE * most:
-        cloud = fixed_size(cloud, DENSE * most)
+    if len(cloud) > DENSE_POINTS * most:
+        cloud = fixed_size(cloud, DENSE_POINTS * most)
     return thinned_to(cloud, most)
 
 
@@ -306,8 +309,8 @@ def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]
     :returns: centres (C, 3) float32, metres; numbers (C,) int64 of the cells, the same in every
         bounding box with the same edge; and the edge, metres.
     """
-    edge = CELL
-    while np.prod(np.ptp(bounds, axis=0) / edge) > MOST_CELLS:
+    edge = CELL_M
+    while np.prod(np.ptp(bounds, axis=0) / edge) > MAX_CELLS:
         edge *= 2.0
     first = np.ceil(bounds[0] / edge - 0.5).astype(np.int64)
     last = np.floor(bounds[1] / edge - 0.5).astype(np.int64)
@@ -343,10 +346,10 @@ def smallest_rectangle(points: np.ndarray) -> np.ndarray:
 
 
 def inset(corners: np.ndarray) -> np.ndarray:
-    """Return places ``INSIDE`` metres from the corners of a rectangle inwards: (4, 2) metres."""
+    """Return places ``INSET_M`` metres from the corners of a rectangle inwards: (4, 2) metres."""
     way = corners.mean(axis=0) - corners
     length = np.linalg.norm(way, axis=1, keepdims=True)
-    return corners + way * np.minimum(INSIDE / length, 1.0)
+    return corners + way * np.minimum(INSET_M / length, 1.0)
 
 
 def with_corners(bounds: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -354,4 +357,4 @@ def with_corners(bounds: np.ndarray, corners: np.ndarray) -> np.ndarray:
     larger = bounds.copy()
     larger[0, :2] = np.minimum(bounds[0, :2], corners.min(axis=0, initial=np.inf))
     larger[1, :2] = np.maximum(bounds[1, :2], corners.max(axis=0, initial=-np.inf))
-    return np.where(np.abs(larger - bounds) > SAME, larger, bounds)
+    return np.where(np.abs(larger - bounds) > SAME_M, larger, bounds)

@@ -25,7 +25,7 @@ from ocp_ros.simulation.simulator import View
 
 #: Radius around a camera with a frustum in which cells count as air even if unobserved, metres:
 #: such a camera does not observe the space behind it.
-AROUND = 2.0
+AIR_RADIUS_M = 2.0
 #: Largest part of the pitch range that one listed pitch represents, radians.
 PITCH_STEP = np.deg2rad(30.0)
 

@@ -24,7 +24,7 @@ from contextlib import contextmanager
 import numpy as np
 from ocp_ros.online.constraint_filter import StepConstraints
 from ocp_ros.online.heading_planner import HeadingPlanner, never
-from ocp_ros.online.online_planner import AHEAD, Online, PlannedTurn
+from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, Online, PlannedTurn
 from ocp_ros.online.rig_state import Command, Limits, RigState
 from ocp_ros.rig.rig_file import Rig
 
@@ -81,7 +81,8 @@ class OnlineStep:
         headings = self._aim(cloud, state, placement[:, :3], turn, turns)
         for camera, heading in headings.items():
             placement[camera, 3:] = heading
-        if turns >= AHEAD and turn + 1 < turns and len(cloud) and self.rig is not None:
+        pipelined = turns >= MIN_PIPELINED_TURNS and turn + 1 < turns
+        if pipelined and len(cloud) and self.rig is not None:
             self._next = PlannedTurn(cloud.copy(), placement[:state.movable, :3], turn + 1, turns,
                                      state._replace(placement=placement))
         return Command(placement, list(headings), held)

@@ -29,7 +29,7 @@ import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.online.candidate_sites import kinds_of, PITCHES, YAWS
-from ocp_ros.online.observation_map import at_yaws, CELLS, FLOOR, Window
+from ocp_ros.online.observation_map import at_yaws, CELLS, ERROR_FLOOR, Window
 from ocp_ros.online.online_planner import KnownTurn, matched, PipelinedPlanner, standing
 from ocp_ros.online.partial_map import KeptModel, NO_CELL, PartialMap
 from ocp_ros.online.rig_state import clearance_of, record_views
@@ -176,7 +176,7 @@ class MapActor(PipelinedPlanner):
         rows = np.concatenate([plan[camera, None], rows])
         looks = known.look(camera, rows)
         change = known.model.depth_error.changes(
-            [view.seen for view in known.beside(camera)], [look.seen for look in looks], FLOOR)
+            [view.seen for view in known.beside(camera)], [look.seen for look in looks], ERROR_FLOOR)
         trust = float(np.clip(PER_UNSEEN * _share(known.model, known.unseen), TRUST, 1.0))
         said = at_yaws(values, at, rows[:, 3])
         tried = trust * said + (1.0 - trust) * change + extra[at]

@@ -34,9 +34,9 @@ import numpy as np
 from ocp_ros.search.planner import Planner, Scores, Search
 
 #: First and last temperature, in multiples of the standard deviation of random placements' errors.
-HOT, COLD = 0.5, 2e-4
+FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.5, 2e-4
 #: Standard deviation of the first and last moves, as shares of the longer edge of the space.
-FAR, NEAR = 0.25, 0.01
+FIRST_STEP, LAST_STEP = 0.25, 0.01
 #: Number of random placements from which the temperature is computed.
 PILOTS = 16
 
@@ -56,8 +56,9 @@ class FixedAnnealing(Planner):
         steps = max(self.budget - len(pilots), 2)
         for step in range(steps):
             share = step / (steps - 1)
-            temperature = spread * HOT * (COLD / HOT) ** share
-            sigma = self.space.size.max() * FAR * (NEAR / FAR) ** share
+            cooling = (LAST_TEMPERATURE / FIRST_TEMPERATURE) ** share
+            temperature = spread * FIRST_TEMPERATURE * cooling
+            sigma = self.space.size.max() * FIRST_STEP * (LAST_STEP / FIRST_STEP) ** share
             placed, error = yield from self.step(placed, error, temperature, sigma)
 
     def step(self, placed: np.ndarray, error: float, temperature: float, sigma: float):

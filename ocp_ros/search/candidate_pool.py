@@ -27,25 +27,27 @@ from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.pose_grid import MOST, PoseGrid
+from ocp_ros.search.pose_grid import MAX_GRID_POSES, PoseGrid
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial import cKDTree
 
-#: Number of candidates, their smallest number with a budget of evaluations, and the share of the
-#: time for their views.
-CANDIDATES, FEWEST, LOOKING = 2000, 64, 0.2
+#: Number of candidates, and their smallest number with a budget of evaluations.
+CANDIDATES, MIN_CANDIDATES = 2000, 64
+#: Share of the time for the views of the candidates.
+VIEWS_TIME_SHARE = 0.2
 #: With a budget of evaluations: smallest number of poses of a dense grid, poses per evaluation.
-DENSE, DENSE_EACH = 500, 10
-#: Number of poses whose views are computed at a time, and number of poses whose views are computed
-#: even without time left.
-CHUNK, LEAST = 256, 256
+MIN_GRID_POSES, GRID_POSES_EACH = 500, 10
+#: Number of poses whose views are computed at a time.
+VIEWS_AT_A_TIME = 256
+#: Number of poses whose views are computed even without time left.
+MIN_VIEWS = 256
 #: Metres that a rotation by a radian counts as in the search for the nearest poses.
-TURN = 1.0
+METRES_PER_RADIAN = 1.0
 #: Number of first positions that the close packing of cameras tries.
-STARTS = 48
+PACKING_STARTS = 48
 #: Depth-map rows that rank placements nearly the same in a quarter of the time.
 QUICK_ROWS = 32
 
@@ -93,7 +95,7 @@ def features_of(poses: np.ndarray) -> np.ndarray:
         return poses
     yaw, pitch = poses[:, 3], poses[:, 4]
     ahead = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)])
-    return np.hstack([poses[:, :3], TURN * ahead.T])
+    return np.hstack([poses[:, :3], METRES_PER_RADIAN * ahead.T])
 
 
 def _offered(allowed: FeasibleRegion, model: CameraModel, most: int) -> np.ndarray:
@@ -128,14 +130,14 @@ class Pool:
     :param most: number of candidates of all models together.
     :param among: number of poses, spread over the room, from which the candidates are drawn.
     :param threads: number of threads.
-    :param over: returns whether to stop; the views of the first ``LEAST`` poses of each model are
-        computed in any case.
+    :param over: returns whether to stop; the views of the first ``MIN_VIEWS`` poses of each model
+        are computed in any case.
     :param dense: largest number of poses of :meth:`grid`.
     :raises ConfigurationError: if a camera has no feasible pose, or sees no point from all poses.
     """
 
     def __init__(self, problem: Problem, most: int, among: int = 0, threads: int = 1,
-                 over: Callable[[], bool] = lambda: False, dense: int = MOST) -> None:
+                 over: Callable[[], bool] = lambda: False, dense: int = MAX_GRID_POSES) -> None:
         rig, simulator, self._kinds = problem.rig, problem.simulator, {}
         self._found: dict[CameraModel, list[View]] = defaultdict(list)
         self._grids: dict[CameraModel, PoseGrid] = {}
@@ -147,15 +149,15 @@ class Pool:
             camera, count = rig.models.index(model), max(most // len(models), 1)
             offered = _offered(problem.region, model, max(count, among // len(models)))
             poses = offered[:count]
-            # The first LEAST poses are spread over the room; the others are grouped by position,
-            # so that poses of one position are computed together.
+            # The first MIN_VIEWS poses are spread over the room; the others are grouped by
+            # position, so that poses of one position are computed together.
             _, first, place = np.unique(poses[:, :3], axis=0, return_index=True,
                                         return_inverse=True)
-            rank = np.where(np.arange(len(poses)) < LEAST, -1, first[place.ravel()])
+            rank = np.where(np.arange(len(poses)) < MIN_VIEWS, -1, first[place.ravel()])
             order, views = np.argsort(rank, kind='stable'), []
-            while len(views) < len(poses) and (len(views) < LEAST or not over()):
+            while len(views) < len(poses) and (len(views) < MIN_VIEWS or not over()):
                 views += simulator.look_many(
-                    poses[order[len(views):len(views) + CHUNK]], camera, threads)
+                    poses[order[len(views):len(views) + VIEWS_AT_A_TIME]], camera, threads)
             self.complete &= len(views) == len(offered)
             # Restore the order in which the poses were drawn.
             known = np.argsort(order[:len(views)])
@@ -220,12 +222,12 @@ def pool_of(problem: Problem, budget: Budget) -> Pool:
     :param problem: the rig in the room.
     :param budget: of the search; the candidates use a share of it.
     """
-    most, dense = CANDIDATES, MOST
+    most, dense = CANDIDATES, MAX_GRID_POSES
     if budget.evaluations is not None:
-        most = int(np.clip(budget.evaluations // 2, FEWEST, CANDIDATES))
-        dense = int(np.clip(budget.evaluations * DENSE_EACH, DENSE, MOST))
+        most = int(np.clip(budget.evaluations // 2, MIN_CANDIDATES, CANDIDATES))
+        dense = int(np.clip(budget.evaluations * GRID_POSES_EACH, MIN_GRID_POSES, MAX_GRID_POSES))
     return Pool(problem, most, CANDIDATES, os.cpu_count() or 1,
-                lambda: budget.share(0, None) >= LOOKING, dense)
+                lambda: budget.share(0, None) >= VIEWS_TIME_SHARE, dense)
 
 
 def quick_of(objective: Objective) -> Objective:
@@ -278,7 +280,7 @@ def packed(rig: Rig, pool: Pool) -> list[MountedCamera]:
     """
     best: list[MountedCamera] = []
     first = pool.kind(rig.cameras[0].model)
-    for start in np.unique(np.linspace(0, len(first.poses) - 1, STARTS).astype(int)):
+    for start in np.unique(np.linspace(0, len(first.poses) - 1, PACKING_STARTS).astype(int)):
         sites = [pool.site(rig.cameras[0].model, start)]
         for camera in rig.cameras[1:]:
             left = pool.left(rig, sites)

@@ -36,15 +36,16 @@ from ocp_ros.search.population import matched
 from ocp_ros.search.solve import Result, solve
 
 #: Metres between the places of the lattice.
-LATTICE = 0.25
+LATTICE_M = 0.25
 #: Share of the evaluations for the end, and the share of these for the elites.
-FINISHING, JUDGED_ANEW = 0.15, 0.1
+FINISH_SHARE, ELITE_SHARE = 0.15, 0.1
 #: Smallest difference of two placements in the position of one camera, metres: among the elites,
 #: and in the last choice.
-APART, LAST_APART = 0.25, 0.06
-#: For the last choice: share of the evaluations at the end, number of drawn mounting errors for
-#: each placement, their size in metres, and largest number of placements to choose from.
-CHOOSING, MOUNTINGS, MOUNTING, CHOICES = 0.15, 8, 0.05, 24
+ELITES_APART_M, CHOICES_APART_M = 0.25, 0.06
+#: For the last choice: share of the evaluations at the end, and largest number of placements.
+CHOICE_SHARE, CHOICES = 0.15, 24
+#: Number of drawn mounting errors for each placement, and their size in metres.
+MOUNTINGS, MOUNTING_ERROR_M = 8, 0.05
 #: Random seed of the mounting errors.
 SEED = 1
 
@@ -71,7 +72,7 @@ class LatticeScorer:
 
     def snapped(self, positions: np.ndarray) -> np.ndarray:
         """Move positions (n, 2) to feasible positions at, or nearest to, places of the lattice."""
-        return self._space.inside((np.floor(positions / LATTICE) + 0.5) * LATTICE)
+        return self._space.inside((np.floor(positions / LATTICE_M) + 0.5) * LATTICE_M)
 
 
 class FinishingDescent(Planner):
@@ -94,7 +95,7 @@ class FinishingDescent(Planner):
             yield from descend(self, self._elites[number], scores.error[number])
 
 
-def distinct(placements: Sequence[np.ndarray], most: int, apart: float = APART
+def distinct(placements: Sequence[np.ndarray], most: int, apart: float = ELITES_APART_M
              ) -> list[np.ndarray]:
     """
     Choose placements that differ.
@@ -132,10 +133,10 @@ def search_and_finish(planner: Planner, score: Score, evaluations: int,
         last choice.
     """
     lattice = LatticeScorer(score, planner.space)
-    last = max(int(FINISHING * evaluations), 1)
+    last = max(int(FINISH_SHARE * evaluations), 1)
     found = solve(planner, lattice, max(evaluations - last, 1), clock=clock)
-    choices = int(CHOOSING * last) // MOUNTINGS if planner.descends else 0
-    most = max(int(JUDGED_ANEW * last), 1) if planner.descends else last
+    choices = int(CHOICE_SHARE * last) // MOUNTINGS if planner.descends else 0
+    most = max(int(ELITE_SHARE * last), 1) if planner.descends else last
     elites = distinct([lattice.snapped(one) for one in found.best], most)
     finish = FinishingDescent(elites, planner.space, planner.rng, last)
     limit = last - MOUNTINGS * choices if planner.descends else len(elites)
@@ -157,11 +158,11 @@ def steadiest(found: Result, space: FreePlane, score: Score, most: int,
     :param most: number of placements to choose from; with fewer than two, ``found`` is returned.
     :param clock: returns the current time, seconds.
     """
-    choices = distinct(found.best, min(most, CHOICES), LAST_APART)
+    choices = distinct(found.best, min(most, CHOICES), CHOICES_APART_M)
     if len(choices) < 2:
         return found
     began, placements = clock(), [space.placement(choice) for choice in choices]
-    off = [float(np.mean(score(list(mounted(placement, MOUNTING, MOUNTINGS, SEED))).error))
+    off = [float(np.mean(score(list(mounted(placement, MOUNTING_ERROR_M, MOUNTINGS, SEED))).error))
            for placement in placements]
     chosen = placements[int(np.argmin(off))]
     scores = score([chosen])

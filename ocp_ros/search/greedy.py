@@ -35,7 +35,7 @@ FIRST_STEP, LAST_STEP, DIRECTIONS = 0.4, 0.02, 8
 #: each candidate and camera; and their largest number.
 MIN_CANDIDATES, EVALUATIONS_EACH, MAX_CANDIDATES = 20, 16, 150
 #: Number of random places from which two removed cameras are placed again.
-REBUILT = 48
+REBUILDING_PLACES = 48
 #: Placements that are drawn together.
 BATCH = 32
 NO_CAMERAS = np.empty((0, 2))
@@ -113,7 +113,8 @@ class GreedySwap(Planner):
         best, error = yield from descend(self, best, error)
         while True:
             kept = self.rng.permutation(cameras)[min(2, cameras):]
-            places = np.array([self.space.random(self.rng, 1)[0] for _ in range(REBUILT)])
+            places = np.array([self.space.random(self.rng, 1)[0]
+                               for _ in range(REBUILDING_PLACES)])
             start, other_error = yield from fill(
                 cameras, places, self.energy, best[kept])
             other, other_error = yield from descend(self, start, other_error)

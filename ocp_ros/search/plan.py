@@ -44,7 +44,7 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: Number of placements to measure the time of an evaluation, and largest number of evaluations
 #: that a planner expects: some planners create a grid of this size.
-PILOTS, MOST = 4, 100_000
+PILOTS, MAX_EVALUATIONS = 4, 100_000
 
 
 def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH, pool: Pool | None = None,
@@ -143,7 +143,7 @@ def _expected(decoder: Decoder, budget: Budget, seed: int) -> int:
     began = time.monotonic()
     scorer([decoder.region.space.random(rng) for _ in range(PILOTS)])
     each = (time.monotonic() - began) / scorer.evaluations
-    return int(np.clip((budget.seconds - budget.elapsed) / each, 1, MOST))
+    return int(np.clip((budget.seconds - budget.elapsed) / each, 1, MAX_EVALUATIONS))
 
 
 def _played(make: Callable, problem: Problem, pool: Pool | None, budget: Budget, seed: int,

@@ -47,29 +47,32 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.annealing import annealed, between
 
-#: Number of independent searches, and of candidates for each camera in their first placement.
-SEARCHES, BEGINNINGS = 4, 300
+#: Number of independent searches.
+SEARCHES = 4
+#: Number of candidates for each camera in the first placement of a search.
+FIRST_CANDIDATES = 300
 #: Share of the budget for exchanges among candidates, scored with smaller depth maps.
-EXCHANGING = 0.35
+EXCHANGE_TIME_SHARE = 0.35
 #: First and last temperature of the exchanges and of the moves, in multiples of the loss of the
 #: first placement.
-HOT, COLD = 0.06, 5e-4
-WARM, COOL = 0.01, 1e-4
-#: Share of exchanges with any candidate, and from how many nearest candidates the other exchanges
-#: take one.
-ANYWHERE, NEIGHBOURS = 0.3, 12
+FIRST_EXCHANGE_TEMPERATURE, LAST_EXCHANGE_TEMPERATURE = 0.06, 5e-4
+FIRST_MOVE_TEMPERATURE, LAST_MOVE_TEMPERATURE = 0.01, 1e-4
+#: Share of exchanges with any candidate; the others take one of the nearest ``NEIGHBOURS``.
+ANYWHERE_SHARE = 0.3
+NEIGHBOURS = 12
 #: Share of exchanges among the moves.
-EXCHANGED = 0.1
+EXCHANGE_SHARE = 0.1
 #: Standard deviation of the first and last moves: metres and radians.
-FAR, NEAR = np.array([0.4, 0.3]), np.array([0.01, 0.01])
+FIRST_STEP = np.array([0.4, 0.3])
+LAST_STEP = np.array([0.01, 0.01])
 #: Share of the moves that draw a new roll, if the mount allows several.
-FLIPPED = 0.2
+ROLL_SHARE = 0.2
 #: Number of moves that are drawn together; the first feasible one is used.
-DRAWN = 4
+MOVES_DRAWN = 4
 #: Smallest loss that is used to compute temperatures.
-LEAST = 1e-3
+MIN_LOSS = 1e-3
 #: Seconds between two reports of progress.
-REPORTED = 0.2
+REPORT_EVERY_S = 0.2
 T = TypeVar('T')
 
 
@@ -139,15 +142,16 @@ class Search:
         """Return the best placement."""
         first = self.start or self.fill()
         self.judge(first)
-        loss = max(self.quick.loss(views_of(first)), LEAST)
+        loss = max(self.quick.loss(views_of(first)), MIN_LOSS)
         chosen = annealed(
             first, lambda sites: self.quick.loss(views_of(sites)), self._exchanged,
-            self._temperatures(loss * HOT, loss * COLD, 0.0, EXCHANGING), self.rng)
+            self._temperatures(loss * FIRST_EXCHANGE_TEMPERATURE, loss * LAST_EXCHANGE_TEMPERATURE,
+                               0.0, EXCHANGE_TIME_SHARE), self.rng)
         if self.start and self.objective.loss(views_of(first)) < self.objective.loss(
                 views_of(chosen)):
             # The full depth maps decide between the two placements.
             chosen = first
-        return self.descend(chosen, loss, EXCHANGING)
+        return self.descend(chosen, loss, EXCHANGE_TIME_SHARE)
 
     def descend(self, sites: tuple[MountedCamera, ...], loss: float, begin: float, end: float = 1.0
                 ) -> tuple[MountedCamera, ...]:
@@ -159,14 +163,15 @@ class Search:
         :param end: used share of the budget at which to stop.
         """
         return annealed(sites, self.judge, self._moved,
-                        self._temperatures(loss * WARM, loss * COOL, begin, end), self.rng)
+                        self._temperatures(loss * FIRST_MOVE_TEMPERATURE,
+                                           loss * LAST_MOVE_TEMPERATURE, begin, end), self.rng)
 
     def fill(self) -> tuple[MountedCamera, ...]:
         """Place one camera after the other greedily, each among some random candidates."""
         sites: list[MountedCamera] = []
-        count = BEGINNINGS
+        count = FIRST_CANDIDATES
         if self.most is not None:
-            count = int(np.clip(self.most // (4 * len(self.rig.cameras)), 1, BEGINNINGS))
+            count = int(np.clip(self.most // (4 * len(self.rig.cameras)), 1, FIRST_CANDIDATES))
         for camera in self.rig.cameras:
             total = len(self.pool.kind(camera.model).poses)
             # Without time left, compare few candidates.
@@ -203,7 +208,7 @@ class Search:
         camera = int(self.rng.integers(len(sites)))
         model = self.rig.cameras[camera].model
         kind = self.pool.kind(model)
-        if self.rng.random() < ANYWHERE:
+        if self.rng.random() < ANYWHERE_SHARE:
             number = int(self.rng.integers(len(kind.poses)))
         else:
             number = int(self.rng.choice(kind.near(sites[camera].pose, NEIGHBOURS + 1)))
@@ -215,9 +220,9 @@ class Search:
 
     def _moved(self, sites: tuple[MountedCamera, ...]) -> tuple[MountedCamera, ...] | None:
         """Move and rotate one camera, or sometimes replace its pose by a candidate."""
-        if self.rng.random() < EXCHANGED:
+        if self.rng.random() < EXCHANGE_SHARE:
             return self._exchanged(sites)
-        far, turn = between(FAR, NEAR, self.share)
+        far, turn = between(FIRST_STEP, LAST_STEP, self.share)
         return moved(self.problem, sites, far, turn, self.rng)
 
 
@@ -232,7 +237,7 @@ def moved(problem: Problem, sites: tuple[MountedCamera, ...], far: float, turn: 
     camera = int(rng.integers(len(sites)))
     others = (*sites[:camera], *sites[camera + 1:])
     model = problem.rig.cameras[camera].model
-    poses = poses_around(problem.region, sites[camera].pose, model, far, turn, DRAWN, rng)
+    poses = poses_around(problem.region, sites[camera].pose, model, far, turn, MOVES_DRAWN, rng)
     good = problem.region.allowed(poses, model) & keeps_spacing(poses, others, problem.rig.spacing)
     if not good.any():
         return None
@@ -258,7 +263,7 @@ def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, f
         poses[:, 3:5] += rng.normal(0.0, turn, (count, 2))
         poses[:, 4] = np.clip(poses[:, 4], *region.rig.pitch)
         if len(rolls := region.rig.rolls) > 1:
-            flipped = rng.random(count) < FLIPPED
+            flipped = rng.random(count) < ROLL_SHARE
             poses[flipped, 5] = rng.choice(rolls, np.count_nonzero(flipped))
     return as_written(poses)
 
@@ -291,7 +296,7 @@ def in_background(tasks: Sequence[Callable[[], T]], budget: Budget,
     with ThreadPoolExecutor(len(tasks)) as workers:
         runs = [workers.submit(task) for task in tasks]
         try:
-            while wait(runs, REPORTED).not_done:
+            while wait(runs, REPORT_EVERY_S).not_done:
                 if report is not None:
                     report()
         except BaseException:

@@ -23,11 +23,13 @@ from ocp_ros.rig.placement_file import as_written
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.threads import mapped
 
-#: Metres between places, and approximate largest number of poses and of bytes for their visible
-#: points; if there would be more, places are farther apart.
-STEP, MOST, BYTES = 0.3, 40_000, 1_000_000_000
+#: Metres between places.
+FIRST_STEP_M = 0.3
+#: Approximate largest number of poses, and of bytes for their visible points; if there would be
+#: more, places are farther apart.
+MAX_GRID_POSES, MAX_BYTES = 40_000, 1_000_000_000
 #: Number of places whose views are computed between two checks of the time.
-CHUNK = 16
+PLACES_AT_A_TIME = 16
 
 
 class PoseGrid:
@@ -49,7 +51,7 @@ class PoseGrid:
 
     @classmethod
     def of(cls, region: FeasibleRegion, simulator: Simulator, model: CameraModel, camera: int,
-           most: int = MOST, over: Callable[[], bool] = lambda: False) -> 'PoseGrid':
+           most: int = MAX_GRID_POSES, over: Callable[[], bool] = lambda: False) -> 'PoseGrid':
         """
         Create a grid over the feasible region of a mount.
 
@@ -58,14 +60,14 @@ class PoseGrid:
         :raises ConfigurationError: if the camera has no feasible place.
         """
         grid = cls(simulator, camera)
-        most = min(most, 10 * BYTES // len(simulator.scene))
-        places, headings, grid.step = region.pose_grid(model, STEP, most)
+        most = min(most, 10 * MAX_BYTES // len(simulator.scene))
+        places, headings, grid.step = region.pose_grid(model, FIRST_STEP_M, most)
         # In random order, the first n places are spread over the room for any n.
         order = np.random.default_rng(0).permutation(len(places))
-        for first in range(0, len(places), CHUNK):
+        for first in range(0, len(places), PLACES_AT_A_TIME):
             if first and over():
                 break
-            some = order[first:first + CHUNK]
+            some = order[first:first + PLACES_AT_A_TIME]
             grid.add(places[some], headings[some])
         return grid
 

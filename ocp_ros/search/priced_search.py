@@ -49,21 +49,27 @@ from ocp_ros.util.threads import mapped
 #: the proof.
 GRID_SHARE, POLISHED_SHARE, NEARER_SHARE = 0.4, 0.6, 0.8
 #: Number of choices that are refined first, and in each repetition.
-STARTS, AGAIN = 8, 4
-#: Moves of a choice, and with a budget of evaluations the number of evaluations for each choice.
-MOVES, EACH = 700, 250
-#: Distances from the results within which poses join the grid in each repetition, metres; number
-#: of results with such poses; places for each camera; radians between headings for each metre.
-STEPS_M, ANSWERS, PLACES, TURN = (0.3, 0.12, 0.05), 3, 10, np.deg2rad(20.0)
+FIRST_CHOICES, MORE_CHOICES = 8, 4
+#: Moves of a choice.
+MOVES = 700
+#: With a budget of evaluations: number of evaluations for each choice.
+EVALUATIONS_EACH = 250
+#: Distances from the results within which poses join the grid in each repetition, metres.
+STEPS_M = (0.3, 0.12, 0.05)
+#: Number of results near which poses join, and of places for each camera of a result.
+RESULTS_NEAR, PLACES_NEAR = 3, 10
+#: Radians between headings for each metre between places.
+TURN_PER_METRE = np.deg2rad(20.0)
 #: Number of headings on either side of the pose, in yaw and in pitch.
-YAWS, PITCHES = 4, 2
+YAW_STEPS, PITCH_STEPS = 4, 2
 #: Results whose cameras all differ by less than this count as equal, metres.
-APART = 0.2
-#: First and last temperature of the moves, in multiples of the loss, and the standard deviation of
-#: the last moves, metres and radians.
-WARM, COOL, LAST = 0.01, 1e-4, 0.01
+DISTINCT_M = 0.2
+#: First and last temperature of the moves, in multiples of the loss.
+FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.01, 1e-4
+#: Standard deviation of the last moves, metres and radians.
+LAST_STEP = 0.01
 #: Smallest loss that is used to compute temperatures.
-LEAST = 1e-3
+MIN_LOSS = 1e-3
 
 _log = logging.getLogger(__name__)
 
@@ -93,10 +99,12 @@ class PricedSearch:
         self.start, self.evaluations, self.least = tuple(start), 0, np.inf
         self._rng = np.random.default_rng([seed, 0])
         most = budget.evaluations
-        #: Number of choices refined first and in each repetition, and the moves of each choice.
-        self._starts, self._again, self._moves, self._moves_again = STARTS, AGAIN, MOVES, MOVES
+        #: Number of choices refined first and in each repetition.
+        self._starts, self._again = FIRST_CHOICES, MORE_CHOICES
+        #: Moves of each choice, first and in each repetition.
+        self._moves, self._moves_again = MOVES, MOVES
         if most is not None:
-            self._starts = int(np.clip(most // EACH, 1, STARTS))
+            self._starts = int(np.clip(most // EVALUATIONS_EACH, 1, FIRST_CHOICES))
             self._again = max(self._starts // 2, 1)
             self._moves = max(most // (2 * self._starts), 1)
             self._moves_again = max(most // (2 * len(STEPS_M) * self._again), 1)
@@ -165,7 +173,7 @@ class PricedSearch:
                rng: np.random.Generator, over: Callable[[], bool]) -> Polished:
         """Anneal a placement by moves whose standard deviation starts at ``far`` metres."""
         objective, turn, share = self.problem.objective, 0.5 * far, 0.0
-        loss = max(objective.loss(views_of(sites)), LEAST)
+        loss = max(objective.loss(views_of(sites)), MIN_LOSS)
 
         def judge(sites: tuple[MountedCamera, ...]) -> float:
             value = objective.loss(views_of(sites))
@@ -179,18 +187,18 @@ class PricedSearch:
                     return
                 share = move / moves
                 self.evaluations += 1
-                yield loss * between(WARM, COOL, share)
+                yield loss * between(FIRST_TEMPERATURE, LAST_TEMPERATURE, share)
 
         best = annealed(sites, judge, lambda sites: moved(
-            self.problem, sites, between(far, LAST, share), between(turn, LAST, share), rng),
-            temperatures(), rng)
+            self.problem, sites, between(far, LAST_STEP, share), between(turn, LAST_STEP, share),
+            rng), temperatures(), rng)
         return Polished(judge(best), best)
 
     def _nearer(self, relaxation: ColumnGeneration, found: list[Polished], step: float
                 ) -> list[Polished]:
         """Add poses near the best results to the grid, choose again, and refine the choices."""
         before = [len(grid.places) for grid in relaxation.grids]
-        best = distinct(found, ANSWERS)
+        best = distinct(found, RESULTS_NEAR)
         for one in best:
             relaxation.join([self._add_near(relaxation, site.pose, camera, step)
                              for camera, site in enumerate(one.sites)])
@@ -207,7 +215,7 @@ class PricedSearch:
         region, rig, model = self.problem.region, self.problem.rig, self.problem.rig.models[camera]
         number = self.problem.rig.placed_models.index(model)
         grid, first = relaxation.grids[number], len(relaxation.grids[number].places)
-        poses = np.repeat(pose[None], 2 * PLACES, axis=0)
+        poses = np.repeat(pose[None], 2 * PLACES_NEAR, axis=0)
         poses[1:, :3] += self._rng.uniform(-step, step, (len(poses) - 1, 3))
         poses[1:, :3] = region.onto_mount(poses[1:, :3])
         good = region.allowed(poses, model)
@@ -215,11 +223,11 @@ class PricedSearch:
         headings = pose[None, 3:]
         if not model.omnidirectional:
             yaws, pitches = (sorted(range(-count, count + 1), key=abs)
-                             for count in (YAWS, PITCHES))
-            headings = pose[3:] + TURN * step * np.array(
+                             for count in (YAW_STEPS, PITCH_STEPS))
+            headings = pose[3:] + TURN_PER_METRE * step * np.array(
                 [(yaw, pitch, 0.0) for pitch in pitches for yaw in yaws])
             headings[:, 1] = np.clip(headings[:, 1], *rig.pitch)
-        places = poses[good][:PLACES, :3]
+        places = poses[good][:PLACES_NEAR, :3]
         grid.add(places, [headings] * len(places))
         return Column(number, first, 0)
 
@@ -274,7 +282,7 @@ def distinct(found: Sequence[Polished], most: int) -> list[Polished]:
     for one in found:
         places = np.array([site.pose[:3] for site in one.sites])
         if all(np.linalg.norm(places - [site.pose[:3] for site in other.sites], axis=1).max()
-               >= APART for other in chosen):
+               >= DISTINCT_M for other in chosen):
             chosen.append(one)
     return chosen[:most]
 

@@ -57,8 +57,8 @@ SCAN, SCORES, OBSERVED = 'the scan', 'scores', 'observed points'
 GROUP = 'ocp_ros.planners'
 #: Environment variable with the names of broken planners for which a warning was given; and names
 #: that planners must not have, since they mean something else.
-TOLD = 'OCP_ROS_BROKEN_PLANNERS'
-TAKEN = ('random_placement', 'truth_search', 'priced_plane')
+WARNED_VARIABLE = 'OCP_ROS_BROKEN_PLANNERS'
+RESERVED_NAMES = ('random_placement', 'truth_search', 'priced_plane')
 
 _log = logging.getLogger(__name__)
 
@@ -166,7 +166,7 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
     if not isinstance(name, str) or not re.fullmatch(r'[A-Za-z]\w*', name, re.ASCII):
         raise ConfigurationError(f'planner: found the name {name!r}; expected letters, digits and '
                                  '_, a letter first; choose another')
-    if name in (*PLANNERS, *TAKEN):
+    if name in (*PLANNERS, *RESERVED_NAMES):
         raise ConfigurationError(f'planner: found the name {name!r}, which another planner has; '
                                  'expected one of its own; choose another')
     kinds = [kind for kind in (Planner, Online)
@@ -181,7 +181,7 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
 
 def _load_plugins() -> None:
     """Register the planners of installed packages; skip a broken planner with a warning."""
-    told = [name for name in os.environ.get(TOLD, '').split(',') if name]
+    told = [name for name in os.environ.get(WARNED_VARIABLE, '').split(',') if name]
     for entry in entry_points(group=GROUP):
         try:
             register_planner(entry.name, entry.load())
@@ -195,7 +195,7 @@ def _load_plugins() -> None:
                     printable(entry.value), entry.dist.name if entry.dist else 'a package', reason)
             told.append(entry.name)
     if told:
-        os.environ[TOLD] = ','.join(told)
+        os.environ[WARNED_VARIABLE] = ','.join(told)
 
 
 _load_plugins()

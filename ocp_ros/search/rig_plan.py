@@ -36,9 +36,9 @@ from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
 #: Share of the time of a proof for the views of the grid.
-LOOKED = 0.5
+VIEWS_TIME_SHARE = 0.5
 #: Number of random placements for comparison.
-RANDOM = 64
+RANDOM_PLACEMENTS = 64
 #: A target share is reached if the share is below it by at most this.
 ROUNDING = 1e-9
 
@@ -152,8 +152,8 @@ class RigPlanner:
         """Return a placement with its evaluation and the values for comparison."""
         objective = self.problem(rig).objective
         self.pool.add(rig, answer.sites)
-        rng = np.random.default_rng([self.seed, RANDOM])
-        drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM)]
+        rng = np.random.default_rng([self.seed, RANDOM_PLACEMENTS])
+        drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM_PLACEMENTS)]
         return RigPlan(
             rig, answer, objective.evaluate(answer.poses),
             objective.judge(self.pool.union_views(rig)), objective.simulator.depth_error.worst,
@@ -175,7 +175,8 @@ class RigPlanner:
             return replace(plan, uncertain=reason)
 
         def relax() -> ColumnGeneration:
-            return relaxation_of(problem, self.pool, lambda: budget.share(0, None) >= LOOKED)
+            return relaxation_of(problem, self.pool,
+                                 lambda: budget.share(0, None) >= VIEWS_TIME_SHARE)
 
         loss = plan.evaluation.loss
         known, reason = certified(problem, relax, loss, loss, budget)

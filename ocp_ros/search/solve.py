@@ -24,7 +24,7 @@ import numpy as np
 from ocp_ros.search.planner import Planner, Scores
 
 #: Number of best placements to store for a second evaluation.
-KEPT = 500
+ARCHIVE_SIZE = 500
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Result:
 
 
 class Archive:
-    """The best placements so far, at most ``KEPT``."""
+    """The best placements so far, at most ``ARCHIVE_SIZE``."""
 
     def __init__(self) -> None:
         self._kept: list[tuple] = []
@@ -62,7 +62,7 @@ class Archive:
         """Store a placement (n, 2) if it is among the best; the smallest rank is best."""
         # Numbers are unique: among equal ranks the first wins, and positions are never compared.
         insort(self._kept, (*rank, next(self._numbers), positions))
-        del self._kept[KEPT:]
+        del self._kept[ARCHIVE_SIZE:]
 
     @property
     def best(self) -> tuple[np.ndarray, ...]:

@@ -35,8 +35,8 @@ from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.geometry.visibility import SurfelVisibility
 from ocp_ros.online.observation_map import (
     CELLS,
-    EDGE,
-    FLOOR,
+    EDGE_M,
+    ERROR_FLOOR,
     lens_features,
     NUMBERS,
     ObservationMap,
@@ -180,7 +180,7 @@ class TrueRoom:
             E; lower is better.
         """
         return self.engine.depth_error.changes(
-            [self._seen[other] for other in others], self._seen, FLOOR)
+            [self._seen[other] for other in others], self._seen, ERROR_FLOOR)
 
 
 def play_states(task: StateTask) -> dict[str, np.ndarray]:
@@ -280,7 +280,7 @@ class _States:
         except SceneError:
             return going
         known = ObservationMap(model, memory.unseen(model), cameras, max_range,
-                               float(positions[0, 2]), coarse * EDGE)
+                               float(positions[0, 2]), coarse * EDGE_M)
         going = (going if rng.random() < 0.5 else self._drawn(cameras)).copy()
         views = [self._look(model, poses[pose], positions) for pose in going]
         number = len(self._maps)

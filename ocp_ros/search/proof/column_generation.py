@@ -34,22 +34,24 @@ from ocp_ros.search.proof.loss_trees import LossTrees, NOTHING, seers_of
 from ocp_ros.util.threads import mapped
 from scipy.spatial.distance import cdist
 
-#: Number of poses of each grid in the first pool, largest number of poses that join at a time, and
-#: of these at one place.
-BEGINNING, JOINING, OF_A_PLACE = 300, 150, 3
+#: Number of poses of each grid in the first pool.
+FIRST_COLUMNS = 300
+#: Largest number of poses that join at a time, and of these at one place.
+NEW_COLUMNS, MAX_COLUMNS_PER_PLACE = 150, 3
 #: A pose leaves the pool if it gains less than this share of the gain of a chosen pose.
-LEAVING = 0.5
+DROP_COST = 0.5
 #: Relative tolerance between a program's optimum and the loss: first, then later.
-HASTY, PATIENT = 0.01, 0.002
+FIRST_TOLERANCE, LAST_TOLERANCE = 0.01, 0.002
 #: Largest number of optima of a program, and of programs.
 ROUNDS, PROGRAMS = 60, 12
-#: Largest relative difference of bound and program's optimum at which the bound is closed; and the
-#: smallest loss for relative tolerances: smaller losses are mostly noise and slow to prove.
-CLOSED, SMALL = 0.004, 0.02
+#: Largest relative difference of bound and program's optimum at which the bound is closed.
+CLOSED_GAP = 0.004
+#: Smallest loss for relative tolerances: smaller losses are mostly noise and slow to prove.
+MIN_LOSS = 0.02
 #: Losses with a relative difference below this are equal.
-EQUAL = 1e-6
+EQUAL_LOSS = 1e-6
 #: Smallest distance of other choices from a place of the best choice, metres.
-APART = 0.6
+PLACES_APART_M = 0.6
 
 
 class Column(NamedTuple):
@@ -100,7 +102,7 @@ class ColumnGeneration:
         for number, grid in enumerate(grids):
             poses = [Column(number, place, heading) for place, some in enumerate(grid.headings)
                      for heading in range(len(some))]
-            some = rng.choice(len(poses), min(BEGINNING, len(poses)), replace=False)
+            some = rng.choice(len(poses), min(FIRST_COLUMNS, len(poses)), replace=False)
             self.join([poses[k] for k in some])
 
     def __len__(self) -> int:
@@ -138,7 +140,8 @@ class ColumnGeneration:
         self.bound, self.closed = 0.0, False
         places = [np.arange(len(grid.places)) for grid in self.grids] if places is None else places
         for program in range(PROGRAMS):
-            value, multipliers, lost = self._relaxed(PATIENT if program else HASTY, over)
+            tolerance = LAST_TOLERANCE if program else FIRST_TOLERANCE
+            value, multipliers, lost = self._relaxed(tolerance, over)
             gains = self._gains(multipliers, places, over)
             if gains is None:
                 return
@@ -146,8 +149,8 @@ class ColumnGeneration:
                 self._most(of_grid, count) for of_grid, count in zip(gains, self.counts)))
             own, needed = self._needed(gains)
             better = self._better(gains, needed)
-            self.closed = bool(program and value - self.bound <= CLOSED * max(value, SMALL)) or (
-                not better)
+            gap = value - self.bound
+            self.closed = bool(program and gap <= CLOSED_GAP * max(value, MIN_LOSS)) or not better
             if self.closed or over():
                 return
             self._set_pool([*self._staying(own, needed), *better])
@@ -183,11 +186,12 @@ class ColumnGeneration:
                 consts, gains = trees.cut(self._seers, count, unserved)
                 losses = np.maximum(consts - gains @ found.share, 0.0)
                 above = max(above, losses.sum())
-                raised = losses > found.losses + EQUAL * above / len(losses)
+                raised = losses > found.losses + EQUAL_LOSS * above / len(losses)
                 program.add(len(made), consts, gains, raised)
                 made.append(unserved)
             core = 0.5 * (core + found.share)
-            if above - value <= tolerance * max(above, SMALL) or not found.optimal or over():
+            near = above - value <= tolerance * max(above, MIN_LOSS)
+            if near or not found.optimal or over():
                 break
         # Cuts that were added in the last round have no multipliers yet.
         cuts, multipliers = program.cuts, found.multipliers
@@ -226,21 +230,21 @@ class ColumnGeneration:
                               for group, count in enumerate(self.counts)])
 
     def _better(self, gains: Sequence[dict[int, np.ndarray]], needed: np.ndarray) -> list[Column]:
-        """Return the poses with larger gains than needed, at most ``OF_A_PLACE`` of each place."""
+        """Return the poses with larger gains than needed, only a few of each place."""
         known, found = set(self._pool), []
         for number, of_grid in enumerate(gains):
-            least = needed[number] * (1.0 + EQUAL) + NOTHING
+            least = needed[number] * (1.0 + EQUAL_LOSS) + NOTHING
             for place, values in of_grid.items():
-                best = np.argsort(-values, kind='stable')[:2 * OF_A_PLACE]
+                best = np.argsort(-values, kind='stable')[:2 * MAX_COLUMNS_PER_PLACE]
                 columns = [(values[k], Column(number, place, int(k))) for k in best
                            if values[k] > least]
-                found += [pair for pair in columns if pair[1] not in known][:OF_A_PLACE]
+                found += [pair for pair in columns if pair[1] not in known][:MAX_COLUMNS_PER_PLACE]
         found.sort(key=lambda pair: -pair[0])
-        return [column for _, column in found[:JOINING]]
+        return [column for _, column in found[:NEW_COLUMNS]]
 
     def _staying(self, own: np.ndarray, needed: np.ndarray) -> list[Column]:
         """Return the poses that stay in the pool: chosen ones, and those with large gains."""
-        stays = (self._share > NOTHING) | (own >= LEAVING * needed[self._group])
+        stays = (self._share > NOTHING) | (own >= DROP_COST * needed[self._group])
         for group, count in enumerate(self.counts):
             members = np.flatnonzero(self._group == group)
             stays[members[np.argsort(-own[members], kind='stable')[:2 * count]]] = True
@@ -265,7 +269,7 @@ class ColumnGeneration:
             if found:
                 best = min(found, key=lambda chosen: found[chosen])
                 centre = places[best[attempt // 2 % len(best)]]
-                least = APART if attempt % 2 else 0.0
+                least = PLACES_APART_M if attempt % 2 else 0.0
                 allowed = np.linalg.norm(places - centre, axis=1) >= least
             chosen = self._rounded(share, allowed)
             if chosen is None:
@@ -292,7 +296,7 @@ class ColumnGeneration:
         """Make the best exchange of one pose until none helps; return the choice and its loss."""
         loss = np.inf
         while True:
-            best = (loss * (1.0 - EQUAL), None, None)
+            best = (loss * (1.0 - EQUAL_LOSS), None, None)
             for number, own in enumerate(chosen):
                 others = chosen[:number] + chosen[number + 1:]
                 share = np.zeros(len(self._pool))
