@@ -164,7 +164,7 @@ def test_every_planner_is_documented():
         *planner_names(SCORES, OBSERVED)]
 
 
-def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):
+def test_the_example_with_a_simulator_runs(tmp_path, monkeypatch, capsys):
     import numpy as np
     from plyfile import PlyData, PlyElement
 
@@ -172,7 +172,7 @@ def test_the_readmes_python_example_runs(tmp_path, monkeypatch, capsys):
     rows = points.view([(axis, 'f4') for axis in 'xyz']).ravel()
     PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
     monkeypatch.chdir(tmp_path)
-    exec(python_example('README.md'), {})
+    exec(python_example('docs/tasks/python.md'), {})
     error, coverage, share = map(float, capsys.readouterr().out.split())
     assert error > 0.0 and coverage > 1.0 and 0.0 < share < 1.0
 

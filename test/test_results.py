@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""README and docs/results.md show what the files in docs/results hold."""
+"""README and pages of docs show what the files in docs/results hold."""
 
 from decimal import Decimal
 from functools import cache
@@ -22,7 +22,8 @@ import re
 from conftest import ROOT
 import pytest
 
-README, RESULTS, SECURITY = 'README.md', 'docs/results.md', 'docs/explanation/security.md'
+README, RESULTS = 'README.md', 'docs/results.md'
+ROBUSTNESS, SECURITY = 'docs/reference/robustness.md', 'docs/explanation/security.md'
 NUMBER = r'(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?'
 
 #: Tables: page, how the line with the columns begins, the name of each row in the file, and where
@@ -30,47 +31,40 @@ NUMBER = r'(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?'
 TABLES = [
     (README, '| with a scan', 'differential_evolution tdsa cma_es greedy_coverage',
      'benchmark/planners/{row}/10000/{key}', 'regret seconds'),
-    (README, '| without a scan', 'learned_lookahead lookahead greedy_step',
-     'few_turns_test/summary/{key}/{row}/ratio_to_best', '5x2 8x2 30x0.5'),
     (RESULTS, '| method', 'fine fast paper hidden_point_removal',
      'engine/{key}', 'f1/{row}.15000 f1/{row}.40000 f1/{row}.100000 ms/{row}.40000'),
     (RESULTS, '| planner | regret', 'differential_evolution bpso tdsa cma_es greedy_swap '
      'annealing random greedy_coverage', 'benchmark/planners/{row}/{key}',
-     '1000/regret 10000/regret 10000/sum 10000/promise_over_delivered 10000/seconds'),
+     '1000/regret 10000/regret 10000/promise_over_delivered 10000/seconds'),
     (RESULTS, '| planner | 3 turns', 'learned_lookahead lookahead learned greedy_step',
      'few_turns_test/summary/{key}/{row}/ratio_to_best', '3x2 5x2 8x2 14x2 30x0.5'),
-    (RESULTS, '| rooms', 'fresh test_two test_six d455 scans_four',
+    (RESULTS, '| rooms', 'fresh scans_four',
      'few_turns_{row}/summary/{key}/ratio_to_best',
      '8x2/learned_lookahead 8x2/lookahead 30x0.5/learned_lookahead 30x0.5/lookahead'),
     (RESULTS, '| scan |', 'tripod.realsense tripod.azure hand.realsense hand.azure real.realsense '
      'real.azure', 'calibration/shares/{row}.30cm.{key}', 'within_1cm_05deg refused wrong'),
-    (RESULTS, '| planner | median', 'learned_lookahead lookahead', 'nodes/value/{row}/{key}',
-     'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
     (RESULTS, '| rig | plan', 'd455_walls d455_stands all_round_stands',
      'measure/plans/rigs/{row}/{key}',
-     'plan_over_lookahead plan_over_lookahead_worst plan_over_truth plan_over_truth_worst '
-     'expected_mean promise_coverage priced_poses certificate_gap moved_off_grid '
-     'better_after_proof'),
-    (RESULTS, '| viewpoints |', 'air paper', 'measure/viewpoints/{row}/{key}',
-     'turned_objective_change turned_objective_change_worst rank_correlation '
-     'rank_correlation_good over_judge'),
+     'plan_over_lookahead plan_over_lookahead_worst plan_over_truth expected_mean '
+     'promise_coverage certificate_gap'),
     (SECURITY, '| format | read', 'E57 glTF OBJ PLY YAML text weights bag',
      'hostile_files/classes/{row}/{key}', 'read refused wrong crashed hung leaked'),
     (RESULTS, '| network', 'paper cloud', 'training/{row}/value/{key}',
      'over_tdsa_100 over_bpso_1000 rooms_won')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
-    (README, 'trained in {} minutes', 'training/map/value/{key}', 'minutes'),
+    (README, 'ends with {} times the smallest known error after 5 turns of 2 m, and with {} times '
+     'after 30 turns', 'few_turns_test/summary/{key}/learned_lookahead/ratio_to_best',
+     '5x2 30x0.5'),
     (README, 'F1 score of {} in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
-    (RESULTS, 'is read to {} m, the ceiling to {} m and 99 % of the wall points to {} m',
-     'solid_rooms/{key}_worst', 'floor ceiling walls'),
-    (RESULTS, 'see differs by {} from rays cast at the room with the preset `mesh`, and by up to '
-     '{} with `fine`', 'solid_rooms/share_{key}_worst', 'mesh fine'),
     (RESULTS, 'Plans by `mesh` deliver {} times', 'solid_rooms/{key}', 'delivered_mesh_over_fine'),
-    (RESULTS, 'A look takes {} ms with `mesh` and {} ms with `fine`', 'solid_rooms/{key}',
+    (RESULTS, 'one camera takes {} ms with `mesh` and {} ms with `fine`', 'solid_rooms/{key}',
      'ms_mesh ms_fine'),
     (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
      'engine/fused_f1/{key}.100000', 'fine paper mesh'),
+    (RESULTS, 'the integral is {}. When the scan is turned by 17 or 45 degrees, the engine\'s error '
+     'changes by {} at most', 'measure/viewpoints/air/{key}',
+     'rank_correlation turned_objective_change_worst'),
     (RESULTS, 'delivers {} times the error of a plan in the scan as it was (geometric mean; {} at '
      'worst)', 'measure/{key}', 'turned_delivered_ratio turned_delivered_ratio_worst'),
     (RESULTS, 'it delivers {}, {} and {} times', 'measure/stray_delivered_ratio/{key}',
@@ -91,27 +85,24 @@ SENTENCES = [
     (RESULTS, '{} m in four rooms, and {} m', 'aiming/value/together/lookahead_{key}_m',
      'turned not_turned'),
     (RESULTS, '{} ms (median) and {} ms (99 %), with four D455 {} and {} ms',
-     'nodes/thought_meanwhile_ms/{key}',
-     'without_rig/0 without_rig/1 rig_of_four_d455/0 rig_of_four_d455/1'),
+     'nodes/value/learned_lookahead/{key}',
+     'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
     (RESULTS, 'is {} of that at the start with the repaired network, and {} with the literal one '
      '(at best {} and {})', 'paper_agent/rows/{key}',
      'critics_60000_0/ratio literal_60000_0/ratio critics_60000_0/least_ratio '
      'literal_60000_0/least_ratio'),
-    (RESULTS, '{} malformed messages among {} valid',
+    (ROBUSTNESS, '{} malformed messages among {} valid',
      'drills/fuzz/value/{key}', 'malformed_messages valid_messages'),
-    (RESULTS, '{} turns, {} nodes killed, {} malformed messages',
+    (ROBUSTNESS, '{} turns, {} nodes killed, {} malformed messages',
      'drills/soak/value/{key}', 'turns kills malformed_messages'),
-    (RESULTS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/value/{key}',
+    (ROBUSTNESS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/value/{key}',
      'back_after_a_kill_s_median back_after_a_kill_s_most trainer_memory_growth_mb'),
-    (RESULTS, '{} faulty', 'drills/inputs/value/{key}', 'inputs_tried'),
+    (ROBUSTNESS, '{} inputs', 'drills/inputs/value/{key}', 'inputs_tried'),
     (RESULTS, 'for {} interactions ({} minutes',
      'training/paper_run/value/{key}', 'interactions minutes'),
     (RESULTS, 'was {} to {} times the error at the start',
      'training/paper_run/value/{key}', 'lowest highest'),
-    (RESULTS, 'run of {} interactions, with another network, was no better ({} to {})',
-     'training/paper_long_run/value/{key}', 'interactions lowest highest'),
-    (RESULTS, 'leaves {} m after 8 turns of 2 m; the weights before, which had learned from five '
-     'viewpoints, left {} m', 'training/map_before/value/{key}/8x2', 'sum sum_before'),
+    (RESULTS, 'network of `map` took {} minutes', 'training/map/value/{key}', 'minutes'),
     (RESULTS, '`map` is {} for the position of an omnidirectional camera, and {} for',
      'training/{key}/value/regret', 'map map_aimed'),
     (RESULTS, 'was {} (95 % interval {} to {}) and {} ({} to {}) times',
