@@ -36,7 +36,7 @@ class SacConfig:
     target_entropy: float = setting(
         -1.5, 'target entropy per component of the action', -10.0, 1.0)
     n_steps: int = setting(
-        1, 'with agent.inputs cloud: rewards of so many interactions are summed up before the '
+        1, 'with agent.inputs cloud: number of interactions whose rewards are added before the '
            'critics value what follows; trainer_node knows 1 alone', 1, 100)
     augmentation: str = setting(
         'symmetries', 'with agent.inputs cloud: what is done to each sample: nothing (none), a '
@@ -137,7 +137,7 @@ class TrainingConfig:
     ray: str = setting('', 'a Ray cluster that plays evaluations and walks through rooms instead, '
                        'such as auto; empty for none')
     fewest_cameras: int = setting(
-        4, 'episodes have from so many to simulation.rig.cameras cameras', 1, MOST_CAMERAS)
+        4, 'least number of cameras in an episode; simulation.rig.cameras is the most', 1, MOST_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per interaction', 0.0, 100.0)
     evaluate_every: int = setting(2000, 'interactions between evaluations', 1, 1 << 40)
     model: str = setting('', 'first weights: path or name; empty: random')

@@ -58,8 +58,8 @@ class PolicyNodeConfig:
     convergence_distance: float = setting(
         0.02, 'moves shorter than this count as standing still, metres', 0.0, 1.0, running=True)
     convergence_turns: int = setting(
-        3, 'only with planner: learned: the placement is final after so many turns in which '
-           'all cameras stand still (convergence_distance); other planners use all turns',
+        3, 'only with planner: learned: number of turns in which all cameras stand still '
+           '(convergence_distance) before the placement is final; other planners use all turns',
         1, 1000, running=True)
     explore: bool = setting(
         False, 'for training: draw moves at random from the distribution of the policy, whatever '
