@@ -57,9 +57,6 @@ SENTENCES = [
      'after 30 turns', 'few_turns_test/summary/{key}/learned_lookahead/ratio_to_best',
      '5x2 30x0.5'),
     (README, 'F1 score of {} in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
-    (RESULTS, 'Plans by `mesh` deliver {} times', 'solid_rooms/{key}', 'delivered_mesh_over_fine'),
-    (RESULTS, 'one camera takes {} ms with `mesh` and {} ms with `fine`', 'solid_rooms/{key}',
-     'ms_mesh ms_fine'),
     (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
      'engine/fused_f1/{key}.100000', 'fine paper mesh'),
     (RESULTS, 'the integral is {}. When the scan is turned by 17 or 45 degrees, the engine\'s error '
