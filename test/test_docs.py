@@ -125,18 +125,6 @@ def test_the_example_of_a_placement_is_one_and_every_key_is_explained(tmp_path):
             assert f'`{key}`' in text, key
 
 
-def test_the_example_with_a_rig_runs(capsys):
-    exec(python_example('docs/reference/rig.md'), {})
-    loss, error, broken = map(float, capsys.readouterr().out.split())
-    assert 0.0 < loss < 1.0 and error > 0.0 and broken == 0.0
-
-
-def test_the_example_with_a_plan_runs(capsys):
-    exec(python_example('docs/tasks/plan.md'), {})
-    loss, everywhere, cameras = map(float, capsys.readouterr().out.split())
-    assert 0.0 <= everywhere < loss < 1.0 and cameras == 2
-
-
 def test_every_option_of_plan_is_explained():
     from ocp_ros.cli.main import parser
     text = (ROOT / 'docs' / 'tasks' / 'plan.md').read_text()
@@ -149,12 +137,6 @@ def test_the_example_with_sensors_runs(capsys):
     exec(python_example('docs/reference/sensors.md'), {})
     error, coverage, seen = map(float, capsys.readouterr().out.split())
     assert error > 0.0 and coverage > 1.0 and seen > 100
-
-
-def test_the_example_with_a_planner_runs(capsys):
-    exec(python_example('docs/reference/planners.md'), {})
-    error, coverage, seconds = map(float, capsys.readouterr().out.split())
-    assert 0.0 < error < 5.0 and coverage > 100.0 and seconds > 0.0
 
 
 def test_every_planner_is_documented():
