@@ -31,8 +31,8 @@ class EngineConfig:
         128, 'rows of the depth maps of the error; they have twice as many columns', 16, 1024)
     coverage_cell: float = setting(0.25, 'edge of a cell of the coverage grid, metres', 0.02, 5.0)
     error_folds: int = setting(
-        1, 'number of parts (folds) of the points; from 2 on, each viewpoint in turn leaves out one '
-           'part; 1: the depth error uses all points', 1, 16)
+        1, 'number of parts (folds) of the points; from 2 on, each viewpoint in turn leaves out '
+           'one part; 1: the depth error uses all points', 1, 16)
     viewpoints: str = setting(
         'air', 'viewpoints of the depth error: air (16 places in the air of the room) or paper '
                '(its five, in the rectangle along the walls)', choices=('air', 'paper'))

@@ -137,7 +137,8 @@ class TrainingConfig:
     ray: str = setting('', 'a Ray cluster that plays evaluations and walks through rooms instead, '
                        'such as auto; empty for none')
     fewest_cameras: int = setting(
-        4, 'least number of cameras in an episode; simulation.rig.cameras is the most', 1, MOST_CAMERAS)
+        4, 'least number of cameras in an episode; simulation.rig.cameras is the most', 1,
+        MOST_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per interaction', 0.0, 100.0)
     evaluate_every: int = setting(2000, 'interactions between evaluations', 1, 1 << 40)
     model: str = setting('', 'first weights: path or name; empty: random')
