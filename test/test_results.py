@@ -58,7 +58,7 @@ SENTENCES = [
     (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
      'engine/fused_f1/{key}.100000', 'fine paper mesh'),
     (RESULTS, 'the integral is {}. When the scan is turned by 17 or 45 degrees, the objective '
-     'value changes by {} at most', 'measure/viewpoints/air/{key}',
+     'value changes by a share of {} at most', 'measure/viewpoints/air/{key}',
      'rank_correlation turned_objective_change_worst'),
     (RESULTS, 'delivers {} times the error of a plan in the scan as it was (geometric mean; {} at '
      'worst)', 'measure/{key}', 'turned_delivered_ratio turned_delivered_ratio_worst'),
