@@ -21,12 +21,14 @@ critics train, and cameras that choose one after the other; ``updates`` more and
 steps; ``blocks`` residual heads; ``augmented`` symmetries and jitter.
 
     python -m benchmarks.paper_agent --rungs literal critics --out out/ladder
-    python -m benchmarks.paper_agent --record
+    python -m benchmarks.paper_agent --record --evaluation out/evaluation/evaluation.json
 
-A run that was interrupted goes on. ``--record`` writes what the runs of the folder have done.
+A run that was interrupted goes on. ``--record`` writes what the runs of the folder have done,
+beside the rows of earlier folders, and what ``ocp evaluate`` has found about the best weights.
 """
 
 import argparse
+import json
 import logging
 from pathlib import Path
 from typing import Any
@@ -94,6 +96,21 @@ def row_of(folder: Path) -> dict[str, Any]:
             'curve': [[line['interactions'], round(line['ratio'], 3)] for line in lines]}
 
 
+def against(path: Path) -> dict[str, Any]:
+    """
+    Return how the agent compares with other planners in the test rooms.
+
+    :param path: ``evaluation.json`` of ``ocp evaluate``, with ``learned`` as the first planner.
+    :returns: by planner and budget the ratio of errors (agent / planner, geometric mean), its 95 %
+        interval, and the number of rooms that the agent wins.
+    """
+    found = json.loads(path.read_text())
+    (compared,) = found['cameras'].values()
+    return {'command': found['command'], 'over': {
+        name: {key: pair[key] for key in ('ratio', 'interval', 'wins', 'rooms')}
+        for name, pair in compared['pairs'].items() if not name.startswith('learned')}}
+
+
 def main(argv: list[str] | None = None) -> None:
     """Run."""
     parser = argparse.ArgumentParser(prog='paper_agent', description=__doc__)
@@ -103,6 +120,7 @@ def main(argv: list[str] | None = None) -> None:
     parser.add_argument('--demonstrations', type=int, default=0, help='first interactions that '
                         'are demonstrations')
     parser.add_argument('--out', type=Path, default=Path('out/ladder'))
+    parser.add_argument('--evaluation', type=Path, help='evaluation.json of ocp evaluate')
     results.add_record(parser, 'paper_agent')
     options = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO)
@@ -115,9 +133,13 @@ def main(argv: list[str] | None = None) -> None:
               command)
         print(rung, row_of(folder), flush=True)
     if options.record:
+        before = json.loads((results.FOLDER / 'paper_agent.json').read_text())
         rows = {folder.name: row_of(folder) for folder in sorted(options.out.iterdir())
                 if any('ratio' in line for line in records(folder))}
-        results.write('paper_agent', {'rows': rows}, command)
+        figures = {'rows': before['rows'] | rows, 'test': before.get('test')}
+        if options.evaluation:
+            figures['test'] = against(options.evaluation)
+        results.write('paper_agent', figures, command)
 
 
 if __name__ == '__main__':
