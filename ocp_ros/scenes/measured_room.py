@@ -38,11 +38,10 @@ from scipy.spatial import ConvexHull, QhullError
 
 #: The walls: the axis normal to each, and whether the wall is at the far end of that axis.
 WALLS = {'south': (1, False), 'east': (0, True), 'north': (1, True), 'west': (0, False)}
+#: The number of corners of a room.
+CORNERS = 8
 #: Metres: the largest room.
 LARGEST = 100.0
-#: The number of corners of a room, and the least cosine between the normals of two triangles of
-#: one flat side.
-CORNERS, FLAT = 8, np.cos(np.deg2rad(3.0))
 LENGTH: Schema = {'type': 'number', 'minimum': 0.0, 'maximum': LARGEST}
 OPENING = mapping(
     'a wall, and at, width and height', {'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1},
@@ -156,8 +155,8 @@ def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
         return None
     if len(hull.vertices) < CORNERS:
         return None
-    # The two triangles of a flat side have the same normal.
-    alike = hull.equations[:, :3] @ hull.equations[:, :3].T >= FLAT
+    # The two triangles of a flat side have the same normal, within 3 degrees.
+    alike = hull.equations[:, :3] @ hull.equations[:, :3].T >= np.cos(np.deg2rad(3.0))
     return points[hull.simplices], bool((alike.sum(axis=1) >= 2).all())
 
 
