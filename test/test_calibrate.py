@@ -26,7 +26,7 @@ from ocp_ros.registration.camera_registration import (
     _behind,
     _shifted,
     checked,
-    MOST_BEHIND,
+    LIMITS,
     register,
 )
 from ocp_ros.registration.live_view import LiveView
@@ -183,7 +183,7 @@ def test_points_behind_a_scanned_surface_are_held_against_a_pose(scan):
     shares = _behind(scan.fine, view.patches, Poses(
         *(np.stack([getattr(pose, part) for pose in (true, back, forward)])
           for part in ('rotation', 'position'))))
-    assert shares[0] < shares[1] < MOST_BEHIND < shares[2]
+    assert shares[0] < shares[1] < LIMITS.max_behind < shares[2]
 
 
 def test_a_scan_that_is_bent_makes_a_pose_less_certain():

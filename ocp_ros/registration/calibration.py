@@ -32,7 +32,7 @@ from ocp_ros.util.yaml_files import Document
 
 #: Alternatives to try: a description, a roll in radians about the viewing direction, and the axes
 #: of the cloud.
-OTHERWISE = (
+ALTERNATIVES = (
     ('it is mounted upside down', np.pi, np.eye(3)),
     ('it is mounted on its side', 0.5 * np.pi, np.eye(3)),
     ('it is mounted on its other side', -0.5 * np.pi, np.eye(3)),
@@ -73,7 +73,7 @@ def _registered(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Regist
     first = register(scan, LiveView(cloud, model, name), start, model)
     if not first.unlike:
         return first
-    for said, roll, axes in OTHERWISE:
+    for said, roll, axes in ALTERNATIVES:
         with suppress(SceneError):
             turned = Pose(start.position, start.rotation @ rotation_matrix(roll=roll))
             answer = register(scan, LiveView(cloud @ axes.T, model, name), turned, model)

@@ -37,27 +37,27 @@ from ocp_ros.util.yaml_files import (
 
 MOUNTS = ('plane', 'ceiling', 'walls', 'free')
 #: Metres: the limit of all coordinates in a room.
-FAR = 1000.0
+MAX_COORDINATE_M = 1000.0
 #: The largest number of letters of a name.
-LONGEST_NAME = 60
+MAX_NAME_LENGTH = 60
 #: Degrees: the least field of view of a depth camera.
-NARROWEST = 1.0
-POINT = {'type': 'number', 'minimum': -FAR, 'maximum': FAR}
+MIN_FOV_DEG = 1.0
+POINT = {'type': 'number', 'minimum': -MAX_COORDINATE_M, 'maximum': MAX_COORDINATE_M}
 
-NAME = text(f'a name of letters, digits, _, - and blanks, at most {LONGEST_NAME}', 'door',
-            pattern=f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{LONGEST_NAME - 1}}}$')
+NAME = text(f'a name of letters, digits, _, - and blanks, at most {MAX_NAME_LENGTH}', 'door',
+            pattern=f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{MAX_NAME_LENGTH - 1}}}$')
 MODEL: dict[str, Schema] = {
     'sensor': one_of(KINDS, 'realsense_d455'),
-    'horizontal_fov': number(f'degrees from {NARROWEST:g} to 360', 90.0, minimum=NARROWEST,
+    'horizontal_fov': number(f'degrees from {MIN_FOV_DEG:g} to 360', 90.0, minimum=MIN_FOV_DEG,
                              maximum=360),
-    'vertical_fov': number(f'degrees from {NARROWEST:g} to 180', 60.0, minimum=NARROWEST,
+    'vertical_fov': number(f'degrees from {MIN_FOV_DEG:g} to 180', 60.0, minimum=MIN_FOV_DEG,
                            maximum=180),
     'focal_length': number('millimetres from 0.1 to 1000, with sensor_size', 4.0, minimum=0.1,
                            maximum=1000),
     'sensor_size': many('width and height in millimetres from 0.1 to 1000, with focal_length',
                         {'type': 'number', 'minimum': 0.1, 'maximum': 1000}, [5.4, 3.0], 2, 2),
     'min_range': number('metres from 0 to 100', 0.3, minimum=0, maximum=100),
-    'max_range': number('metres from 0.05 to 1000', 5.0, minimum=0.05, maximum=FAR),
+    'max_range': number('metres from 0.05 to 1000', 5.0, minimum=0.05, maximum=MAX_COORDINATE_M),
     'resolution': many('whole pixels across and down, both from 1 to 20000',
                        {'type': 'integer', 'minimum': 1, 'maximum': 20000}, [640, 480], 2, 2),
 }
