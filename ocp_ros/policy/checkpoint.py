@@ -27,7 +27,7 @@ from typing import Any
 
 from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
 from ocp_ros.policy.networks import actor_of
-from ocp_ros.util.files import LARGEST, read_regular, write_atomically
+from ocp_ros.util.files import MAX_BYTES, read_regular, write_atomically
 from ocp_ros.util.settings import from_nested, to_nested
 from safetensors import SafetensorError
 import safetensors.torch
@@ -159,7 +159,7 @@ class Checkpoint:
         except OSError as error:
             raise CheckpointError(f'{path}: found no file that can be read ({error.strerror}); '
                                   'expected weights ending in .safetensors, of '
-                                  f'{LARGEST:,} bytes at most') from error
+                                  f'{MAX_BYTES:,} bytes at most') from error
         return cls.from_bytes(blob, str(path))
 
 

@@ -26,10 +26,10 @@ from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import FEWEST_POINTS, LARGEST_SEED, MOST_POINTS, setting
 
-#: The default number of points of a room in which placements are evaluated.
-ROOM_POINTS = 60_000
 #: The options of reading a scan, as in command lines, parameters and placement files.
 READING = ('scale', 'up', 'drop_nonfinite', 'all_rooms')
+#: The default number of points of a room in which placements are evaluated.
+ROOM_POINTS = 60_000
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.simulation.environment import CameraPlacementEnv, KEPT
+from ocp_ros.simulation.environment import CameraPlacementEnv, MAX_PROBLEMS
 from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES
 from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
@@ -233,7 +233,7 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     made = [CameraPlacementEnv(shared, config.simulation, fewest=config.fewest_cameras,
                                rotations=config.rooms.angles)
             for shared in [Rooms(rooms, config.rooms)] * config.environments]
-    problem = lru_cache(KEPT * len(made))(made[0].problem.__wrapped__)
+    problem = lru_cache(MAX_PROBLEMS * len(made))(made[0].problem.__wrapped__)
     for env in made:
         env.problem = problem
     return VecMonitor(SideBySide([partial(playable, env, config.agent) for env in made]))
