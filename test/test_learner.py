@@ -190,7 +190,7 @@ def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_age
 
 
 def test_a_learner_says_so_when_there_is_no_room(small_agent, tmp_path, monkeypatch):
-    monkeypatch.setattr('ocp_ros.training.learner.INBOX', 5)
+    monkeypatch.setattr('ocp_ros.training.learner.INBOX_SIZE', 5)
     learner = Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SAC)
     stuck, release = threading.Event(), threading.Event()
 

@@ -27,7 +27,7 @@ import sys
 from ocp_ros.ros.runtime.node_main import ENDING, PARENT, undisturbed
 
 #: Seconds that a node has to end after SIGINT: enough also for a busy machine.
-PATIENCE = 60.0
+STOP_TIMEOUT_S = 60.0
 
 
 def free_domain() -> tuple[int, socket.socket]:
@@ -106,9 +106,9 @@ class NodeProcess:
             self.process.send_signal(signal.SIGINT)
 
     def wait(self) -> int:
-        """Wait for the node to end, and return its exit code; kill it after ``PATIENCE``."""
+        """Wait for the node to end, and return its exit code; kill it after ``STOP_TIMEOUT_S``."""
         try:
-            return self.process.wait(timeout=PATIENCE)
+            return self.process.wait(timeout=STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.wait()

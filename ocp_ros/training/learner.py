@@ -34,13 +34,10 @@ from ocp_ros.util.settings import ConfigurationError, LARGEST_SEED, setting
 from stable_baselines3.common.logger import configure
 
 #: Gradient steps between two checks of the inbox: few, so that the learner stops at once.
-BURST = 4
+BURST_STEPS = 4
 #: Largest number of transitions in the inbox; the learner stores them between two bursts.
-INBOX = 4096
+INBOX_SIZE = 4096
 ACTOR = 'actor.safetensors'
-#: Growth of the number of transitions, as a share, before they are saved again: writing them is
-#: slow.
-NEW = 0.1
 
 
 @dataclass(frozen=True)
@@ -89,7 +86,7 @@ class Learner:
         self.model.set_logger(configure(str(self.folder / 'tensorboard'), ['tensorboard']))
         self.run = self._resume()
         self.dropped = 0
-        self.losses: deque[float] = deque(maxlen=max(config.publish_every // BURST, 1))
+        self.losses: deque[float] = deque(maxlen=max(config.publish_every // BURST_STEPS, 1))
         self.failure: BaseException | None = None
         #: Numbers of transitions and updates in the files, at the start or the last close.
         self._closed = self.transitions, self.updates
@@ -98,7 +95,7 @@ class Learner:
             # Publish the weights again: policies may have been started again as well.
             self._fresh.append(self.checkpoint())
         # Only the thread uses the model; other threads put transitions into the inbox.
-        self._inbox: queue.Queue[Transition | None] = queue.Queue(INBOX)
+        self._inbox: queue.Queue[Transition | None] = queue.Queue(INBOX_SIZE)
         self._thread = threading.Thread(target=self._work, name='learner', daemon=True)
         self._thread.start()
 
@@ -185,7 +182,7 @@ class Learner:
         try:
             while self._read_inbox():
                 if self._behind():
-                    self.model.train(BURST, self.sac.batch_size)
+                    self.model.train(BURST_STEPS, self.sac.batch_size)
                     self.losses.append(float(
                         self.model.logger.name_to_value['train/critic_loss']))
                     self._after(self.updates)
@@ -213,15 +210,15 @@ class Learner:
 
     def _behind(self) -> bool:
         """Return whether a burst of gradient steps is due for the stored transitions."""
-        return self._due(self.transitions) >= BURST
+        return self._due(self.transitions) >= BURST_STEPS
 
     def _after(self, updates: int) -> None:
         """Log, publish and save at their intervals of gradient steps."""
-        if updates % self.config.publish_every < BURST:
+        if updates % self.config.publish_every < BURST_STEPS:
             self._fresh.append(self.checkpoint())
             self.model.logger.record('train/transitions', self.transitions)
             self.model.logger.dump(self.model.num_timesteps)
-        if updates % self.config.save_every < BURST:
+        if updates % self.config.save_every < BURST_STEPS:
             self._save()
 
     def checkpoint(self) -> Checkpoint:
@@ -237,7 +234,8 @@ class Learner:
         :param whole: write the transitions as well, even if few of them are new.
         """
         # Transitions first: those that the saved state does not count yet do no harm.
-        if whole or self.transitions >= (1.0 + NEW) * self._saved:
+        # Writing transitions is slow: they are saved again when there are 10 % more.
+        if whole or self.transitions >= 1.1 * self._saved:
             save_replay(self.model.replay_buffer, self.folder / REPLAY)
             self._saved = self.transitions
         self.checkpoint().save(self.folder / ACTOR)

@@ -49,7 +49,7 @@ from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.partial_map import LookHistory, PartialMap
 from ocp_ros.online.rig_state import record_views
 from ocp_ros.online.rollout import state_of
-from ocp_ros.policy.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
+from ocp_ros.policy.map_actor import MapActor, MODEL_POINTS, MODEL_ROWS
 from ocp_ros.rig.motion import towards, turned_towards
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS
@@ -63,30 +63,17 @@ from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.training.training_rooms import make
 from ocp_ros.training.validation import policy_of
 
-#: Number of labelled positions, points of the true scan, and rows of its depth maps.
-PLACES, TRUE_POINTS, TRUE_ROWS = 450, 40_000, 64
-#: For cameras with a limited field of view: the number of labelled positions; the names of the
-#: sensors; and their pitch, the middle of a range of pitches that begins level.
+#: Number of labelled positions.
+PLACES = 450
+#: Number of labelled positions for cameras with a limited field of view.
 AIMED_PLACES = 150
-AIMED = tuple(name for name, sensor in SENSORS.items() if sensor.model.lens.kind == PINHOLE)
+#: Sensors with a limited field of view.
+AIMED_SENSORS = tuple(name for name, sensor in SENSORS.items()
+                      if sensor.model.lens.kind == PINHOLE)
+#: Their pitch in radians, the middle of a range of pitches that begins level.
 AIMED_PITCH = float(np.deg2rad(15.0))
 #: Numbers of points of the scans that the rig observes.
-SCANS = (8_000, 15_000, 25_000, 40_000)
-#: Episodes of a room, maps of an episode, and choices (one camera after the other) on each map.
-EPISODES, MAPS, CHOICES = 3, 3, 8
-#: Numbers of cameras, and their probabilities.
-CAMERAS, OFTEN = np.arange(1, 9), np.array([1, 2, 3, 5, 3, 3, 1, 1]) / 19.0
-#: Shortest and longest step, metres; number of turns among which those with a map are drawn; range
-#: of the cameras' maximum range, metres; range of their height above the floor, metres.
-STEPS, TURNS, RANGES, HEIGHTS = (0.5, 2.0), 14, (3.0, 6.0), (1.0, 2.3)
-#: Smallest and largest limit of a camera's rotation in one turn, radians.
-TURNED = 0.5, 2.0
-#: Probability that a camera chooses a random pose, and standard deviation of the noise that is
-#: added to the labels before the best pose is chosen otherwise.
-AT_RANDOM, NEARLY = 0.15, 0.04
-#: Probability of the default rig's range and height; probability of larger map cells, and the
-#: largest factor of their size.
-PLAIN, COARSE, COARSEST = 0.5, 0.2, 2.0
+SCAN_POINTS = (8_000, 15_000, 25_000, 40_000)
 
 
 def shapes_of(headings: int) -> dict[str, tuple[type, tuple[int, ...]]]:
@@ -135,7 +122,7 @@ class TrueRoom:
     """
 
     def __init__(self, scene: Scene, config: SimulationConfig, headings: int = 0) -> None:
-        engine = EngineConfig(preset='fine', error_rows=TRUE_ROWS, coverage_cell=1.0)
+        engine = EngineConfig(preset='fine', error_rows=64, coverage_cell=1.0)
         self.engine = Simulator(scene, replace(config, engine=with_rays(engine, scene)))
         self.space = space_of(self.engine, 1)
         self.places = self.space.grid(AIMED_PLACES if headings else PLACES)
@@ -195,21 +182,27 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     """
     rng = np.random.default_rng(task.seed)
     rotation = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
-    true = make(replace(task.rooms, points=TRUE_POINTS), task.room, rotation)
-    scan = make(replace(task.rooms, points=int(rng.choice(SCANS))), task.room, rotation)
-    plain = rng.random() < PLAIN or true.size[2] < HEIGHTS[1]
-    rig = RigConfig(cameras=CAMERAS[-1]) if plain else RigConfig(
-        cameras=CAMERAS[-1], max_range=float(rng.uniform(*RANGES)),
-        height=float(rng.uniform(*HEIGHTS)))
+    true = make(replace(task.rooms, points=40_000), task.room, rotation)
+    scan = make(replace(task.rooms, points=int(rng.choice(SCAN_POINTS))), task.room, rotation)
+    heights_m = (1.0, 2.3)
+    # Half of the rooms have the range and the height of the default rig.
+    plain = rng.random() < 0.5 or true.size[2] < heights_m[1]
+    counts = np.arange(1, 9)
+    rig = RigConfig(cameras=counts[-1]) if plain else RigConfig(
+        cameras=counts[-1], max_range=float(rng.uniform(3.0, 6.0)),
+        height=float(rng.uniform(*heights_m)))
     if task.headings:
-        rig = replace(rig, sensors=str(rng.choice(AIMED)))
+        rig = replace(rig, sensors=str(rng.choice(AIMED_SENSORS)))
     config = SimulationConfig(rig, EngineConfig(preset='fine', error_rows=16))
     room = TrueRoom(true, config, task.headings)
     problem = PlaneProblem(Simulator(scan, config))
     states = _States(room, rng, task)
-    for _ in range(EPISODES):
-        cameras = int(rng.choice(CAMERAS, p=OFTEN))
-        states.play(problem, cameras, float(rng.uniform(*STEPS)), task.weights)
+    # Three episodes in a room.
+    probabilities = np.array([1, 2, 3, 5, 3, 3, 1, 1]) / 19.0
+    for _ in range(3):
+        cameras = int(rng.choice(counts, p=probabilities))
+        # The step is 0.5 to 2 m.
+        states.play(problem, cameras, float(rng.uniform(0.5, 2.0)), task.weights)
     return states.arrays()
 
 
@@ -228,12 +221,13 @@ class _States:
     def play(self, problem: Problem, cameras: int, step: float, weights: bytes) -> None:
         """Run an episode; at some turns record a map and let the cameras choose."""
         rng, memory = self._rng, LookHistory()
-        due = np.sort(rng.choice(TURNS, MAPS, replace=False))
+        # Maps are recorded at 3 of 14 turns.
+        due = np.sort(rng.choice(14, 3, replace=False))
         turns = int(due[-1]) + 1 + int(rng.integers(6))
         simulator = problem.simulator
         simulator.config = replace(simulator.config, episode=EpisodeConfig(
             turns=turns, max_step=step, start_radius=float(rng.choice([0.5, 3.0])),
-            max_turn=float(rng.uniform(*TURNED)) if self._headings else EpisodeConfig.max_turn))
+            max_turn=float(rng.uniform(0.5, 2.0)) if self._headings else EpisodeConfig.max_turn))
         settings = settings_of(simulator.config.episode, problem.rig, rng)
         actor = MapActor(policy_of(weights), *settings) if weights else None
         episode = Episode(problem, rng, cameras)
@@ -274,9 +268,9 @@ class _States:
         """Record the map of a turn and the choices of cameras; return the chosen poses."""
         rng, places, cameras = self._rng, self._room.places, len(positions)
         poses = self._room.poses
-        coarse = rng.uniform(1.0, COARSEST) if rng.random() < COARSE else 1.0
+        coarse = rng.uniform(1.0, 2.0) if rng.random() < 0.2 else 1.0
         try:
-            model = PartialMap(cloud, positions, max_range, PLAIN_POINTS, PLAIN_ROWS)
+            model = PartialMap(cloud, positions, max_range, MODEL_POINTS, MODEL_ROWS)
         except SceneError:
             return going
         known = ObservationMap(model, memory.unseen(model), cameras, max_range,
@@ -287,16 +281,18 @@ class _States:
         self._maps.append(known.room)
         self._places.append(((places - known.window.low) / known.window.edge).astype(np.float32))
         first = int(rng.integers(cameras))
-        for camera in (first + np.arange(CHOICES)) % cameras:
+        # One camera after the other chooses.
+        for camera in (first + np.arange(8)) % cameras:
             others = np.delete(going, camera)
             values = self._room.values(others)
             channels, numbers = known.others(
                 views[:camera] + views[camera + 1:], poses[others])
             self._choices.append((number, channels, numbers, values))
-            if rng.random() < AT_RANDOM:
+            if rng.random() < 0.15:
                 going[camera] = rng.integers(len(poses))
             else:
-                going[camera] = np.argmin(values + rng.normal(0.0, NEARLY, len(values)))
+                # Noise is added to the labels before the best pose is chosen.
+                going[camera] = np.argmin(values + rng.normal(0.0, 0.04, len(values)))
             views[camera] = self._look(model, poses[going[camera]], positions)
         self._good = going.tolist()
         return going
