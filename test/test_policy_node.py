@@ -40,7 +40,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner
-from ocp_ros.ros.policy.simulated_turns import REMEMBERED
+from ocp_ros.ros.policy.simulated_turns import MAX_STORED_POSES
 from ocp_ros.ros.policy_node import has_news, PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
@@ -132,7 +132,7 @@ def test_a_turn_is_answered_whose_parts_are_never_the_latest_together(robot, roo
             turns.on_poses(positions_to_msg(POSITIONS + 1e6, header[stamp]))
         turns.on_cloud(cloud_to_msg(room.points, header[5]))
     robot.command(5)
-    assert len(turns.poses) <= REMEMBERED
+    assert len(turns.poses) <= MAX_STORED_POSES
     # What was not answered is older than what was, and forgotten.
     robot.send(50)
     robot.command(50)

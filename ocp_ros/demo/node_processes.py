@@ -24,7 +24,7 @@ import socket
 import subprocess
 import sys
 
-from ocp_ros.ros.runtime.node_main import ENDING, PARENT, undisturbed
+from ocp_ros.ros.runtime.node_main import END_SIGNALS, PARENT_VARIABLE, undisturbed
 
 #: Seconds that a node has to end after SIGINT: enough also for a busy machine.
 STOP_TIMEOUT_S = 60.0
@@ -77,7 +77,7 @@ class NodeProcess:
                 arguments, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
                 close_fds=False,
                 env={**os.environ, 'ROS_DOMAIN_ID': str(domain),
-                     PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
+                     PARENT_VARIABLE: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
                      'PYTHONFAULTHANDLER': '1'})
 
     def check(self) -> None:
@@ -135,5 +135,5 @@ def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
 
 def end_on_signals() -> None:
     """Make SIGTERM and a closed terminal end a demo like Ctrl-C, also in the background."""
-    for number in ENDING:
+    for number in END_SIGNALS:
         signal.signal(number, signal.default_int_handler)

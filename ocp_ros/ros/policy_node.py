@@ -72,10 +72,6 @@ def load_checkpoint(path: Path) -> 'Checkpoint':
     return Checkpoint.load(path)
 
 
-#: Seconds for which a planner may plan ahead although messages wait: it needs a tenth of that.
-UNDISTURBED = 2.0
-
-
 class PolicyNode(ManagedNode):
     """
     Answer turns with a planner.
@@ -156,7 +152,8 @@ class PolicyNode(ManagedNode):
 
     def _reflect(self) -> None:
         """Let the planner plan ahead; after ``UNDISTURBED`` seconds stop once a message waits."""
-        alone = time.monotonic() + UNDISTURBED
+        # A planner needs a tenth of this time to plan ahead.
+        alone = time.monotonic() + 2.0
         self._decider.plan_ahead(lambda: time.monotonic() > alone and has_news(self))
 
     @property

@@ -46,14 +46,11 @@ from rclpy.node import Node
 import torch
 import yaml
 
-#: Seconds between two checks for new weights, and the number of checks between two status messages
-#: to the policies.
-TICK, STATUS = 0.1, 10
-#: Largest number of namespaces to learn from, and seconds without a transition after which a
-#: namespace is dropped, if it has no publisher any more or if others need its place.
-MOST_SOURCES, SILENT = 256, 60.0
-#: Largest number of dropped namespaces for which the time of dropping is kept.
-LET_GO = 10_000
+#: Largest number of namespaces to learn from.
+MAX_SOURCES = 256
+#: Seconds without a transition after which a namespace is dropped, if it has no publisher any more
+#: or if others need its place.
+MAX_SILENCE_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -94,7 +91,7 @@ class TrainerNode(Node):
         names = [name.strip().strip('/') for name in self.config.sources.split(',')]
         for name in [name for name in names if name] or [self.get_namespace().strip('/')]:
             self._add(f'/{name}')
-        self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(0.1, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._health = diagnostics.Health(self, self._status)
         self.get_logger().info(
             f'run {self.learner.run}: {self.learner.updates} updates so far from '
@@ -117,12 +114,12 @@ class TrainerNode(Node):
         # Namespaces that were dropped before come after all others.
         new = sorted((name for name in found if name not in self.sources),
                      key=lambda name: self._let_go.get(name, 0.0))
-        silent = time.monotonic() - SILENT
+        silent = time.monotonic() - MAX_SILENCE_S
         for name, source in list(self.sources.items())[1:]:
-            full = len(self.sources) + len(new) > MOST_SOURCES
+            full = len(self.sources) + len(new) > MAX_SOURCES
             if source.heard < silent and (full or name not in found):
                 self._leave(name)
-        for name in new[:MOST_SOURCES - len(self.sources)]:
+        for name in new[:MAX_SOURCES - len(self.sources)]:
             self._add(name)
             self.get_logger().info(f'learning from {name}')
 
@@ -131,11 +128,12 @@ class TrainerNode(Node):
         source = self.sources.pop(namespace)
         self._gone.update(source.status())
         source.close()
-        if len(self._let_go) >= LET_GO:
+        # The time of dropping is kept for 10,000 namespaces.
+        if len(self._let_go) >= 10_000:
             del self._let_go[min(self._let_go, key=self._let_go.get)]
         self._let_go[namespace] = time.monotonic()
         self.get_logger().info(f'not learning from {namespace} any more: it was silent for '
-                               f'{SILENT:g} s')
+                               f'{MAX_SILENCE_S:g} s')
 
     def _tick(self) -> None:
         """Publish new weights, and publish to the policies whether they have to wait."""
@@ -145,7 +143,8 @@ class TrainerNode(Node):
         # Policies wait until half of ``most_behind`` is left: else they would stop at every turn.
         self._hold = learner.failure is None and learner.behind > (most / 2 if before else most)
         self._ticks += 1
-        due = self._ticks % STATUS == 0
+        # Every tenth check sends a status message to the policies.
+        due = self._ticks % 10 == 0
         if due:
             self._discover()
         if due or self._hold != before:

@@ -42,14 +42,6 @@ from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
                  'reward', 'terminated')
-#: The largest experience that is read, bytes.
-LARGEST = 1 << 24
-#: The largest magnitude of a reward that is accepted: the paper's penalty at its largest setting.
-#: Much larger rewards make the numbers of the networks overflow, and the training is lost.
-LARGEST_REWARD = 1e9
-#: The largest action that is accepted: moves are in units of the longest step, and random ones
-#: may be a little longer than 1.
-LARGEST_ACTION = 10.0
 
 
 def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
@@ -60,7 +52,9 @@ def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]
 
 def ends_of(agent: AgentConfig) -> dict[str, tuple[float, float]]:
     """Return the lowest and the highest value of each array of an experience."""
-    return {'actions': (-LARGEST_ACTION, LARGEST_ACTION), **{
+    # Moves are in units of the longest step, and random ones may be a little longer than 1.
+    max_action = 10.0
+    return {'actions': (-max_action, max_action), **{
         name: (space.low.min(), space.high.max())  # type: ignore[attr-defined]
         for name, space in encoded_space(agent).spaces.items()}}
 
@@ -140,9 +134,10 @@ class Source:
 
     def _on_experience(self, message: UInt8MultiArray) -> list[Transition]:
         """Take the choices of the policy in a turn."""
-        if len(message.data) > LARGEST:
+        max_bytes = 1 << 24
+        if len(message.data) > max_bytes:
             raise MessageError(f'experience: found {len(message.data)} bytes; expected at most '
-                               f'{LARGEST}')
+                               f'{max_bytes}')
         found = from_bytes(msg_to_bytes(message), self._expected, self._together)
         return self.assembler.add_experience(check_ends(found, self._ends))
 
@@ -166,10 +161,13 @@ class Source:
             shares.append(fields[name])
         worth = [fields['reward'], *shares]
         # Comparisons with NaN are false, so NaN is refused as well.
-        if not (np.abs(worth) <= LARGEST_REWARD).all():
+        # The paper's penalty at its largest setting. Much larger rewards make the numbers of the
+        # networks overflow, and the training is lost.
+        max_reward = 1e9
+        if not (np.abs(worth) <= max_reward).all():
             raise MessageError(
                 f'reward: found reward and shares from {min(worth):g} to {max(worth):g}; expected '
-                f'finite numbers within {LARGEST_REWARD:g}')
+                f'finite numbers within {max_reward:g}')
         return self.assembler.add_reward(Reward(
             previous, stamp, int(fields['step']), fields['reward'], tuple(shares),
             bool(fields['terminated'])))

@@ -37,7 +37,7 @@ from ocp_ros.ros.interface.conversions import (
     rotation_of,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.frames import SENSOR
+from ocp_ros.ros.interface.frames import CAMERA_FRAME
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.util.settings import check_known, ConfigurationError
 from rclpy.clock import Clock
@@ -50,13 +50,6 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-#: Seconds between two checks for subscribers, and seconds from the moment all have subscribed to
-#: the first message: a subscriber discovers the publisher a little later.
-TICK, SETTLE = 0.05, 0.3
-#: Seconds that the last messages may take to arrive.
-FLUSH = 2.0
-#: Least time between the end of one loop and the beginning of the next, seconds of the recording.
-GAP = 0.1
 #: Endings of the names of optical frames, in which z is forward, x right and y down.
 OPTICAL_ENDS = ('optical', 'optical_frame')
 
@@ -96,7 +89,7 @@ class Replay(Node):
         self._began: float | None = None
         self._patience = time.monotonic() + options.wait
         self._timer = self.create_timer(
-            TICK, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            0.05, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _check_poses(self, has_poses: bool) -> None:
         """Check that each camera has a pose; warn if there are neither poses nor transforms."""
@@ -151,7 +144,7 @@ class Replay(Node):
             if not options.loop:
                 return
             # The gap between two loops is the mean time between two clouds, at least ``GAP``.
-            moved += int(1e9 * (length + max(length / count, GAP)))
+            moved += int(1e9 * (length + max(length / count, 0.1)))
 
     def _on_time(self) -> None:
         """Publish the next message if it is due, and set the timer for the one after it."""
@@ -174,7 +167,8 @@ class Replay(Node):
             self.get_logger().warning(f'found no subscriber of {", ".join(deaf)} after '
                                       f'{self.options.wait:g} s; expected policy_node with these '
                                       'cloud_topics; going on')
-        self._began = now + (0.0 if deaf else SETTLE)
+        # Subscribers discover the publisher a little later.
+        self._began = now + (0.0 if deaf else 0.3)
         return True
 
     def _publish_due(self) -> None:
@@ -193,7 +187,7 @@ class Replay(Node):
     def flush(self) -> None:
         """Wait until reliable subscribers have all messages, at most ``FLUSH`` seconds."""
         for publisher in self.publishers:
-            publisher.wait_for_all_acked(Duration(seconds=FLUSH))
+            publisher.wait_for_all_acked(Duration(seconds=2.0))
 
     def _nothing_placed(self) -> ConfigurationError | None:
         """Return an error if no cloud was published."""
@@ -251,7 +245,7 @@ class Replay(Node):
             if len(self._posed) == len(self._clouds):
                 self._say_where(cloud.header)
             if frame != self.options.fixed_frame and not (
-                    self.options.poses and SENSOR.fullmatch(frame)):
+                    self.options.poses and CAMERA_FRAME.fullmatch(frame)):
                 cloud.header.frame_id = f'camera_{number}' + optical * '_optical'
         given = self._frames_given.get(topic, self._frames_given.get('', ''))
         cloud.header.frame_id = given or cloud.header.frame_id

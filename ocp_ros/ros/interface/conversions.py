@@ -28,12 +28,6 @@ from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
-#: Metres: largest coordinate of a camera on any axis, enough for national survey coordinates.
-FARTHEST = 1e7
-#: Characters of an error that are logged: a name that it quotes may be of any length.
-LONGEST_ERROR = 600
-#: Least length of a quaternion that defines a rotation.
-SHORTEST = 1e-6
 
 
 class MessageError(ValueError):
@@ -43,7 +37,9 @@ class MessageError(ValueError):
 def shortened(error: Exception) -> str:
     """Return the text of an error, cut to ``LONGEST_ERROR`` characters."""
     text = str(error)
-    return text if len(text) <= LONGEST_ERROR else f'{text[:LONGEST_ERROR]} ...'
+    # A name that an error quotes may be of any length.
+    max_letters = 600
+    return text if len(text) <= max_letters else f'{text[:max_letters]} ...'
 
 
 def stamp_to_ns(stamp: Time) -> int:
@@ -202,9 +198,11 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
     positions = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
     if not np.isfinite(positions).all():
         raise MessageError('poses: found NaN or inf; expected finite metres')
-    if (farthest := np.abs(positions).max()) > FARTHEST:
+    # Enough for national survey coordinates.
+    max_coordinate_m = 1e7
+    if (farthest := np.abs(positions).max()) > max_coordinate_m:
         raise MessageError(f'poses: found a camera at {farthest:.3g} m; expected it within '
-                           f'{FARTHEST:.0e} m of the origin')
+                           f'{max_coordinate_m:.0e} m of the origin')
     return positions
 
 
@@ -230,7 +228,7 @@ def rotation_of(quaternion: Quaternion, whose: str) -> np.ndarray:
     :raises MessageError: if it is zero or not finite.
     """
     xyzw = np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
-    if not SHORTEST < (length := math.hypot(*xyzw)) < np.inf:
+    if not 1e-6 < (length := math.hypot(*xyzw)) < np.inf:
         raise MessageError(f'{whose}: found the quaternion {xyzw.tolist()}; expected one of '
                            'length 1; send x, y, z, w = 0, 0, 0, 1 for a level camera along x')
     return Rotation.from_quat(xyzw / length).as_matrix()

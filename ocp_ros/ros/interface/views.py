@@ -37,11 +37,6 @@ from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-#: Metres that a camera has to move before a new row is added to the trajectories.
-STEP = 0.001
-#: Rows of the trajectories that are kept; every second row of longer ones is dropped.
-LONGEST = 2000
-
 
 class RigView:
     """
@@ -74,9 +69,11 @@ class RigView:
         now = np.array([pose.position for pose in poses])
         if self._way and self._way[-1].shape != now.shape:
             self._way.clear()
-        if not self._way or np.abs(now - self._way[-1]).max() > STEP:
+        # A millimetre of movement makes a new row of the trajectories.
+        if not self._way or np.abs(now - self._way[-1]).max() > 0.001:
             self._way.append(now)
-        if len(self._way) > LONGEST:
+        # Every second row of longer trajectories is dropped.
+        if len(self._way) > 2000:
             self._way = self._way[::2] + self._way[-1:]
         for view in self._views:
             view.update()

@@ -41,9 +41,6 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-#: Seconds between two checks whether a drift check is due.
-TICK = 1.0
-
 
 class Calibrator:
     """
@@ -71,7 +68,7 @@ class Calibrator:
         self.drifted: list[str] = []
         self.checks = 0
         node.create_service(Trigger, '~/calibrate', self._on_calibrate)
-        node.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(1.0, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def change(self, config: PolicyNodeConfig) -> None:
         """Continue with other parameters."""

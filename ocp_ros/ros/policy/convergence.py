@@ -20,9 +20,6 @@ from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from rclpy.node import Node
 from std_msgs.msg import String
 
-#: Radians: cameras that rotate by less count as standing still.
-WIDEST = 0.02
-
 
 class Convergence:
     """
@@ -49,7 +46,8 @@ class Convergence:
     def moved(self, longest: float, widest: float, config: PolicyNodeConfig) -> None:
         """Record the longest move of a turn, metres, and its largest rotation, radians."""
         self.longest = longest
-        still = longest < config.convergence_distance and widest < WIDEST
+        # Cameras that rotate by less than 0.02 radians count as standing still.
+        still = longest < config.convergence_distance and widest < 0.02
         self.still = self.still + 1 if still else 0
 
     def reason(self, step: int, over: bool, alone: bool, config: PolicyNodeConfig) -> str:

@@ -29,7 +29,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 #: Seconds after which the policy stops waiting for a trainer that is silent.
-PATIENCE = 5.0
+MAX_SILENCE_S = 5.0
 
 
 class Experiences:
@@ -52,7 +52,7 @@ class Experiences:
     @property
     def held(self) -> bool:
         """Return whether the next turn has to wait for the trainer."""
-        return self._held_at is not None and time.monotonic() - self._held_at < PATIENCE
+        return self._held_at is not None and time.monotonic() - self._held_at < MAX_SILENCE_S
 
     def _on_training(self, message: Float64MultiArray) -> None:
         """Read whether the trainer asks to wait; ignore a message that cannot be read."""

@@ -43,6 +43,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.frames import (
+    CAMERA_FRAME,
     CameraFrames,
     in_body,
     in_range,
@@ -51,9 +52,6 @@ from ocp_ros.ros.interface.frames import (
     placed,
     Sighting,
     Transforms,
-)
-from ocp_ros.ros.interface.frames import (
-    SENSOR as CAMERA_FRAME,
 )
 from ocp_ros.ros.interface.markers import move_markers
 from ocp_ros.ros.interface.qos import LATCHED, LOOP, POSES, SENSOR
@@ -70,11 +68,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
-#: Seconds between two checks whether a turn is due, also without messages; and seconds after which
-#: a command is sent again to cameras that have not arrived: it may have been lost.
-TICK, AGAIN = 0.1, 1.0
-#: Least change of poses, metres and radians, that leads to new instructions for a person.
-SAME = 0.05
+#: Seconds after which a command is sent again to cameras that have not arrived: it may have been
+#: lost.
+RESEND_S = 1.0
 
 
 class LiveTurns:
@@ -132,8 +128,9 @@ class LiveTurns:
         for topic, name in self._names(config.clouds).items():
             node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(TICK, self._act, clock=steady)
-        self._again = node.create_timer(AGAIN, self._command_again, clock=steady)
+        # It is checked ten times a second whether a turn is due, also without messages.
+        node.create_timer(0.1, self._act, clock=steady)
+        self._again = node.create_timer(RESEND_S, self._command_again, clock=steady)
 
     def _await_turns(self) -> None:
         """Begin to wait for cameras and clouds, without any data of earlier turns."""
@@ -147,7 +144,7 @@ class LiveTurns:
         return (config.arrival_distance,
                 math.inf if config.manual else config.arrival_timeout, config.cloud_timeout,
                 # With a final placement the same command need not be sent for every cloud.
-                max(config.turn_seconds, AGAIN if self._final() else 0.0), config.arrival_angle)
+                max(config.turn_seconds, RESEND_S if self._final() else 0.0), config.arrival_angle)
 
     def hold(self) -> None:
         """Command cameras that may be moving to stay where they are."""
@@ -365,7 +362,8 @@ class LiveTurns:
             positions, targets, least, turns, self._config.arrival_angle, self._expected)
         # Publish new instructions only if the remaining moves changed by more than pose noise.
         left = np.column_stack([targets, positions, turns])
-        same = (self._left.shape == left.shape and (np.abs(left - self._left) < SAME).all()
+        # Poses that change by less than 5 cm and 0.05 radians need no new instructions.
+        same = (self._left.shape == left.shape and (np.abs(left - self._left) < 0.05).all()
                 and _asked(text) == _asked(self._instruction))
         if text != self._instruction and not same:
             self._instruction, self._left = text, left

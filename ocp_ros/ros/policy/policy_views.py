@@ -32,9 +32,6 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from rclpy.node import Node
 
-#: Largest number of observed points that are evaluated, and rows of the depth maps of the error.
-MOST, ROWS = 15000, 64
-
 
 class PolicyViews:
     """
@@ -94,7 +91,7 @@ def observed_maps(cloud: np.ndarray, poses: list[Pose],
     :param models: one camera model per camera, or one for all.
     :raises SceneError: if the cloud is no room.
     """
-    scene = Scene(thinned(cloud, MOST), 'observed cloud')
+    scene = Scene(thinned(cloud, 15000), 'observed cloud')
     config = SimulationConfig(RigConfig(cameras=len(poses), height=0.5 * float(scene.size[2])),
-                              EngineConfig(preset='fast', error_rows=ROWS, coverage_cell=0.5))
+                              EngineConfig(preset='fast', error_rows=64, coverage_cell=0.5))
     return maps_of(Simulator(scene, config, models), poses)

@@ -37,10 +37,7 @@ from std_msgs.msg import Float64MultiArray
 
 #: Number of poses that are kept: the poses of a turn and its observation may arrive far apart if
 #: other nodes publish as well and this node is slow.
-REMEMBERED = 16
-#: Longest wait for the reward of a turn, seconds, if the turn before had a reward: messages of
-#: different topics overtake each other, and only the reward shows that an episode begins.
-PATIENCE = 0.25
+MAX_STORED_POSES = 16
 
 
 class TurnInfo(NamedTuple):
@@ -87,7 +84,9 @@ class SimulatedTurns:
         self.told: int | None = None
         #: Whether to wait for the reward of the present turn.
         self._patient = True
-        self._late = node.create_timer(PATIENCE, self._give_up,
+        # If the turn before had a reward, this one is awaited for 0.25 s: messages of different
+        # topics overtake each other, and only the reward shows that an episode begins.
+        self._late = node.create_timer(0.25, self._give_up,
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._late.cancel()
         # Subscribe to the reward first, so that a new episode is noticed before its first answer.
@@ -124,7 +123,7 @@ class SimulatedTurns:
         """Store the poses, and answer the turn if its observation is here."""
         stamp = stamp_to_ns(message.header.stamp)
         self.poses[stamp] = message
-        if len(self.poses) > REMEMBERED:
+        if len(self.poses) > MAX_STORED_POSES:
             answered = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
             del self.poses[next(one for one in self.poses if one != answered)]
         self.act()

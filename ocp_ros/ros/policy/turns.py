@@ -35,27 +35,18 @@ from scipy.spatial.transform import Rotation
 
 T = TypeVar('T')
 
-#: Nanoseconds: a stamp that goes back by more comes from a clock that was set, or from a recording
-#: that began again.
-JUMP = 1_000_000_000
 #: A camera that had arrived counts as having left when its offset exceeds the arrival distance or
 #: angle by this factor: a smaller offset may be noise of the poses.
-LEFT = 4.0
+LEAVING_FACTOR = 4.0
 #: Nanoseconds: a cloud whose stamp is later than that of the poses by more has another clock, or a
-#: wrong one. The comparison needs poses that came at most ``FRESH`` seconds ago.
-AHEAD, FRESH = 1_000_000_000, 0.5
-#: Largest number of poses that are averaged, and the longest wait for cameras before the first
-#: command, seconds.
-AVERAGED, FIRST = 100, 20.0
-#: Metres and radians: measured poses of a standing camera vary by no more.
-STILL, STEADY = 0.02, 0.02
-#: Nanoseconds for which poses have to stay within these limits; seconds without new poses after
-#: which the cameras count as standing too.
-HOLD, QUIET = 200_000_000, 0.5
-#: Longest time for which clouds of a topic wait for a newer transform, seconds.
-PATIENCE = 1.0
+#: wrong one.
+MAX_AHEAD_NS = 1_000_000_000
+#: Nanoseconds for which poses have to stay within the limits of a standing camera.
+STEADY_NS = 200_000_000
+#: Seconds without new poses after which the cameras count as standing too.
+QUIET_S = 0.5
 #: Seconds for which the status reports that stamps went back.
-TOLD = 10.0
+JUMP_REPORT_S = 10.0
 #: Key of the poses in dictionaries whose other keys are names of cloud topics.
 POSES = ''
 
@@ -118,7 +109,7 @@ class Turns(Generic[T]):
         self._anchor: tuple[int, np.ndarray, Sequence[np.ndarray]] | None = None
         #: The newest poses: stamp, positions, rotations; and the stamp since which they show the
         #: standing cameras.
-        self._recent: deque[tuple[int, np.ndarray, Sequence[np.ndarray]]] = deque(maxlen=AVERAGED)
+        self._recent: deque[tuple[int, np.ndarray, Sequence[np.ndarray]]] = deque(maxlen=100)
         self._stood = 0
         #: By how much the stamps of a topic's clouds are later than those of poses, nanoseconds.
         self._ahead: dict[str, int] = {}
@@ -179,12 +170,13 @@ class Turns(Generic[T]):
         self._posed_at = self._clock()
         self._recent.append((stamp, positions, rotations))
         if self._targets is None and self._anchor and not self.overdue and self._far(
-                LEFT * self._arrival_distance, LEFT * self._arrival_angle):
+                LEAVING_FACTOR * self._arrival_distance, LEAVING_FACTOR * self._arrival_angle):
             # Something else than this node moves the cameras.
             self._leave()
-        if self._far(STILL, STEADY):
+        # Measured poses of a standing camera vary by 2 cm and 0.02 radians at most.
+        if self._far(0.02, 0.02):
             self._anchor = stamp, positions, rotations
-        if self._arrived() or (self._near is not None and self._arrived(LEFT)):
+        if self._arrived() or (self._near is not None and self._arrived(LEAVING_FACTOR)):
             if self._near is None:
                 self._near, self._stood = self._posed_at, stamp
             self._settle()
@@ -238,13 +230,16 @@ class Turns(Generic[T]):
         if self._is_news(topic, stamp):
             self._waiting[topic] = stamp, cloud
             late = self._clock() - self._posed_at
-            if POSES in self._heard and late <= FRESH:
+            # The comparison of stamps needs poses of the last half second.
+            if POSES in self._heard and late <= 0.5:
                 self._ahead[topic] = stamp - self._posed - int(late * 1e9)
 
     def _is_news(self, source: str, stamp: int) -> bool:
         """Return whether a stamp is not older than the last of its source, or a clock was set."""
         last = self._heard.get(source, stamp)
-        if last - JUMP <= stamp < last:
+        # A stamp that goes back by more than a second comes from a clock that was set, or from a
+        # recording that began again.
+        if last - 1_000_000_000 <= stamp < last:
             return False
         if stamp < last:
             self.jumps += 1
@@ -272,7 +267,7 @@ class Turns(Generic[T]):
             for topic in self._topics:
                 if topic in self._waiting and topic not in (*self._used, *but) and (
                         self._waiting[topic][0] >= self._stand[0]) and (
-                        self._ahead.get(topic, 0) <= AHEAD):
+                        self._ahead.get(topic, 0) <= MAX_AHEAD_NS):
                     self._used[topic], cloud = self._waiting.pop(topic)
                     self._silent.discard(topic)
                     return topic, cloud
@@ -285,7 +280,8 @@ class Turns(Generic[T]):
         :returns: whether it waits; False if clouds of its topic have waited too long already.
         """
         now = self._clock()
-        if now - self._too_soon.setdefault(topic, now) > PATIENCE:
+        # Clouds wait a second for a newer transform.
+        if now - self._too_soon.setdefault(topic, now) > 1.0:
             return False
         del self._used[topic]
         self._waiting.setdefault(topic, (stamp, cloud))
@@ -316,7 +312,7 @@ class Turns(Generic[T]):
         patience = self._arrival_timeout
         if self._targets is None:
             # No command was sent yet: the wait is limited even if a person moves the cameras.
-            patience = min(patience, FIRST)
+            patience = min(patience, 20.0)
         if self._stand is None and self.positions is not None and (
                 now - self._sent_at >= patience):
             self._stand, self._stood = (self._posed, now), self._posed
@@ -329,8 +325,8 @@ class Turns(Generic[T]):
         if self._stand is not None or self._near is None:
             return
         now = self._clock()
-        if self._anchor and (self._posed - self._anchor[0] >= HOLD
-                             or now - self._posed_at >= QUIET):
+        if self._anchor and (self._posed - self._anchor[0] >= STEADY_NS
+                             or now - self._posed_at >= QUIET_S):
             self._stand, self._stood = (self._anchor[0], now), self._anchor[0]
         elif now - self._near >= self._cloud_timeout:
             # The measured poses never become still: end the wait.
@@ -344,15 +340,15 @@ class Turns(Generic[T]):
         """Return in words what a silent topic has sent last."""
         if topic not in self._heard:
             return 'nothing came'
-        if self._ahead.get(topic, 0) > AHEAD:
+        if self._ahead.get(topic, 0) > MAX_AHEAD_NS:
             return f'stamps {self._ahead[topic] * 1e-9:.1f} s after the poses'
         behind = 0 if self._stand is None else self._stand[0] - self._heard[topic]
         return f'stamps {behind * 1e-9:.1f} s before the poses' if behind > 0 else 'nothing usable'
 
     def backward(self) -> str:
-        """Return the source whose stamps went back in the last ``TOLD`` seconds; else ''."""
+        """Return the source whose stamps went back less than ``JUMP_REPORT_S`` ago; else ''."""
         source, when = self._jumped
-        return '' if self._clock() - when > TOLD else source or 'the poses'
+        return '' if self._clock() - when > JUMP_REPORT_S else source or 'the poses'
 
     @property
     def used(self) -> set[str]:
