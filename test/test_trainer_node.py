@@ -356,7 +356,7 @@ def test_policies_wait_while_the_trainer_is_behind(graph, probe, start, tmp_path
     policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
     sim = graph.add(SimNode, auto_reset=True, resend_period=0.05, episode__turns=5, **SIM)
     try:
-        graph.until(lambda: policy._experiences.held)
+        graph.until(lambda: policy._experiences.must_wait)
         answered, resent = policy._counts['turns_answered'], sim._counts['resent_turns']
         # The simulation goes on asking, and the policy on waiting.
         graph.until(lambda: sim._counts['resent_turns'] >= resent + 5)
@@ -375,10 +375,10 @@ def test_a_trainer_that_falls_silent_holds_nobody(graph, probe, tmp_path, small_
     training = probe.publisher(Float64MultiArray, topics.TRAINING, qos.LATCHED)
     training.publish(Float64MultiArray(data=[1.0]))
     training.publish(fields_to_msg({'hold': 1.0}))
-    graph.until(lambda: policy._experiences.held)
+    graph.until(lambda: policy._experiences.must_wait)
     # Only now: a busy machine may get round to asking whether it holds long after it was told.
     monkeypatch.setattr('ocp_ros.ros.policy.experiences.MAX_SILENCE_S', 0.5)
-    graph.until(lambda: not policy._experiences.held)
+    graph.until(lambda: not policy._experiences.must_wait)
     graph.add(SimNode, resend_period=0.05, **SIM)
     graph.until(lambda: policy._counts['turns_answered'] >= 1)
 

@@ -395,7 +395,7 @@ def test_poses_that_are_all_over_the_place_do_not_stop_the_first_turn(clock):
         turns.on_poses(stamp, HERE + rng.normal(0.0, 0.5, HERE.shape))
         turns.on_cloud('a', stamp, 1)
         taken(turns)
-    assert turns.due() and turns.overdue and turns.sent_nowhere and clock.now < 25.0
+    assert turns.due() and turns.overdue and turns.no_command_sent and clock.now < 25.0
 
 
 def test_rotations_are_averaged(clock):

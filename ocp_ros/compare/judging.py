@@ -50,7 +50,7 @@ MOUNTING_SEED = 0
 JUDGE_ENGINE = EngineConfig(preset='fine', error_rows=128, coverage_cell=0.5, error_folds=1)
 
 
-def worth_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
+def score_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
     """
     Return the error of a placement in metres, and its space coverage in cubic metres.
 
@@ -119,8 +119,8 @@ class JudgedRoom:
         :returns: ``exact``, metres, of the placement itself; ``depth_error``, metres, the mean
             over mounting errors of 2 cm; ``space_coverage``, cubic metres.
         """
-        error, coverage = worth_of(self.problem, placement)
-        off = [worth_of(self.problem, moved)[0]
+        error, coverage = score_of(self.problem, placement)
+        off = [score_of(self.problem, moved)[0]
                for moved in mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)]
         return {'exact': error, 'depth_error': float(np.mean(off)), 'space_coverage': coverage}
 

@@ -30,7 +30,7 @@ import time
 from typing import Any
 
 import numpy as np
-from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POINTS, worth_of
+from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POINTS, score_of
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rooms.scene_source import make_room
@@ -238,7 +238,7 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
     """
     room = protocol.room(task.room, task.rotation)
     return [{**asdict(task), 'budget': budget, 'seed': seed, **row, **room.judge(row['placement']),
-             'promised': worth_of(room.promising, row['placement'])[0],
+             'promised': score_of(room.promising, row['placement'])[0],
              'placement': row['placement'].tolist()}
             for (budget, seed), row in zip(protocol.runs(task.planner),
                                            _runs(protocol, room, task.planner))]

@@ -88,9 +88,9 @@ def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarra
     :param config: with the unit of length.
     :returns: (``MAX_OTHERS``, ``OF_OTHERS``) float32; rows without a camera are 0.
     """
-    told = np.zeros((MAX_OTHERS, OF_OTHERS), dtype=np.float32)
+    features = np.zeros((MAX_OTHERS, OF_OTHERS), dtype=np.float32)
     ways = (np.delete(positions, camera, axis=0) - positions[camera]) / config.length_scale
     nearest = np.argsort(np.linalg.norm(ways, axis=1), kind='stable')[:MAX_OTHERS]
-    told[:len(nearest), :3], told[:len(nearest), 3] = ways[nearest], 1.0
-    told[:len(nearest), 4] = np.delete(has_chosen, camera)[nearest]
-    return told
+    features[:len(nearest), :3], features[:len(nearest), 3] = ways[nearest], 1.0
+    features[:len(nearest), 4] = np.delete(has_chosen, camera)[nearest]
+    return features

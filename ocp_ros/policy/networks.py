@@ -139,8 +139,8 @@ class Extractor(nn.Module):
         cameras, half = observation['cameras'], observation['half_size']
         if self.paper:
             return torch.cat([self._cloud(observation, None), half, cameras.flatten(1)], dim=-1)
-        camera, told = cameras[:, 0], observation['others']
-        others = pooled(self.others(told), told[..., 3])
+        camera, features = cameras[:, 0], observation['others']
+        others = pooled(self.others(features), features[..., 3])
         return torch.cat([
             self._cloud(observation, cameras), camera[:, :2] / half[:, :2].clamp(min=1e-3), camera,
             half[:, :2] - camera[:, :2], half[:, :2] + camera[:, :2], half, others,

@@ -59,16 +59,16 @@ class ValueMap(nn.Module):
 
     :param headings: D, number of headings; see
         :func:`~ocp_ros.online.observation_map.yaws_of`.
-    :param told: names of the scalar inputs besides the maps ``room`` and ``others``, and the
+    :param scalars: names of the scalar inputs besides the maps ``room`` and ``others``, and the
         number of values of each.
     """
 
-    def __init__(self, headings: int, told: dict[str, int]) -> None:
+    def __init__(self, headings: int, scalars: dict[str, int]) -> None:
         super().__init__()
-        self._told = tuple(told)
+        self._scalar_names = tuple(scalars)
         # Channels at 1/2, 1/4 and 1/8 of the resolution.
         half, quarter, eighth = 32, 64, 96
-        inputs = (OF_ROOM + OF_OTHERS) * BLOCK_CELLS ** 2 + sum(told.values())
+        inputs = (OF_ROOM + OF_OTHERS) * BLOCK_CELLS ** 2 + sum(scalars.values())
         self.enter = nn.Conv2d(inputs, half, 3, padding=1)
         # The number of blocks of the encoder at these resolutions.
         blocks = (1, 2, 2)
@@ -93,11 +93,11 @@ class ValueMap(nn.Module):
         :returns: (B, D, H, W): ln((E + e) / (E of the others + e)) of the depth error E; less is
             better.
         """
-        numbers = torch.cat([observation[name] for name in self._told], dim=1)
+        numbers = torch.cat([observation[name] for name in self._scalar_names], dim=1)
         maps = torch.cat([observation['room'], observation['others']], dim=1).to(numbers.dtype)
         maps = pixel_unshuffle(maps / 255.0, BLOCK_CELLS)
-        told = numbers[:, :, None, None].expand(-1, -1, *maps.shape[2:])
-        half = self.down_1(self.enter(torch.cat([maps, told], dim=1)))
+        scalars = numbers[:, :, None, None].expand(-1, -1, *maps.shape[2:])
+        half = self.down_1(self.enter(torch.cat([maps, scalars], dim=1)))
         quarter = self.down_2(self.to_quarter(relu(half)))
         eighth = self.down_3(self.to_eighth(relu(quarter)))
         eighth = eighth + self.whole(relu(eighth).mean(dim=(2, 3)))[:, :, None, None]

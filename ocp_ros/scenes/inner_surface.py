@@ -77,7 +77,7 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
     air = EnclosedAir.of(pilot[:, :3], float(np.sqrt(area / len(pilot))), solids)
     some = pilot[::len(pilot) // 4000]
     if air is None:
-        if solids is None and _solid(some, rays):
+        if solids is None and _is_solid(some, rays):
             raise SceneError(
                 f'{name}: found solid bodies and no air that is closed in above, below and '
                 'around; expected a room; cut the room out of the model, or add the walls and '
@@ -93,7 +93,7 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
     # Five per cent more than the estimate requires.
     rows = sampled(corners, int(min(1.05 * samples / share, max_points)))
     hidden, seen = 1.0 - float(seen.any(axis=1).mean()), air.seen_from(rows, rays)
-    sides = [np.hstack([_before(rows[kept], sign), sign * rows[kept, 3:]])
+    sides = [np.hstack([_in_front(rows[kept], sign), sign * rows[kept, 3:]])
              for kept, sign in zip(seen.T, (1.0, -1.0))]
     found = np.vstack(sides)
     count = min(samples, len(found))
@@ -113,14 +113,15 @@ def _area(corners: np.ndarray) -> float:
         corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
 
 
-def _solid(rows: np.ndarray, rays: MeshRays) -> bool:
+def _is_solid(rows: np.ndarray, rays: MeshRays) -> bool:
     """Return whether most faces have a closed-in side, given points and normals (N, 6)."""
-    shut = [np.all([np.isfinite(rays.lengths(_before(rows, sign), _ways(rows, sign, *way)))
-                    for way in _directions()], axis=0) for sign in (1.0, -1.0)]
-    return float(np.logical_or(*shut).mean()) >= 0.9
+    enclosed = [
+        np.all([np.isfinite(rays.lengths(_in_front(rows, sign), _ray_directions(rows, sign, *way)))
+                for way in _test_angles()], axis=0) for sign in (1.0, -1.0)]
+    return float(np.logical_or(*enclosed).mean()) >= 0.9
 
 
-def _directions() -> list[tuple[float, float]]:
+def _test_angles() -> list[tuple[float, float]]:
     """Return directions from one side of a face: angles to the normal and around it, radians."""
     # Radians to the normal, and the number of directions at this angle.
     tilts = ((0.0, 1), (np.deg2rad(35.0), 4), (np.deg2rad(65.0), 7))
@@ -128,7 +129,7 @@ def _directions() -> list[tuple[float, float]]:
 
 
 @njit(cache=True, nogil=True)
-def _ways(rows, sign, tilt, turn):
+def _ray_directions(rows, sign, tilt, turn):
     """Return unit vectors (N, 3) from one side of faces, given points and normals (N, 6)."""
     ways = np.empty((len(rows), 3))
     up, one, two = np.cos(tilt), np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn)
@@ -148,7 +149,7 @@ def _ways(rows, sign, tilt, turn):
     return ways
 
 
-def _before(rows: np.ndarray, sign: float) -> np.ndarray:
+def _in_front(rows: np.ndarray, sign: float) -> np.ndarray:
     """Return points (N, 3) in front of one side of faces, given points and normals (N, 6)."""
     # A millimetre separates the two sides of a thin face.
     return rows[:, :3] + sign * 0.001 * rows[:, 3:]
@@ -198,8 +199,8 @@ class EnclosedAir(NamedTuple):
         roofed = free & np.logical_or.accumulate(taken[:, :, ::-1], axis=2)[:, :, ::-1]
         # Most of the eight level directions have to end at a surface.
         level_steps = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
-        shut = sum(_ends(taken, x, y).astype(np.int8) for x, y in level_steps) >= 5
-        found = [_parts(cells & shut, edge) for cells in (roofed, free)]
+        enclosed = sum(_ends_at_surface(taken, x, y).astype(np.int8) for x, y in level_steps) >= 5
+        found = [_connected_parts(cells & enclosed, edge) for cells in (roofed, free)]
         # Without the roof condition, rooms without a ceiling are found. With it, hollow furniture
         # in such a room could count as the room: hence the comparison of volumes.
         most = [volumes.max(initial=0.0) for _, volumes in found]
@@ -228,21 +229,21 @@ class EnclosedAir(NamedTuple):
             0.45, self.ball + 2.5 * self.grid.edge))
         for side, sign in enumerate((1.0, -1.0)):
             left = near
-            for way in _directions():
+            for way in _test_angles():
                 some = rows[left]
-                ways = _ways(some, sign, *way)
-                first = self._first(some[:, :3], ways)
+                ways = _ray_directions(some, sign, *way)
+                first = self._air_distance(some[:, :3], ways)
                 # Ray casting is the slowest step: only rays that would reach the air are cast.
                 reached = np.isfinite(first)
                 reached[reached] = first[reached] < rays.lengths(
-                    _before(some[reached], sign), ways[reached])
+                    _in_front(some[reached], sign), ways[reached])
                 found[left[reached], side] = True
                 left = left[~reached]
             if self.roofed:
                 found[:, side] &= _under_a_roof(rows, sign, found[:, side], rays)
         return found
 
-    def _first(self, points: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    def _air_distance(self, points: np.ndarray, ways: np.ndarray) -> np.ndarray:
         """Return how far rays from points (N, 3) go until they enter the air, metres; else inf."""
         reach = max(2.0, 3.0 * (self.ball + self.grid.edge))
         return self.grid.edge * _steps_into(
@@ -276,7 +277,7 @@ def _steps_into(cells, points, ways, most):
 
 def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRays) -> np.ndarray:
     """Return which of the sides of faces (N, 6) that ``asked`` marks have a surface above them."""
-    starts, count = _before(rows[asked], sign), np.zeros(len(rows), int)
+    starts, count = _in_front(rows[asked], sign), np.zeros(len(rows), int)
     upwards = np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0.5, 1)])
     for way in upwards:
         count[asked] += np.isfinite(rays.lengths(starts, np.broadcast_to(way, starts.shape)))
@@ -284,7 +285,7 @@ def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRa
     return count >= 3
 
 
-def _parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+def _connected_parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
     """Number the connected parts of cells; return the numbers and the volumes, 0 for number 0."""
     parts, _ = ndimage.label(cells)
     volumes = np.bincount(parts.ravel()) * edge ** 3
@@ -292,10 +293,10 @@ def _parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
     return parts, volumes
 
 
-def _ends(taken: np.ndarray, x: int, y: int) -> np.ndarray:
+def _ends_at_surface(taken: np.ndarray, x: int, y: int) -> np.ndarray:
     """Return from which cells a level path in steps of (x, y) cells ends at a taken cell."""
     if x == 0:
-        return _ends(taken.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
+        return _ends_at_surface(taken.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
     ends = taken.copy()
     rows = range(1, len(taken)) if x < 0 else range(len(taken) - 2, -1, -1)
     for row in rows:
@@ -321,27 +322,27 @@ def without_outside(scene: Scene) -> Scene:
         return scene
     cells = np.argwhere(air.cells | air.others)
     # One test position per cubic metre.
-    looks = int(np.clip(len(cells) * air.grid.edge ** 3, 40, 300))
-    chosen = cells[np.random.default_rng(0).permutation(len(cells))[:looks]]
-    count = _counted(scene, air.grid.middles(chosen))
-    missed = area[count == 0].sum()
+    test_count = int(np.clip(len(cells) * air.grid.edge ** 3, 40, 300))
+    chosen = cells[np.random.default_rng(0).permutation(len(cells))[:test_count]]
+    count = _view_counts(scene, air.grid.middles(chosen))
+    invisible_area = area[count == 0].sum()
     # From real scans, 8 % of the surface or less was invisible.
-    if missed < 0.14 * area.sum():
+    if invisible_area < 0.14 * area.sum():
         return scene
-    hidden, across = _hidden(scene, air)
+    hidden, across = _occluded(scene, air)
     # A point that is visible from half of the test positions is not hidden.
     kept = ~(hidden & (count < 0.5 * len(chosen)))
     # Points of a yard that was scanned too are invisible from the air, but do not lie behind a
     # wall.
-    backs = area[hidden & across & (count == 0)].sum()
-    if backs < 0.4 * missed or np.count_nonzero(kept) < MIN_POINTS:
+    back_area = area[hidden & across & (count == 0)].sum()
+    if back_area < 0.4 * invisible_area or np.count_nonzero(kept) < MIN_POINTS:
         return scene
     remark = (f'{100.0 * (1.0 - kept.mean()):.0f} % of the points left out: those of a solid '
               'model that the air of the room does not see')
     return replace(scene.only(kept), remarks=(*scene.remarks, remark))
 
 
-def _counted(scene: Scene, places: np.ndarray) -> np.ndarray:
+def _view_counts(scene: Scene, places: np.ndarray) -> np.ndarray:
     """Return the number of positions (M, 3), metres, from which each point is visible: (N,)."""
     visibility = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch,
                                   np.empty((0, 3), dtype=np.float32), FINE)
@@ -353,7 +354,7 @@ def _counted(scene: Scene, places: np.ndarray) -> np.ndarray:
     return count
 
 
-def _hidden(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
+def _occluded(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
     """
     Return which points have other points between them and the nearest enclosed air.
 

@@ -56,7 +56,7 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     rooms, closed = _rooms(thin, cell)
     if rooms.max() < 2:
         return scene
-    nearest = _nearest(rooms, cell)
+    nearest = _room_finder(rooms, cell)
     counts = np.bincount(nearest(thin), minlength=rooms.max() + 1)
     # A part of a room that is visible only through a door has few walls around it.
     weights = counts * closed
@@ -70,7 +70,7 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
         return replace(scene, remarks=(*scene.remarks, remark))
     places = scene.points - corner
     kept = ~np.isin(nearest(places), others)
-    kept[~kept] = _faces(places[~kept], rooms == main, cell, tree, 0.6 * reach)
+    kept[~kept] = _facing_points(places[~kept], rooms == main, cell, tree, 0.6 * reach)
     if kept.all() or kept.sum() < MIN_POINTS:
         return scene
     note = (f'found {len(scene) - kept.sum():,} points of another room behind an opening; '
@@ -78,7 +78,7 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     return replace(scene.only(kept), notes=(*scene.notes, note))
 
 
-def _nearest(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarray]:
+def _room_finder(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarray]:
     """
     Return a function that finds the nearest room of positions.
 
@@ -98,8 +98,8 @@ def _nearest(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarra
     return nearest
 
 
-def _faces(points: np.ndarray, room: np.ndarray, cell: float, tree: cKDTree,
-           radius: float) -> np.ndarray:
+def _facing_points(points: np.ndarray, room: np.ndarray, cell: float, tree: cKDTree,
+                   radius: float) -> np.ndarray:
     """
     Return which wall points beside a room have no points between them and the room.
 
@@ -149,21 +149,20 @@ def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     shape = tuple(place.max(axis=0) + 1 + int(2.0 * MAX_FLOOR_GAP_M / cell))
     height, top = points[:, 2], _ceiling(points[:, 2])
 
-    def seen(low: float = -np.inf, high: float = np.inf) -> np.ndarray:
+    def occupied(low: float = -np.inf, high: float = np.inf) -> np.ndarray:
         cells = np.zeros(shape, dtype=bool)
         cells[tuple(place[(height >= low) & (height < high)].T)] = True
         return cells
 
-    near = _disc(1.0)
-    # The range under the ceiling in which walls have points.
-    under_ceiling_m = (0.12, 0.5)
-    high = ndimage.binary_dilation(seen(top - under_ceiling_m[1], top - under_ceiling_m[0]), near)
+    disc = _disc(1.0)
+    # Walls have points 12 to 50 cm under the ceiling.
+    high = ndimage.binary_dilation(occupied(top - 0.5, top - 0.12), disc)
     # A wall has points in three of the four bands that begin at these heights.
     bands_m = (0.9, 1.2, 1.5, 1.8)
-    bands = [ndimage.binary_dilation(seen(low, low + 0.3), near) for low in bands_m]
+    bands = [ndimage.binary_dilation(occupied(low, low + 0.3), disc) for low in bands_m]
     upright = np.sum(bands, axis=0) >= len(bands_m) - 1
     walls = upright & high
-    aside = ndimage.distance_transform_edt(~walls) * cell
+    wall_distance = ndimage.distance_transform_edt(~walls) * cell
     # The range above the floor that contains lintels but not beams.
     lintel_m = (2.0, 2.35)
     # Under a low ceiling lintels begin lower.
@@ -173,27 +172,27 @@ def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     for end, way in zip(ends, (1.0, -1.0), strict=True):
         np.maximum.at(end, tuple(place[part].T), way * height[part])
     # In a high room lintels reach higher. A face is higher than a cell, since a ceiling is flat.
-    faces = (seen(lowest, max(lintel_m[1], 0.78 * top))
+    faces = (occupied(lowest, max(lintel_m[1], 0.78 * top))
              & (ends.sum(axis=0) >= 1.3 * cell))
     # A lintel is at most a metre from the nearest wall.
-    lintels = ndimage.binary_dilation(faces, near) & high & ~upright & (aside <= 1.0)
-    known = ndimage.binary_closing(seen(), _disc(MAX_FLOOR_GAP_M / cell))
-    holes, _ = ndimage.label(ndimage.binary_fill_holes(known) & ~known)
+    lintels = ndimage.binary_dilation(faces, disc) & high & ~upright & (wall_distance <= 1.0)
+    floor = ndimage.binary_closing(occupied(), _disc(MAX_FLOOR_GAP_M / cell))
+    holes, _ = ndimage.label(ndimage.binary_fill_holes(floor) & ~floor)
     # A hole of more than 1 m2 consists of walls and rooms that were not scanned.
     small = np.bincount(holes.ravel()) * cell * cell <= 1.0
-    known |= small[holes] & (holes > 0)
+    floor |= small[holes] & (holes > 0)
     barrier = walls | lintels
-    free = known & ~barrier
-    clear = ndimage.distance_transform_edt(~barrier) * cell
+    free = floor & ~barrier
+    barrier_distance = ndimage.distance_transform_edt(~barrier) * cell
     # Half the width of the narrowest opening up to the ceiling that still joins two spaces.
     min_half_opening_m = 0.25
-    rooms, count = ndimage.label(free & (clear >= min_half_opening_m))
-    half = ndimage.distance_transform_edt(known & ~walls) * cell
+    rooms, count = ndimage.label(free & (barrier_distance >= min_half_opening_m))
+    half_width = ndimage.distance_transform_edt(floor & ~walls) * cell
     numbers = np.arange(1, count + 1)
-    widths = np.append(0.0, ndimage.maximum(half, rooms, numbers))
-    joined = _joined(rooms, lintels, half, widths, min_half_opening_m / cell + 1.5)
+    widths = np.append(0.0, ndimage.maximum(half_width, rooms, numbers))
+    joined = _joined(rooms, lintels, half_width, widths, min_half_opening_m / cell + 1.5)
     # A part that is visible only through a door is narrower than the room that it belongs to.
-    widths = np.append(0.0, ndimage.maximum(aside, rooms, numbers))
+    widths = np.append(0.0, ndimage.maximum(wall_distance, rooms, numbers))
     rooms = joined[rooms]
     wide = np.zeros(count + 1, dtype=bool)
     wide[joined[widths >= MIN_HALF_WIDTH_M]] = True
@@ -211,30 +210,32 @@ def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     return rooms, border[0] / np.maximum(border[1], 1.0)
 
 
-def _joined(rooms: np.ndarray, lintels: np.ndarray, half: np.ndarray, widths: np.ndarray,
+def _joined(rooms: np.ndarray, lintels: np.ndarray, half_width: np.ndarray, widths: np.ndarray,
             reach: float) -> np.ndarray:
     """
     Join spaces that are separated only by beams.
 
     :param rooms: (X, Y) room numbers.
     :param lintels: (X, Y) bool, cells of possible lintels or beams.
-    :param half: (X, Y) metres to the nearest wall.
-    :param widths: the largest value of ``half`` in each room, by room number.
+    :param half_width: (X, Y) metres to the nearest wall.
+    :param widths: the largest value of ``half_width`` in each room, by room number.
     :param reach: the distance in cells from a lintel to the spaces that it separates.
     :returns: for each number, the number of the joined room.
     """
-    joined, near, margin = np.arange(len(widths)), _disc(reach), int(reach) + 1
+    joined = np.arange(len(widths))
+    disc, margin = _disc(reach), int(reach) + 1
     # A beam has two faces and an underside between them; cells inside thick walls are excluded.
-    between = ndimage.binary_closing(lintels, near) & ~ndimage.binary_closing(half == 0.0, near)
+    inside = ndimage.binary_closing(half_width == 0.0, disc)
+    between = ndimage.binary_closing(lintels, disc) & ~inside
     blobs, _ = ndimage.label(lintels | between)
     openings: dict[tuple[int, int], float] = {}
     for number, box in enumerate(ndimage.find_objects(blobs), start=1):
         around = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
         blob = blobs[around] == number
-        parted = np.setdiff1d(rooms[around][ndimage.binary_dilation(blob, near)], [0])
+        parted = np.setdiff1d(rooms[around][ndimage.binary_dilation(blob, disc)], [0])
         for pair in combinations(parted.tolist(), 2):
             # The openings of several beams between columns add up.
-            opening = half[around][blob & lintels[around]].max(initial=0.0)
+            opening = half_width[around][blob & lintels[around]].max(initial=0.0)
             openings[pair] = openings.get(pair, 0.0) + opening
     for pair, opening in openings.items():
         one, other = pair

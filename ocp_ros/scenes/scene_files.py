@@ -183,7 +183,7 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     if inner is not None:
         scene = Scene(inner.points, called, inner.normals, mesh, source, tuple(notes),
                       remarks + inner.remarks)
-        return _told(scene if all_rooms else main_room(scene, inner.points), name)
+        return _warned(scene if all_rooms else main_room(scene, inner.points), name)
     merged = _merge(points, voxel_size, max_points, name)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
@@ -199,10 +199,10 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
         # Points behind a mirror must not count as another room.
         points = scene.points
     scene = without_outside(scene)
-    return _told(scene if all_rooms else main_room(scene, points), name)
+    return _warned(scene if all_rooms else main_room(scene, points), name)
 
 
-def _told(scene: Scene, name: str) -> Scene:
+def _warned(scene: Scene, name: str) -> Scene:
     """Show the notes of a room as warnings, and return the room."""
     for note in scene.notes:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=4)

@@ -126,14 +126,14 @@ class TrueRoom:
         self.engine = Simulator(scene, replace(config, engine=with_rays(engine, scene)))
         self.space = space_of(self.engine, 1)
         self.places = self.space.grid(AIMED_PLACES if headings else PLACES)
-        turned = np.zeros((max(headings, 1), 3))
+        aims = np.zeros((max(headings, 1), 3))
         if headings:
-            turned[:, 0], turned[:, 1] = yaws_of(headings), AIMED_PITCH
+            aims[:, 0], aims[:, 1] = yaws_of(headings), AIMED_PITCH
         at = self.space.placement(self.places)
-        self.poses = np.hstack([np.repeat(at, len(turned), axis=0), np.tile(turned, (len(at), 1))])
-        self._seen = [seen for place in at for seen in self._looks(place, turned)]
+        self.poses = np.hstack([np.repeat(at, len(aims), axis=0), np.tile(aims, (len(at), 1))])
+        self._seen = [seen for place in at for seen in self._looks(place, aims)]
 
-    def _looks(self, place: np.ndarray, turned: np.ndarray) -> list[np.ndarray]:
+    def _looks(self, place: np.ndarray, aims: np.ndarray) -> list[np.ndarray]:
         """Return the packed points visible from a position, for each heading (D, 3), radians."""
         lens = self.engine.models[0].lens
         # The preset of this engine never uses the other kind of visibility, points as cubes.
@@ -141,9 +141,9 @@ class TrueRoom:
         seen, covered = no_bits(len(self.engine.scene)), no_bits(len(self.engine.grid))
         look.look(Pose.of(place), lens._replace(kind=OMNIDIRECTIONAL), seen, covered)
         if lens.kind == OMNIDIRECTIONAL:
-            return [seen] * len(turned)
+            return [seen] * len(aims)
         return [look.narrowed(Pose.of(np.append(place, one)), lens, seen, covered)[0]
-                for one in turned]
+                for one in aims]
 
     def nearest(self, targets: np.ndarray, headings: np.ndarray | None = None) -> np.ndarray:
         """
@@ -154,9 +154,9 @@ class TrueRoom:
         """
         away = np.linalg.norm(targets[:, None] - self.places[None], axis=2)
         count = len(self.poses) // len(self.places)
-        turned = 0 if headings is None else np.rint(
+        number = 0 if headings is None else np.rint(
             headings[:, 0] * (count / (2.0 * np.pi))).astype(np.int64) % count
-        return np.argmin(away, axis=1) * count + turned
+        return np.argmin(away, axis=1) * count + number
 
     def values(self, others: Sequence[int]) -> np.ndarray:
         """
@@ -216,14 +216,14 @@ class _States:
         self._places: list[np.ndarray] = []
         self._choices: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
         #: Numbers of the poses that the cameras chose last.
-        self._good: list[int] = []
+        self._last_choices: list[int] = []
 
     def play(self, problem: Problem, cameras: int, step: float, weights: bytes) -> None:
         """Run an episode; at some turns record a map and let the cameras choose."""
-        rng, memory = self._rng, LookHistory()
+        rng, history = self._rng, LookHistory()
         # Maps are recorded at 3 of 14 turns.
-        due = np.sort(rng.choice(14, 3, replace=False))
-        turns = int(due[-1]) + 1 + int(rng.integers(6))
+        map_turns = np.sort(rng.choice(14, 3, replace=False))
+        turns = int(map_turns[-1]) + 1 + int(rng.integers(6))
         simulator = problem.simulator
         simulator.config = replace(simulator.config, episode=EpisodeConfig(
             turns=turns, max_step=step, start_radius=float(rng.choice([0.5, 3.0])),
@@ -231,17 +231,17 @@ class _States:
         settings = settings_of(simulator.config.episode, problem.rig, rng)
         actor = MapActor(policy_of(weights), *settings) if weights else None
         episode = Episode(problem, rng, cameras)
-        going = self._drawn(cameras)
-        for turn in range(int(due[-1]) + 1):
+        chosen = self._draw_targets(cameras)
+        for turn in range(int(map_turns[-1]) + 1):
             positions, cloud = episode.turn.positions, episode.observed_cloud
             rig_state = state_of(episode) if self._headings else None
-            record_views(memory, positions, rig_state)
-            if turn in due:
+            record_views(history, positions, rig_state)
+            if turn in map_turns:
                 if actor is not None and actor.targets is not None:
-                    going = self._room.nearest(actor.targets, actor.headings)
-                going = self._choose(cloud, positions, memory, going, settings[2])
-            goals = self._room.poses[going]
-            moves, headings = self._walked(positions, goals[:, :2], step), goals[:, 3:]
+                    chosen = self._room.nearest(actor.targets, actor.headings)
+                chosen = self._choose(cloud, positions, history, chosen, settings[2])
+            goals = self._room.poses[chosen]
+            moves, headings = self._moves_towards(positions, goals[:, :2], step), goals[:, 3:]
             if actor is not None:
                 actor.set_rig_state(rig_state)
                 moves = actor.move(cloud, positions, turn, turns)
@@ -249,22 +249,22 @@ class _States:
             episode.move(moves, None if rig_state is None else turned_towards(
                 episode.turn.headings, headings, episode.config.max_turn))
 
-    def _walked(self, positions: np.ndarray, places: np.ndarray, step: float) -> np.ndarray:
+    def _moves_towards(self, positions: np.ndarray, places: np.ndarray, step: float) -> np.ndarray:
         """Return moves (K, 2), metres, towards targets, within the true feasible region."""
         flat = positions[:, :2]
         way = towards(flat, places, step) - flat
         return self._room.space.moved(flat, way, step) - flat
 
-    def _drawn(self, cameras: int) -> np.ndarray:
+    def _draw_targets(self, cameras: int) -> np.ndarray:
         """Draw target poses; with probability 0.5 some of them are the last good ones."""
         drawn = self._rng.integers(len(self._room.poses), size=cameras)
-        if self._good and self._rng.random() < 0.5:
-            count = min(cameras, len(self._good))
-            drawn[:count] = self._rng.permutation(self._good)[:count]
+        if self._last_choices and self._rng.random() < 0.5:
+            count = min(cameras, len(self._last_choices))
+            drawn[:count] = self._rng.permutation(self._last_choices)[:count]
         return drawn
 
-    def _choose(self, cloud: np.ndarray, positions: np.ndarray, memory: LookHistory,
-                going: np.ndarray, max_range: float) -> np.ndarray:
+    def _choose(self, cloud: np.ndarray, positions: np.ndarray, history: LookHistory,
+                chosen: np.ndarray, max_range: float) -> np.ndarray:
         """Record the map of a turn and the choices of cameras; return the chosen poses."""
         rng, places, cameras = self._rng, self._room.places, len(positions)
         poses = self._room.poses
@@ -272,30 +272,31 @@ class _States:
         try:
             model = PartialMap(cloud, positions, max_range, MODEL_POINTS, MODEL_ROWS)
         except SceneError:
-            return going
-        known = ObservationMap(model, memory.unseen(model), cameras, max_range,
-                               float(positions[0, 2]), coarse * EDGE)
-        going = (going if rng.random() < 0.5 else self._drawn(cameras)).copy()
-        views = [self._look(model, poses[pose], positions) for pose in going]
+            return chosen
+        observed = ObservationMap(model, history.unseen(model), cameras, max_range,
+                                  float(positions[0, 2]), coarse * EDGE)
+        chosen = (chosen if rng.random() < 0.5 else self._draw_targets(cameras)).copy()
+        views = [self._look(model, poses[pose], positions) for pose in chosen]
         number = len(self._maps)
-        self._maps.append(known.room)
-        self._places.append(((places - known.window.low) / known.window.edge).astype(np.float32))
+        self._maps.append(observed.room)
+        window = observed.window
+        self._places.append(((places - window.low) / window.edge).astype(np.float32))
         first = int(rng.integers(cameras))
         # One camera after the other chooses.
         for camera in (first + np.arange(8)) % cameras:
-            others = np.delete(going, camera)
+            others = np.delete(chosen, camera)
             values = self._room.values(others)
-            channels, numbers = known.others(
+            channels, numbers = observed.others(
                 views[:camera] + views[camera + 1:], poses[others])
             self._choices.append((number, channels, numbers, values))
             if rng.random() < 0.15:
-                going[camera] = rng.integers(len(poses))
+                chosen[camera] = rng.integers(len(poses))
             else:
                 # Noise is added to the labels before the best pose is chosen.
-                going[camera] = np.argmin(values + rng.normal(0.0, 0.04, len(values)))
-            views[camera] = self._look(model, poses[going[camera]], positions)
-        self._good = going.tolist()
-        return going
+                chosen[camera] = np.argmin(values + rng.normal(0.0, 0.04, len(values)))
+            views[camera] = self._look(model, poses[chosen[camera]], positions)
+        self._last_choices = chosen.tolist()
+        return chosen
 
     def _look(self, model: PartialMap, pose: np.ndarray, positions: np.ndarray) -> View:
         """Return the view of the partial map from a pose (6,) at the height of the cameras."""

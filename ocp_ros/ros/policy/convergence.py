@@ -34,7 +34,7 @@ class Convergence:
 
     def __init__(self, node: Node) -> None:
         self._status = node.create_publisher(String, topics.PLACEMENT_STATUS, LATCHED)
-        self._said = ''
+        self._published = ''
         self.begin()
 
     def begin(self) -> None:
@@ -78,8 +78,8 @@ class Convergence:
         else:
             text = (f'not final: turn {step} of {config.turns}, longest move {self.longest:.3f} '
                     f'm, standing still for {self.still} turns')
-        if text != self._said:
-            self._said = text
+        if text != self._published:
+            self._published = text
             self._status.publish(String(data=text))
         return text
 

@@ -46,7 +46,7 @@ class PolicyViews:
 
     def __init__(self, node: Node, models: Sequence[CameraModel], live: bool,
                  rig_state: Callable[[PoseArray], RigState] | None) -> None:
-        self._models, self._sight = models, rig_state
+        self._models, self._rig_state = models, rig_state
         self._turn: tuple[np.ndarray, PoseArray] | None = None
         self._clouds = CloudView(node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._judge)
         known = 0 if rig_state is None else len(models)
@@ -67,9 +67,9 @@ class PolicyViews:
 
     def _standing(self, poses: PoseArray) -> list[Pose]:
         """Return the poses of all known cameras in a turn."""
-        if self._sight is None:
+        if self._rig_state is None:
             return msg_to_poses(poses)
-        return [Pose.of(row) for row in self._sight(poses).placement]
+        return [Pose.of(row) for row in self._rig_state(poses).placement]
 
     def _judge(self) -> PointMaps | None:
         """Return the maps of the latest turn; None if there is no turn or it cannot be used."""
