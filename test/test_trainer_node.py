@@ -431,7 +431,7 @@ def test_messages_never_wait_for_a_gradient_step(loop, monkeypatch):
         release.wait(HUNG)
 
     monkeypatch.setattr(trainer.learner.model, 'train', train)
-    monkeypatch.setattr(trainer.learner, '_behind', lambda: not release.is_set())
+    monkeypatch.setattr(trainer.learner, '_burst_is_due', lambda: not release.is_set())
     try:
         trainer.learner.add(made_up(trainer.config.agent))
         assert stuck.wait(HUNG)
