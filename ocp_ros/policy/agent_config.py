@@ -16,7 +16,7 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS, setting, UserError
+from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS, setting, UserError
 
 #: Input of the network: the observation map (``map``), or the observed cloud, read by one head for
 #: all cameras as in the paper (``paper``) or camera by camera (``cloud``).
@@ -46,7 +46,7 @@ class AgentConfig:
         0, 64)
     cameras: int = setting(
         4, 'with inputs paper: number of cameras, whose moves one head chooses together', 1,
-        MOST_CAMERAS)
+        MAX_CAMERAS)
     points: int = setting(
         512, 'points of the cloud that reach the first extraction unit', 16, 32767)
     keys_1: int = setting(32, 'key points of the first unit', 1, 4096)

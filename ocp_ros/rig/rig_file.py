@@ -30,7 +30,7 @@ from ocp_ros.rig.rig_config import KINDS, OMNIDIRECTIONAL, RigConfig
 from ocp_ros.rig.schemas import MAX_NAME_LENGTH, MIN_FOV_DEG, MODEL, RIG
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.zones import Zone, zone_of, zones_of
-from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
+from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 from ocp_ros.util.yaml_files import check, describe, Document, nearest, read_document, Way
 
 #: The share of a region's points that has to be seen with ``must_see: true``: some points are
@@ -405,9 +405,9 @@ def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]
     groups, fixed = document.data['cameras'], document.data.get('fixed', [])
     movable = [('cameras', k) for k, group in enumerate(groups)
                for _ in range(group.get('count', 1))]
-    if len(movable) + len(fixed) > MOST_CAMERAS:
+    if len(movable) + len(fixed) > MAX_CAMERAS:
         raise document.error(('cameras',), f'{len(movable) + len(fixed)} cameras',
-                             f'at most {MOST_CAMERAS}, fixed ones included', 'lower a count')
+                             f'at most {MAX_CAMERAS}, fixed ones included', 'lower a count')
     ways = [*movable, *(('fixed', k) for k in range(len(fixed)))]
     cameras = tuple(cameras_at(document, ways))
     count = len(movable)

@@ -40,9 +40,6 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
-                 'reward', 'terminated')
-
 
 def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
     """Return the shape and the type of each array of an observation."""
@@ -148,7 +145,9 @@ class Source:
 
     def _on_reward(self, message: Float64MultiArray) -> list[Transition]:
         """Take the reward of a turn; the first turn of an episode has no reward."""
-        fields = msg_to_fields(message, REWARD_FIELDS)
+        names = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
+                 'reward', 'terminated')
+        fields = msg_to_fields(message, names)
         stamp, previous = ns_of(fields, 'stamp'), ns_of(fields, 'previous')
         if stamp < self._newest:
             # The simulation was restarted with a reset clock: equal stamps mean other turns now.

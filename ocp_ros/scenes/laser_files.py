@@ -30,14 +30,8 @@ _log = logging.getLogger(__name__)
 LAS_HEADER_BYTES = 255
 #: Bytes of a page of an E57 file.
 PAGE_BYTES = 1024
-#: XML constructs that refer to other files, which the reader would open, also on other machines.
-#: XML without a DOCTYPE has no entities.
-EXTERNAL_REFERENCES = re.compile('<!DOCTYPE|<!ENTITY|schemaLocation', re.IGNORECASE)
-XML_ENCODING = re.compile(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)')
 #: The least size in bytes of a record before the points.
 MIN_RECORD_BYTES = 54
-WKT_UNITS = re.compile(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)')
-LENGTH_NAMES = re.compile('met(?:er|re)|f(?:oo|ee)t|ft', re.IGNORECASE)
 METRE = ('metre', 1.0)
 #: The units of length by their codes in GeoTIFF keys.
 GEO_KEY_UNITS = {9001: METRE, 9002: ('foot', 0.3048),
@@ -85,6 +79,8 @@ def las_unit(path: Path) -> tuple[str, float]:
         file.seek(size)
         content = file.read(min(max(offset - size, 0), 1_000_000))
     at, named = 0, METRE
+    wkt_unit = re.compile(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)')
+    length_name = re.compile('met(?:er|re)|f(?:oo|ee)t|ft', re.IGNORECASE)
     for _ in range(records):
         if at + MIN_RECORD_BYTES > len(content):
             break
@@ -95,8 +91,8 @@ def las_unit(path: Path) -> tuple[str, float]:
             continue
         # The projection as text (WKT).
         if kind == 2112:
-            found = WKT_UNITS.findall(body.decode('latin-1'))
-            units = [(name, float(metres)) for name, metres in found if LENGTH_NAMES.search(name)]
+            found = wkt_unit.findall(body.decode('latin-1'))
+            units = [(name, float(metres)) for name, metres in found if length_name.search(name)]
             named = units[-1] if units else named
         # The projection as numbers (GeoTIFF keys); key 3076 is the unit of length.
         elif kind == 34735:
@@ -173,8 +169,10 @@ def _xml_of(path: Path, start: int, length: int) -> bytes:
 def _check_xml(content: bytes) -> None:
     """Refuse XML that names other files, or has an encoding in which this cannot be checked."""
     text = content.decode('utf-8')
-    encoding = XML_ENCODING.match(text)
+    encoding = re.match(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)', text)
     if '\0' in text or encoding and encoding[1].lower() != 'utf-8':
         raise ValueError('XML that is not UTF-8')
-    if found := EXTERNAL_REFERENCES.search(text):
+    # These refer to other files, which the reader would open, also on other machines. XML without
+    # a DOCTYPE has no entities.
+    if found := re.search('<!DOCTYPE|<!ENTITY|schemaLocation', text, re.IGNORECASE):
         raise ValueError(f'XML with {found[0]}, which names other files')

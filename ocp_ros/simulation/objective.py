@@ -26,7 +26,7 @@ from ocp_ros.rig.rig_file import Region, Rig
 from ocp_ros.rig.structure import Air, floor_height
 from ocp_ros.simulation.covisibility import Covisibility, covisibility, SHARE_TOLERANCE, watched
 from ocp_ros.simulation.simulator import Simulator, View
-from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
+from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 
 #: The cost of missing all of a region that must be seen; missing the whole room costs 1.
 MUST_SEE_COST = 10.0
@@ -193,7 +193,7 @@ class Objective:
                   for count in range(1, most + 1)]
         return float(np.mean(levels)) + self._missing(views)
 
-    def _loss_of(self, seen: np.ndarray, views: Sequence[View], most: int = MOST_CAMERAS
+    def _loss_of(self, seen: np.ndarray, views: Sequence[View], most: int = MAX_CAMERAS
                  ) -> tuple[float, float, np.ndarray]:
         """
         Return loss, depth error and shares of the regions.

@@ -30,7 +30,7 @@ from ocp_ros.training.sac_state import load_replay, load_state, new_run, save_re
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.files import remove_unfinished
-from ocp_ros.util.settings import ConfigurationError, LARGEST_SEED, setting
+from ocp_ros.util.settings import ConfigurationError, MAX_SEED, setting
 from stable_baselines3.common.logger import configure
 
 #: Gradient steps between two checks of the inbox: few, so that the learner stops at once.
@@ -49,7 +49,7 @@ class LearnerConfig:
     save_every: int = setting(200, 'gradient steps between two checkpoints', 1, 1 << 31)
     folder: str = setting('out/trainer', 'folder of checkpoints and TensorBoard files')
     model: str = setting('', 'first weights: path or name; empty: random')
-    seed: int = setting(0, 'seed of networks and batches', 0, LARGEST_SEED)
+    seed: int = setting(0, 'seed of networks and batches', 0, MAX_SEED)
     threads: int = setting(
         1, 'CPU threads of a gradient step; more threads save time only on idle cores', 1, 1024)
 

@@ -82,9 +82,9 @@ class Replay(Node):
         self._posing = bool(options.poses) or (self._has_transforms and not has_poses)
         self._check_poses(has_poses)
         self._tree = TransformTree()
-        self._posed: dict[str, Pose] = {}
+        self._cloud_poses: dict[str, Pose] = {}
         self._make_publishers()
-        self._ahead = self._schedule()
+        self._upcoming = self._schedule()
         self._next: tuple[float, int, Recorded | BrokenMessage] | None = None
         self._began: float | None = None
         self._patience = time.monotonic() + options.wait
@@ -149,13 +149,13 @@ class Replay(Node):
     def _on_time(self) -> None:
         """Publish the next message if it is due, and set the timer for the one after it."""
         try:
-            if self._began is None and not self._somebody_listens():
+            if self._began is None and not self._has_subscribers():
                 return
             self._publish_due()
         except ConfigurationError as error:
             self._end(error)
 
-    def _somebody_listens(self) -> bool:
+    def _has_subscribers(self) -> bool:
         """Return whether to begin: all topics have subscribers, or ``wait`` seconds are over."""
         now, mine = time.monotonic(), list(self._publishers_of.values())
         if self._posing:
@@ -174,7 +174,7 @@ class Replay(Node):
     def _publish_due(self) -> None:
         """Publish one message if it is due."""
         if self._next is None:
-            self._next = next(self._ahead, None)
+            self._next = next(self._upcoming, None)
             if self._next is None:
                 self._end(self._nothing_placed())
                 return
@@ -239,10 +239,10 @@ class Replay(Node):
         if self._posing:
             if self.options.poses:
                 at = self.options.poses
-                self._posed = {name: Pose.of(at[k]) for k, name in enumerate(self._clouds)}
+                self._cloud_poses = {name: Pose.of(at[k]) for k, name in enumerate(self._clouds)}
             else:
-                self._posed[topic] = self._looked_up(topic, frame, optical)
-            if len(self._posed) == len(self._clouds):
+                self._cloud_poses[topic] = self._looked_up(topic, frame, optical)
+            if len(self._cloud_poses) == len(self._clouds):
                 self._say_where(cloud.header)
             if frame != self.options.fixed_frame and not (
                     self.options.poses and CAMERA_FRAME.fullmatch(frame)):
@@ -263,13 +263,13 @@ class Replay(Node):
 
     def _say_where(self, header: Header) -> None:
         """Publish the camera poses, with the stamp of a cloud."""
-        posed = [self._posed[name] for name in self._clouds]
+        posed = [self._cloud_poses[name] for name in self._clouds]
         message = positions_to_msg(
             np.array([pose.position for pose in posed]),
             Header(stamp=header.stamp, frame_id=self.options.fixed_frame))
-        for told, pose in zip(message.poses, posed, strict=True):
+        for pose_message, pose in zip(message.poses, posed, strict=True):
             x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat()
-            told.orientation = Quaternion(x=x, y=y, z=z, w=w)
+            pose_message.orientation = Quaternion(x=x, y=y, z=z, w=w)
         self._poses.publish(message)
 
 

@@ -22,7 +22,7 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 import numpy as np
 from ocp_ros.geometry.cameras import Pose as CameraPose
-from ocp_ros.util.settings import MOST_CAMERAS
+from ocp_ros.util.settings import MAX_CAMERAS
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
@@ -192,8 +192,8 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
         not finite or beyond ``FARTHEST``.
     """
     count = len(message.poses)
-    if not 1 <= count <= MOST_CAMERAS or cameras not in (None, count):
-        expected = f'at least 1, at most {MOST_CAMERAS}' if cameras is None else cameras
+    if not 1 <= count <= MAX_CAMERAS or cameras not in (None, count):
+        expected = f'at least 1, at most {MAX_CAMERAS}' if cameras is None else cameras
         raise MessageError(f'poses: found {count} cameras; expected {expected}')
     positions = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
     if not np.isfinite(positions).all():
