@@ -64,7 +64,8 @@ class NodeProcess:
 
     def __init__(self, name: str, domain: int, log: Path, parameters: dict,
                  namespace: str = '') -> None:
-        self.name, self.log = f'{namespace}/{name}'.lstrip('/'), log
+        self.name = f'{namespace}/{name}'.lstrip('/')
+        self.log = log
         arguments = [sys.executable, '-m', f'ocp_ros.ros.{name}', '--ros-args']
         if namespace:
             arguments += ['-r', f'__ns:=/{namespace}']

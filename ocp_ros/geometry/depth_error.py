@@ -229,7 +229,9 @@ class DepthError:
 
     def __init__(self, points: np.ndarray, spacing: np.ndarray, far: float, places: np.ndarray,
                  rows: int, folds: int = 1) -> None:
-        self.far, self._count, self.viewpoints = far, len(points), places
+        self.far = far
+        self._count = len(points)
+        self.viewpoints = places
         self.shape = (rows, 2 * rows)
         # The paper has five viewpoints.
         self.pixels = rows * 2 * rows * len(places) / 5

@@ -39,8 +39,11 @@ class EncodedTurn:
 
     def __init__(self, config: AgentConfig, cloud: np.ndarray, known: ObservedTurn | None,
                  positions: np.ndarray, max_step: float, time: float) -> None:
-        self._config, self._known, self._max_step = config, known, max_step
-        self.positions, self._time = positions.copy(), time
+        self._config = config
+        self._known = known
+        self._max_step = max_step
+        self.positions = positions.copy()
+        self._time = time
         self._has_chosen = np.zeros(len(positions), dtype=bool)
         # Marks belong to the points of the model, so the network reads these points.
         self._cloud = encode(cloud if known is None else known.model.points, positions, config)

@@ -102,7 +102,8 @@ class MapActor(PipelinedPlanner):
         """Return the observation map with the current targets of the cameras."""
         positions = known.positions
         if not self._planned(len(positions)):
-            self._plan, self._turns = standing(positions, self.rig_state), 0
+            self._plan = standing(positions, self.rig_state)
+            self._turns = 0
         plan = self._plan.copy()
         plan[:, :2], plan[:, 2] = known.space.inside(plan[:, :2]), positions[:, 2]
         return MapTurn(known.model, known.space, known.unseen, plan, positions, self.rig_state,

@@ -157,7 +157,8 @@ class _Columns:
     """The highest points of a scene in square columns, which are as wide as the allowed gaps."""
 
     def __init__(self, scene: Scene) -> None:
-        self.low, self.edge = scene.bounds[0, :2], gap_of(scene)
+        self.low = scene.bounds[0, :2]
+        self.edge = gap_of(scene)
         self.shape = tuple(np.floor(scene.size[:2] / self.edge).astype(int) + 1)
 
     def of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -174,7 +174,9 @@ class PolicyNode(ManagedNode):
     def _start_episode(self, episode: int) -> None:
         """Drop the data of the last episode and begin a new one."""
         self._decider.reset()
-        self._episode, self._step, self._is_last_turn = episode, 0, False
+        self._episode = episode
+        self._step = 0
+        self._is_last_turn = False
         #: The final placement; None while there is none.
         self._final_poses: PoseArray | None = None
         self._finality.begin()
@@ -211,7 +213,8 @@ class PolicyNode(ManagedNode):
             self._stop_cameras()
         self._paused = request.data
         self._go_on()
-        response.success, response.message = True, 'paused' if self._paused else 'going on'
+        response.success = True
+        response.message = 'paused' if self._paused else 'going on'
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -275,7 +278,8 @@ class PolicyNode(ManagedNode):
     def _finish(self, poses: PoseArray) -> None:
         """Publish the final placement, once per episode, and the reason why it is final."""
         if not self._is_final:
-            self._finality.why, self._final_poses = self._final_reason(), poses
+            self._finality.why = self._final_reason()
+            self._final_poses = poses
             self._finality.gaps = self._live.gaps if self._live else ''
             self._placement.publish(poses)
             log = self.get_logger()

@@ -93,7 +93,9 @@ class Source:
 
     def __init__(self, node: Node, namespace: str, agent: AgentConfig,
                  learn: Callable[[Transition], bool]) -> None:
-        self._node, self.namespace, self._learn = node, namespace, learn
+        self._node = node
+        self.namespace = namespace
+        self._learn = learn
         self._expected, self._ends = arrays_of(agent), ends_of(agent)
         self._together = None if agent.map else cameras_of(agent)
         self.assembler = Assembler(last=agent.map)

@@ -89,9 +89,11 @@ class CameraPlacementEnv(gym.Env):
                  rotations: Sequence[float] = (0.0,)) -> None:
         if not scenes:
             raise ConfigurationError('scenes: found none; expected at least one room')
-        self.scenes, self.config = scenes, config or SimulationConfig()
+        self.scenes = scenes
+        self.config = config or SimulationConfig()
         self.rig = self.config.placed_rig
-        self.observation_points, self.rotations = observation_points, tuple(rotations)
+        self.observation_points = observation_points
+        self.rotations = tuple(rotations)
         self.problem = lru_cache(maxsize=MAX_PROBLEMS)(self._make_problem)
         self.episode: Episode | None = None
         cameras = len(self.rig.cameras)
@@ -185,7 +187,8 @@ class RoomsByName(Sequence[Scene]):
     """
 
     def __init__(self, names: Sequence[int | str | PathLike[str]], points: int = 15000) -> None:
-        self._names, self._points = tuple(str(name) for name in names), points
+        self._names = tuple(str(name) for name in names)
+        self._points = points
 
     def __len__(self) -> int:
         """Return how many rooms there are."""

@@ -204,7 +204,9 @@ class PlaneProblem(Problem):
 
     def __init__(self, simulator: Simulator) -> None:
         rig = Rig.plane(simulator.config.rig)
-        self.objective, self.simulator, self.rig = Objective(simulator, rig), simulator, rig
+        self.objective = Objective(simulator, rig)
+        self.simulator = simulator
+        self.rig = rig
         self.axes, self.fixed_poses = rig.axes, rig.fixed_poses
         self.models = simulator.models * (len(rig.cameras) // len(simulator.models))
 

@@ -158,7 +158,9 @@ class CloudReplayBuffer(DictReplayBuffer):
     def __init__(self, *args, n_steps: int = 1, gamma: float = 0.99,
                  augmentation: str = 'symmetries', **kwargs) -> None:
         super().__init__(*args, **kwargs)
-        self.n_steps, self.gamma, self.augmentation = n_steps, gamma, augmentation
+        self.n_steps = n_steps
+        self.gamma = gamma
+        self.augmentation = augmentation
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
         """Draw a batch, and augment it as ``augmentation`` says: one symmetry per transition."""

@@ -131,7 +131,8 @@ class EncodedObservation(gym.ObservationWrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
-        self._agent, self.observation_space = agent, encoded_space(agent)
+        self._agent = agent
+        self.observation_space = encoded_space(agent)
 
     def observation(self, observation) -> dict[str, np.ndarray]:
         """Encode the turn."""
@@ -194,7 +195,8 @@ class CameraByCamera(gym.Wrapper):
                                           episode.config.turns)
         self._left = order_of(turn.step, len(turn.positions))
         self._moves = np.zeros((len(turn.positions), 2))
-        self._views, self._value = list(episode.views), episode.value
+        self._views = list(episode.views)
+        self._value = episode.value
         return self._observation()
 
     def _observation(self) -> dict[str, np.ndarray]:

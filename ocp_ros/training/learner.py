@@ -77,7 +77,9 @@ class Learner:
             raise ConfigurationError(
                 f'sac.n_steps: found {sac.n_steps}; expected 1: turns may be missing between the '
                 'transitions that arrive, so their rewards cannot be summed up; set it to 1')
-        self.config, self.agent, self.sac = config, agent, sac
+        self.config = config
+        self.agent = agent
+        self.sac = sac
         self.folder = Path(config.folder)
         self.model = make_sac(sac, agent, seed=config.seed)
         if start is not None:

@@ -43,7 +43,9 @@ class AgentSac(SAC):
 
     def __init__(self, *args, config: SacConfig, agent: AgentConfig, warm: bool = False,
                  **kwargs) -> None:
-        self.config, self.agent, self.warm = config, agent, warm
+        self.config = config
+        self.agent = agent
+        self.warm = warm
         #: Number of gradient steps of SAC itself so far, and the function that returns the
         #: imitation loss of a batch of a given size; None for no imitation loss.
         self.own_updates, self.imitation_loss = 0, None

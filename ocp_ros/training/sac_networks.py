@@ -73,7 +73,8 @@ class CloudFeatures(BaseFeaturesExtractor):
         if not torch.is_grad_enabled():
             return extract()
         if self._batch is not batch:
-            self._batch, self._features = batch, extract()
+            self._features = extract()
+            self._batch = batch
         return self._features
 
     def forget(self) -> None:

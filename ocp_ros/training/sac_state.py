@@ -201,7 +201,8 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
         ) from error
     for name, values in arrays.items():
         rows[name][:len(values)] = values
-    buffer.pos, buffer.full = position, bool(full)
+    buffer.pos = position
+    buffer.full = bool(full)
     # The next transition belongs to another episode: end the present one here.
     newest = position - 1
     buffer.timeouts[newest] = np.maximum(buffer.timeouts[newest], 1.0 - buffer.dones[newest])

@@ -69,7 +69,9 @@ class Run(TrainingRun):
 
     def __init__(self, model: AgentSac, *settings) -> None:
         super().__init__(*settings)
-        self.model, self.device, self.best = model, model.device, np.inf
+        self.model = model
+        self.device = model.device
+        self.best = np.inf
 
     @property
     def interactions(self) -> int:

@@ -82,7 +82,8 @@ class Rooms(Sequence):
     """
 
     def __init__(self, names: Sequence[str], config: RoomsConfig) -> None:
-        self._names, self._config = list(names), config
+        self._names = list(names)
+        self._config = config
         self._kept: dict[int, Scene] = {}
 
     def __len__(self) -> int:

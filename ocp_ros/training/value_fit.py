@@ -172,7 +172,9 @@ class ValueFit:
     """
 
     def __init__(self, network: ValueMap, config: ValuesConfig, seed: int) -> None:
-        self.config, self._seed, self.step = config, seed, 0
+        self.config = config
+        self._seed = seed
+        self.step = 0
         self.network = network.to(memory_format=torch.channels_last)
         self.average = deepcopy(network).eval()
         self._optimizer = torch.optim.AdamW(network.parameters(), config.learning_rate,

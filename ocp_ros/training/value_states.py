@@ -210,7 +210,9 @@ class _States:
     """The recorded maps and choices of a room."""
 
     def __init__(self, room: TrueRoom, rng: np.random.Generator, task: StateTask) -> None:
-        self._room, self._rng, self._headings = room, rng, task.headings
+        self._room = room
+        self._rng = rng
+        self._headings = task.headings
         self._lens = room.engine.models[0].lens if task.headings else None
         self._maps: list[np.ndarray] = []
         self._places: list[np.ndarray] = []

@@ -75,8 +75,12 @@ class TrainingRun(ABC):
 
     def __init__(self, config: TrainingConfig, folder: Path, pool: WorkerPool,
                  progress: Progress) -> None:
-        self.config, self.folder, self.pool = config, folder, pool
-        self.progress, self.name, self.past = progress, new_run(), records(folder)
+        self.config = config
+        self.folder = folder
+        self.pool = pool
+        self.progress = progress
+        self.name = new_run()
+        self.past = records(folder)
         self._began = time.monotonic() - (self.past[-1]['seconds'] if self.past else 0.0)
 
     @property

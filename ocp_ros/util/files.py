@@ -181,7 +181,9 @@ class FileSet:
     """
 
     def __init__(self, folder: Path, names: Collection[str], mark: str) -> None:
-        self.folder, self._names, self._mark = folder, names, mark
+        self.folder = folder
+        self._names = names
+        self._mark = mark
 
     def __enter__(self) -> 'FileSet':
         """Make the folder to write to."""

@@ -104,7 +104,9 @@ class Answers:
 
     def __init__(self, reader: Any, is_ros1: bool, out: BinaryIO) -> None:
         from rosbags.typesys import get_typestore, Stores
-        self._reader, self._is_ros1, self._out = reader, is_ros1, out
+        self._reader = reader
+        self._is_ros1 = is_ros1
+        self._out = out
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._names = sorted(reader.topics)
 

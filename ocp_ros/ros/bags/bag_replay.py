@@ -66,7 +66,9 @@ class Replay(Node):
 
     def __init__(self, bag: Bag, options: ReplayOptions, **kwargs) -> None:
         super().__init__('replay', **kwargs)
-        self.bag, self.options, self.done = bag, options, Future()
+        self.bag = bag
+        self.options = options
+        self.done = Future()
         self.topics = chosen_topics(bag, options.topics)
         if options.poses and not options.topics:
             # Poses of the command line replace those of the bag.

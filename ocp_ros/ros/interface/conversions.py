@@ -86,7 +86,9 @@ def cloud_with(points: np.ndarray, name: str, values: np.ndarray, header: Header
     rows = np.empty(len(points), dtype=[('xyz', '<f4', 3), ('value', values.dtype)])
     rows['xyz'], rows['value'] = points, values
     message = cloud_to_msg(points[:0], header)
-    message.width, message.point_step, message.row_step = len(rows), 16, 16 * len(rows)
+    message.width = len(rows)
+    message.point_step = 16
+    message.row_step = 16 * len(rows)
     message.fields = [*message.fields, PointField(name=name, offset=12, datatype=kind, count=1)]
     message.data = array('B', rows.tobytes())
     return message

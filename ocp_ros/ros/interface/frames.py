@@ -86,7 +86,8 @@ class Transforms:
         except ImportError:
             self._buffer = None
             return
-        self._error, self._buffer = tf2_ros.TransformException, tf2_ros.Buffer()
+        self._error = tf2_ros.TransformException
+        self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
     def forget(self) -> None:
@@ -159,10 +160,13 @@ class CameraFrames:
             from tf2_msgs.msg import TFMessage
         except ImportError:
             return
-        self._message, self._taken, self._log = TFMessage, taken, node.get_logger()
+        self._message = TFMessage
+        self._taken = taken
+        self._log = node.get_logger()
         self._moving = node.create_publisher(TFMessage, '/tf', LOOP)
         self._static = node.create_publisher(TFMessage, '/tf_static', LATCHED)
-        self._cameras, self._published = 0, frozenset[int]()
+        self._cameras = 0
+        self._published = frozenset[int]()
 
     def publish(self, header: Header, poses: Sequence[Pose]) -> None:
         """
@@ -186,7 +190,8 @@ class CameraFrames:
         if others:
             self._log.info(f'publish_tf: another node publishes {len(others)} of the '
                            f'{cameras} frames camera_<i>; these are left to it')
-        self._cameras, self._published = cameras, frozenset(range(cameras)) - others
+        self._cameras = cameras
+        self._published = frozenset(range(cameras)) - others
         own, body = np.zeros(3), np.eye(3)
         self._static.publish(self._message(transforms=[
             transform(Header(stamp=header.stamp, frame_id=f'camera_{camera}'),

@@ -50,7 +50,9 @@ class RigView:
 
     def __init__(self, node: Node, topic: str, models: Sequence[CameraModel], cameras: int
                  ) -> None:
-        self.models, self._header, self._poses = models, Header(), []
+        self.models = models
+        self._header = Header()
+        self._poses = []
         self._way: list[np.ndarray] = []
         self._views = [OnDemand(node, MarkerArray, topic, self._markers)]
         for camera in range(cameras):
@@ -105,7 +107,9 @@ class CloudView:
 
     def __init__(self, node: Node, coverage: str, error: str, judge: Callable[[], PointMaps | None]
                  ) -> None:
-        self._judge, self._maps, self._header = judge, None, Header()
+        self._judge = judge
+        self._maps = None
+        self._header = Header()
         self._views = [OnDemand(node, PointCloud2, coverage, self._coverage),
                        OnDemand(node, PointCloud2, error, self._error)]
         # The timer publishes after the present callback has ended, which may answer a turn.
@@ -115,7 +119,8 @@ class CloudView:
 
     def turn(self, header: Header) -> None:
         """Show a turn after the present callback has ended."""
-        self._header, self._maps = header, None
+        self._header = header
+        self._maps = None
         if any(view.wanted for view in self._views):
             self._soon.reset()
 

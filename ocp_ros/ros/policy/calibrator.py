@@ -59,11 +59,14 @@ class Calibrator:
         if not Path(config.scan).is_file():
             raise ConfigurationError(f'scan: found no file {config.scan!r}; expected a scan of '
                                      'the room; correct the path, or leave it empty')
-        self._node, self._config, self._decider = node, config, decider
+        self._node = node
+        self._config = config
+        self._decider = decider
         self._sighted, self._final = sighted, final
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='calibrator')
         self._scan: ScanSurfaces | None = None
-        self._busy, self._checked_at = False, time.monotonic()
+        self._busy = False
+        self._checked_at = time.monotonic()
         #: A sentence for each camera that had drifted at the last check.
         self.drifted: list[str] = []
         self.checks = 0

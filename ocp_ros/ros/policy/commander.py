@@ -51,9 +51,11 @@ class Commander:
     """
 
     def __init__(self, node: LifecycleNode) -> None:
-        self._node, self._topic = node, node.resolve_topic_name(topics.CAMERA_COMMANDS)
+        self._node = node
+        self._topic = node.resolve_topic_name(topics.CAMERA_COMMANDS)
         self._publisher: Publisher | None = None
-        self._commanded, self._ready = False, time.monotonic() + DISCOVERY_S
+        self._commanded = False
+        self._ready = time.monotonic() + DISCOVERY_S
 
     def begin(self, go_on: Callable[[], None]) -> None:
         """

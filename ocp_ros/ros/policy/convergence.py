@@ -39,7 +39,10 @@ class Convergence:
 
     def begin(self) -> None:
         """Begin an episode."""
-        self.still, self.longest, self.why, self.gaps = 0, 0.0, '', ''
+        self.still = 0
+        self.longest = 0.0
+        self.why = ''
+        self.gaps = ''
         #: Number of turns played when the placement became final; None before.
         self._after: int | None = None
 

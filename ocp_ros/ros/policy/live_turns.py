@@ -98,11 +98,18 @@ class LiveTurns:
                  refuse: Callable[[ValueError], None], waits: Callable[[], bool],
                  expect: Callable[[np.ndarray, PoseArray, PoseArray], str],
                  plan_ahead: Callable[[], None], in_place: tuple[list[Pose], int]) -> None:
-        self._waits, self._expect, self._plan_ahead = waits, expect, plan_ahead
-        self._node, self._config, self._commands = node, config, commands
-        self._answer, self._final, self._refuse = answer, final, refuse
+        self._waits = waits
+        self._expect = expect
+        self._plan_ahead = plan_ahead
+        self._node = node
+        self._config = config
+        self._commands = commands
+        self._answer = answer
+        self._final = final
+        self._refuse = refuse
         self._fused = FusedCloud(config.voxel_size, config.most_points)
-        self._transforms, self._in_place = Transforms(node), in_place
+        self._transforms = Transforms(node)
+        self._in_place = in_place
         self._frames = CameraFrames(node, config.publish_tf, self._transforms.knows)
         self._await_turns()
         #: The newest cloud of each topic, unread.
@@ -119,7 +126,8 @@ class LiveTurns:
         #: Of the last instruction: targets, positions and rotations, (K, 8) metres and radians.
         self._instructed = np.empty((0, 8))
         #: Number of turns that were decided, and for each topic the number of them with a cloud.
-        self._decided, self._with_cloud = 0, Counter[str]()
+        self._decided = 0
+        self._with_cloud = Counter[str]()
         self._observation = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         if config.manual:
             self._instructions = node.create_publisher(String, topics.INSTRUCTIONS, LATCHED)
@@ -155,8 +163,11 @@ class LiveTurns:
         """Drop the fused cloud, the poses and the last command."""
         self._fused.clear()
         self._rig_size = self._command = self._poses = self._rig = None
-        self._instruction, self._instructed, self._expected = '', np.empty((0, 8)), ''
-        self._decided, self._with_cloud = 0, Counter()
+        self._instruction = ''
+        self._instructed = np.empty((0, 8))
+        self._expected = ''
+        self._decided = 0
+        self._with_cloud = Counter()
         self._await_turns()
 
     def change(self, config: PolicyNodeConfig) -> None:

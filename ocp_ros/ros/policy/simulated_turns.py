@@ -74,8 +74,12 @@ class SimulatedTurns:
                  answer: Callable[[np.ndarray, PoseArray], PoseArray],
                  on_turn_info: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
                  waits: Callable[[], bool], plan_ahead: Callable[[], None]) -> None:
-        self._commands, self._answer_turn, self._on_turn_info = commands, answer, on_turn_info
-        self._refuse, self._waits, self._plan_ahead = refuse, waits, plan_ahead
+        self._commands = commands
+        self._answer_turn = answer
+        self._on_turn_info = on_turn_info
+        self._refuse = refuse
+        self._waits = waits
+        self._plan_ahead = plan_ahead
         self.cloud: PointCloud2 | None = None
         #: The latest poses by their stamps in nanoseconds, none older than the turn answered last.
         self.poses: dict[int, PoseArray] = {}

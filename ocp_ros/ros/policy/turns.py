@@ -121,8 +121,10 @@ class Turns(Generic[T]):
     def change(self, arrival_distance: float, arrival_timeout: float, cloud_timeout: float,
                shortest: float, arrival_angle: float = np.pi) -> None:
         """Change the limits of waiting; the parameters are those of the class."""
-        self._arrival_distance, self._arrival_timeout, self._cloud_timeout, self._shortest = (
-            arrival_distance, arrival_timeout, cloud_timeout, shortest)
+        self._arrival_distance = arrival_distance
+        self._arrival_timeout = arrival_timeout
+        self._cloud_timeout = cloud_timeout
+        self._shortest = shortest
         self._arrival_angle = arrival_angle
 
     def sent(self, targets: np.ndarray, turned: Mapping[int, np.ndarray] | None = None,
@@ -138,7 +140,9 @@ class Turns(Generic[T]):
         :param raised: (K,) bool, whether a camera was sent up or down; None: if its target height
             differs from its measured height.
         """
-        self._targets, self._sent_at, self.overdue = targets, self._clock(), False
+        self._targets = targets
+        self._sent_at = self._clock()
+        self.overdue = False
         self._height_changes = targets[:, 2] != self.positions[:, 2] if raised is None else raised
         self._target_rotations = turned or {}
         self._standing_from = (self._pose_stamp, self._sent_at) if self._arrived() else None
@@ -166,7 +170,9 @@ class Turns(Generic[T]):
         """
         if not self._is_new(POSES, stamp):
             return False
-        self.positions, self._rotations, self._pose_stamp = positions, rotations, stamp
+        self.positions = positions
+        self._rotations = rotations
+        self._pose_stamp = stamp
         self._pose_time = self._clock()
         self._recent.append((stamp, positions, rotations))
         if self._targets is None and self._reference and not self.overdue and self._differs(
@@ -178,7 +184,8 @@ class Turns(Generic[T]):
             self._reference = stamp, positions, rotations
         if self._arrived() or (self._arrived_at is not None and self._arrived(LEAVING_FACTOR)):
             if self._arrived_at is None:
-                self._arrived_at, self._averaged_from = self._pose_time, stamp
+                self._arrived_at = self._pose_time
+                self._averaged_from = stamp
             self._update_standing()
         elif not self.overdue:
             self._wait_for_standing()
@@ -247,7 +254,9 @@ class Turns(Generic[T]):
             self._cloud_leads.clear()
             self._recent.clear()
             self.restarted()
-            self._pose_stamp, self._reference, self._averaged_from = stamp, None, stamp
+            self._pose_stamp = stamp
+            self._reference = None
+            self._averaged_from = stamp
             now, before = self._clock(), self._last_jump[1]
             self._last_jump = source, now
             if self._standing_from is not None:
