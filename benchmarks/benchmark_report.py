@@ -31,8 +31,8 @@ from benchmarks.placement_examples import draw_examples, Example
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
-from ocp_ros.compare.judging import judged_room, MOUNTING, MOUNTINGS
-from ocp_ros.compare.protocol import CONTROLS, placing, POOL
+from ocp_ros.compare.judging import judged_room, MOUNTING_DRAWS, MOUNTING_ERROR_M
+from ocp_ros.compare.protocol import placing, RANDOM_PLACEMENTS, REFERENCE_PLACES
 from ocp_ros.compare.summary import budgets_of, last_runs, Rows
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
@@ -245,8 +245,8 @@ def page(summary: dict[str, Any]) -> str:
         '', '| column | meaning |', '|---|---|',
         '| knows | what the planner knows of the room |',
         '| delivered | depth error that the judge computes, summed over the rooms. The judge '
-        f'moves each camera by {100 * MOUNTING:.0f} cm in a random direction, {MOUNTINGS} times, '
-        'and takes the mean |',
+        f'moves each camera by {100 * MOUNTING_ERROR_M:.0f} cm in a random direction, '
+        f'{MOUNTING_DRAWS} times, and takes the mean |',
         '| 95 % | bootstrap interval of delivered over the rooms |',
         '| promised | depth error that the engine computes on the points of the search, summed '
         'over the rooms |',
@@ -259,7 +259,7 @@ def page(summary: dict[str, Any]) -> str:
         'find |',
         '| regret, geometric | geometric mean of this ratio over the rooms |',
         '| gap closed | (random - planner) / (random - reference), of the sums over the rooms. '
-        f'*random* is the mean of {CONTROLS} placements that are drawn at random |',
+        f'*random* is the mean of {RANDOM_PLACEMENTS} placements that are drawn at random |',
         '| wins | number of rooms in which no other planner of the same table is better |',
         '| rank | mean over the rooms of the rank of the planner; 1 is the best |',
         '| p | p-value of a signed-rank test (Wilcoxon) against the planner with the best rank, '
@@ -296,7 +296,7 @@ def page(summary: dict[str, Any]) -> str:
             f'{shown(known["share"], 3)} | '
             f'{known["lower_bound"]:.3f} | {shown(bounds.get(room), 3)} |')
     rig = 'rig' in summary
-    everywhere = 'all candidate poses' if rig else f'{POOL} positions of a grid'
+    everywhere = 'all candidate poses' if rig else f'{REFERENCE_PLACES} positions of a grid'
     lines += ['', '*Reference*, *random* and *bound* are explained above. *Cameras everywhere* is '
               f'the depth error with a camera at each of {everywhere} at the same time. A '
               f'placement {"on these poses cannot" if rig else "can hardly"} have a smaller '

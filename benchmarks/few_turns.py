@@ -33,8 +33,8 @@ from typing import Any, NamedTuple
 
 from benchmarks.results import stamped
 import numpy as np
-from ocp_ros.compare.protocol import BenchmarkTask, placing, Protocol, run_task, TRUTH
-from ocp_ros.compare.summary import NEGLIGIBLE, pair
+from ocp_ros.compare.protocol import BenchmarkTask, placing, Protocol, RAY_SEARCH, run_task
+from ocp_ros.compare.summary import LOG_OFFSET_M, pair
 from ocp_ros.rooms.splits import SETS
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.simulation_config import EpisodeConfig
@@ -102,7 +102,7 @@ def play_room(protocol: Protocol, lengths: Sequence[tuple[int, float]], task: Ro
     protocol = replace(protocol, half=task.half)
     if protocol.truths and 'truth' not in found:
         found['truth'] = min(row['depth_error'] for row in run_task(
-            protocol, BenchmarkTask(task.room, task.rotation, TRUTH)))
+            protocol, BenchmarkTask(task.room, task.rotation, RAY_SEARCH)))
     if 'start' not in found and not protocol.simulation.rig_file:
         found['start'] = start_error(protocol, task.room, task.rotation)
     for turns, metres in lengths:
@@ -114,7 +114,7 @@ def play_room(protocol: Protocol, lengths: Sequence[tuple[int, float]], task: Ro
                 continue
             rows = run_task(played, BenchmarkTask(task.room, task.rotation, planner))
             errors[planner] = float(np.exp(np.mean([
-                np.log(row['depth_error'] + NEGLIGIBLE) for row in rows])) - NEGLIGIBLE)
+                np.log(row['depth_error'] + LOG_OFFSET_M) for row in rows])) - LOG_OFFSET_M)
             if 'seconds_per_turn' in rows[0]:
                 ms[planner] = 1e3 * float(np.mean([row['seconds_per_turn'] for row in rows]))
     return found

@@ -19,7 +19,7 @@ The kernels of :mod:`ocp_ros.geometry.surfels` have to agree with it, and to be 
 """
 
 import numpy as np
-from ocp_ros.geometry.surfels import HIGHEST, LEAST_COSINE, LOWEST, SurfelSettings
+from ocp_ros.geometry.surfels import MAX_DEPTH_RATIO, MIN_COSINE, MIN_DEPTH_RATIO, SurfelSettings
 
 
 class Twin:
@@ -63,7 +63,7 @@ class Twin:
                        np.cos(elevation)], axis=1)
         across = np.stack([-np.sin(azimuth), np.cos(azimuth), zero], axis=1)
         facing = (normals * offset).sum(axis=1) * self.inverse
-        facing = np.copysign(np.maximum(np.abs(facing), LEAST_COSINE), facing)
+        facing = np.copysign(np.maximum(np.abs(facing), MIN_COSINE), facing)
         self.slope_row = (normals * up).sum(axis=1) / facing
         self.slope_column = (normals * across).sum(axis=1) / facing
         steps = np.abs(self.slope_row) + np.abs(self.slope_column) * self.flat
@@ -79,7 +79,8 @@ class Twin:
             self.slope_row[which] * cell * (row + 0.5 - self.row[which])
             + (not over) * self.slope_column[which] * self.flat[which] * cell
             * (column + 0.5 - self.column[which]))
-        value = np.clip(value, LOWEST * self.inverse[which], HIGHEST * self.inverse[which])
+        value = np.clip(value, MIN_DEPTH_RATIO * self.inverse[which],
+                        MAX_DEPTH_RATIO * self.inverse[which])
         np.maximum.at(self.shadow, (row, column % self.columns), value)
 
     def _splat_single(self, small: np.ndarray) -> None:

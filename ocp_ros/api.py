@@ -44,9 +44,9 @@ from ocp_ros.util.settings import (
     check_positive,
     check_whole,
     ConfigurationError,
-    FEWEST_POINTS,
-    LARGEST_SEED,
-    MOST_CAMERAS,
+    MAX_CAMERAS,
+    MAX_SEED,
+    MIN_ROOM_POINTS,
 )
 from ocp_ros.util.yaml_files import check, Document
 
@@ -162,7 +162,7 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     """
     check_positive('seconds', seconds)
     check_whole('evaluations', evaluations)
-    check_whole('seed', seed, 0, LARGEST_SEED)
+    check_whole('seed', seed, 0, MAX_SEED)
     if progress is not None and not callable(progress):
         raise ConfigurationError(f'progress: found {progress!r}; expected a function')
     auto = isinstance(cameras, str) and cameras == AUTO
@@ -217,7 +217,7 @@ def _scored(judged: Assessment) -> dict[str, Any]:
 
 def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, dict[str, Any]]:
     """Return a room, and its record for placement files."""
-    check_whole('points', points, FEWEST_POINTS)
+    check_whole('points', points, MIN_ROOM_POINTS)
     for key in reading:
         if key not in READING:
             raise ConfigurationError(f'{key}: found an argument that is not known; expected one '
@@ -245,7 +245,7 @@ def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
     """Return a rig with ``cameras`` cameras; with ``'auto'``, a rig for counting cameras."""
     counted = isinstance(cameras, str) and cameras == AUTO
     if not counted:
-        check_whole('cameras', cameras, 1, MOST_CAMERAS)
+        check_whole('cameras', cameras, 1, MAX_CAMERAS)
     count = None if counted else cameras
     if rig is None:
         return rig_of(int(count or CAMERAS), sensor, mount={'on': mount or MOUNT})
@@ -316,5 +316,5 @@ def _counting(target: float, by: str, most: int) -> Counting:
     check_positive('target', target)
     if target > 1.0:
         raise ConfigurationError(f'target: found {target}; expected a share of at most 1')
-    check_whole('most', most, 1, MOST_CAMERAS)
+    check_whole('most', most, 1, MAX_CAMERAS)
     return Counting(float(target), by, most)

@@ -229,8 +229,8 @@ class Graph:
 def graph(domain, monkeypatch):
     """Return a graph of nodes of its own, which know each other at once."""
     from ocp_ros.ros.policy import commander
-    monkeypatch.setattr(commander, 'SETTLING', 0.0)
-    monkeypatch.setattr(commander, 'VISIBLE', 0.0)
+    monkeypatch.setattr(commander, 'DISCOVERY_S', 0.0)
+    monkeypatch.setattr(commander, 'PUBLISHER_AGE_S', 0.0)
     with ExitStack() as stack:
         made = Graph(domain)
         stack.callback(made.close)

@@ -20,7 +20,7 @@ from conftest import assert_same, batch, made_room, observation, random_checkpoi
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, MAP, PAPER
 from ocp_ros.policy.cloud_encoder import Encoder
-from ocp_ros.policy.cloud_observation import encode, OTHERS
+from ocp_ros.policy.cloud_observation import encode, MAX_OTHERS
 from ocp_ros.policy.networks import Actor, ExtractionUnit, Extractor
 from ocp_ros.policy.policy import Policy
 from ocp_ros.policy.sampling import ball_query, farthest_points
@@ -152,11 +152,11 @@ def test_a_camera_is_told_what_those_before_it_will_do(cloud):
 
 def test_the_turn_is_told_and_the_nearest_of_more_cameras_than_there_is_room_for(cloud):
     (x, y, z), far = corners(cloud)
-    ways = np.random.default_rng(0).permutation(0.1 * np.arange(1, OTHERS + 1))
+    ways = np.random.default_rng(0).permutation(0.1 * np.arange(1, MAX_OTHERS + 1))
     seen = turn_of(cloud, [[x, y, z], *([x + way, y, z] for way in ways), far]).inputs(0)
     np.testing.assert_allclose(AGENT.length_scale * seen['others'][:, 0], np.sort(ways), atol=1e-5)
     time, count, unseen = seen['turn']
-    assert (time, count) == (pytest.approx(0.1), pytest.approx((OTHERS + 2) / 4.0))
+    assert (time, count) == (pytest.approx(0.1), pytest.approx((MAX_OTHERS + 2) / 4.0))
     assert 0.0 < unseen < 1.0
 
 

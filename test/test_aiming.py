@@ -42,7 +42,7 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.instructions import instructions, STAY
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.policy.turns import HOLD, Turns
+from ocp_ros.ros.policy.turns import STEADY_NS, Turns
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
@@ -289,7 +289,7 @@ def test_a_live_turn_waits_until_cameras_are_turned():
     assert not turns.standing
     turns.on_poses(2, here, [rotation_matrix(2.0), rotation_matrix(1.3)])
     assert not turns.standing
-    for stamp in (3, 3 + HOLD):
+    for stamp in (3, 3 + STEADY_NS):
         turns.on_poses(stamp, here, [rotation_matrix(2.0), rotation_matrix(1.45)])
     assert turns.standing and turns.since == 3
 

@@ -247,7 +247,7 @@ def test_files_are_as_open_as_the_user_says_and_copies_of_scans_are_private(
             os.umask(before)
         assert mode(tmp_path / 'a') == expected
     monkeypatch.setenv('OCP_ROS_CACHE', str(tmp_path / 'cache'))
-    monkeypatch.setattr(scene_cache, 'LARGE', 0)
+    monkeypatch.setattr(scene_cache, 'MIN_CACHED_BYTES', 0)
     save_scene(made_room(8, 1500), tmp_path / 'room.ply')
     load_cached(tmp_path / 'room.ply')
     kept, = (tmp_path / 'cache' / 'scans').iterdir()

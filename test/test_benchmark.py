@@ -24,14 +24,14 @@ from ocp_ros.cli import main as cli
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import (
     BenchmarkTask,
-    CONTROL,
-    CONTROLS,
     Protocol,
-    PROVED,
+    PROVED_OPTIMUM,
+    RANDOM_PLACEMENT,
+    RANDOM_PLACEMENTS,
+    RAY_SEARCH,
+    REFERENCES,
     rooms_in,
     run_task,
-    TRUTH,
-    YARDSTICKS,
 )
 from ocp_ros.compare.summary import interval, ranks, summarise
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -98,10 +98,10 @@ def test_a_task_runs_every_budget_and_seed():
         assert row['promised'] == pytest.approx(row['trace'][-1][2])
     again = run_task(SMALL, BenchmarkTask('3', 0.0, 'annealing'))
     assert [row['placement'] for row in again] == [row['placement'] for row in rows]
-    control = run_task(SMALL, BenchmarkTask('3', 0.0, CONTROL))
+    control = run_task(SMALL, BenchmarkTask('3', 0.0, RANDOM_PLACEMENT))
     assert all(row['lower_bound'] <= row['depth_error'] for row in control)
     assert control[0]['lower_bound'] <= min(row['depth_error'] for row in rows)
-    truth = run_task(SMALL, BenchmarkTask('3', 0.0, TRUTH))
+    truth = run_task(SMALL, BenchmarkTask('3', 0.0, RAY_SEARCH))
     assert [(row['budget'], row['seed']) for row in truth] == [(300, 0), (300, 1)]
     assert min(row['depth_error'] for row in truth) < min(row['depth_error'] for row in control)
 
@@ -148,9 +148,9 @@ def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
         comparison.play(SMALL, tmp_path, 1)
     rows = comparison.play(SMALL, tmp_path, 1)
     played = list(dict.fromkeys(row['planner'] for row in rows))
-    assert played == [*YARDSTICKS, 'random', 'annealing']
-    assert len(rows) == CONTROLS + 2 + 1 + 4 + 4
-    assert done == [CONTROL, TRUTH, None, PROVED, 'random', 'annealing']
+    assert played == [*REFERENCES, 'random', 'annealing']
+    assert len(rows) == RANDOM_PLACEMENTS + 2 + 1 + 4 + 4
+    assert done == [RANDOM_PLACEMENT, RAY_SEARCH, None, PROVED_OPTIMUM, 'random', 'annealing']
     with pytest.raises(ConfigurationError, match='record of another comparison'):
         comparison.play(replace(SMALL, seeds=1), tmp_path, 1)
     # The same name, but others than those that have played.
@@ -169,9 +169,9 @@ def rows_of(errors, budget=100, truth=()):
     cases = {(row['room'], row['rotation']) for row in rows}
     for room, rotation in cases:
         row = {'room': room, 'rotation': rotation, 'seed': 0}
-        rows.append({**row, 'planner': CONTROL, 'budget': 1, 'depth_error': 10.0,
+        rows.append({**row, 'planner': RANDOM_PLACEMENT, 'budget': 1, 'depth_error': 10.0,
                      'lower_bound': 0.1})
-        rows += [{**row, 'planner': TRUTH, 'budget': 3000, 'seed': seed, 'depth_error': error,
+        rows += [{**row, 'planner': RAY_SEARCH, 'budget': 3000, 'seed': seed, 'depth_error': error,
                   'promised': error, 'seconds': 9.0, 'evaluations': 3000}
                  for seed, error in enumerate(truth or (1.0, 2.0))]
     return rows
@@ -199,7 +199,7 @@ def test_the_summary_is_what_its_words_say():
 def test_a_room_of_which_nothing_is_missed_is_noted():
     rows = rows_of({'one': {('easy', 0): [0.07], ('b', 0): [4.0]},
                     'other': {('easy', 0): [2.5], ('b', 0): [4.0]}})
-    summary = summarise([{**row, 'depth_error': 0.07} if row['planner'] == TRUTH
+    summary = summarise([{**row, 'depth_error': 0.07} if row['planner'] == RAY_SEARCH
                          and row['room'] == 'easy' else row for row in rows])
     note, = summary['notes']
     assert note.startswith('easy: found that the best known leaves 0.070 m')
@@ -233,7 +233,7 @@ def test_the_command_compares_and_writes_results(tmp_path, capsys):
     assert set(summary['pairs']) == {'random, 8', 'random, 20', 'greedy_error, 8',
                                      'greedy_error, 20', 'greedy_step'}
     lines = (tmp_path / 'out' / 'results.csv').read_text().splitlines()
-    assert len(lines) == 1 + CONTROLS + 3 + 1 + 4 + 1
+    assert len(lines) == 1 + RANDOM_PLACEMENTS + 3 + 1 + 4 + 1
     printed = capsys.readouterr().out
     assert 'greedy_error' in printed and f'wrote {tmp_path / "out" / "results.csv"}' in printed
     assert write_report([str(tmp_path / 'out'), '--out', str(tmp_path / 'report')]) == 0
@@ -353,14 +353,14 @@ def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
                '100', '--seeds', '1', '--workers', '1', '--out', str(tmp_path / 'out')]
     assert cli.main(command) == 0, capsys.readouterr().err
     rows = json.loads((tmp_path / 'out' / 'results.json').read_text())
-    assert {row['planner'] for row in rows} == {CONTROL, TRUTH, 'rig_search', 'random',
-                                                'lookahead'}
+    assert {row['planner'] for row in rows} == {
+        RANDOM_PLACEMENT, RAY_SEARCH, 'rig_search', 'random', 'lookahead'}
     assert all(np.shape(row['placement']) == (2, 6) for row in rows)
     errors = {row['planner']: row['depth_error'] for row in rows}
-    chance = [row['depth_error'] for row in rows if row['planner'] == CONTROL]
+    chance = [row['depth_error'] for row in rows if row['planner'] == RANDOM_PLACEMENT]
     assert errors['rig_search'] < np.median(chance)
-    least = next(row['lower_bound'] for row in rows if row['planner'] == CONTROL)
-    assert all(least <= row['exact'] + 1e-9 for row in rows if row['planner'] == CONTROL)
+    least = next(row['lower_bound'] for row in rows if row['planner'] == RANDOM_PLACEMENT)
+    assert all(least <= row['exact'] + 1e-9 for row in rows if row['planner'] == RANDOM_PLACEMENT)
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert (summary['rig'], summary['cameras']) == ('rig.yaml', 2)
     assert write_report([str(tmp_path / 'out')]) == 0

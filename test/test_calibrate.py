@@ -23,10 +23,10 @@ from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, OPT
 from ocp_ros.registration.alignment import matched, Matches, Patches, Poses, Surfaces
 from ocp_ros.registration.calibration import as_built, calibrate
 from ocp_ros.registration.camera_registration import (
-    _behind,
-    _shifted,
+    _behind_share,
+    _best_shift,
     checked,
-    MOST_BEHIND,
+    LIMITS,
     register,
 )
 from ocp_ros.registration.live_view import LiveView
@@ -155,7 +155,7 @@ def test_a_pose_beside_the_best_one_is_left(scan):
     true = Pose.of(TRUE)
     view = LiveView(seen_by(true), MODEL)
     beside = Pose(true.position + [0.05, 0.0, 0.0], true.rotation)
-    away, turn = errors(_shifted(scan.in_view(true, MODEL), view.patches, beside)[0], true)
+    away, turn = errors(_best_shift(scan.in_view(true, MODEL), view.patches, beside)[0], true)
     assert away < 0.005 and turn < 0.3
 
 
@@ -169,7 +169,7 @@ def test_a_near_pose_that_fits_as_well_is_named(nearer, named):
     seen = np.concatenate([wall, floor, right * [nearer, 1.0, 1.0], right * [-nearer, 1.0, 1.0]])
     pose, model = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0])), CameraModel(0.1, 6.0)
     view = LiveView((seen - pose.position) @ pose.rotation, model)
-    found, rival = _shifted(surfaces.in_view(pose, model), view.patches, pose)
+    found, rival = _best_shift(surfaces.in_view(pose, model), view.patches, pose)
     assert (rival is not None) == named
     if named:
         assert 0.02 < np.linalg.norm(rival.position - found.position) < 0.07
@@ -180,10 +180,10 @@ def test_points_behind_a_scanned_surface_are_held_against_a_pose(scan):
     view = LiveView(seen_by(true), MODEL)
     forward = Pose(true.position + 0.08 * true.rotation[:, 0], true.rotation)
     back = Pose(true.position - 0.08 * true.rotation[:, 0], true.rotation)
-    shares = _behind(scan.fine, view.patches, Poses(
+    shares = _behind_share(scan.fine, view.patches, Poses(
         *(np.stack([getattr(pose, part) for pose in (true, back, forward)])
           for part in ('rotation', 'position'))))
-    assert shares[0] < shares[1] < MOST_BEHIND < shares[2]
+    assert shares[0] < shares[1] < LIMITS.max_behind < shares[2]
 
 
 def test_a_scan_that_is_bent_makes_a_pose_less_certain():

@@ -27,7 +27,15 @@ from ocp_ros.online.online_planner import Online, settings_of
 from ocp_ros.online.rig_state import clearance_of, Limits, RigState
 from ocp_ros.online.rollout import play
 from ocp_ros.online.step import OnlineStep
-from ocp_ros.rig.free_plane import CLEARANCE, EDGE, FINE_EDGE, Floor, floor_of, FreePlane, SLACK
+from ocp_ros.rig.free_plane import (
+    CELL_M,
+    CLEARANCE,
+    FINE_CELL_M,
+    Floor,
+    floor_of,
+    FreePlane,
+    SLACK_M,
+)
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room
@@ -109,8 +117,8 @@ def test_every_place_of_a_plane_keeps_its_distance(points, clearance, margin, se
         np.testing.assert_array_equal(plane.low, old.low)
         assert plane.area == old.area
         grid = old.grid(400)
-        near = distances(points, grid) < clearance + np.sqrt(2.0) * EDGE + 2.0 * SLACK
-        assert near.all() or plane.area > 100_000 * FINE_EDGE ** 2
+        near = distances(points, grid) < clearance + np.sqrt(2.0) * CELL_M + 2.0 * SLACK_M
+        assert near.all() or plane.area > 100_000 * FINE_CELL_M ** 2
         return
     anywhere = rng.uniform(plane.low - 1.0, plane.high + 1.0, (40, 2))
     drawn = plane.random(rng, 20)
@@ -148,11 +156,11 @@ def test_a_place_moves_into_the_nearest_open_cell(seed, share):
     floor, places = Floor(np.array([-1.0, 2.0]), cells), rng.uniform(-2.0, 6.0, (5, 2))
     listed = np.argwhere(cells)
     for place, found in zip(places, floor.inside(places)):
-        own = np.clip(np.floor((place - floor.low) / EDGE), 0, np.array(cells.shape) - 1)
+        own = np.clip(np.floor((place - floor.low) / CELL_M), 0, np.array(cells.shape) - 1)
         x, y = min(listed.tolist(), key=lambda cell: (
             np.sum((np.array(cell) - own) ** 2), cell[1], cell[0]))
-        corner = floor.low + EDGE * np.array([x, y])
-        np.testing.assert_allclose(found, np.clip(place, corner, corner + EDGE), atol=2e-6)
+        corner = floor.low + CELL_M * np.array([x, y])
+        np.testing.assert_allclose(found, np.clip(place, corner, corner + CELL_M), atol=2e-6)
 
 
 def test_no_more_is_closed_than_the_diagonal_of_a_cell(parted):
@@ -161,7 +169,7 @@ def test_no_more_is_closed_than_the_diagonal_of_a_cell(parted):
     places = np.random.default_rng(0).uniform([0.5, 0.5], [5.5, 3.5], (2000, 2))
     away = distances(parted, places)
     assert old.contains(places).all()
-    assert new.contains(places)[away > 0.15 + np.sqrt(2.0) * FINE_EDGE + SLACK].all()
+    assert new.contains(places)[away > 0.15 + np.sqrt(2.0) * FINE_CELL_M + SLACK_M].all()
     assert not new.contains(places)[away < 0.15].any() and (away < 0.15).sum() > 50
 
 
@@ -174,7 +182,7 @@ def test_without_a_clearance_the_plane_is_what_it_was(parted, floor):
     assert (plane.floor is not None) == floor
     if floor:
         known = floor_of(points, HEIGHT)
-        assert plane.floor.edge == EDGE and np.array_equal(plane.floor.low, known.low)
+        assert plane.floor.edge == CELL_M and np.array_equal(plane.floor.low, known.low)
         assert not (plane.floor.open & ~known.open).any()
 
 
@@ -194,7 +202,7 @@ def test_a_stray_point_closes_a_disc_and_no_more():
     stray = np.array([[3.0, 2.0, HEIGHT]])
     clean, noisy = (FreePlane.of(points, HEIGHT, 3, MARGIN)
                     for points in (with_things(), with_things(stray)))
-    assert 0.0 < clean.area - noisy.area < np.pi * (0.15 + 2.0 * FINE_EDGE) ** 2
+    assert 0.0 < clean.area - noisy.area < np.pi * (0.15 + 2.0 * FINE_CELL_M) ** 2
 
 
 def test_cameras_of_different_heights_keep_it_at_each_of_them():
@@ -293,7 +301,7 @@ def test_starts_are_out_of_furniture():
     assert cKDTree(scene.points).query(free[:, :3])[0].min() >= CLEARANCE - ROUNDING
     assert cKDTree(scene.points).query(anywhere[:, :3])[0].min() < 0.05
     # Each begins beside where it would have.
-    assert np.linalg.norm(free - anywhere, axis=1).max() < 0.3 + 0.15 + 2.0 * EDGE
+    assert np.linalg.norm(free - anywhere, axis=1).max() < 0.3 + 0.15 + 2.0 * CELL_M
     np.testing.assert_array_equal(
         anywhere[:3, :2], problem.start(np.random.default_rng(0), replace(
             EpisodeConfig(), clearance=0.0), 3)[:, :2])

@@ -73,7 +73,7 @@ def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
 
     for stamp in range(10, 15):
         send(stamp)
-        graph.until(lambda at=stamp: second._live._turns._heard.get('points') == at)
+        graph.until(lambda at=stamp: second._live._turns._newest_stamps.get('points') == at)
     assert not second._counts['turns_answered'] and not probe.received[topics.CAMERA_COMMANDS]
     # What it has seen while it waited is long ago when it takes over.
     graph.until(lambda: not second._live._turns.due())

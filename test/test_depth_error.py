@@ -19,7 +19,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, LARGEST_CUBE
+from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, MAX_CUBE
 from ocp_ros.geometry.packed_bits import no_bits, pack
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.mesh_rays import MeshRays
@@ -52,7 +52,7 @@ def small():
 
 def half_sides(scene):
     """Return half the sides of the points' cubes, metres."""
-    return SHARE * np.minimum(scene.spacing, LARGEST_CUBE * np.median(scene.spacing))
+    return SHARE * np.minimum(scene.spacing, MAX_CUBE * np.median(scene.spacing))
 
 
 @given(seed=seeds, share=st.floats(0.0, 1.0))

@@ -18,8 +18,8 @@ import json
 
 import numpy as np
 from ocp_ros.cli.main import main
-from ocp_ros.compare.protocol import CONTROL
-from ocp_ros.compare.summary import NEGLIGIBLE, pairs
+from ocp_ros.compare.protocol import RANDOM_PLACEMENT
+from ocp_ros.compare.summary import LOG_OFFSET_M, pairs
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene_files import save_scene
 import pytest
@@ -37,11 +37,12 @@ def test_pairs_say_who_is_better_and_whether_it_is_chance():
     hard = rng.lognormal(0.0, 2.0, 40)
     found = pairs(rows({
         ('mine', 0): 0.8 * hard, ('worse', 0): hard, ('same', 0): 0.8 * hard,
-        ('noise', 0): 0.8 * hard * rng.lognormal(0.0, 0.3, 40), (CONTROL, 1): hard}), 'mine')
+        ('noise', 0): 0.8 * hard * rng.lognormal(0.0, 0.3, 40),
+        (RANDOM_PLACEMENT, 1): hard}), 'mine')
     assert set(found) == {'mine', 'worse', 'same', 'noise'}
     worse = found['worse']
     assert worse['wins'] == worse['rooms'] == 40 and worse['p'] < 1e-6
-    expected = np.exp(np.mean(np.log(0.8 * hard + NEGLIGIBLE) - np.log(hard + NEGLIGIBLE)))
+    expected = np.exp(np.mean(np.log(0.8 * hard + LOG_OFFSET_M) - np.log(hard + LOG_OFFSET_M)))
     assert worse['ratio'] == pytest.approx(expected) and 0.79 < worse['ratio'] < 0.9
     low, high = worse['interval']
     assert low <= worse['ratio'] <= high < 1.0

@@ -181,7 +181,7 @@ def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_age
     assert not list((tmp_path / 'b').rglob('*.abc'))
     # It tells its weights to whoever has come meanwhile, and goes on.
     assert again.take_weights().updates >= 16
-    until(lambda: not again._behind(), again)
+    until(lambda: not again._burst_is_due(), again)
     most = max(kept, again.transitions) - SAC.learning_starts
     assert kept - SAC.learning_starts - 4 < again.updates <= most
     for one in (learner, again):
@@ -190,7 +190,7 @@ def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_age
 
 
 def test_a_learner_says_so_when_there_is_no_room(small_agent, tmp_path, monkeypatch):
-    monkeypatch.setattr('ocp_ros.training.learner.INBOX', 5)
+    monkeypatch.setattr('ocp_ros.training.learner.INBOX_SIZE', 5)
     learner = Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SAC)
     stuck, release = threading.Event(), threading.Event()
 

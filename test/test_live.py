@@ -330,7 +330,7 @@ def test_a_person_is_not_told_anew_for_the_noise_of_poses(live):
     where = rig.positions
     for _ in range(5):
         rig.episode.move((where - rig.positions + rng.normal(0.0, 0.004, where.shape))[:, :2])
-        policy._live._command_again()
+        policy._live._resend()
         for _ in range(5):
             live.graph.executor.spin_once(timeout_sec=0.02)
     assert len(live.received[topics.INSTRUCTIONS]) == before
@@ -428,11 +428,11 @@ def test_a_pause_stops_cameras_where_they_are(live):
 
 def test_a_new_placement_begins_without_a_restart(live):
     rig, policy = live.start(turns=3)
-    live.graph.until(lambda: policy._settled)
+    live.graph.until(lambda: policy._is_final)
     placements = len(live.received[topics.PLACEMENT])
     rig.episode.move(np.full((CAMERAS, 2), 0.3))
     assert called(live, Trigger, 'reset').success
-    assert not policy._settled and len(policy._live._fused) == 0
+    assert not policy._is_final and len(policy._live._fused) == 0
     live.graph.until(lambda: len(live.received[topics.PLACEMENT]) > placements)
     np.testing.assert_allclose(
         msg_to_positions(live.last(topics.PLACEMENT)), rig.positions, atol=1e-6)

@@ -38,7 +38,7 @@ from ocp_ros.training.encoded_environment import encoded_space, playable
 from ocp_ros.training.experience import Choice, Experience, ExperienceError, from_bytes, to_bytes
 from ocp_ros.training.run_folder import records
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
-from ocp_ros.training.sac_networks import IN_REWARDS, NearValueMap
+from ocp_ros.training.sac_networks import NearValueMap, REWARD_PER_VALUE
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import SacConfig, TrainingConfig
 from ocp_ros.training.transitions import Assembler, Reward
@@ -140,13 +140,13 @@ def test_the_critics_begin_as_the_value_map_and_the_policy_as_its_softmax(model)
         values = valued(network(), seen)
         cells = torch.tensor([30 * CELLS + 31, 33 * CELLS + 29])
         first, second = model.critic(seen, action_of(cells))
-        expected = -IN_REWARDS * values.flatten(1).gather(1, cells[:, None])
+        expected = -REWARD_PER_VALUE * values.flatten(1).gather(1, cells[:, None])
         torch.testing.assert_close(first, expected)
         assert not torch.equal(first, second) and torch.allclose(first, second, atol=0.5)
         shares, log_prob = model.actor.action_log_prob(seen)
         torch.testing.assert_close(shares, CellChoices(values, seen['choices']).shares)
         mean, _ = model.critic(seen, shares)
-        whole = -IN_REWARDS * values.flatten(1).nan_to_num(posinf=0.0)
+        whole = -REWARD_PER_VALUE * values.flatten(1).nan_to_num(posinf=0.0)
         torch.testing.assert_close(mean[:, 0], (shares * whole).sum(dim=1))
     assert (log_prob < 8.0).all()
     taken = actor_checkpoint(model, 'r', {})

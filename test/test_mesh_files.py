@@ -27,7 +27,7 @@ from benchmarks.drills.spoilt_files import (
 )
 import numpy as np
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.scenes.mesh_files import sampled, SAMPLES
+from ocp_ros.scenes.mesh_files import MESH_SAMPLES, sampled
 from ocp_ros.scenes.scene import Mesh, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scans_in
 import pytest
@@ -162,7 +162,7 @@ def test_faces_with_nan_are_refused_or_left_out(tmp_path, caplog):
     write_ply_mesh(path, Mesh(vertices, triangles.astype(np.int32)))
     assert 'found 1 of 60,001 points with NaN' in refusal(path)
     with caplog.at_level(logging.INFO):
-        assert len(load_scene(path, drop_nonfinite=True)) > 0.99 * SAMPLES
+        assert len(load_scene(path, drop_nonfinite=True)) > 0.99 * MESH_SAMPLES
     assert '60000 of 60001 points kept' in caplog.text
 
 

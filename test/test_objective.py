@@ -24,7 +24,7 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.search.scorer import Scorer
-from ocp_ros.simulation.objective import MUST
+from ocp_ros.simulation.objective import MUST_SEE_COST
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -73,7 +73,7 @@ def test_a_point_counts_where_enough_cameras_see_it(room, seen_by):
     shares = [enough[part].mean() for part in inside]
     np.testing.assert_allclose(worth.regions, shares)
     loss = (error / simulator.depth_error.worst + 2.0 * (1.0 - shares[0])
-            + 0.5 * (1.0 - shares[1]) + MUST * max(0.9 - shares[0], 0.0))
+            + 0.5 * (1.0 - shares[1]) + MUST_SEE_COST * max(0.9 - shares[0], 0.0))
     assert worth.loss == pytest.approx(loss)
 
 

@@ -33,7 +33,7 @@ from ocp_ros.policy.agent_config import AgentConfig, CLOUD
 from ocp_ros.policy.learned import Learned
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.policy import Policy
-from ocp_ros.rig.free_plane import FINE_EDGE
+from ocp_ros.rig.free_plane import FINE_CELL_M
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.episode import Episode
@@ -193,7 +193,7 @@ def test_a_camera_with_a_cabinet_in_its_way_gets_to_its_target(furnished):
     for turn in range(MIN_PIPELINED_TURNS):
         state = RigState(placement, (CameraModel(),), 1)
         placement = step(furnished.points, state, turn, MIN_PIPELINED_TURNS).placement
-    np.testing.assert_allclose(placement[0, :2], [5.0, 2.0], atol=FINE_EDGE)
+    np.testing.assert_allclose(placement[0, :2], [5.0, 2.0], atol=FINE_CELL_M)
 
 
 @pytest.mark.parametrize('turn', [24, 26, 29])
@@ -208,7 +208,7 @@ def test_lookahead_sends_nobody_where_it_cannot_be_in_time(furnished, turn):
     for _ in range(30 - turn + 1):
         placed = space.on_way(placed, online.targets, MAX_STEP)
     assert (placed[:, 0].max() > 4.5) == (turn != 29)
-    np.testing.assert_allclose(placed, online.targets, atol=FINE_EDGE)
+    np.testing.assert_allclose(placed, online.targets, atol=FINE_CELL_M)
 
 
 @pytest.mark.parametrize('name', ['wanderer', 'greedy step', 'lookahead', 'guided lookahead'])

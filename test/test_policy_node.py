@@ -40,7 +40,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner
-from ocp_ros.ros.policy.simulated_turns import REMEMBERED
+from ocp_ros.ros.policy.simulated_turns import MAX_STORED_POSES
 from ocp_ros.ros.policy_node import has_news, PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
@@ -132,7 +132,7 @@ def test_a_turn_is_answered_whose_parts_are_never_the_latest_together(robot, roo
             turns.on_poses(positions_to_msg(POSITIONS + 1e6, header[stamp]))
         turns.on_cloud(cloud_to_msg(room.points, header[5]))
     robot.command(5)
-    assert len(turns.poses) <= REMEMBERED
+    assert len(turns.poses) <= MAX_STORED_POSES
     # What was not answered is older than what was, and forgotten.
     robot.send(50)
     robot.command(50)
@@ -313,7 +313,7 @@ def test_cameras_of_a_policy_that_stands_still_are_placed_by_lookahead(robot, mo
         robot.send(stamp, positions=positions[-1])
         positions.append(msg_to_positions(robot.command(stamp)))
     assert np.abs(positions[-1] - positions[0]).max() > 0.1
-    assert not policy._settled
+    assert not policy._is_final
     robot.send(22, positions=positions[-1])
     assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 22
 
@@ -334,10 +334,10 @@ def test_a_new_episode_starts_the_turns_anew(robot):
     for stamp in (1, 2):
         robot.send(stamp)
         robot.command(stamp)
-    assert policy._settled
+    assert policy._is_final
     rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
     rewards.publish(reward(3, episode=2, step=0))
-    robot.graph.until(lambda: not policy._settled)
+    robot.graph.until(lambda: not policy._is_final)
     robot.send(3)
     assert not np.allclose(msg_to_positions(robot.command(3)), POSITIONS)
 
@@ -346,14 +346,14 @@ def test_a_turn_waits_for_its_reward_that_was_overtaken(robot, room):
     policy, truncated = robot.start(turns=5), reward(1, step=5, truncated=True)
     policy._turns.on_reward(truncated)
     robot.send(1)
-    assert robot.command(1) and policy._settled
+    assert robot.command(1) and policy._is_final
     header = Header(stamp=ns_to_stamp(2), frame_id='map')
     policy._turns.on_poses(positions_to_msg(POSITIONS, header))
     policy._turns.on_cloud(cloud_to_msg(room.points, header))
     assert policy._counts['turns_answered'] == 1
     policy._turns.on_reward(reward(2, episode=2, step=0))
     # At once: it is the first turn of an episode, and not one more of what is over.
-    assert policy._counts['turns_answered'] == 2 and not policy._settled
+    assert policy._counts['turns_answered'] == 2 and not policy._is_final
     assert not np.allclose(msg_to_positions(robot.command(2)), POSITIONS)
 
 
@@ -377,10 +377,10 @@ def test_a_restarted_simulation_is_a_new_episode_whatever_its_number(robot):
     for stamp in (1, 2):
         robot.send(stamp)
         robot.command(stamp)
-    assert policy._settled
+    assert policy._is_final
     rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
     rewards.publish(reward(3, episode=policy._episode, step=0))
-    robot.graph.until(lambda: not policy._settled)
+    robot.graph.until(lambda: not policy._is_final)
 
 
 def test_an_episode_goes_on_when_its_first_turn_is_sent_again(robot, monkeypatch):
@@ -389,7 +389,7 @@ def test_an_episode_goes_on_when_its_first_turn_is_sent_again(robot, monkeypatch
     rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
     for stamp, step in ((1, 0), (1, 0), (2, 1), (2, 1)):
         rewards.publish(reward(stamp, step=step))
-        robot.graph.until(lambda: policy._turns.told == stamp)
+        robot.graph.until(lambda: policy._turns.reward_stamp == stamp)
         robot.send(stamp)
         robot.command(stamp)
     rewards.publish(reward(3, episode=2, step=0))
@@ -406,12 +406,12 @@ def test_the_planner_is_told_which_turn_it_is(robot, monkeypatch, late):
     for stamp, step in ((1, 7), (2, 8), (3, 9)):
         if not late:
             rewards.publish(reward(stamp, step=step))
-            robot.graph.until(lambda: policy._turns.told == stamp)
+            robot.graph.until(lambda: policy._turns.reward_stamp == stamp)
         robot.send(stamp)
         robot.command(stamp)
         if late:
             rewards.publish(reward(stamp, step=step))
-            robot.graph.until(lambda: policy._turns.told == stamp)
+            robot.graph.until(lambda: policy._turns.reward_stamp == stamp)
     # Who hears of the first turn too late counts from 0.
     assert told == [(0 if late else 7, 30), (8, 30), (9, 30)]
 
@@ -422,7 +422,7 @@ def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_tu
     rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
     if not late:
         rewards.publish(reward(1, step=5, truncated=True))
-        robot.graph.until(lambda: policy._over)
+        robot.graph.until(lambda: policy._is_last_turn)
     robot.send(1)
     robot.command(1)
     if late:

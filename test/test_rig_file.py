@@ -22,7 +22,7 @@ from benchmarks.docs.schemas import FILES
 from conftest import refused_in_one_sentence, ROOT
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.rig.rig_file import load_rig, MUST_SEE, rig_of, sensor_named
+from ocp_ros.rig.rig_file import load_rig, MUST_SEE_SHARE, rig_of, sensor_named
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.settings import ConfigurationError
 import pytest
@@ -71,7 +71,7 @@ def test_every_key_arrives_in_metres_and_radians(tmp_path):
     assert rig.rolls == pytest.approx((0.0, np.pi / 2))
     assert (rig.keep_clear, rig.spacing, rig.seen_by) == (0.3, 0.5, 2)
     table, desk = rig.regions
-    assert (table.name, table.weight, table.must_see) == ('table', 3.0, MUST_SEE)
+    assert (table.name, table.weight, table.must_see) == ('table', 3.0, MUST_SEE_SHARE)
     assert (desk.name, desk.weight, desk.must_see) == ('desk', 1.0, 0.5)
     assert table.where == 'rig.yaml: line 15, regions[0]'
 

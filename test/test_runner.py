@@ -23,7 +23,7 @@ import subprocess
 import sys
 
 from ocp_ros.demo.node_processes import free_domain
-from ocp_ros.ros.runtime.network import ASKED, stay_local
+from ocp_ros.ros.runtime.network import stay_local, USER_VARIABLES
 from ocp_ros.ros.runtime.node_main import run, undisturbed
 from ocp_ros.scenes.scene import SceneError
 import pytest
@@ -119,7 +119,7 @@ class Stuck:
     def destroy_node(self):
         ctypes.PyDLL(None).sleep(1000)
 
-node_main.PATIENCE = 0.2
+node_main.SHUTDOWN_TIMEOUT_S = 0.2
 print('saved')
 node_main.take_down(Stuck(), None)
 print('not here')
@@ -209,7 +209,7 @@ def test_a_node_that_cannot_be_kept_safe_is_not_started(tmp_path, monkeypatch, c
 def test_nobody_outside_this_machine_is_heard_unless_asked(monkeypatch, said, value, alone,
                                                            reach):
     # Set and taken away again, for what is looked at here is not put back otherwise.
-    for name in (*ASKED, 'RMW_IMPLEMENTATION', 'ROS_STATIC_PEERS'):
+    for name in (*USER_VARIABLES, 'RMW_IMPLEMENTATION', 'ROS_STATIC_PEERS'):
         monkeypatch.setenv(name, '')
     if said:
         monkeypatch.setenv(said, value)

@@ -132,7 +132,7 @@ def test_the_end_of_a_simulation_is_a_reason(robot):
     rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
     rewards.publish(fields_to_msg({'stamp_sec': 0, 'stamp_nanosec': 1, 'episode': 1, 'step': 5,
                                    'truncated': True}))
-    robot.graph.until(lambda: policy._over)
+    robot.graph.until(lambda: policy._is_last_turn)
     robot.turn(1)
     robot.graph.until(lambda: robot.last(topics.PLACEMENT_STATUS).data ==
                       'final after 5 turns: the simulation has played its last turn')

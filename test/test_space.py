@@ -19,7 +19,7 @@ from dataclasses import replace
 from conftest import l_shaped, made_room
 from hypothesis import given, settings, strategies
 import numpy as np
-from ocp_ros.rig.free_plane import EDGE, Floor, floor_of, FreePlane
+from ocp_ros.rig.free_plane import CELL_M, Floor, floor_of, FreePlane
 from ocp_ros.rig.motion import towards
 from ocp_ros.scenes.scene import turned
 from ocp_ros.search.annealing import TransDimensionalAnnealing
@@ -30,7 +30,7 @@ import pytest
 from scipy import stats
 
 #: Metres by which the floor may reach round an inner corner: two cells.
-CORNER = 2.0 * EDGE
+CORNER = 2.0 * CELL_M
 
 
 def in_room(positions, margin=-CORNER):
@@ -50,12 +50,12 @@ def space():
 def test_the_floor_is_the_room_and_not_its_bounding_box(space):
     assert space.floor is not None
     # 18 square metres, less a strip along 20 m of walls.
-    assert 18.0 - 20.0 * 1.5 * EDGE < space.area < 18.0
+    assert 18.0 - 20.0 * 1.5 * CELL_M < space.area < 18.0
     places = np.random.default_rng(0).uniform(0.0, [6.0, 4.0], (2000, 2))
     allowed = space.contains(places)
     assert in_room(places[allowed]).all()
     assert in_room(places[allowed], 0.05).mean() > 0.97
-    assert allowed[in_room(places, 2.5 * EDGE)].all()
+    assert allowed[in_room(places, 2.5 * CELL_M)].all()
 
 
 @settings(deadline=None, max_examples=25)
@@ -69,13 +69,13 @@ def test_what_is_outside_moves_to_the_nearest_place_inside(space, x, y):
         np.testing.assert_allclose(inside, position, atol=1e-5)
     others = space.grid(400)
     nearest = np.linalg.norm(others - position, axis=1).min()
-    assert np.linalg.norm(inside - position) < nearest + 2.0 * EDGE
+    assert np.linalg.norm(inside - position) < nearest + 2.0 * CELL_M
 
 
 def test_placements_are_drawn_uniformly_over_the_floor(space):
     drawn = np.concatenate([space.random(np.random.default_rng(k)) for k in range(1000)])
     assert space.contains(drawn).all()
-    cells = np.floor((drawn - space.floor.low) / EDGE).astype(int)
+    cells = np.floor((drawn - space.floor.low) / CELL_M).astype(int)
     counts = np.array([np.count_nonzero((cells == cell).all(axis=1))
                        for cell in np.argwhere(space.floor.open)])
     assert stats.chisquare(counts).pvalue > 1e-3
@@ -122,7 +122,7 @@ def test_without_energy_annealing_is_uniform_over_the_floor(space):
     # The two arms and the corner between them, by their areas.
     counts = [np.count_nonzero([part(place) for place in seen]) for part in (
         lambda p: p[0] > 3.0, lambda p: p[1] > 2.0, lambda p: p[0] <= 3.0 and p[1] <= 2.0)]
-    cells = EDGE * (np.argwhere(space.floor.open) + 0.5) + space.floor.low
+    cells = CELL_M * (np.argwhere(space.floor.open) + 0.5) + space.floor.low
     areas = [np.count_nonzero([part(cell) for cell in cells]) for part in (
         lambda p: p[0] > 3.0, lambda p: p[1] > 2.0, lambda p: p[0] <= 3.0 and p[1] <= 2.0)]
     np.testing.assert_allclose(np.array(counts) / sum(counts), np.array(areas) / sum(areas),

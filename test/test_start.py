@@ -74,7 +74,7 @@ def test_a_node_that_runs_ends_with_0_and_has_said_all(node, domain, tmp_path):
 @pytest.mark.parametrize('package, raised', [('llvmlite.binding', False), ('numba', False),
                                              ('numbats', True), ('ocp_ros.ros', True)])
 def test_nothing_is_raised_while_kernels_are_made(package, raised):
-    before = {number: signal.getsignal(number) for number in node_main.ENDING}
+    before = {number: signal.getsignal(number) for number in node_main.END_SIGNALS}
     names = {'__name__': package}
     try:
         received = node_main.interrupt_on_signals()

@@ -316,14 +316,14 @@ def test_many_policies_are_learned_from_counted_and_told(graph, probe, start):
 
 
 def test_sources_that_are_silent_make_room_for_others(graph, probe, start, monkeypatch):
-    monkeypatch.setattr(trainer_node, 'MOST_SOURCES', 3)
+    monkeypatch.setattr(trainer_node, 'MAX_SOURCES', 3)
     trainer = start()
     names = [f'/fake_{number}/experience' for number in range(4)]
     fakes = [probe.node.create_publisher(UInt8MultiArray, name, qos.LOOP) for name in names]
     graph.until(lambda: len(trainer.sources) == 3)
     first, second = list(trainer.sources)[1:]
     # Both go, and the others have their turn.
-    monkeypatch.setattr(trainer_node, 'SILENT', 0.0)
+    monkeypatch.setattr(trainer_node, 'MAX_SILENCE_S', 0.0)
     graph.until(lambda: {first, second}.isdisjoint(trainer.sources) and len(trainer.sources) == 3)
     assert '/' in trainer.sources and trainer.totals()['transitions'] == 0
     for fake in fakes:
@@ -343,7 +343,7 @@ def test_only_the_sources_that_are_named_are_learned_from(graph, probe, start):
 def test_policies_wait_while_the_trainer_is_behind(graph, probe, start, tmp_path, small_agent,
                                                    monkeypatch):
     # A trainer that a busy machine holds up is not one that has fallen silent.
-    monkeypatch.setattr('ocp_ros.ros.policy.experiences.PATIENCE', HUNG)
+    monkeypatch.setattr('ocp_ros.ros.policy.experiences.MAX_SILENCE_S', HUNG)
     random_checkpoint(small_agent).save(tmp_path / 'm.safetensors')
     trainer = start(most_behind=8)
     release, train = threading.Event(), trainer.learner.model.train
@@ -356,7 +356,7 @@ def test_policies_wait_while_the_trainer_is_behind(graph, probe, start, tmp_path
     policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
     sim = graph.add(SimNode, auto_reset=True, resend_period=0.05, episode__turns=5, **SIM)
     try:
-        graph.until(lambda: policy._experiences.held)
+        graph.until(lambda: policy._experiences.must_wait)
         answered, resent = policy._counts['turns_answered'], sim._counts['resent_turns']
         # The simulation goes on asking, and the policy on waiting.
         graph.until(lambda: sim._counts['resent_turns'] >= resent + 5)
@@ -369,16 +369,16 @@ def test_policies_wait_while_the_trainer_is_behind(graph, probe, start, tmp_path
 
 def test_a_trainer_that_falls_silent_holds_nobody(graph, probe, tmp_path, small_agent,
                                                   monkeypatch):
-    monkeypatch.setattr('ocp_ros.ros.policy.experiences.PATIENCE', HUNG)
+    monkeypatch.setattr('ocp_ros.ros.policy.experiences.MAX_SILENCE_S', HUNG)
     random_checkpoint(small_agent).save(tmp_path / 'm.safetensors')
     policy = graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True)
     training = probe.publisher(Float64MultiArray, topics.TRAINING, qos.LATCHED)
     training.publish(Float64MultiArray(data=[1.0]))
     training.publish(fields_to_msg({'hold': 1.0}))
-    graph.until(lambda: policy._experiences.held)
+    graph.until(lambda: policy._experiences.must_wait)
     # Only now: a busy machine may get round to asking whether it holds long after it was told.
-    monkeypatch.setattr('ocp_ros.ros.policy.experiences.PATIENCE', 0.5)
-    graph.until(lambda: not policy._experiences.held)
+    monkeypatch.setattr('ocp_ros.ros.policy.experiences.MAX_SILENCE_S', 0.5)
+    graph.until(lambda: not policy._experiences.must_wait)
     graph.add(SimNode, resend_period=0.05, **SIM)
     graph.until(lambda: policy._counts['turns_answered'] >= 1)
 
@@ -431,7 +431,7 @@ def test_messages_never_wait_for_a_gradient_step(loop, monkeypatch):
         release.wait(HUNG)
 
     monkeypatch.setattr(trainer.learner.model, 'train', train)
-    monkeypatch.setattr(trainer.learner, '_behind', lambda: not release.is_set())
+    monkeypatch.setattr(trainer.learner, '_burst_is_due', lambda: not release.is_set())
     try:
         trainer.learner.add(made_up(trainer.config.agent))
         assert stuck.wait(HUNG)

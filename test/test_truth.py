@@ -23,9 +23,9 @@ import numpy as np
 from ocp_ros.compare.judging import (
     judged_room,
     JudgedRoom,
-    MOUNTING,
-    MOUNTINGS,
-    SEED,
+    MOUNTING_DRAWS,
+    MOUNTING_ERROR_M,
+    MOUNTING_SEED,
 )
 from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.geometry.depth_error import DepthError, five_viewpoints
@@ -112,7 +112,7 @@ def test_the_judge_takes_the_mean_over_cameras_that_are_mounted_a_little_off():
     placement = np.random.default_rng(0).uniform(*room.judged.bounds, (4, 3))
     judged = room.judge(placement)
     assert judged['exact'] == simulator.evaluate(placement).depth_error
-    off = mounted(placement, MOUNTING, MOUNTINGS, SEED)
+    off = mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)
     assert judged['depth_error'] == pytest.approx(np.mean(
         [simulator.evaluate(moved).depth_error for moved in off]))
     assert judged['space_coverage'] == simulator.evaluate(placement).space_coverage

@@ -21,7 +21,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.ros.policy.turns import HOLD, QUIET, TOLD, Turns
+from ocp_ros.ros.policy.turns import JUMP_REPORT_S, QUIET_S, STEADY_NS, Turns
 import pytest
 
 S = 1_000_000_000
@@ -53,7 +53,7 @@ def make(clock, topics=('a', 'b'), arrival_timeout=20.0):
 def stands(turns, stamp, positions):
     """Say of cameras for long enough that they stand somewhere, from some stamp in seconds on."""
     turns.on_poses(int(stamp * S), positions)
-    turns.on_poses(int(stamp * S) + HOLD, positions)
+    turns.on_poses(int(stamp * S) + STEADY_NS, positions)
 
 
 def taken(turns):
@@ -95,7 +95,7 @@ def test_cameras_on_their_last_centimetres_do_not_stand_yet(clock):
         turns.on_poses(11 * S + tick * S // 20, rest)
         turns.on_cloud('a', 11 * S + tick * S // 20, tick)
     assert not turns.standing
-    turns.on_poses(12 * S + HOLD, rest)
+    turns.on_poses(12 * S + STEADY_NS, rest)
     assert turns.standing and turns.since == 12 * S and taken(turns) == [('a', 23)]
 
 
@@ -106,7 +106,7 @@ def test_a_camera_that_still_turns_does_not_stand_yet(clock):
         turns.on_poses(10 * S + tick * S // 20, HERE, turned)
     assert not turns.standing
     turns.on_poses(11 * S, HERE, [rotation_matrix(0.35, 0.0, 0.0)] * 2)
-    turns.on_poses(11 * S + HOLD, HERE, [rotation_matrix(0.35, 0.0, 0.0)] * 2)
+    turns.on_poses(11 * S + STEADY_NS, HERE, [rotation_matrix(0.35, 0.0, 0.0)] * 2)
     assert turns.standing and turns.since == 11 * S
 
 
@@ -115,7 +115,7 @@ def test_a_rig_that_says_once_where_it_is_stands_there(clock):
     turns.on_poses(11 * S, THERE)
     turns.on_cloud('a', 11 * S, 1)
     assert taken(turns) == []
-    clock.now = QUIET
+    clock.now = QUIET_S
     assert taken(turns) == [('a', 1)] and turns.since == 11 * S
 
 
@@ -143,7 +143,7 @@ def test_who_did_not_send_the_cameras_waits_until_they_stand(clock):
     turns.on_poses(11 * S, THERE)
     turns.on_cloud('a', 11 * S, 'on the way')
     assert taken(turns) == [] and not turns.due()
-    turns.on_poses(11 * S + HOLD, THERE)
+    turns.on_poses(11 * S + STEADY_NS, THERE)
     assert taken(turns) == [('a', 'on the way')] and turns.due() and turns.stamp == 11 * S
 
 
@@ -163,7 +163,7 @@ def test_a_topic_with_two_clocks_does_not_stop_the_others(clock):
             played += 1
             turns.sent(HERE)
     assert played >= 5 and turns.backward()
-    clock.now += TOLD + 0.1
+    clock.now += JUMP_REPORT_S + 0.1
     assert not turns.backward()
 
 
@@ -395,7 +395,7 @@ def test_poses_that_are_all_over_the_place_do_not_stop_the_first_turn(clock):
         turns.on_poses(stamp, HERE + rng.normal(0.0, 0.5, HERE.shape))
         turns.on_cloud('a', stamp, 1)
         taken(turns)
-    assert turns.due() and turns.overdue and turns.sent_nowhere and clock.now < 25.0
+    assert turns.due() and turns.overdue and turns.no_command_sent and clock.now < 25.0
 
 
 def test_rotations_are_averaged(clock):

@@ -32,7 +32,7 @@ from ocp_ros.online.observation_map import (
 from ocp_ros.online.rig_state import RigState
 from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.map_actor import MANY, MapActor
+from ocp_ros.policy.map_actor import MapActor, MIN_TURNS_FOR_HEADINGS
 from ocp_ros.policy.policy import ValuePolicy
 from ocp_ros.policy.value_network import valued, ValueMapNetwork
 from ocp_ros.rig.rig_config import RigConfig
@@ -182,7 +182,7 @@ def test_states_of_headings_are_played_alike_and_of_their_shape(small):
 def test_only_the_map_of_headings_is_learned_where_there_are_any(small, here, tmp_path,
                                                                  monkeypatch):
     # At first cameras that are aimed see too little of a thinner scan to tell that it is a room.
-    monkeypatch.setattr(value_states, 'SCANS', (8000,))
+    monkeypatch.setattr(value_states, 'SCAN_POINTS', (8000,))
     first = Checkpoint(ROUND, drawn(ROUND).state_dict(), 3, 'first', {'seed': 5})
     first.save(tmp_path / 'first.safetensors')
     config = from_nested(TrainingConfig, TINY | {
@@ -230,12 +230,12 @@ def test_the_actor_turns_cameras_as_the_map_says(room):
                           [middle[0] + 0.5, middle[1], 1.9, 3.0, 0.2, 0.0]])
     actor = MapActor(Looking(), np.random.default_rng(0), 0.5, 4.0, 0.1)
     actor.set_rig_state(RigState(placement, models, 2))
-    actor.move(room.points, placement[:, :3], 0, MANY - 1)
+    actor.move(room.points, placement[:, :3], 0, MIN_TURNS_FOR_HEADINGS - 1)
     # In few turns headings are not valued.
     assert (np.stack(asked) == 1.0).all()
     asked.clear()
     actor.reset()
-    actor.move(room.points, placement[:, :3], 0, MANY)
+    actor.move(room.points, placement[:, :3], 0, MIN_TURNS_FOR_HEADINGS)
     assert np.allclose(np.stack(asked), lens_features(models[0].lens))
     away = (actor.headings[:, 0] - yaws_of(8)[best] + np.pi) % (2.0 * np.pi) - np.pi
     assert np.abs(away).max() < 0.5 * np.pi

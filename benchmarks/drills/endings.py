@@ -58,7 +58,7 @@ from ocp_ros.ros import policy_node, sim_node, trainer_node
 from ocp_ros.ros.interface.conversions import msg_to_positions, ns_to_stamp, positions_to_msg
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.runtime.network import ASKED, LOCALHOST
+from ocp_ros.ros.runtime.network import LOCALHOST, USER_VARIABLES
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
@@ -126,7 +126,7 @@ def be_node(name, folder, domain, shared_memory):
         resource.setrlimit(resource.RLIMIT_CORE, (resource.RLIM_INFINITY,) * 2)
         faulthandler.enable()
         os.environ['ROS_DOMAIN_ID'] = str(domain)
-        for asked in ASKED:
+        for asked in USER_VARIABLES:
             os.environ.pop(asked, None)
         if shared_memory:
             os.environ.update(LOCALHOST)

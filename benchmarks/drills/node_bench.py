@@ -103,14 +103,14 @@ class Answers:
             Parameter('turns', value=TURNS), Parameter('rig_file', value=rig),
             Parameter('convergence_distance', value=0.0)])
         self._published = 0.0
-        self.node._turns._reflect = self._reflect
+        self.node._turns._plan_ahead = self._reflect
         # A node that has just begun looks first whether another one commands.
         watch.until(lambda: not self.node._waits(), PATIENCE, 'the right to command', [])
 
     def _reflect(self) -> None:
         """Think as the node does, and remember when that began."""
         self._published = time.perf_counter()
-        self.node._reflect()
+        self.node._plan_ahead()
 
     def play(self, room: int, points: int) -> None:
         """Play an episode in a room of so many points."""

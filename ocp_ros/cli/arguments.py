@@ -21,10 +21,10 @@ from typing import Any, TYPE_CHECKING
 
 from ocp_ros.util.settings import (
     ConfigurationError,
-    FEWEST_POINTS,
-    LARGEST_SEED,
-    MOST_CAMERAS,
-    MOST_POINTS,
+    MAX_CAMERAS,
+    MAX_ROOM_POINTS,
+    MAX_SEED,
+    MIN_ROOM_POINTS,
 )
 
 if TYPE_CHECKING:
@@ -38,9 +38,9 @@ def count(text: str) -> int:
 
 def cameras(text: str) -> int:
     """Read a number of cameras."""
-    if len(text) > 9 or not text.isdecimal() or not 1 <= int(text) <= MOST_CAMERAS:
+    if len(text) > 9 or not text.isdecimal() or not 1 <= int(text) <= MAX_CAMERAS:
         raise argparse.ArgumentTypeError(
-            f'found {text!r}; expected a number of cameras from 1 to {MOST_CAMERAS}')
+            f'found {text!r}; expected a number of cameras from 1 to {MAX_CAMERAS}')
     return int(text)
 
 
@@ -51,9 +51,10 @@ def seconds(text: str) -> float:
 
 def room_points(text: str) -> int:
     """Read the number of points of a room."""
-    if len(text) > 9 or not text.isdecimal() or not FEWEST_POINTS <= int(text) <= MOST_POINTS:
+    if (len(text) > 9 or not text.isdecimal()
+            or not MIN_ROOM_POINTS <= int(text) <= MAX_ROOM_POINTS):
         raise argparse.ArgumentTypeError(
-            f'found {text!r}; expected a whole number from {FEWEST_POINTS} to {MOST_POINTS}')
+            f'found {text!r}; expected a whole number from {MIN_ROOM_POINTS} to {MAX_ROOM_POINTS}')
     return int(text)
 
 
@@ -92,9 +93,9 @@ def names(text: str) -> tuple[str, ...]:
 def camera_counts(text: str) -> tuple[int, ...]:
     """Read numbers of cameras, separated by commas."""
     counts = whole_numbers(text)
-    if not all(1 <= one <= MOST_CAMERAS for one in counts):
+    if not all(1 <= one <= MAX_CAMERAS for one in counts):
         raise argparse.ArgumentTypeError(
-            f'found {text!r}; expected numbers of cameras from 1 to {MOST_CAMERAS}')
+            f'found {text!r}; expected numbers of cameras from 1 to {MAX_CAMERAS}')
     return counts
 
 
@@ -110,8 +111,8 @@ def whole_numbers(text: str) -> tuple[int, ...]:
 def seed(text: str) -> int:
     """Read a seed."""
     value = at_least(0)(text)
-    if value > LARGEST_SEED:
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected at most {LARGEST_SEED}')
+    if value > MAX_SEED:
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected at most {MAX_SEED}')
     return value
 
 

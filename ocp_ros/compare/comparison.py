@@ -47,9 +47,6 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 #: Files that a comparison writes.
 RESULTS = ('results.csv', 'results.json', 'summary.json')
-#: Columns with lists, which are left out of the CSV table.
-LISTS = ('placement', 'trace', 'trajectory')
-PACKAGES = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
 _log = logging.getLogger(__name__)
 
 
@@ -89,7 +86,8 @@ def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
     summary = {
         'command': command, 'date': timestamp(),
         'versions': {'python': platform.python_version(),
-                     **{name: version(name) for name in PACKAGES}},
+                     **{name: version(name) for name in (
+                         'ocp_ros', 'numpy', 'numba', 'scipy', 'cma')}},
         'rotations': len(protocol.rotations), 'points': protocol.points,
         'judged_points': protocol.judged_points, **({'rig': Path(rig).name} if rig else {}),
         'cameras': protocol.cameras, **summarise(rows),
@@ -181,7 +179,9 @@ def _claim(folder: Path, protocol: Protocol) -> str:
 def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
     """Write the runs as CSV and as JSON, and their summary."""
     lines = io.StringIO()
-    names = dict.fromkeys(name for row in rows for name in row if name not in LISTS)
+    # The CSV table leaves lists out.
+    names = dict.fromkeys(name for row in rows for name in row
+                          if name not in ('placement', 'trace', 'trajectory'))
     table = csv.DictWriter(lines, list(names), extrasaction='ignore')
     table.writeheader()
     table.writerows({name: printable(value) if isinstance(value, str) else value

@@ -35,19 +35,22 @@ from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
-#: Number of points of the search's scan, and of the judge's scan.
-POINTS, JUDGED_POINTS = 60_000, 90_000
-#: Horizontal displacement of each camera by a mounting error, metres, and number of sets of errors
-#: that are averaged.
-MOUNTING, MOUNTINGS = 0.02, 8
+#: Number of points of the judge's scan.
+JUDGED_POINTS = 90_000
+#: Number of points of the search's scan.
+POINTS = 60_000
+#: Number of sets of mounting errors that are averaged.
+MOUNTING_DRAWS = 8
+#: Horizontal displacement of each camera by a mounting error, metres.
+MOUNTING_ERROR_M = 0.02
 #: Random seed of the mounting errors; searches use another seed.
-SEED = 0
+MOUNTING_SEED = 0
 #: Engine of the judge: depth maps of all points at once, as the depth error is defined. With a
 #: finer coverage grid, rays to its cells would take as long as rays to the points.
-JUDGING = EngineConfig(preset='fine', error_rows=128, coverage_cell=0.5, error_folds=1)
+JUDGE_ENGINE = EngineConfig(preset='fine', error_rows=128, coverage_cell=0.5, error_folds=1)
 
 
-def worth_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
+def score_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
     """
     Return the error of a placement in metres, and its space coverage in cubic metres.
 
@@ -96,7 +99,7 @@ class JudgedRoom:
     def problem(self) -> Problem:
         """Return the problem of the judge: its scan, with ray casting if there is a mesh."""
         return make_problem(self.judged, replace(
-            self.config, engine=with_rays(JUDGING, self.judged)))
+            self.config, engine=with_rays(JUDGE_ENGINE, self.judged)))
 
     @property
     def fine(self) -> Simulator:
@@ -105,7 +108,7 @@ class JudgedRoom:
 
     def truth(self) -> Simulator:
         """Return a simulator on the scan for searches, with ray casting if there is a mesh."""
-        engine = replace(self.config.engine, coverage_cell=JUDGING.coverage_cell)
+        engine = replace(self.config.engine, coverage_cell=JUDGE_ENGINE.coverage_cell)
         return Simulator(self.scene, replace(self.config, engine=with_rays(engine, self.scene)))
 
     def judge(self, placement: np.ndarray) -> dict[str, float]:
@@ -116,9 +119,9 @@ class JudgedRoom:
         :returns: ``exact``, metres, of the placement itself; ``depth_error``, metres, the mean
             over mounting errors of 2 cm; ``space_coverage``, cubic metres.
         """
-        error, coverage = worth_of(self.problem, placement)
-        off = [worth_of(self.problem, moved)[0]
-               for moved in mounted(placement, MOUNTING, MOUNTINGS, SEED)]
+        error, coverage = score_of(self.problem, placement)
+        off = [score_of(self.problem, moved)[0]
+               for moved in mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)]
         return {'exact': error, 'depth_error': float(np.mean(off)), 'space_coverage': coverage}
 
 

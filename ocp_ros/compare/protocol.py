@@ -30,7 +30,7 @@ import time
 from typing import Any
 
 import numpy as np
-from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POINTS, worth_of
+from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POINTS, score_of
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rooms.scene_source import make_room
@@ -56,28 +56,18 @@ from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
-#: The control: name and number of random placements.
-CONTROL, CONTROLS = 'random_placement', 16
-#: Searches with ray casting, whose best placement is the best known one. With a rig file the views
-#: of all candidates are slow to compute, so there is one search with this share of evaluations.
-TRUTH, RIG_SHARE = 'truth_search', 0.2
-#: The best placement of column generation on a grid and near it, with a lower bound.
-PROVED = 'priced_plane'
-#: Distances from the best placement at which places join the grid, one after the other, metres;
-#: number of directions; largest number of choices.
-NEARER, DIRECTIONS, CHOICES = (0.2, 0.1, 0.05, 0.02), 8, 8
-#: Largest relative gap at which a placement counts as proved optimal.
-EQUAL = 1e-3
+#: Number of random placements.
+RANDOM_PLACEMENTS = 16
+#: Reference: random placements.
+RANDOM_PLACEMENT = 'random_placement'
+#: Reference: searches with ray casting, whose best placement is the best known one.
+RAY_SEARCH = 'truth_search'
+#: Reference: the best placement of column generation on a grid and near it, with a lower bound.
+PROVED_OPTIMUM = 'priced_plane'
 #: References for comparison, which are not planners.
-YARDSTICKS = (CONTROL, TRUTH, PROVED)
+REFERENCES = (RANDOM_PLACEMENT, RAY_SEARCH, PROVED_OPTIMUM)
 #: One run of a planner.
 Row = dict[str, Any]
-#: Budget in the rows of online planners, which have time steps instead of evaluations.
-TURNS = 0
-#: Number of places on the plane whose views together count as everything visible from it.
-POOL = 400
-#: Number of points with which each scan of a folder is checked.
-TRIED = 15000
 
 
 def rooms_of_s3dis() -> list[str]:
@@ -104,7 +94,7 @@ def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
         raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
     for path in found:
         try:
-            make_room(path, 0.0, TRIED, scale=scale, up=up)
+            make_room(path, 0.0, 15000, scale=scale, up=up)
         except SceneError as error:
             raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
                              'first, or move it out') from error
@@ -186,15 +176,18 @@ class Protocol:
 
     def runs(self, planner: str) -> list[tuple[int, int]]:
         """Return the budget and the seed of each run of a planner or yardstick in a room."""
-        if planner == CONTROL:
-            return [(1, seed) for seed in range(CONTROLS)]
-        if planner == PROVED:
+        if planner == RANDOM_PLACEMENT:
+            return [(1, seed) for seed in range(RANDOM_PLACEMENTS)]
+        if planner == PROVED_OPTIMUM:
             return [(self.candidates, 0)]
-        if planner == TRUTH and self.simulation.rig_file:
-            return [(max(int(RIG_SHARE * self.truth_budget), 1), 0)]
-        if planner == TRUTH:
+        if planner == RAY_SEARCH and self.simulation.rig_file:
+            # With a rig file the views of all candidates are slow to compute, so there is one
+            # search with a fifth of the evaluations.
+            return [(max(int(0.2 * self.truth_budget), 1), 0)]
+        if planner == RAY_SEARCH:
             return [(self.truth_budget, seed) for seed in range(self.truths)]
-        budgets = (TURNS,) if planner in planner_names(OBSERVED) else self.budgets
+        # Online planners have time steps instead of evaluations.
+        budgets = (0,) if planner in planner_names(OBSERVED) else self.budgets
         return list(product(budgets, range(self.seeds)))
 
     def room(self, name: str, rotation: float) -> JudgedRoom:
@@ -209,8 +202,8 @@ class Protocol:
 
     @property
     def yardsticks(self) -> tuple[str, ...]:
-        """Return the references; for rig files the default planner replaces ``PROVED``."""
-        return (CONTROL, TRUTH) if self.simulation.rig_file else YARDSTICKS
+        """Return the references; for rig files the default planner replaces ``PROVED_OPTIMUM``."""
+        return (RANDOM_PLACEMENT, RAY_SEARCH) if self.simulation.rig_file else REFERENCES
 
     @property
     def tasks(self) -> list['BenchmarkTask']:
@@ -228,6 +221,8 @@ class BenchmarkTask:
     planner: str
 
 
+#: Number of places on the plane whose views together count as everything visible from it.
+REFERENCE_PLACES = 400
 PRESETS = {
     'full': Protocol(),
     'smoke': Protocol(rooms=tuple(map(str, TEST[:2])), budgets=(100, 400), seeds=2),
@@ -243,7 +238,7 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
     """
     room = protocol.room(task.room, task.rotation)
     return [{**asdict(task), 'budget': budget, 'seed': seed, **row, **room.judge(row['placement']),
-             'promised': worth_of(room.promising, row['placement'])[0],
+             'promised': score_of(room.promising, row['placement'])[0],
              'placement': row['placement'].tolist()}
             for (budget, seed), row in zip(protocol.runs(task.planner),
                                            _runs(protocol, room, task.planner))]
@@ -251,22 +246,23 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
 
 def _runs(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
     """Yield the result of each run of a planner or reference."""
-    if planner == CONTROL:
+    if planner == RANDOM_PLACEMENT:
         return _random(room.problem)
-    if planner == PROVED:
+    if planner == PROVED_OPTIMUM:
         return _proofs(protocol, room.promising)
-    if planner == TRUTH and room.promising.rig.free:
+    if planner == RAY_SEARCH and room.promising.rig.free:
         return _exchanged(protocol, room.truth())
-    if planner == TRUTH:
+    if planner == RAY_SEARCH:
         config = room.config
         return _plans(protocol, make_problem(room.scene, replace(
-            config, engine=with_rays(config.engine, room.scene))), TRUTH)
+            config, engine=with_rays(config.engine, room.scene))), RAY_SEARCH)
     return _plans(protocol, room.promising, planner)
 
 
 def _plans(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
-    """Plan with every budget and seed; for ``TRUTH``, use the default planner."""
-    planner, turns = RIG_SEARCH if name == TRUTH else name, problem.simulator.config.episode.turns
+    """Plan with every budget and seed; for ``RAY_SEARCH``, use the default planner."""
+    planner = RIG_SEARCH if name == RAY_SEARCH else name
+    turns = problem.simulator.config.episode.turns
     free = problem.rig.free
     if free:
         # Load the compiled kernels from disk before time is measured.
@@ -291,7 +287,7 @@ def _plans(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
 def _exchanged(protocol: Protocol, simulator: Simulator) -> Iterator[Row]:
     """Search on the plane with ray casting, for the best known placement."""
     space = space_of(simulator)
-    for budget, seed in protocol.runs(TRUTH):
+    for budget, seed in protocol.runs(RAY_SEARCH):
         planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
         result = solve(planner, Scorer(simulator), budget, clock=time.process_time)
         yield {'evaluations': result.evaluations, 'seconds': result.seconds,
@@ -314,20 +310,24 @@ def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
     relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid], [space.cameras], 0.0,
                                   len(fine.scene))
     relaxation.raise_bound(over)
-    best = relaxation.choices(CHOICES, rng, over)[0]
-    angles = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
+    max_choices = 8
+    best = relaxation.choices(max_choices, rng, over)[0]
+    directions = 8
+    angles = np.arange(directions) * (2.0 * np.pi / directions)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    for step in NEARER:
+    # Metres from the best placement at which places join the grid, one after the other.
+    for step in (0.2, 0.1, 0.05, 0.02):
         places = grid.places[[column.place for column in best.columns], :2]
         add((places[:, None] + step * np.concatenate([ring, 0.5 * ring])).reshape(-1, 2))
         relaxation.join(best.columns)
         relaxation.raise_bound(over)
-        best = min([best, *relaxation.choices(CHOICES, rng, over)])
+        best = min([best, *relaxation.choices(max_choices, rng, over)])
     unit, bound = fine.depth_error.worst, min(relaxation.bound, best.loss)
+    # With a smaller gap the placement counts as proved optimal.
     yield {'evaluations': 0, 'seconds': time.process_time() - began,
            'placement': grid.places[[column.place for column in best.columns]], 'trace': [],
            'found': unit * best.loss, 'bound': unit * bound,
-           'proved': bool(bound >= best.loss * (1.0 - EQUAL))}
+           'proved': bool(bound >= best.loss * (1.0 - 1e-3))}
 
 
 def _random(problem: Problem) -> Iterator[Row]:
@@ -335,9 +335,9 @@ def _random(problem: Problem) -> Iterator[Row]:
     rng, rig = np.random.default_rng(0), problem.rig
     if rig.free:
         space = space_of(problem.simulator)
-        views = problem.simulator.look_many(space.placement(space.grid(POOL)))
+        views = problem.simulator.look_many(space.placement(space.grid(REFERENCE_PLACES)))
     else:
-        pool = Pool(problem, POOL)
+        pool = Pool(problem, REFERENCE_PLACES)
         views = pool.union_views(rig)
     least = problem.error(problem.judge(views))
     while True:

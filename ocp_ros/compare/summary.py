@@ -34,23 +34,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ocp_ros.compare.protocol import CONTROL, PROVED, TRUTH, YARDSTICKS
+from ocp_ros.compare.protocol import PROVED_OPTIMUM, RANDOM_PLACEMENT, RAY_SEARCH, REFERENCES
 from scipy import stats
 
 Rows = list[dict[str, Any]]
-#: Resamples of the bootstrap.
-RESAMPLES = 2000
-#: Share of a random placement's error below which the best known error is too small to compare.
-SATURATED = 0.01
 #: Added to errors before their logarithm, metres: the error is 0 in some rooms.
-NEGLIGIBLE = 0.01
+LOG_OFFSET_M = 0.01
 
 
 def best_known(rows: Rows) -> dict[str, float]:
     """Return the smallest delivered depth error of the searches with ray casting, by room."""
     best: dict[str, dict[float, float]] = defaultdict(lambda: defaultdict(lambda: np.inf))
     for row in rows:
-        if row['planner'] == TRUTH:
+        if row['planner'] == RAY_SEARCH:
             turned = best[row['room']]
             turned[row['rotation']] = min(turned[row['rotation']], row['depth_error'])
     return {room: float(np.mean(list(turned.values()))) for room, turned in best.items()}
@@ -68,7 +64,7 @@ def per_room(rows: Rows, planner: str, budget: int, figure: str) -> dict[str, fl
 def runs_in(rows: Rows) -> list[tuple[str, int]]:
     """Return the compared planners with each of their budgets."""
     return list(dict.fromkeys((row['planner'], row['budget']) for row in rows
-                              if row['planner'] not in YARDSTICKS))
+                              if row['planner'] not in REFERENCES))
 
 
 def interval(values: np.ndarray, total: Callable[..., np.ndarray] = np.sum) -> list[float]:
@@ -79,7 +75,8 @@ def interval(values: np.ndarray, total: Callable[..., np.ndarray] = np.sum) -> l
     :param total: ``np.sum``, or ``np.mean`` for the interval of the mean.
     """
     rng = np.random.default_rng(0)
-    draws = total(values[rng.integers(len(values), size=(RESAMPLES, len(values)))], axis=1)
+    # 2000 resamples of the bootstrap.
+    draws = total(values[rng.integers(len(values), size=(2000, len(values)))], axis=1)
     return [float(edge) for edge in np.percentile(draws, [2.5, 97.5])]
 
 
@@ -101,19 +98,21 @@ def summarise(rows: Rows) -> dict[str, Any]:
         rooms whose errors are too small to compare planners.
     """
     known, rooms = best_known(rows), list(dict.fromkeys(row['room'] for row in rows))
-    control = per_room(rows, CONTROL, 1, 'depth_error')
-    least = per_room(rows, CONTROL, 1, 'lower_bound')
+    control = per_room(rows, RANDOM_PLACEMENT, 1, 'depth_error')
+    least = per_room(rows, RANDOM_PLACEMENT, 1, 'lower_bound')
     runs = runs_in(rows)
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
     summary: dict[str, Any] = {'rooms': {
         room: {'best_known': known[room], 'random_placement': control[room],
                'share': _share(known[room], control[room]),
                'lower_bound': least[room]} for room in rooms}, 'planners': {}, 'rank_tests': {}}
+    # Below this share of a random placement's error the best known error is too small to compare.
+    saturated_share = 0.01
     summary['notes'] = [
         f'{Path(room).stem}: found that the best known leaves {known[room]:.3f} m, less than '
-        f'{100.0 * SATURATED:g} % of what a random placement leaves; expected more to be missed; '
-        'ratios to so little say nothing: use fewer cameras or a larger room'
-        for room in rooms if control[room] > 0.0 and known[room] < SATURATED * control[room]]
+        f'{100.0 * saturated_share:g} % of what a random placement leaves; expected more to be '
+        'missed; ratios to so little say nothing: use fewer cameras or a larger room'
+        for room in rooms if control[room] > 0.0 and known[room] < saturated_share * control[room]]
     chance = sum(control.values())
     for planner, budget in runs:
         values = np.array([errors[planner, budget][room] for room in rooms])
@@ -125,14 +124,14 @@ def summarise(rows: Rows) -> dict[str, Any]:
                         for room in rooms),
             'gap_closed': _share(chance - values.sum(), chance - sum(known.values()))}
         summary['planners'].setdefault(planner, {})[str(budget)] = figures
-    if proofs := [row for row in rows if row['planner'] == PROVED]:
+    if proofs := [row for row in rows if row['planner'] == PROVED_OPTIMUM]:
         summary['exact'] = _proved(rows, proofs, known)
         bound = sum(row['bound'] for row in proofs) / len(proofs) * len(rooms)
         for figures in (*(run for runs in summary['planners'].values() for run in runs.values()),
                         summary['exact']):
             figures['promised_over_bound'] = _share(figures['promised'], bound)
-    ((_, last),) = {(row['planner'], row['budget']) for row in rows if row['planner'] == TRUTH}
-    summary['truth'] = _delivered(rows, TRUTH, last, known)
+    last, = {row['budget'] for row in rows if row['planner'] == RAY_SEARCH}
+    summary['truth'] = _delivered(rows, RAY_SEARCH, last, known)
     for budget in dict.fromkeys(budget for _, budget in runs):
         names = [planner for planner, other in runs if other == budget]
         summary['rank_tests'][str(budget)] = ranks(
@@ -143,7 +142,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
 def _proved(rows: Rows, proofs: Rows, known: dict[str, float]) -> dict[str, Any]:
     """Return the figures of the placements of column generation, and their optimality gaps."""
     gaps = [_share(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
-    return {**_delivered(rows, PROVED, proofs[0]['budget'], known),
+    return {**_delivered(rows, PROVED_OPTIMUM, proofs[0]['budget'], known),
             'candidates': proofs[0]['budget'], 'proved': sum(row['proved'] for row in proofs),
             'worst_gap': max(gaps), 'bounds': {row['room']: row['bound'] for row in proofs}}
 
@@ -241,7 +240,7 @@ def _named(run: tuple[str, int], runs: list[tuple[str, int]]) -> str:
 
 def pair(own: np.ndarray, other: np.ndarray) -> dict[str, Any]:
     """Compare the errors (R,) of two planners in the same rooms; see :func:`pairs`."""
-    gain = np.log(own + NEGLIGIBLE) - np.log(other + NEGLIGIBLE)
+    gain = np.log(own + LOG_OFFSET_M) - np.log(other + LOG_OFFSET_M)
     tested = len(gain) >= 5 and np.any(gain != 0.0)
     return {'sum': float(other.sum()), 'wins': int(np.sum(own < other)), 'rooms': len(gain),
             'ratio': float(np.exp(gain.mean())),

@@ -40,9 +40,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-#: Longest wait for the first turn and for each later turn, seconds: before the first turn the
-#: kernels are compiled on a machine that has never run them.
-START_TIMEOUT, TURN_TIMEOUT = 180.0, 60.0
+#: Longest wait for the first turn, seconds: the kernels are compiled on a machine that has never
+#: run them.
+START_TIMEOUT_S = 180.0
 
 
 def parser() -> argparse.ArgumentParser:
@@ -96,7 +96,7 @@ def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
         processes.append(
             NodeProcess('sim_node', domain, logs / 'sim_node.log', sim_parameters(options)))
         watch.until(lambda: node.scene is not None and bool(node.turns()),
-                    START_TIMEOUT, 'first turn of sim_node', processes)
+                    START_TIMEOUT_S, 'first turn of sim_node', processes)
         for warning in processes[0].warnings():
             progress.console.print(warning, markup=False)
         processes.append(NodeProcess(
@@ -104,7 +104,7 @@ def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
         seen = 1
         while node.final_turn() is None:
             watch.until(lambda: len(node.turns()) > seen or node.final_turn() is not None,
-                        START_TIMEOUT if seen == 1 else TURN_TIMEOUT, 'next turn', processes)
+                        START_TIMEOUT_S if seen == 1 else 60.0, 'next turn', processes)
             seen = len(node.turns())
             progress.update(task, description='placing cameras', completed=seen - 1,
                             error=f'depth error {node.turns()[-1][1]["depth_error"]:.2f} m')

@@ -24,10 +24,10 @@ import socket
 import subprocess
 import sys
 
-from ocp_ros.ros.runtime.node_main import ENDING, PARENT, undisturbed
+from ocp_ros.ros.runtime.node_main import END_SIGNALS, PARENT_VARIABLE, undisturbed
 
 #: Seconds that a node has to end after SIGINT: enough also for a busy machine.
-PATIENCE = 60.0
+STOP_TIMEOUT_S = 60.0
 
 
 def free_domain() -> tuple[int, socket.socket]:
@@ -64,7 +64,8 @@ class NodeProcess:
 
     def __init__(self, name: str, domain: int, log: Path, parameters: dict,
                  namespace: str = '') -> None:
-        self.name, self.log = f'{namespace}/{name}'.lstrip('/'), log
+        self.name = f'{namespace}/{name}'.lstrip('/')
+        self.log = log
         arguments = [sys.executable, '-m', f'ocp_ros.ros.{name}', '--ros-args']
         if namespace:
             arguments += ['-r', f'__ns:=/{namespace}']
@@ -77,7 +78,7 @@ class NodeProcess:
                 arguments, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
                 close_fds=False,
                 env={**os.environ, 'ROS_DOMAIN_ID': str(domain),
-                     PARENT: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
+                     PARENT_VARIABLE: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
                      'PYTHONFAULTHANDLER': '1'})
 
     def check(self) -> None:
@@ -106,9 +107,9 @@ class NodeProcess:
             self.process.send_signal(signal.SIGINT)
 
     def wait(self) -> int:
-        """Wait for the node to end, and return its exit code; kill it after ``PATIENCE``."""
+        """Wait for the node to end, and return its exit code; kill it after ``STOP_TIMEOUT_S``."""
         try:
-            return self.process.wait(timeout=PATIENCE)
+            return self.process.wait(timeout=STOP_TIMEOUT_S)
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.wait()
@@ -135,5 +136,5 @@ def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
 
 def end_on_signals() -> None:
     """Make SIGTERM and a closed terminal end a demo like Ctrl-C, also in the background."""
-    for number in ENDING:
+    for number in END_SIGNALS:
         signal.signal(number, signal.default_int_handler)

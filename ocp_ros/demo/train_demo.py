@@ -26,18 +26,13 @@ import sys
 import time
 from typing import Any
 
-from ocp_ros.demo.demo import START_TIMEOUT
+from ocp_ros.demo.demo import START_TIMEOUT_S
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import run_watched, Watch
 from ocp_ros.util.resources import DEFAULT_MODEL
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
-
-#: Settings of the trainer with which the demo takes a few minutes.
-TRAINER = {'publish_every': 20, 'updates_per_turn': 0.0625, 'sac.learning_starts': 100,
-           'sac.burn_in': 20, 'sac.batch_size': 16, 'sac.buffer_size': 4000,
-           'sac.learning_rate': 1e-4, 'sac.gamma': 0.99}
 
 
 def parser() -> argparse.ArgumentParser:
@@ -68,9 +63,13 @@ def pair_of(number: int, seed: int, model: str) -> dict[str, dict[str, Any]]:
 def start_all(options: argparse.Namespace, domain: int, processes: list[NodeProcess]) -> None:
     """Start the trainer first, so that it receives every turn, and then all pairs."""
     names, logs = namespaces(options.pairs), options.out / 'logs'
+    # With these settings the demo takes a few minutes.
+    trainer = {'publish_every': 20, 'updates_per_turn': 0.0625, 'sac.learning_starts': 100,
+               'sac.burn_in': 20, 'sac.batch_size': 16, 'sac.buffer_size': 4000,
+               'sac.learning_rate': 1e-4, 'sac.gamma': 0.99}
     processes.append(NodeProcess('trainer_node', domain, logs / 'trainer_node.log', {
         'model': options.model, 'folder': str(options.out / 'trainer'),
-        'sources': ','.join(names), **TRAINER}))
+        'sources': ','.join(names), **trainer}))
     for number, namespace in enumerate(names):
         for name, parameters in pair_of(number, options.seed, options.model).items():
             log = logs / namespace / f'{name}.log'
@@ -110,7 +109,7 @@ def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, fl
                 f'{min(swapped)} sets of weights arrived'))
             return turns() >= options.turns and min(swapped) > 0
 
-        patience = START_TIMEOUT + 10.0 * options.pairs
+        patience = START_TIMEOUT_S + 10.0 * options.pairs
         watch.until(lambda: turns() > 1, patience, 'first turns', processes)
         progress.update(task, description='training')
         began, first = time.monotonic(), turns()

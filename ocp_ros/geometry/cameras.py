@@ -24,8 +24,6 @@ from ocp_ros.util.kernels import njit
 OMNIDIRECTIONAL, PINHOLE, SPHERICAL = 0, 1, 2
 #: From the optical frame (z forward, x right, y down) to the body frame (x forward, y left, z up).
 OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-#: A camera looks straight up or down if the level part of its unit direction is below this.
-UPRIGHT = 1e-7
 
 
 class Frustum(NamedTuple):
@@ -162,7 +160,8 @@ def heading_of(rotation: np.ndarray) -> np.ndarray:
     forward, left, up = rotation.T
     level = np.hypot(forward[0], forward[1])
     pitch = np.arctan2(-forward[2], level)
-    if level < UPRIGHT:
+    # The camera looks straight up or down.
+    if level < 1e-7:
         return np.array([np.arctan2(-left[0], left[1]), pitch, 0.0])
     return np.array([np.arctan2(forward[1], forward[0]), pitch, np.arctan2(left[2], up[2])])
 

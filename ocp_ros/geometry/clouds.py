@@ -16,8 +16,10 @@
 
 import numpy as np
 
-#: Bits of a cell number per axis, and the number of cells on each side of the origin.
-BITS, REACH = 21, 1 << 20
+#: The number of cells on each side of the origin.
+MAX_CELL = 1 << 20
+#: Bits of a cell number per axis.
+BITS_PER_AXIS = 21
 
 
 def fixed_size(points: np.ndarray, count: int) -> np.ndarray:
@@ -61,12 +63,12 @@ def cell_numbers(cells: np.ndarray) -> np.ndarray:
     :param cells: (N, 3) int64, indices along x, y and z in [-2^20, 2^20).
     :returns: (N,) int64, one number per cell.
     """
-    shifted = cells + REACH
-    return (shifted[:, 0] << 2 * BITS) | (shifted[:, 1] << BITS) | shifted[:, 2]
+    shifted = cells + MAX_CELL
+    return (shifted[:, 0] << 2 * BITS_PER_AXIS) | (shifted[:, 1] << BITS_PER_AXIS) | shifted[:, 2]
 
 
 def cells_numbered(numbers: np.ndarray) -> np.ndarray:
     """Return the cells (N, 3) int64 of cell numbers; the inverse of :func:`cell_numbers`."""
-    mask = (1 << BITS) - 1
-    return np.stack([numbers >> 2 * BITS & mask, numbers >> BITS & mask, numbers & mask],
-                    axis=1) - REACH
+    mask = (1 << BITS_PER_AXIS) - 1
+    axes = (numbers >> 2 * BITS_PER_AXIS & mask, numbers >> BITS_PER_AXIS & mask, numbers & mask)
+    return np.stack(axes, axis=1) - MAX_CELL

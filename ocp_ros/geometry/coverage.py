@@ -18,7 +18,7 @@ import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits
 
 #: The largest number of coverage cells of a room: each takes about 60 bytes.
-MOST_CELLS = 8_000_000
+MAX_CELLS = 8_000_000
 
 
 def _counts(bounds: np.ndarray, cell: float) -> np.ndarray:
@@ -27,8 +27,8 @@ def _counts(bounds: np.ndarray, cell: float) -> np.ndarray:
 
 
 def coverable_cell(bounds: np.ndarray, cell: float) -> float:
-    """Return the cell edge, metres, doubled until a box (2, 3) has at most ``MOST_CELLS``."""
-    while _counts(bounds, cell).prod(dtype=np.float64) > MOST_CELLS:
+    """Return the cell edge, metres, doubled until a box (2, 3) has at most ``MAX_CELLS``."""
+    while _counts(bounds, cell).prod(dtype=np.float64) > MAX_CELLS:
         cell *= 2.0
     return cell
 
@@ -46,9 +46,9 @@ def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
     if not cell > 0.0:
         raise ValueError(f'coverage cell: found {cell}; expected metres above 0')
     size, counts = bounds[1] - bounds[0], _counts(bounds, cell)
-    if counts.prod(dtype=np.float64) > MOST_CELLS:
+    if counts.prod(dtype=np.float64) > MAX_CELLS:
         raise ValueError(f'coverage cell: found {cell} m, which makes {counts.prod():,} cells; '
-                         f'expected at most {MOST_CELLS:,}; use larger cells')
+                         f'expected at most {MAX_CELLS:,}; use larger cells')
     axes = [bounds[0][k] + (np.arange(counts[k]) + 0.5) * size[k] / counts[k] for k in range(3)]
     centres = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
     return centres.astype(np.float32), float(size.prod() / counts.prod())

@@ -33,15 +33,9 @@ from ocp_ros.geometry.shadow_maps import footprint, projected
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 
-#: The number of viewpoints in the paper.
-FIVE = 5
-#: Half the side of a point's cube in the depth maps, in multiples of its spacing, as in the paper:
-#: smaller cubes leave holes in the maps of a whole room. And the largest value, in multiples of
-#: the median spacing, since a stray point is a speck, not a wall.
-CUBE, LARGEST_CUBE = 1.0, 3.0
-#: Pixels are sorted by this many of their nearest points, so that pixels with the same first
-#: points are neighbours.
-SORTED_BY = 6
+#: The largest side of a cube, in multiples of the median spacing: a stray point is a speck, not a
+#: wall.
+MAX_CUBE = 3.0
 
 
 def five_viewpoints(corners: np.ndarray, height: float) -> np.ndarray:
@@ -235,11 +229,15 @@ class DepthError:
 
     def __init__(self, points: np.ndarray, spacing: np.ndarray, far: float, places: np.ndarray,
                  rows: int, folds: int = 1) -> None:
-        self.far, self._count, self.viewpoints = far, len(points), places
+        self.far = far
+        self._count = len(points)
+        self.viewpoints = places
         self.shape = (rows, 2 * rows)
-        self.pixels = rows * 2 * rows * len(places) / FIVE
-        half_sides = (CUBE * np.minimum(spacing, LARGEST_CUBE * np.median(spacing))).astype(
-            np.float32)
+        # The paper has five viewpoints.
+        self.pixels = rows * 2 * rows * len(places) / 5
+        # Half the side of the paper's cube is the spacing of the points. Smaller cubes leave holes
+        # in the maps of a whole room.
+        half_sides = np.minimum(spacing, MAX_CUBE * np.median(spacing)).astype(np.float32)
         # Folds are assigned in the order of distance from the first viewpoint, which does not
         # change when the scan is rotated.
         order = np.argsort(np.linalg.norm(points - places[0], axis=1), kind='stable')
@@ -286,9 +284,11 @@ class DepthError:
             counts = np.diff(np.concatenate([[0], np.cumsum(left)])[starts])
             indices, starts = indices[left], np.concatenate([[0], np.cumsum(counts)])
         depths, pixels = projection.distance[indices], np.flatnonzero(counts)
-        padded = np.append(indices, np.zeros(SORTED_BY, dtype=np.int32))
+        # Sorting by the six nearest points makes pixels with the same first points neighbours.
+        sort_keys = 6
+        padded = np.append(indices, np.zeros(sort_keys, dtype=np.int32))
         keys = [np.where(counts[pixels] > k, padded[starts[pixels] + k], -1)
-                for k in range(SORTED_BY)]
+                for k in range(sort_keys)]
         pixels = pixels[np.lexsort(keys[::-1])]
         trees = Trees(*_grow(pixels, starts, indices, depths, self.far, int(counts.max())))
         return trees, depth.reshape(self.shape)

@@ -17,12 +17,14 @@
 import numpy as np
 from ocp_ros.util.kernels import njit
 
-#: The least |z| of the normal of a level surface, and the largest |z| of the normal of a wall.
-LEVEL, STEEP = 0.7, 0.3
+#: The largest |z| of the normal of a wall.
+STEEP = 0.3
+#: The least |z| of the normal of a level surface.
+LEVEL = 0.7
 #: The number of sweeps of Jacobi's method; a (3, 3) matrix converges in fewer.
 SWEEPS = 12
-#: The number of neighbours whose planes a point may adopt, and the weight of a plane's roughness.
-CANDIDATES, ROUGH = 12, 3.0
+#: The weight of the roughness of a plane.
+ROUGHNESS_WEIGHT = 3.0
 
 
 def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
@@ -41,7 +43,8 @@ def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray
     points, neighbours = np.asarray(points, dtype=np.float64), np.ascontiguousarray(neighbours)
     typical = float(np.linalg.norm(points - points[neighbours[:, 1]], axis=1).mean())
     normals, roughness = _planes(points, neighbours)
-    return _adopted(points, neighbours[:, :CANDIDATES], normals, roughness, max(typical, 1e-9))
+    # A point may adopt the plane of one of its twelve nearest neighbours.
+    return _adopted(points, neighbours[:, :12], normals, roughness, max(typical, 1e-9))
 
 
 @njit(cache=True, nogil=True)
@@ -142,7 +145,7 @@ def _adopted(points, candidates, normals, roughness, typical):
             away = 0.0
             for a in range(3):
                 away += (points[i, a] - points[j, a]) * normals[j, a]
-            cost = abs(away) / typical + ROUGH * roughness[j]
+            cost = abs(away) / typical + ROUGHNESS_WEIGHT * roughness[j]
             if cost < least:
                 best, least = j, cost
         for a in range(3):

@@ -27,8 +27,10 @@ from ocp_ros.geometry.cameras import PINHOLE
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.util.kernels import njit
 
-#: Points per block, and 64-bit words per block, with one bit for each point.
-BLOCK, WORDS = 256, 4
+#: 64-bit words per block, with one bit for each point.
+WORDS = 4
+#: Points per block.
+BLOCK = 256
 
 
 def spatial_order(points: np.ndarray) -> np.ndarray:

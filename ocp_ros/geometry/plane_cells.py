@@ -22,7 +22,7 @@ from ocp_ros.util.kernels import njit
 #: The row number for a column without an open cell.
 NO_ROW = -1
 #: Metres: positions moved into a cell keep this distance from its edges.
-INSIDE = 1e-6
+INSET_M = 1e-6
 
 
 @njit(cache=True, nogil=True)
@@ -106,4 +106,4 @@ def moved_into(positions, low, edge, near):
                         best, x, y = away, near[i, column], column
         for k, cell in enumerate((x, y)):
             corner = low[k] + edge * cell
-            positions[m, k] = min(max(positions[m, k], corner + INSIDE), corner + edge - INSIDE)
+            positions[m, k] = min(max(positions[m, k], corner + INSET_M), corner + edge - INSET_M)

@@ -40,11 +40,13 @@ f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
 #: No value here becomes NaN, and the order of a sum does not matter.
 FAST = {'nsz', 'arcp', 'contract', 'afn', 'reassoc'}
 PI, HALF_PI, HALF, ONE = f32(np.pi), f32(np.pi / 2), f32(0.5), f32(1.0)
-#: For grazing surfaces: the least cosine used, and the range of a disc's inverse distance in
-#: multiples of that of its point.
-LEAST_COSINE, LOWEST, HIGHEST = f32(0.12), f32(0.7), f32(1.4)
+MAX_DEPTH_RATIO = f32(1.4)
+#: The range of a disc's inverse distance, in multiples of that of its point.
+MIN_DEPTH_RATIO = f32(0.7)
+#: The least cosine used, for grazing surfaces.
+MIN_COSINE = f32(0.12)
 #: Metres: a point nearer to the camera than this is the camera itself.
-NEAREST = f32(1e-3)
+MIN_DISTANCE_M = f32(1e-3)
 #: Unsigned, since an index that may be negative prevents the vectorisation of a loop.
 STEP = u64(BLOCK)
 
@@ -130,7 +132,7 @@ class Workspace(NamedTuple):
     :ivar farthest_of_four: the same shape: the minimum of each cell and the three to the right and
         above.
     :ivar inverse: (256,) float32, 1 / distance of the disc after setting it back, 1/m; 0 for
-        points beyond the camera's range or nearer than ``NEAREST``.
+        points beyond the camera's range or nearer than ``MIN_DISTANCE_M``.
     :ivar row: (256,) float32, elevation in rows of the map.
     :ivar column: (256,) float32, azimuth in columns of the map.
     :ivar flat: (256,) float32, cosine of the elevation.
@@ -242,7 +244,7 @@ def project_block(surfels, number, position, farthest, settings, out):
         outward = surfels.nx[i] * cos_a + surfels.ny[i] * sin_a
         facing = outward * cos_e + surfels.nz[i] * sin_e
         cell = inverse * per_cell
-        steep = (cell if facing >= f32(0.0) else -cell) / max(abs(facing), LEAST_COSINE)
+        steep = (cell if facing >= f32(0.0) else -cell) / max(abs(facing), MIN_COSINE)
         step_row = (surfels.nz[i] * cos_e - outward * sin_e) * steep
         step_column = (surfels.ny[i] * cos_a - surfels.nx[i] * sin_a) * steep * cos_e
         set_back = inverse - setback * (abs(step_row) + abs(step_column))
@@ -252,13 +254,13 @@ def project_block(surfels, number, position, farthest, settings, out):
         out.around[i] = u32(i32(row + HALF)) * stride + u32(i32(column + HALF))
         out.flat[j] = max(cos_e, f32(1e-4))
         out.step_row[j], out.step_column[j] = step_row, step_column
-        out.inverse[j] = set_back if (distance >= NEAREST) & (distance <= far) else f32(0.0)
+        out.inverse[j] = set_back if (distance >= MIN_DISTANCE_M) & (distance <= far) else f32(0.0)
 
 
 @njit(nogil=True, inline='always', fastmath=FAST)
 def _clamped(value, inverse):
     """Limit the inverse distance of a disc to values near that of its point, for grazing rays."""
-    return min(max(value, LOWEST * inverse), HIGHEST * inverse)
+    return min(max(value, MIN_DEPTH_RATIO * inverse), MAX_DEPTH_RATIO * inverse)
 
 
 @njit(nogil=True, fastmath=FAST, error_model='numpy')
@@ -342,7 +344,7 @@ def _splat_ellipse(inverse, row, column, flat, size, step_row, step_column, rows
     shrink = widen / form
     tilt, within = slope_row * slope_column * shrink, form * size * size
     height = size * math.sqrt(max(form / whole, f32(1e-4)))
-    low, high = LOWEST * inverse, HIGHEST * inverse
+    low, high = MIN_DEPTH_RATIO * inverse, MAX_DEPTH_RATIO * inverse
     own_row, own_column = i32(row), i32(column)
     first_row = max(min(_ceil(row - height - HALF), own_row), 0)
     last_row = min(max(-_ceil(HALF - row - height), own_row), rows - 1)
@@ -464,7 +466,7 @@ def see_surfels(points, blocks, pose, lens, settings, work, seen):
     :param seen: (W,) uint64, packed bits, in and out: set for visible points.
     """
     base, share = f32(settings.base), f32(settings.share)
-    nearest, farthest = max(f32(lens.min_range), NEAREST), f32(lens.max_range)
+    nearest, farthest = max(f32(lens.min_range), MIN_DISTANCE_M), f32(lens.max_range)
     flags = work.flags
     for number in blocks:
         first, count = _block(number, points.x.shape[0])

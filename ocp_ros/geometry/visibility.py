@@ -80,7 +80,8 @@ class SurfelVisibility:
     def by(self, settings: SurfelSettings) -> 'SurfelVisibility':
         """Return the visibility with other rules; points and positions are shared."""
         other = copy(self)
-        other.settings, other._free_workspaces = settings, deque()
+        other.settings = settings
+        other._free_workspaces = deque()
         return other
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,

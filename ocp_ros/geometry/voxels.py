@@ -20,13 +20,11 @@ import numpy as np
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.util.kernels import njit
 
-#: Metres: smallest and largest edge of a voxel.
-SMALLEST, LARGEST = 0.001, 1000.0
+#: Metres: the smallest edge of a voxel.
+MIN_VOXEL_M = 0.001
 #: Multiplier of a multiplicative hash: 2^64 over the golden ratio, odd.
 GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 EMPTY = -1
-#: The least edge in metres of the cells of a room, and the largest number of cells.
-CELL, MOST_CELLS = 0.1, 4_000_000
 
 
 class CellGrid(NamedTuple):
@@ -52,7 +50,8 @@ class CellGrid(NamedTuple):
             mirrored cells.
         """
         size = bounds[1] - bounds[0]
-        edge = max(CELL, float((size.prod() / MOST_CELLS) ** (1.0 / 3.0)))
+        # Metres.
+        edge = max(0.1, float((size.prod() / 4_000_000) ** (1.0 / 3.0)))
         shape = np.floor(size / edge).astype(int) + 1
         low = bounds.mean(axis=0) - 0.5 * edge * shape if centred else bounds[0]
         return cls(low, edge, shape)
@@ -82,8 +81,8 @@ def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
     :returns: (M, 3) float32, ordered by cube: M <= N.
     :raises ValueError: if the voxel size is below a millimetre.
     """
-    if not voxel_size >= SMALLEST:
-        raise ValueError(f'voxel_size: found {voxel_size}; expected at least {SMALLEST} m')
+    if not voxel_size >= MIN_VOXEL_M:
+        raise ValueError(f'voxel_size: found {voxel_size}; expected at least {MIN_VOXEL_M} m')
     grid = _Grid(points)
     found = grid.fill(voxel_size)
     counts = np.bincount(grid.ranks)
@@ -106,8 +105,8 @@ def voxel_size_for(points: np.ndarray, max_points: int) -> float:
     :param max_points: the largest number of points wanted.
     :returns: metres.
     """
-    grid, low, high = _Grid(points), SMALLEST, LARGEST
-    x, y, z = np.maximum(np.ptp(grid.corners, axis=0), SMALLEST)
+    grid, low, high = _Grid(points), MIN_VOXEL_M, 1000.0
+    x, y, z = np.maximum(np.ptp(grid.corners, axis=0), MIN_VOXEL_M)
     # A room has about the surface of its bounding box.
     middle = np.sqrt(2.0 * (x * y + y * z + z * x) / max_points)
     attempt = 0

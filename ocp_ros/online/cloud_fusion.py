@@ -15,7 +15,7 @@
 """Fusion of incoming point clouds into one observed cloud of bounded size."""
 
 import numpy as np
-from ocp_ros.geometry.clouds import cell_numbers, REACH
+from ocp_ros.geometry.clouds import cell_numbers, MAX_CELL
 
 #: Smallest value of ``most``: 8 voxels meet at the origin and never merge, whatever their edge.
 MIN_POINTS = 8
@@ -78,7 +78,7 @@ class FusedCloud:
 
     def _thinned(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Keep the first point of each voxel; return the points and their voxels' numbers."""
-        reach = REACH * self.edge
+        reach = MAX_CELL * self.edge
         if not (np.abs(points) < reach).all():
             raise ValueError(
                 f'points: found coordinates up to {np.abs(points).max()} m; expected finite ones '

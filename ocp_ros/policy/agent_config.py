@@ -16,13 +16,11 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS, setting, UserError
+from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS, setting, UserError
 
 #: Input of the network: the observation map (``map``), or the observed cloud, read by one head for
 #: all cameras as in the paper (``paper``) or camera by camera (``cloud``).
 MAP, CLOUD, PAPER = INPUTS = 'map', 'cloud', 'paper'
-#: Largest number of values that an extraction unit computes for a cloud.
-MOST = 1 << 23
 
 
 class CheckpointError(UserError):
@@ -48,7 +46,7 @@ class AgentConfig:
         0, 64)
     cameras: int = setting(
         4, 'with inputs paper: number of cameras, whose moves one head chooses together', 1,
-        MOST_CAMERAS)
+        MAX_CAMERAS)
     points: int = setting(
         512, 'points of the cloud that reach the first extraction unit', 16, 32767)
     keys_1: int = setting(32, 'key points of the first unit', 1, 4096)
@@ -66,11 +64,13 @@ class AgentConfig:
 
     def __post_init__(self) -> None:
         """Reject settings without effect, and units that would need too much memory."""
+        max_values = 1 << 23
         for unit, count in enumerate((self.keys_1 * self.group_1, self.keys_2 * self.group_2), 1):
-            if count * self.channels > MOST:
+            if count * self.channels > max_values:
                 raise ConfigurationError(
                     f'agent.keys_{unit}: found keys_{unit} x group_{unit} x channels = '
-                    f'{count * self.channels:,}; expected up to {MOST:,}; lower one of the three')
+                    f'{count * self.channels:,}; expected up to {max_values:,}; lower '
+                    'one of the three')
         if self.headings and not self.map:
             raise ConfigurationError(f'agent.headings: found {self.headings} with agent.inputs '
                                      f'{self.inputs!r}; expected 0, or the inputs map')

@@ -27,7 +27,7 @@ from typing import Any
 
 from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
 from ocp_ros.policy.networks import actor_of
-from ocp_ros.util.files import LARGEST, read_regular, write_atomically
+from ocp_ros.util.files import MAX_BYTES, read_regular, write_atomically
 from ocp_ros.util.settings import from_nested, to_nested
 from safetensors import SafetensorError
 import safetensors.torch
@@ -37,9 +37,7 @@ FORMAT = 'ocp_ros-actor-2'
 KEY = 'ocp_ros'
 #: Largest absolute weight: trained weights stay below 100, and much larger ones cause an overflow
 #: in the network.
-LARGEST_WEIGHT = 1e4
-#: Largest length of a run's name, and largest number of gradient steps.
-LONGEST_RUN, MOST_UPDATES = 100, 1 << 53
+MAX_WEIGHT = 1e4
 
 
 @dataclass(frozen=True)
@@ -77,9 +75,9 @@ class Checkpoint:
                     f'weights: found {name} as {tensor.dtype} {tuple(tensor.shape)}; expected '
                     f'float32 {tuple(expected[name].shape)}')
             # NaN fails this comparison too.
-            if not (tensor.abs() <= LARGEST_WEIGHT).all():
+            if not (tensor.abs() <= MAX_WEIGHT).all():
                 raise CheckpointError(
-                    f'weights: found NaN, inf or more than {LARGEST_WEIGHT:g} in {name}; expected '
+                    f'weights: found NaN, inf or more than {MAX_WEIGHT:g} in {name}; expected '
                     'smaller finite numbers; the training that made them has diverged')
 
     def to_bytes(self) -> bytes:
@@ -122,8 +120,8 @@ class Checkpoint:
                 raise ValueError(f'its format is {card["format"]!r}, not {FORMAT!r}')
             config = from_nested(AgentConfig, card['config'], what)
             updates, run = card['updates'], card['run']
-            if (type(updates) is not int or not 0 <= updates <= MOST_UPDATES
-                    or not isinstance(run, str) or len(run) > LONGEST_RUN):
+            if (type(updates) is not int or not 0 <= updates <= (1 << 53)
+                    or not isinstance(run, str) or len(run) > 100):
                 raise ValueError(f'its updates are {updates!r} and its run is {str(run)[:50]!r}')
             known = {'updates': updates, 'run': run, 'provenance': dict(card['provenance'])}
             weights = safetensors.torch.load(bytes(blob))
@@ -159,7 +157,7 @@ class Checkpoint:
         except OSError as error:
             raise CheckpointError(f'{path}: found no file that can be read ({error.strerror}); '
                                   'expected weights ending in .safetensors, of '
-                                  f'{LARGEST:,} bytes at most') from error
+                                  f'{MAX_BYTES:,} bytes at most') from error
         return cls.from_bytes(blob, str(path))
 
 

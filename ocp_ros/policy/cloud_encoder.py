@@ -24,9 +24,6 @@ from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.scenes.scene import SceneError
 
-#: Points and depth-map rows of the model in which points are marked by the cameras that see them.
-MARKED_POINTS, MARKED_ROWS = 6000, 16
-
 
 class EncodedTurn:
     """
@@ -42,8 +39,11 @@ class EncodedTurn:
 
     def __init__(self, config: AgentConfig, cloud: np.ndarray, known: ObservedTurn | None,
                  positions: np.ndarray, max_step: float, time: float) -> None:
-        self._config, self._known, self._max_step = config, known, max_step
-        self.positions, self._time = positions.copy(), time
+        self._config = config
+        self._known = known
+        self._max_step = max_step
+        self.positions = positions.copy()
+        self._time = time
         self._has_chosen = np.zeros(len(positions), dtype=bool)
         # Marks belong to the points of the model, so the network reads these points.
         self._cloud = encode(cloud if known is None else known.model.points, positions, config)
@@ -97,8 +97,8 @@ class Encoder:
     def __init__(self, config: AgentConfig, max_range: float = 4.0, max_step: float = 0.5,
                  wall_margin: float = 0.1, clearance: float = CLEARANCE) -> None:
         self.config, self.max_step = config, max_step
-        self.turns = ObservedTurns(max_range, wall_margin, clearance, points=MARKED_POINTS,
-                                   rows=MARKED_ROWS)
+        # The model in which points are marked by the cameras that see them.
+        self.turns = ObservedTurns(max_range, wall_margin, clearance, points=6000, rows=16)
 
     def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> EncodedTurn:
         """

@@ -25,11 +25,13 @@ from ocp_ros.policy.agent_config import AgentConfig, PAPER
 from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 
 #: Largest number of other cameras that the network reads for one camera: the nearest ones.
-OTHERS = 7
+MAX_OTHERS = 7
+#: Number of values for the time step: elapsed share of the episode, cameras / 4, and the share of
+#: the air that no camera has covered.
+OF_TURN = 3
 #: Number of values for each other camera: vector to it (3), whether it exists, whether it has
-#: chosen. Number of values for the time step: elapsed share of the episode, cameras / 4, and the
-#: share of the air that no camera has covered.
-OF_OTHERS, OF_TURN = 5, 3
+#: chosen.
+OF_OTHERS = 5
 #: Number of values for each point: whether the choosing camera sees it, and how many others do.
 MARKS = 2
 
@@ -84,11 +86,11 @@ def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarra
     :param positions: (K, 3) metres: positions of the cameras, new ones where already chosen.
     :param has_chosen: (K,) bool.
     :param config: with the unit of length.
-    :returns: (``OTHERS``, ``OF_OTHERS``) float32; rows without a camera are 0.
+    :returns: (``MAX_OTHERS``, ``OF_OTHERS``) float32; rows without a camera are 0.
     """
-    told = np.zeros((OTHERS, OF_OTHERS), dtype=np.float32)
+    features = np.zeros((MAX_OTHERS, OF_OTHERS), dtype=np.float32)
     ways = (np.delete(positions, camera, axis=0) - positions[camera]) / config.length_scale
-    nearest = np.argsort(np.linalg.norm(ways, axis=1), kind='stable')[:OTHERS]
-    told[:len(nearest), :3], told[:len(nearest), 3] = ways[nearest], 1.0
-    told[:len(nearest), 4] = np.delete(has_chosen, camera)[nearest]
-    return told
+    nearest = np.argsort(np.linalg.norm(ways, axis=1), kind='stable')[:MAX_OTHERS]
+    features[:len(nearest), :3], features[:len(nearest), 3] = ways[nearest], 1.0
+    features[:len(nearest), 4] = np.delete(has_chosen, camera)[nearest]
+    return features

@@ -41,25 +41,13 @@ from scipy.ndimage import uniform_filter
 if TYPE_CHECKING:
     from ocp_ros.policy.policy import ValuePolicy
 
-#: Points and depth-map rows of the model from which the observation map is computed.
-PLAIN_POINTS, PLAIN_ROWS = 6000, 32
-#: Smallest number of cameras that choose again in a time step, and the number of choices of each
-#: camera in an episode.
-AGAIN, OFTEN = 2, 8
-#: Number of places that are scored on the partial map: those with the best values of the network.
-TRIED = 16
-#: Smallest weight of the network in the score of a place, and the factor from the unseen share of
-#: the air to this weight.
-TRUST, PER_UNSEEN = 0.35, 5.0
+#: Rows of the depth maps of this model.
+MODEL_ROWS = 32
+#: Points of the model from which the observation map is computed.
+MODEL_POINTS = 6000
 #: Smallest number of time steps for values by heading, for cameras that are not omnidirectional:
 #: in a shorter episode they observe too little, and values without headings give better places.
-MANY = 20
-#: Cost of a metre of path, and smallest improvement that changes a target, both in units of the
-#: value (the logarithm of a ratio of errors).
-PER_METRE, GAIN = 0.01, 0.02
-#: First bonus for unseen air, in the same units, the share of the episode after which the bonus is
-#: 0, and the distance from a place within which unseen air counts, metres.
-CURIOSITY, EXPLORING, AROUND = 1.5, 0.5, 1.5
+MIN_TURNS_FOR_HEADINGS = 20
 
 
 class MapActor(PipelinedPlanner):
@@ -78,7 +66,7 @@ class MapActor(PipelinedPlanner):
     def reset(self) -> None:
         """Discard the state of the last episode."""
         super().reset()
-        self._kept = KeptModel(self.max_range, self.wall_margin, PLAIN_POINTS, PLAIN_ROWS)
+        self._kept = KeptModel(self.max_range, self.wall_margin, MODEL_POINTS, MODEL_ROWS)
         #: (K, 6) metres and radians: target pose of each camera.
         self._plan: np.ndarray | None = None
         #: Number of time steps with a plan so far.
@@ -114,12 +102,13 @@ class MapActor(PipelinedPlanner):
         """Return the observation map with the current targets of the cameras."""
         positions = known.positions
         if not self._planned(len(positions)):
-            self._plan, self._turns = standing(positions, self.rig_state), 0
+            self._plan = standing(positions, self.rig_state)
+            self._turns = 0
         plan = self._plan.copy()
         plan[:, :2], plan[:, 2] = known.space.inside(plan[:, :2]), positions[:, 2]
         return MapTurn(known.model, known.space, known.unseen, plan, positions, self.rig_state,
                        self.max_range, (known.turns - known.turn) * self.max_step,
-                       known.turns >= MANY)
+                       known.turns >= MIN_TURNS_FOR_HEADINGS)
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Choose new targets for some cameras; see :meth:`PipelinedPlanner._think`."""
@@ -140,7 +129,9 @@ class MapActor(PipelinedPlanner):
 
     def asked(self, cameras: int, turn: int, turns: int) -> np.ndarray:
         """Return the cameras that choose again in this time step, in their order."""
-        asked = max(AGAIN, -(-OFTEN * cameras // turns))
+        # Two cameras or more choose again in a time step, and each eight times in an episode.
+        least_choosing = 2
+        asked = max(least_choosing, -(-8 * cameras // turns))
         # In the first plan of a short episode all cameras choose twice. In an episode of many time
         # steps they do so in the second plan, which no time step waits for; in its first plan,
         # which is waited for, one camera chooses.
@@ -148,7 +139,7 @@ class MapActor(PipelinedPlanner):
             asked = max(asked, 2 * cameras)
         elif self._turns == 0:
             asked = 1
-        return np.resize(order_of(turn * AGAIN, cameras), asked)
+        return np.resize(order_of(turn * least_choosing, cameras), asked)
 
     def end(self, known: MapTurn) -> np.ndarray:
         """Return the next moves of the cameras towards their new targets: (K, 2) metres."""
@@ -164,11 +155,15 @@ class MapActor(PipelinedPlanner):
         """Choose the target of a camera again, after a share ``over`` of the episode."""
         plan, window = known.plan, known.room.window
         values = self.policy.values(**known.inputs(camera)).reshape(-1, CELLS * CELLS)
-        curiosity = CURIOSITY * max(1.0 - over / EXPLORING, 0.0)
+        # The bonus for unseen air falls to 0 in the first half of the episode.
+        curiosity = 1.5 * max(1.0 - over / 0.5, 0.0)
         bonus = curiosity * _nearby(known.room.unseen_air(), window).ravel()
-        extra = PER_METRE * known.away(camera) - bonus
+        # A metre of path costs 0.01 in units of the value, the logarithm of a ratio of errors.
+        extra = 0.01 * known.away(camera) - bonus
         scores = np.where(known.open_to(camera), values.min(axis=0) + extra, np.inf)
-        best = np.argpartition(scores, TRIED)[:TRIED]
+        # The places with the best values of the network are scored on the partial map.
+        scored = 16
+        best = np.argpartition(scores, scored)[:scored]
         best = best[np.isfinite(scores[best])]
         rows, of_cells = self._turned(camera, np.column_stack(
             [known.cells[best], np.full(len(best), plan[camera, 2])]))
@@ -176,13 +171,17 @@ class MapActor(PipelinedPlanner):
         rows = np.concatenate([plan[camera, None], rows])
         looks = known.look(camera, rows)
         change = known.model.depth_error.changes(
-            [view.seen for view in known.beside(camera)], [look.seen for look in looks], ERROR_FLOOR)
-        trust = float(np.clip(PER_UNSEEN * _share(known.model, known.unseen), TRUST, 1.0))
+            [view.seen for view in known.beside(camera)], [look.seen for look in looks],
+            ERROR_FLOOR)
+        # The weight of the network in the score of a place, which grows with the unseen share of
+        # the air.
+        trust = float(np.clip(5.0 * _share(known.model, known.unseen), 0.35, 1.0))
         said = at_yaws(values, at, rows[:, 3])
         tried = trust * said + (1.0 - trust) * change + extra[at]
         found = int(np.argmin(tried))
         # Outside the observed part of the map the network's value is inf.
-        if not tried[found] > tried[0] - GAIN:
+        # A target changes only for an improvement of 0.02.
+        if not tried[found] > tried[0] - 0.02:
             known.send(camera, rows[found], looks[found])
 
     def _turned(self, camera: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -205,4 +204,5 @@ def _share(model: PartialMap, unseen: np.ndarray) -> float:
 
 def _nearby(share: np.ndarray, window: Window) -> np.ndarray:
     """Return the mean share over the cells around each cell."""
-    return uniform_filter(share, max(round(2.0 * AROUND / window.edge), 1), mode='constant')
+    # Cells within 1.5 m on each side of a place.
+    return uniform_filter(share, max(round(3.0 / window.edge), 1), mode='constant')

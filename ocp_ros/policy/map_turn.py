@@ -43,8 +43,13 @@ class MapTurn:
     def __init__(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, plan: np.ndarray,
                  positions: np.ndarray, rig_state: RigState | None, max_range: float, reach: float,
                  aimed: bool = True) -> None:
-        self.model, self.unseen, self.plan, self.positions = model, unseen, plan, positions
-        self._sight, self._reach, self._aimed = rig_state, reach, aimed
+        self.model = model
+        self.unseen = unseen
+        self.plan = plan
+        self.positions = positions
+        self._sight = rig_state
+        self._reach = reach
+        self._aimed = aimed
         self.room = ObservationMap(model, unseen, len(plan), max_range,
                                    float(np.median(positions[:, 2])))
         self.cells = self.room.window.middles.reshape(-1, 2)

@@ -26,13 +26,6 @@ from ocp_ros.policy.value_network import ValueMapNetwork
 import torch
 from torch import nn, Tensor
 
-#: Bounds of the logarithm of the standard deviation of a move, the same as in stable-baselines3.
-LOG_STD_MIN, LOG_STD_MAX = -20.0, 2.0
-CAMERA_CHANNELS = 32
-#: Number of values for a camera's own position: its position relative to the walls (2) and in the
-#: cloud (3), the distances to the four walls (4), and half the size of the room (3).
-OWN_FEATURES = 2 + 3 + 4 + 3
-
 
 def perceptron(*widths: int) -> nn.Sequential:
     """Stack linear layers, each followed by a ReLU."""
@@ -134,16 +127,20 @@ class Extractor(nn.Module):
         if self.paper:
             self.width += 3 + 3 * config.cameras
         else:
-            self.others = perceptron(OF_OTHERS, CAMERA_CHANNELS, CAMERA_CHANNELS)
-            self.width += OWN_FEATURES + 2 * CAMERA_CHANNELS + OF_TURN
+            channels = 32
+            self.others = perceptron(OF_OTHERS, channels, channels)
+            # A camera's own position: relative to the walls (2) and in the cloud (3), the
+            # distances to the four walls (4), and half the size of the room (3).
+            own_features = 2 + 3 + 4 + 3
+            self.width += own_features + 2 * channels + OF_TURN
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """Return the features (B, F)."""
         cameras, half = observation['cameras'], observation['half_size']
         if self.paper:
             return torch.cat([self._cloud(observation, None), half, cameras.flatten(1)], dim=-1)
-        camera, told = cameras[:, 0], observation['others']
-        others = pooled(self.others(told), told[..., 3])
+        camera, features = cameras[:, 0], observation['others']
+        others = pooled(self.others(features), features[..., 3])
         return torch.cat([
             self._cloud(observation, cameras), camera[:, :2] / half[:, :2].clamp(min=1e-3), camera,
             half[:, :2] - camera[:, :2], half[:, :2] + camera[:, :2], half, others,
@@ -190,7 +187,8 @@ class Actor(nn.Module):
             cameras before the hyperbolic tangent.
         """
         latent = self.latent_pi(self.extractor(observation))
-        return self.mu(latent), self.log_std(latent).clamp(LOG_STD_MIN, LOG_STD_MAX)
+        # The bounds are those of stable-baselines3.
+        return self.mu(latent), self.log_std(latent).clamp(-20.0, 2.0)
 
 
 def actor_of(config: AgentConfig) -> nn.Module:

@@ -32,10 +32,8 @@ import torch
 from torch import nn, Tensor
 from torch.nn.functional import pixel_shuffle, pixel_unshuffle, relu
 
-#: Channels at 1/2, 1/4 and 1/8 of the resolution, and the number of blocks in the encoder there.
-WIDTHS, DOWN = (32, 64, 96), (1, 2, 2)
 #: The network merges blocks of this many cells along each side.
-TOGETHER = 2
+BLOCK_CELLS = 2
 #: Difference of values at which the probabilities of two cells differ by the factor e.
 TEMPERATURE = 0.05
 
@@ -61,27 +59,30 @@ class ValueMap(nn.Module):
 
     :param headings: D, number of headings; see
         :func:`~ocp_ros.online.observation_map.yaws_of`.
-    :param told: names of the scalar inputs besides the maps ``room`` and ``others``, and the
+    :param scalars: names of the scalar inputs besides the maps ``room`` and ``others``, and the
         number of values of each.
     """
 
-    def __init__(self, headings: int, told: dict[str, int]) -> None:
+    def __init__(self, headings: int, scalars: dict[str, int]) -> None:
         super().__init__()
-        self._told = tuple(told)
-        half, quarter, eighth = WIDTHS
-        self.enter = nn.Conv2d((OF_ROOM + OF_OTHERS) * TOGETHER ** 2 + sum(told.values()), half, 3,
-                               padding=1)
-        self.down_1 = _blocks(half, DOWN[0])
+        self._scalar_names = tuple(scalars)
+        # Channels at 1/2, 1/4 and 1/8 of the resolution.
+        half, quarter, eighth = 32, 64, 96
+        inputs = (OF_ROOM + OF_OTHERS) * BLOCK_CELLS ** 2 + sum(scalars.values())
+        self.enter = nn.Conv2d(inputs, half, 3, padding=1)
+        # The number of blocks of the encoder at these resolutions.
+        blocks = (1, 2, 2)
+        self.down_1 = _blocks(half, blocks[0])
         self.to_quarter = nn.Conv2d(half, quarter, 3, stride=2, padding=1)
-        self.down_2 = _blocks(quarter, DOWN[1])
+        self.down_2 = _blocks(quarter, blocks[1])
         self.to_eighth = nn.Conv2d(quarter, eighth, 3, stride=2, padding=1)
-        self.down_3 = _blocks(eighth, DOWN[2])
+        self.down_3 = _blocks(eighth, blocks[2])
         self.whole = nn.Linear(eighth, eighth)
         self.from_eighth = nn.Conv2d(eighth, quarter * 4, 1)
         self.up_2 = _blocks(quarter, 1)
         self.from_quarter = nn.Conv2d(quarter, half * 4, 1)
         self.up_1 = _blocks(half, 1)
-        self.leave = nn.Conv2d(half, headings * TOGETHER ** 2, 3, padding=1)
+        self.leave = nn.Conv2d(half, headings * BLOCK_CELLS ** 2, 3, padding=1)
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """
@@ -92,17 +93,17 @@ class ValueMap(nn.Module):
         :returns: (B, D, H, W): ln((E + e) / (E of the others + e)) of the depth error E; less is
             better.
         """
-        numbers = torch.cat([observation[name] for name in self._told], dim=1)
+        numbers = torch.cat([observation[name] for name in self._scalar_names], dim=1)
         maps = torch.cat([observation['room'], observation['others']], dim=1).to(numbers.dtype)
-        maps = pixel_unshuffle(maps / 255.0, TOGETHER)
-        told = numbers[:, :, None, None].expand(-1, -1, *maps.shape[2:])
-        half = self.down_1(self.enter(torch.cat([maps, told], dim=1)))
+        maps = pixel_unshuffle(maps / 255.0, BLOCK_CELLS)
+        scalars = numbers[:, :, None, None].expand(-1, -1, *maps.shape[2:])
+        half = self.down_1(self.enter(torch.cat([maps, scalars], dim=1)))
         quarter = self.down_2(self.to_quarter(relu(half)))
         eighth = self.down_3(self.to_eighth(relu(quarter)))
         eighth = eighth + self.whole(relu(eighth).mean(dim=(2, 3)))[:, :, None, None]
         quarter = self.up_2(quarter + pixel_shuffle(self.from_eighth(relu(eighth)), 2))
         half = self.up_1(half + pixel_shuffle(self.from_quarter(relu(quarter)), 2))
-        return pixel_shuffle(self.leave(relu(half)), TOGETHER)
+        return pixel_shuffle(self.leave(relu(half)), BLOCK_CELLS)
 
 
 class ValueMapNetwork(ValueMap):

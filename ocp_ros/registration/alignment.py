@@ -27,12 +27,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 #: The least cosine between the normals of a point and its match: 60 degrees.
-ALIKE = 0.5
-#: The share of the mean information that is added in all directions, so that directions without
-#: surfaces stay solvable.
-DAMPING = 1e-4
-#: The iteration ends when no step is longer than this: metres, and radians times one metre.
-STILL = 1e-5
+MIN_COSINE = 0.5
 
 
 class Poses(NamedTuple):
@@ -137,7 +132,7 @@ def matched(surfaces: Surfaces, patches: Patches, poses: Poses, gate: float) -> 
     else:
         normals = np.where(facing[..., None] < 0.0, -normals, normals)
     own = np.einsum('sij,mj->smi', poses.rotations, patches.normals)
-    found &= np.einsum('smi,smi->sm', normals, own) > ALIKE
+    found &= np.einsum('smi,smi->sm', normals, own) > MIN_COSINE
     residuals = np.einsum('smi,smi->sm', normals, placed - foot)
     return Matches(residuals, np.concatenate([np.cross(arms, normals), normals], axis=2), found,
                    index)
@@ -172,7 +167,8 @@ def aligned(surfaces: Surfaces, patches: Patches, poses: Poses, stage: Alignment
         weights = weights_of(matches, patches.deviation, kernel)
         change = solved(matches, weights)
         poses = moved(poses, change)
-        if along == 1.0 and np.abs(change).max() < STILL:
+        # The step is shorter than a hundredth of a millimetre.
+        if along == 1.0 and np.abs(change).max() < 1e-5:
             break
     return poses
 
@@ -183,4 +179,6 @@ def solved(matches: Matches, weights: np.ndarray) -> np.ndarray:
     normal = np.swapaxes(weighted, 1, 2) @ matches.jacobians
     right = np.einsum('smi,sm->si', weighted, matches.residuals)
     mean = np.trace(normal, axis1=1, axis2=2)[:, None, None] / 6.0
-    return -np.linalg.solve(normal + (DAMPING * mean + 1e-9) * np.eye(6), right[..., None])[..., 0]
+    # Directions without surfaces stay solvable, since a share of the mean information is added in
+    # all directions.
+    return -np.linalg.solve(normal + (1e-4 * mean + 1e-9) * np.eye(6), right[..., None])[..., 0]

@@ -32,14 +32,12 @@ from ocp_ros.util.yaml_files import Document
 
 #: Alternatives to try: a description, a roll in radians about the viewing direction, and the axes
 #: of the cloud.
-OTHERWISE = (
+ALTERNATIVES = (
     ('it is mounted upside down', np.pi, np.eye(3)),
     ('it is mounted on its side', 0.5 * np.pi, np.eye(3)),
     ('it is mounted on its other side', -0.5 * np.pi, np.eye(3)),
     ('its cloud has optical axes (--cloud-frame optical)', 0.0, OPTICAL_TO_BODY),
     ('its cloud has the axes of the body (--cloud-frame body)', 0.0, OPTICAL_TO_BODY.T))
-#: Metres and degrees, and multiples of the expected deviation, above which a camera has moved.
-MOVED, SURE = (0.02, 1.0), 3.0
 
 
 def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
@@ -73,7 +71,7 @@ def _registered(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Regist
     first = register(scan, LiveView(cloud, model, name), start, model)
     if not first.unlike:
         return first
-    for said, roll, axes in OTHERWISE:
+    for said, roll, axes in ALTERNATIVES:
         with suppress(SceneError):
             turned = Pose(start.position, start.rotation @ rotation_matrix(roll=roll))
             answer = register(scan, LiveView(cloud @ axes.T, model, name), turned, model)
@@ -105,8 +103,9 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
         turn = float(np.rad2deg(turn))
         if found.unlike:
             moved.append(f'{name} no longer fits the scan: {found.refused}')
-        elif (away > max(MOVED[0], SURE * found.certainty.metres[0])
-              or turn > max(MOVED[1], SURE * found.certainty.degrees[0])):
+        # More than 2 cm or 1 degree, and three times the expected deviation.
+        elif (away > max(0.02, 3.0 * found.certainty.metres[0])
+              or turn > max(1.0, 3.0 * found.certainty.degrees[0])):
             moved.append(f'{name} hangs {away:.3f} m and {turn:.1f} degrees from where it is said '
                          'to be; expected it there; call ~/calibrate, or put it back')
     return moved

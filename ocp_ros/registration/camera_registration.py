@@ -22,6 +22,7 @@ camera has measured as free. It is refused if the scan explains little of the cl
 pose explains as much, or if the surfaces do not constrain the pose.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -29,9 +30,9 @@ from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.registration.alignment import (
     aligned,
     AlignmentStage,
-    ALIKE,
     matched,
     Matches,
+    MIN_COSINE,
     moved,
     Patches,
     Poses,
@@ -43,41 +44,38 @@ from ocp_ros.registration.pose_certainty import axis_words, Certainty, certainty
 from ocp_ros.registration.scan_surfaces import ScanSurfaces, SurfacesInView
 from scipy.stats import qmc
 
-#: Two sets of starts: the largest metres and radians from the planned pose, and the number of
-#: starts.
-NEARBY, WIDE = (0.4, np.deg2rad(15.0), 32), (1.1, np.deg2rad(32.0), 64)
-#: The number of patches for the registration of all starts and of the best ones, and the number of
-#: the best ones.
-SKETCH, OUTLINE, BEST = 160, 600, 12
-#: The stages of the registration of a start.
-ROUGH = AlignmentStage((1.0, 0.3), (40.0, 8.0), 14)
-BETTER = AlignmentStage((0.4, 0.2), (12.0, 5.0), 12)
-FINER = (AlignmentStage((0.15, 0.08), (4.0, 2.0), 16), AlignmentStage((0.1, 0.08), (2.0, 1.0), 16))
-FINEST = AlignmentStage((0.04, 0.03), (2.0, 0.7), 16)
-#: Shifts in metres of a pose in each of its six directions, metres of a rotation by one radian,
-#: the number of patches for the comparison, and the least gain of a shifted pose.
-SHIFTS, ARM, JUDGES, GAIN = (0.02, 0.04, 0.06, 0.08), 2.5, 2000, 1e-3
-#: Metres and radians beyond which poses are distinct; the largest metres and radians of an answer
-#: from its start.
-APART, FARTHEST = (0.10, np.deg2rad(4.0)), (1.6, np.deg2rad(45.0))
-#: Metres and radians beyond which two answers are distinct.
-DISTINCT = 0.01, np.deg2rad(0.5)
-#: The largest number of refined poses, and how far their score may be below the best.
-MOST, MUCH_WORSE = 3, 0.2
-#: A surface explains a point within a distance across the surface (standard deviations plus
-#: metres) and a distance to its nearest point (metres); from the other distance on (standard
-#: deviations plus metres) the surface has been displaced.
-EXPLAINED, NEAR, WITHIN = 3.0, 0.02, 0.15
-BESIDE, CLOSE = 2.0, 0.01
-#: A point lies behind a surface from this distance on (standard deviations plus metres); and the
-#: number of explained points that such a point outweighs.
-BEHIND, LITTLE, BLAME = 2.0, 0.006, 3.0
-#: Limits of an accepted answer, chosen on validation rooms: the least share of the cloud that the
-#: scan explains; the largest share of surfaces in space measured as free; the largest share of
-#: points closely behind a surface; the least lead in score over another pose, and over a nearby
-#: pose as a share of the fit; the largest deviations with doubt, metres and degrees.
-LEAST_OVERLAP, MOST_VIOLATED, MOST_BEHIND, LEAD, NEAR_LEAD = 0.35, 0.05, 0.025, 0.06, 0.003
-MOST_METRES, MOST_DEGREES = 0.0085, 0.45
+#: The number of patches for the registration of the best starts.
+OUTLINE_PATCHES = 600
+FINEST_STAGE = AlignmentStage((0.04, 0.03), (2.0, 0.7), 16)
+#: Metres and radians beyond which poses are distinct.
+DISTINCT_POSES = (0.10, np.deg2rad(4.0))
+#: Metres: the largest distance of a point to the nearest point of its surface.
+MAX_MATCH_DISTANCE_M = 0.15
+#: The number of explained points that a point closely behind a surface outweighs.
+BEHIND_WEIGHT = 3.0
+
+
+@dataclass(frozen=True)
+class AcceptanceLimits:
+    """Limits of an accepted answer, chosen on validation rooms."""
+
+    #: The least share of the cloud that the scan explains.
+    min_overlap: float = 0.35
+    #: The largest share of surfaces in space measured as free.
+    max_violated: float = 0.05
+    #: The largest share of points closely behind a surface.
+    max_behind: float = 0.025
+    #: The least lead in score over another pose.
+    min_lead: float = 0.06
+    #: The least lead over a nearby pose, as a share of the fit.
+    min_near_lead: float = 0.003
+    #: The largest deviation with doubt, metres.
+    max_metres: float = 0.0085
+    #: The largest deviation with doubt, degrees.
+    max_degrees: float = 0.45
+
+
+LIMITS = AcceptanceLimits()
 
 
 class Registration(NamedTuple):
@@ -108,7 +106,7 @@ class Registration(NamedTuple):
     @property
     def unlike(self) -> bool:
         """Return whether the cloud does not match the scan."""
-        return self.overlap < LEAST_OVERLAP or self.violated > MOST_VIOLATED
+        return self.overlap < LIMITS.min_overlap or self.violated > LIMITS.max_violated
 
 
 def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel) -> Registration:
@@ -120,16 +118,17 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
     :param start: the planned pose, accurate to about a metre and 30 degrees.
     :param model: the model of the camera.
     """
-    poses = [_refined(scan, view, pose, model) for pose in _apart(scan, view, start)]
+    poses = [_refined(scan, view, pose, model) for pose in _distinct_poses(scan, view, start)]
     scores = [_score(scan, view, pose) for pose in poses]
     best = int(np.argmax(scores))
-    answer = _judged(scan, view, poses[best], model)
-    rivals = [k for k, pose in enumerate(poses) if scores[k] > scores[best] - LEAD
-              and _are_apart(pose, poses[best])]
-    if answer.refused or not rivals:
+    answer = _evaluated(scan, view, poses[best], model)
+    alternatives = [k for k, pose in enumerate(poses)
+                    if scores[k] > scores[best] - LIMITS.min_lead
+                    and _differ(pose, poses[best])]
+    if answer.refused or not alternatives:
         return answer
-    rival = max(rivals, key=lambda k: scores[k])
-    return answer._replace(refused=_as_well(poses[best], poses[rival]))
+    alternative = max(alternatives, key=lambda k: scores[k])
+    return answer._replace(refused=_ambiguity_reason(poses[best], poses[alternative]))
 
 
 def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
@@ -138,24 +137,28 @@ def checked(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) 
 
     :param pose: the former pose, accurate to a few centimetres.
     """
-    return _judged(scan, view, _refined(scan, view, pose, model), model)
+    return _evaluated(scan, view, _refined(scan, view, pose, model), model)
 
 
-def _searched(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:
+def _coarse_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:
     """Register starts around a pose coarsely, and return the results of the best of them."""
-    poses = _starts(start)
-    sketch, outline = (_some(view.patches, count) for count in (SKETCH, OUTLINE))
-    poses = aligned(scan.coarse, sketch, poses, ROUGH)
-    best = np.argsort(-_explained(scan.coarse, sketch, poses, 5.0), kind='stable')[:BEST]
+    poses = _start_poses(start)
+    sketch, outline = (_sampled(view.patches, count) for count in (160, OUTLINE_PATCHES))
+    poses = aligned(scan.coarse, sketch, poses, AlignmentStage((1.0, 0.3), (40.0, 8.0), 14))
+    best = np.argsort(-_explained_share(scan.coarse, sketch, poses, 5.0), kind='stable')[:12]
     # Few points rank poses badly, so the planned pose is always included.
     best = np.union1d(best, 0)
-    return aligned(scan.coarse, outline, poses.only(best), BETTER)
+    better = AlignmentStage((0.4, 0.2), (12.0, 5.0), 12)
+    return aligned(scan.coarse, outline, poses.only(best), better)
 
 
-def _starts(start: Pose) -> Poses:
+def _start_poses(start: Pose) -> Poses:
     """Return a pose and the starts around it."""
     around = [np.zeros((1, 6))]
-    for seed, (metres, radians, count) in enumerate((NEARBY, WIDE)):
+    # Metres and radians from the planned pose at most, and the number of starts.
+    nearby = (0.4, np.deg2rad(15.0), 32)
+    wide = (1.1, np.deg2rad(32.0), 64)
+    for seed, (metres, radians, count) in enumerate((nearby, wide)):
         unit = 2.0 * qmc.Sobol(6, seed=seed).random(count) - 1.0
         around.append(unit * np.repeat([radians, metres], 3))
     steps = np.concatenate(around)
@@ -163,39 +166,41 @@ def _starts(start: Pose) -> Poses:
                        np.repeat(start.position[None], len(steps), axis=0)), steps)
 
 
-def _some(patches: Patches, count: int) -> Patches:
+def _sampled(patches: Patches, count: int) -> Patches:
     """Return a random subset of the patches, from all parts of the view."""
     return patches.only(np.random.default_rng(0).permutation(len(patches.points))[:count])
 
 
-def _explained(surfaces: Surfaces, patches: Patches, poses: Poses, kernel: float) -> np.ndarray:
+def _explained_share(surfaces: Surfaces, patches: Patches, poses: Poses, kernel: float
+                     ) -> np.ndarray:
     """Return the share of patches that surfaces explain, from 0 to 1, (S,)."""
     matches = matched(surfaces, patches, poses, 0.3)
     return (weights_of(matches, patches.deviation, kernel) * patches.deviation ** 2).mean(axis=1)
 
 
-def _apart(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
+def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
     """Return the distinct poses around a start that best explain the cloud."""
-    poses = _searched(scan, view, start)
-    scores = (_explained(scan.coarse, _some(view.patches, OUTLINE), poses, 5.0)
+    poses = _coarse_poses(scan, view, start)
+    scores = (_explained_share(scan.coarse, _sampled(view.patches, OUTLINE_PATCHES), poses, 5.0)
               - view.violated(scan.coarse.points, poses))
     found: list[Pose] = []
     for k in np.argsort(-scores, kind='stable'):
         pose = Pose(poses.positions[k], poses.rotations[k])
-        if (not _are_apart(pose, start, FARTHEST) and scores[k] > scores.max() - MUCH_WORSE
-                and len(found) < MOST and all(_are_apart(pose, other) for other in found)):
+        # At most 1.6 m and 45 degrees from the start, and not much worse than the best.
+        if (not _differ(pose, start, (1.6, np.deg2rad(45.0))) and scores[k] > scores.max() - 0.2
+                and len(found) < 3 and all(_differ(pose, other) for other in found)):
             found.append(pose)
     return found or [start]
 
 
 def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
     """Return the score of a refined pose, at most 1."""
-    return float(_explained(scan.fine, view.patches, _one(pose), 3.0)[0]
-                 - BLAME * _behind(scan.fine, view.patches, _one(pose))[0]
-                 - view.violated(scan.points, _one(pose))[0])
+    return float(_explained_share(scan.fine, view.patches, _as_poses(pose), 3.0)[0]
+                 - BEHIND_WEIGHT * _behind_share(scan.fine, view.patches, _as_poses(pose))[0]
+                 - view.violated(scan.points, _as_poses(pose))[0])
 
 
-def _are_apart(one: Pose, other: Pose, apart: tuple[float, float] = APART) -> bool:
+def _differ(one: Pose, other: Pose, apart: tuple[float, float] = DISTINCT_POSES) -> bool:
     """Return whether two poses differ by more than given metres or radians."""
     metres, radians = one.away_from(other)
     return metres > apart[0] or radians > apart[1]
@@ -203,38 +208,40 @@ def _are_apart(one: Pose, other: Pose, apart: tuple[float, float] = APART) -> bo
 
 def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Pose:
     """Register finely from a nearby pose."""
-    for stage in FINER:
+    for stage in (AlignmentStage((0.15, 0.08), (4.0, 2.0), 16),
+                  AlignmentStage((0.1, 0.08), (2.0, 1.0), 16)):
         surfaces = scan.in_view(pose, model).sided
         if len(surfaces.points) < len(view.patches.points) // 50 + 1:
             break
-        pose = _first(aligned(surfaces, view.patches, _one(pose), stage))
-    return _first(aligned(scan.in_view(pose, model).every, view.patches, _one(pose), FINEST))
+        pose = _first_pose(aligned(surfaces, view.patches, _as_poses(pose), stage))
+    surfaces = scan.in_view(pose, model).every
+    return _first_pose(aligned(surfaces, view.patches, _as_poses(pose), FINEST_STAGE))
 
 
-def _judged(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
+def _evaluated(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
     """Register a pose as finely as possible, and decide whether to accept it."""
     inside = scan.in_view(pose, model)
-    (pose, rival), surfaces = _shifted(inside, view.patches, pose), inside.every
-    matches, weights = _matched(surfaces, view.patches, pose)
+    (pose, alternative), surfaces = _best_shift(inside, view.patches, pose), inside.every
+    matches, weights = _fine_matches(surfaces, view.patches, pose)
     held = certainty(surfaces.points[matches.indices[0]], surfaces.normals[matches.indices[0]],
                      matches, weights)
-    overlap, beside = _compared(scan, view, pose)
-    behind = float(_behind(scan.fine, view.patches, _one(pose))[0])
-    violated = float(view.violated(scan.points, _one(pose))[0])
-    refused = _refusal(overlap, violated, behind, held, beside)
-    if not refused and rival is not None:
-        refused = _as_well(pose, rival)
+    overlap, beside = _overlap_and_displaced(scan, view, pose)
+    behind = float(_behind_share(scan.fine, view.patches, _as_poses(pose))[0])
+    violated = float(view.violated(scan.points, _as_poses(pose))[0])
+    refused = _rejection_reason(overlap, violated, behind, held, beside)
+    if not refused and alternative is not None:
+        refused = _ambiguity_reason(pose, alternative)
     return Registration(pose, _residual(matches, weights), overlap, violated, held, beside, behind,
                         refused)
 
 
-def _matched(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[Matches, np.ndarray]:
+def _fine_matches(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[Matches, np.ndarray]:
     """Return the matches of a finely registered pose, and their weights."""
-    matches = matched(surfaces, patches, _one(pose), FINEST.gate[1])
-    return matches, weights_of(matches, patches.deviation, FINEST.kernel[1])
+    matches = matched(surfaces, patches, _as_poses(pose), FINEST_STAGE.gate[1])
+    return matches, weights_of(matches, patches.deviation, FINEST_STAGE.kernel[1])
 
 
-def _shifted(inside: SurfacesInView, patches: Patches, pose: Pose) -> tuple[Pose, Pose | None]:
+def _best_shift(inside: SurfacesInView, patches: Patches, pose: Pose) -> tuple[Pose, Pose | None]:
     """
     Register a pose again from shifted ones.
 
@@ -244,45 +251,51 @@ def _shifted(inside: SurfacesInView, patches: Patches, pose: Pose) -> tuple[Pose
     :returns: the best pose, and another nearby pose that fits as well, if there is one.
     """
     surfaces = inside.every
-    matches, weights = _matched(surfaces, patches, pose)
+    matches, weights = _fine_matches(surfaces, patches, pose)
     jacobians = matches.jacobians[0]
     ways = np.linalg.eigh((jacobians * weights[0, :, None]).T @ jacobians)[1].T
+    # A rotation by one radian counts as 2.5 m.
+    arm_m = 2.5
     ways /= np.maximum(np.linalg.norm(ways[:, 3:], axis=1),
-                       ARM * np.linalg.norm(ways[:, :3], axis=1))[:, None]
+                       arm_m * np.linalg.norm(ways[:, :3], axis=1))[:, None]
+    # A pose is shifted in each of its six directions.
+    shifts_m = (0.02, 0.04, 0.06, 0.08)
     steps = np.concatenate([[np.zeros(6)], *(sign * shift * ways for sign in (-1.0, 1.0)
-                                             for shift in SHIFTS)])
-    starts = Poses(*(np.repeat(values, len(steps), axis=0) for values in _one(pose)))
-    judges = _some(patches, JUDGES)
-    ends = aligned(surfaces, judges, moved(starts, steps), FINEST)
-    fits = _fits(inside, judges, ends)
-    fits[0] += GAIN
+                                             for shift in shifts_m)])
+    starts = Poses(*(np.repeat(values, len(steps), axis=0) for values in _as_poses(pose)))
+    subset = _sampled(patches, 2000)
+    ends = aligned(surfaces, subset, moved(starts, steps), FINEST_STAGE)
+    fits = _fit_scores(inside, subset, ends)
+    # A shifted pose has to be better by this.
+    fits[0] += 1e-3
     if fits.argmax() != 0:
-        other = aligned(surfaces, patches, ends.only([fits.argmax()]), FINEST)
-        both = Poses(*(np.concatenate(pair) for pair in zip(_one(pose), other)))
-        pose = _first(both.only([_fits(inside, patches, both).argmax()]))
-    distinct = np.array([_are_apart(Pose(position, rotation), pose, DISTINCT)
+        other = aligned(surfaces, patches, ends.only([fits.argmax()]), FINEST_STAGE)
+        both = Poses(*(np.concatenate(pair) for pair in zip(_as_poses(pose), other)))
+        pose = _first_pose(both.only([_fit_scores(inside, patches, both).argmax()]))
+    distinct = np.array([_differ(Pose(position, rotation), pose, (0.01, np.deg2rad(0.5)))
                          for rotation, position in zip(*ends)])
     others = np.where(distinct, fits, -np.inf)
-    alike = others.max() > (1.0 - NEAR_LEAD) * fits.max()
-    return pose, _first(ends.only([others.argmax()])) if alike else None
+    alike = others.max() > (1.0 - LIMITS.min_near_lead) * fits.max()
+    return pose, _first_pose(ends.only([others.argmax()])) if alike else None
 
 
-def _fits(inside: SurfacesInView, patches: Patches, poses: Poses) -> np.ndarray:
+def _fit_scores(inside: SurfacesInView, patches: Patches, poses: Poses) -> np.ndarray:
     """
     Return the fits of finely registered poses, (S,).
 
     Surfaces whose scanned side is certain count twice.
     """
-    return np.sum([_explained(surfaces, patches, poses, FINEST.kernel[1])
-                   - BLAME * _behind(surfaces, patches, poses) for surfaces in inside], axis=0)
+    return np.sum([_explained_share(surfaces, patches, poses, FINEST_STAGE.kernel[1])
+                   - BEHIND_WEIGHT * _behind_share(surfaces, patches, poses)
+                   for surfaces in inside], axis=0)
 
 
-def _first(poses: Poses) -> Pose:
+def _first_pose(poses: Poses) -> Pose:
     """Return the first of several poses."""
     return Pose(poses.positions[0], poses.rotations[0])
 
 
-def _one(pose: Pose) -> Poses:
+def _as_poses(pose: Pose) -> Poses:
     """Return a pose as an array of one pose."""
     return Poses(pose.rotation[None], pose.position[None])
 
@@ -293,7 +306,7 @@ def _residual(matches: Matches, weights: np.ndarray) -> float:
     return float(np.sqrt((weights * matches.residuals ** 2).sum() / total)) if total else np.nan
 
 
-def _compared(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tuple[float, float]:
+def _overlap_and_displaced(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tuple[float, float]:
     """
     Compare the cloud with the scan, independently of the side of surfaces that it shows.
 
@@ -302,55 +315,57 @@ def _compared(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tuple[float, fl
     """
     patches = view.patches
     placed = patches.points @ pose.rotation.T + pose.position
-    distance, index = scan.fine.tree.query(placed, distance_upper_bound=WITHIN)
+    distance, index = scan.fine.tree.query(placed, distance_upper_bound=MAX_MATCH_DISTANCE_M)
     found = np.isfinite(distance)
     index = np.where(found, index, 0)
     normals = scan.normals[index]
     across = np.abs(np.einsum('ij,ij->i', placed - scan.points[index], normals))
-    explained = found & (across < EXPLAINED * patches.deviation + NEAR)
-    alike = np.abs(np.einsum('ij,ij->i', patches.normals @ pose.rotation.T, normals)) > ALIKE
+    # A surface explains points within three standard deviations and 2 cm across it.
+    explained = found & (across < 3.0 * patches.deviation + 0.02)
+    alike = np.abs(np.einsum('ij,ij->i', patches.normals @ pose.rotation.T, normals)) > MIN_COSINE
     known = np.count_nonzero(found & alike)
-    beside = np.count_nonzero(found & alike & (across > BESIDE * patches.deviation + CLOSE))
+    # The surface has been displaced.
+    beside = np.count_nonzero(found & alike & (across > 2.0 * patches.deviation + 0.01))
     return float(explained.mean()), beside / max(known, 1)
 
 
-def _behind(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.ndarray:
+def _behind_share(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.ndarray:
     """
     Return the share of patches that lie closely behind a surface that faces the camera, (S,).
 
     Neither side of a panel can be seen there, and objects moved since the scan are mostly farther
     away.
     """
-    matches = matched(surfaces, patches, poses, WITHIN)
-    behind = -matches.residuals > BEHIND * patches.deviation + LITTLE
+    matches = matched(surfaces, patches, poses, MAX_MATCH_DISTANCE_M)
+    behind = -matches.residuals > 2.0 * patches.deviation + 0.006
     return (matches.found & behind).mean(axis=1)
 
 
-def _as_well(pose: Pose, rival: Pose) -> str:
+def _ambiguity_reason(pose: Pose, alternative: Pose) -> str:
     """Return the message that another pose fits as well."""
-    away, turn = rival.away_from(pose)
+    away, turn = alternative.away_from(pose)
     return (f'another pose, {away:.2f} m and {np.rad2deg(turn):.0f} degrees away, explains what '
             'it sees as well')
 
 
-def _refusal(overlap: float, violated: float, behind: float, held: Certainty, beside: float
-             ) -> str:
+def _rejection_reason(overlap: float, violated: float, behind: float, held: Certainty,
+                      beside: float) -> str:
     """Return the reason why a pose must not be used; empty if it can be used."""
-    if overlap < LEAST_OVERLAP:
+    if overlap < LIMITS.min_overlap:
         return (f'the scan explains {100.0 * overlap:.0f} % of what it sees, '
-                f'{100.0 * LEAST_OVERLAP:.0f} % are needed')
-    if violated > MOST_VIOLATED:
+                f'{100.0 * LIMITS.min_overlap:.0f} % are needed')
+    if violated > LIMITS.max_violated:
         return (f'{100.0 * violated:.0f} % of the surfaces in its view stand where it looked '
-                f'through, at most {100.0 * MOST_VIOLATED:.0f} % may')
-    if behind > MOST_BEHIND:
+                f'through, at most {100.0 * LIMITS.max_violated:.0f} % may')
+    if behind > LIMITS.max_behind:
         return (f'{100.0 * behind:.1f} % of what it sees lies closely behind scanned surfaces, '
-                f'at most {100.0 * MOST_BEHIND:.1f} % may')
+                f'at most {100.0 * LIMITS.max_behind:.1f} % may')
     if held.loose:
         return f'it {" and ".join(held.loose)}: too few surfaces hold it there'
     doubted = held.doubted(overlap, beside)
-    if doubted.metres[0] > MOST_METRES or doubted.degrees[0] > MOST_DEGREES:
+    if doubted.metres[0] > LIMITS.max_metres or doubted.degrees[0] > LIMITS.max_degrees:
         return (f'it may be off by {1000.0 * doubted.metres[0]:.0f} mm along '
                 f'{axis_words(doubted.along[0])} and {doubted.degrees[0]:.1f} degrees about '
-                f'{axis_words(doubted.about[0])}, at most {1000.0 * MOST_METRES:.1f} mm and '
-                f'{MOST_DEGREES:g} degrees are allowed')
+                f'{axis_words(doubted.about[0])}, at most {1000.0 * LIMITS.max_metres:.1f} mm and '
+                f'{LIMITS.max_degrees:g} degrees are allowed')
     return ''

@@ -22,22 +22,11 @@ from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.registration.alignment import Patches, Poses
 from ocp_ros.scenes.neighbours import nearest
-from ocp_ros.scenes.scene import MIN_POINTS, NEIGHBOURS, SceneError
+from ocp_ros.scenes.scene import MIN_POINTS, PLANE_NEIGHBOURS, SceneError
 from scipy.ndimage import maximum_filter, minimum_filter
 
-#: The number of patches that a view is thinned to.
-PATCHES = 5000
-#: The number of rows of beams in which points are averaged, 0.6 degrees each; and the gap in
-#: distance, in metres in addition to noise, that separates the points of a beam.
-BEAMS, GAP = 300, 0.03
 #: The number of rows of the map of free space, 1.5 degrees each.
-ROWS = 120
-#: Metres in front of a measured point, in addition to its noise, where the space is certainly
-#: free.
-MARGIN = 0.05
-#: The assumed standard deviation of a measured point: a constant part in metres, and a part per
-#: square metre of distance in 1/m; between that of a stereo camera and a better one.
-NEAR, FARTHER = 0.005, 0.0015
+FREE_SPACE_ROWS = 120
 
 
 class LiveView:
@@ -67,8 +56,9 @@ class LiveView:
     @cached_property
     def patches(self) -> Patches:
         """Return the patches, thinned evenly in space."""
-        points = thinned_to(averaged(self.points, self._distance), PATCHES).astype(np.float64)
-        normals = edge_aware_normals(points, nearest(points, NEIGHBOURS)[1]).astype(np.float64)
+        points = thinned_to(averaged(self.points, self._distance), 5000).astype(np.float64)
+        neighbours = nearest(points, PLANE_NEIGHBOURS)[1]
+        normals = edge_aware_normals(points, neighbours).astype(np.float64)
         away = np.einsum('ij,ij->i', normals, points) > 0.0
         normals[away] *= -1.0
         return Patches(points, normals, deviation(np.linalg.norm(points, axis=1)))
@@ -76,7 +66,7 @@ class LiveView:
     @cached_property
     def _ranges(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the nearest and the farthest measured distance around each direction."""
-        low, high = np.full((2, ROWS, 2 * ROWS), np.inf)
+        low, high = np.full((2, FREE_SPACE_ROWS, 2 * FREE_SPACE_ROWS), np.inf)
         cells = _cells(self.points, self._distance)
         np.minimum.at(low, cells, self._distance)
         high[:] = -np.inf
@@ -103,7 +93,9 @@ class LiveView:
         distance = np.maximum(np.linalg.norm(points, axis=1), 1e-6)
         cells = _cells(points, distance)
         low, high = (values[cells] for values in self._ranges)
-        margin = MARGIN + 3.0 * deviation(distance)
+        # Five centimetres in front of a measured point, in addition to its noise, the space is
+        # certainly free.
+        margin = 0.05 + 3.0 * deviation(distance)
         known = np.isfinite(low) & (distance < high + margin)
         through = known & (distance < low - margin)
         return float(through.sum() / max(known.sum(), 1))
@@ -111,7 +103,9 @@ class LiveView:
 
 def deviation(distance: np.ndarray) -> np.ndarray:
     """Return the standard deviation of points, metres, at given distances, metres."""
-    return np.hypot(NEAR, FARTHER * distance * distance)
+    # Between the noise of a stereo camera and that of a better one: 5 mm, and 1.5 mm per square
+    # metre of distance.
+    return np.hypot(0.005, 0.0015 * distance * distance)
 
 
 def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
@@ -123,18 +117,20 @@ def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
     :param distance: (N,) metres, from the camera.
     :returns: (M, 3) metres, body frame.
     """
-    row, column = _cells(points, distance, BEAMS)
-    order = np.lexsort((distance, row * 2 * BEAMS + column))
-    beam, near = (row * 2 * BEAMS + column)[order], distance[order]
+    # Points are averaged in beams of 0.6 degrees.
+    beam_rows = 300
+    row, column = _cells(points, distance, beam_rows)
+    order = np.lexsort((distance, row * 2 * beam_rows + column))
+    beam, near = (row * 2 * beam_rows + column)[order], distance[order]
     # A gap in distance separates surfaces behind each other.
-    apart = (np.diff(beam) != 0) | (np.diff(near) > GAP + 3.0 * deviation(near[1:]))
+    apart = (np.diff(beam) != 0) | (np.diff(near) > 0.03 + 3.0 * deviation(near[1:]))
     group = np.concatenate([[0], np.cumsum(apart)])
     count = np.bincount(group)
     sums = np.stack([np.bincount(group, axis) for axis in points[order].T], axis=1)
     return sums / count[:, None]
 
 
-def _cells(points: np.ndarray, distance: np.ndarray, rows: int = ROWS
+def _cells(points: np.ndarray, distance: np.ndarray, rows: int = FREE_SPACE_ROWS
            ) -> tuple[np.ndarray, np.ndarray]:
     """Return row and column of the directions of points (N, 3) in the body frame."""
     elevation = np.arcsin(np.clip(points[:, 2] / distance, -1.0, 1.0))

@@ -26,22 +26,10 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.registration.alignment import Matches
 
-#: The edge of a block in metres, and the number of points of a whole block.
-BLOCK, WHOLE = 1.0, 8.0
-#: The standard deviation of a block of a scan in metres: the least value, and the value if there
-#: are fewer whole blocks than the last number.
-LEAST_DEVIATION, UNKNOWN_DEVIATION, TELLING = 0.003, 0.02, 4
-#: Standard deviation of a normal distribution over its median absolute deviation.
-NORMAL = 1.4826
-#: The factor by which a deviation grows with doubt if the scan explains nothing; chosen on
-#: validation rooms.
-DOUBT = 2.0
-#: The share of the variance within a block that is common to its points.
-UNEVEN = 0.2
+#: The number of points of a whole block.
+WHOLE_BLOCK_POINTS = 8.0
 #: The largest deviation in metres and radians, for an unconstrained camera.
-FREE = 10.0
-#: Metres and degrees up to which a direction counts as constrained.
-HELD_METRES, HELD_DEGREES = 0.05, 2.0
+FREE_DEVIATION = 10.0
 
 
 class Certainty(NamedTuple):
@@ -69,16 +57,19 @@ class Certainty(NamedTuple):
         :param overlap: the share of the cloud that the scan explains, 0 to 1.
         :param beside: the share of displaced surfaces, 0 to 1.
         """
-        doubt = 1.0 + DOUBT * (1.0 - overlap + beside)
+        # Chosen on validation rooms: the factor by which a deviation grows if the scan explains
+        # nothing.
+        doubt = 1.0 + 2.0 * (1.0 - overlap + beside)
         return self._replace(metres=self.metres * doubt, degrees=self.degrees * doubt)
 
     @property
     def loose(self) -> list[str]:
         """Return descriptions of the unconstrained directions."""
+        # Up to 5 cm and 2 degrees a direction counts as constrained.
         return [*(f'can slide along {axis_words(axis)}' for axis, deviation
-                  in zip(self.along, self.metres) if deviation > HELD_METRES),
+                  in zip(self.along, self.metres) if deviation > 0.05),
                 *(f'can turn about {axis_words(axis)}' for axis, deviation
-                  in zip(self.about, self.degrees) if deviation > HELD_DEGREES)]
+                  in zip(self.about, self.degrees) if deviation > 2.0)]
 
 
 def axis_words(axis: np.ndarray) -> str:
@@ -106,7 +97,8 @@ def certainty(points: np.ndarray, normals: np.ndarray, matches: Matches, weights
     """
     jacobians, weights = matches.jacobians[0], weights[0]
     used = weights > 1e-9 * max(weights.max(), 1e-9)
-    cells = np.column_stack([np.floor(points[used] / BLOCK), np.abs(normals[used]).argmax(axis=1)])
+    # A block has an edge of a metre.
+    cells = np.column_stack([np.floor(points[used]), np.abs(normals[used]).argmax(axis=1)])
     blocks = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     count = int(blocks.max(initial=-1)) + 1
     weighted = jacobians[used] * weights[used, None]
@@ -114,10 +106,11 @@ def certainty(points: np.ndarray, normals: np.ndarray, matches: Matches, weights
     np.add.at(information, blocks, weighted[:, :, None] * jacobians[used][:, None])
     np.add.at(pull, blocks, weighted * matches.residuals[0, used, None])
     mass = np.bincount(blocks, weights[used], count)
-    share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE, 1.0)
-    floor = np.eye(6) / FREE ** 2
+    share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE_BLOCK_POINTS, 1.0)
+    floor = np.eye(6) / FREE_DEVIATION ** 2
     spread = np.bincount(blocks, weights[used] * matches.residuals[0, used] ** 2, count) / mass
-    variance = _block_deviation(matches.residuals[0, used], blocks) ** 2 + UNEVEN * spread
+    # A fifth of the variance within a block is common to its points.
+    variance = _block_deviation(matches.residuals[0, used], blocks) ** 2 + 0.2 * spread
     own = (information * (share / mass / variance)[:, None, None]).sum(axis=0)
     covariance = np.linalg.inv(own + floor)
     scale = np.trace(own) / max(np.trace(information.sum(axis=0)), 1e-30)
@@ -132,14 +125,16 @@ def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
     """Return the deviation of blocks of the scan, metres, given the residuals (M,)."""
     ends = np.cumsum(np.bincount(blocks))[:-1]
     parts = np.split(residuals[np.argsort(blocks, kind='stable')], ends)
-    middles = [np.median(part) for part in parts if len(part) >= WHOLE]
-    if len(middles) < TELLING:
-        return UNKNOWN_DEVIATION
+    middles = [np.median(part) for part in parts if len(part) >= WHOLE_BLOCK_POINTS]
+    # Fewer than four whole blocks do not show how accurate the scan is: 2 cm are assumed.
+    if len(middles) < 4:
+        return 0.02
     # Few panels were scanned from the other side, so the median ignores them.
-    return max(NORMAL * float(np.median(np.abs(middles))), LEAST_DEVIATION)
+    # 1.4826 is the standard deviation of a normal distribution over its median absolute deviation.
+    return max(1.4826 * float(np.median(np.abs(middles))), 0.003)
 
 
 def _principal(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the principal directions as rows, and their standard deviations, largest first."""
     values, vectors = np.linalg.eigh(covariance)
-    return vectors.T[::-1], np.minimum(np.sqrt(np.maximum(values[::-1], 0.0)), FREE)
+    return vectors.T[::-1], np.minimum(np.sqrt(np.maximum(values[::-1], 0.0)), FREE_DEVIATION)

@@ -33,26 +33,8 @@ from ocp_ros.geometry.visibility import FAST, SurfelVisibility
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
 from ocp_ros.registration.alignment import Surfaces
 from ocp_ros.scenes.neighbours import nearest
-from ocp_ros.scenes.scene import NEIGHBOURS, Scene
+from ocp_ros.scenes.scene import PLANE_NEIGHBOURS, Scene
 from scipy.spatial import cKDTree
-
-#: The number of points that a scan is thinned to, and the number used at the start of a search.
-FINE_POINTS, COARSE_POINTS = 100_000, 12_000
-#: The least share of the outermost surfaces whose normals point inwards (or outwards) if the
-#: normals of a file are consistent.
-INWARD = 0.8
-#: Metres: a surface this near to the bounding box is an outermost one.
-SHELL = 0.1
-#: Metres: the largest thickness of an object with two sides; the step of the search for the other
-#: side; the thickness below which a fused scan mixes both sides; the radius around thin parts
-#: within which the same face is not used.
-THICK, STEP, THIN, RESTS = 0.4, 0.04, 0.15, 0.3
-#: The size in degrees of the cells in which surfaces behind others are searched for, and the
-#: metres that they have to be behind.
-CELL, BEHIND = 6.0, 0.1
-#: Metres: points this far away have no matches.
-OUT_OF_REACH = 1e6
-NOWHERE = np.empty((0, 3), dtype=np.float32)
 
 
 class SurfacesInView(NamedTuple):
@@ -80,14 +62,14 @@ class ScanSurfaces:
     def __init__(self, scene: Scene) -> None:
         sign = inward_sign(scene)
         self.oriented = sign != 0.0
-        edge = voxel_size_for(scene.points, FINE_POINTS)
+        edge = voxel_size_for(scene.points, 100_000)
         if self.oriented:
             # Both sides of a thin panel share voxels, but belong to different groups.
             normals = sign * scene.normals
             axis = np.abs(normals).argmax(axis=1)
             group = 2 * axis + (np.take_along_axis(normals, axis[:, None], 1)[:, 0] > 0.0)
             parts = [_thinned(scene.points[group == k], edge, normals[group == k])
-                     for k in range(6) if np.count_nonzero(group == k) > NEIGHBOURS]
+                     for k in range(6) if np.count_nonzero(group == k) > PLANE_NEIGHBOURS]
         else:
             parts = [_thinned(scene.points, edge)]
         self.points, self.normals, self._pitch = map(np.concatenate, zip(*parts))
@@ -100,29 +82,33 @@ class ScanSurfaces:
     @cached_property
     def coarse(self) -> Surfaces:
         """Return a random subset of the points, from all parts of the room."""
-        few = np.random.default_rng(0).permutation(len(self.points))[:COARSE_POINTS]
+        few = np.random.default_rng(0).permutation(len(self.points))[:12_000]
         return Surfaces.of(self.points[few], self.normals[few], self.oriented)
 
     @cached_property
     def _visibility(self) -> SurfelVisibility:
         """Return the visibility of the points."""
         return SurfelVisibility(self.points.astype(np.float32), self.normals.astype(np.float32),
-                                self._pitch, NOWHERE, FAST)
+                                self._pitch, np.empty((0, 3), dtype=np.float32), FAST)
 
     @cached_property
     def _two_sided(self) -> np.ndarray:
         """Return whether a similar surface is close behind or in front of points: (2, N) bool."""
-        return np.stack([self._backed(-1.0, THICK), self._backed(1.0, THICK)])
+        # The largest thickness of an object with two sides.
+        thickness_m = 0.4
+        return np.stack([self._backed(-1.0, thickness_m), self._backed(1.0, thickness_m)])
 
     @cached_property
     def _thin(self) -> np.ndarray:
         """Return which points belong to objects too thin for fused scans, (N,) bool."""
-        thin = self._backed(-1.0, THIN)
+        # A fused scan mixes both sides of objects thinner than this.
+        thin = self._backed(-1.0, 0.15)
         if not thin.any():
             return thin
         # If one face has erased the other in the fusion, remnants are left around holes.
+        # Around thin parts the same face is not used.
         distance, index = cKDTree(self.points[thin]).query(
-            self.points, k=4, distance_upper_bound=RESTS)
+            self.points, k=4, distance_upper_bound=0.3)
         hit = np.isfinite(distance)
         normals = self.normals[thin][np.where(hit, index, 0)]
         alike = np.einsum('ij,ikj->ik', self.normals, normals) > 0.9
@@ -130,9 +116,10 @@ class ScanSurfaces:
 
     def _backed(self, sign: float, thick: float) -> np.ndarray:
         """Return which points have a similar surface closely behind or in front of them, (N,)."""
-        reach = max(0.5 * STEP, 1.5 * float(np.median(self._pitch)))
+        step_m = 0.04
+        reach = max(0.5 * step_m, 1.5 * float(np.median(self._pitch)))
         found = np.zeros(len(self.points), dtype=bool)
-        for away in np.arange(0.5 * STEP + reach, thick, STEP):
+        for away in np.arange(0.5 * step_m + reach, thick, step_m):
             distance, index = self.fine.tree.query(self.points + sign * away * self.normals,
                                                    distance_upper_bound=reach)
             hit = np.isfinite(distance)
@@ -162,21 +149,24 @@ class ScanSurfaces:
     def _only(self, kept: np.ndarray) -> Surfaces:
         """Return the points that ``kept`` marks; if there are none, one that is out of reach."""
         if not kept.any():
-            return Surfaces.of(np.full((1, 3), OUT_OF_REACH), np.array([[0.0, 0.0, 1.0]]), False)
+            # Points this far away have no matches.
+            return Surfaces.of(np.full((1, 3), 1e6), np.array([[0.0, 0.0, 1.0]]), False)
         return Surfaces.of(self.points[kept], self.normals[kept], self.oriented)
 
     def _last_seen_from(self, position: np.ndarray, sign: np.ndarray) -> np.ndarray:
         """Return which points have nothing behind them as seen from a position, (N,) bool."""
         way = self.points - position
         distance = np.linalg.norm(way, axis=1)
-        row = np.rad2deg(np.arcsin(way[:, 2] / np.maximum(distance, 1e-6))) // CELL
-        column = np.rad2deg(np.arctan2(way[:, 1], way[:, 0])) // CELL
+        cell_deg = 6.0
+        row = np.rad2deg(np.arcsin(way[:, 2] / np.maximum(distance, 1e-6))) // cell_deg
+        column = np.rad2deg(np.arctan2(way[:, 1], way[:, 0])) // cell_deg
         cell = np.unique(row * 1000.0 + column, return_inverse=True)[1]
         order = np.lexsort((distance, cell))
         ends = np.flatnonzero(np.append(np.diff(cell[order]) > 0, True))
         farthest = self.points[order[ends]][cell]
         behind = -sign * np.einsum('ij,ij->i', farthest - self.points, self.normals)
-        return behind < BEHIND
+        # Hidden surfaces are at least 10 cm behind others.
+        return behind < 0.1
 
 
 def inward_sign(scene: Scene) -> float:
@@ -184,18 +174,23 @@ def inward_sign(scene: Scene) -> float:
     if scene.normals is None:
         return 0.0
     low, high = scene.bounds
-    outer = ((scene.points < low + SHELL) | (scene.points > high - SHELL)).any(axis=1)
+    # A surface this near to the bounding box is an outermost one.
+    shell_m = 0.1
+    outer = ((scene.points < low + shell_m) | (scene.points > high - shell_m)).any(axis=1)
     inward = np.einsum('ij,ij->i', scene.normals[outer], scene.bounds.mean(axis=0)
                        - scene.points[outer]) > 0.0
     share = inward.mean()
-    return 1.0 if share > INWARD else -1.0 if share < 1.0 - INWARD else 0.0
+    # The share of the outermost surfaces whose normals point inwards (or outwards) if the normals
+    # of a file are consistent.
+    min_share = 0.8
+    return 1.0 if share > min_share else -1.0 if share < 1.0 - min_share else 0.0
 
 
 def _thinned(points: np.ndarray, edge: float, signs: np.ndarray | None = None
              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Merge points in voxels; return them, their normals with given signs, and their pitch."""
     merged = voxel_downsample(points, edge).astype(np.float64)
-    distance, neighbours = nearest(merged, min(NEIGHBOURS, len(merged)))
+    distance, neighbours = nearest(merged, min(PLANE_NEIGHBOURS, len(merged)))
     normals = edge_aware_normals(merged, neighbours).astype(np.float64)
     if signs is not None:
         own = signs[cKDTree(points).query(merged)[1]]

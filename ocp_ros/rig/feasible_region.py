@@ -20,16 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.rig.free_plane import EDGE, FreePlane
-from ocp_ros.rig.mounts import ALIKE, headings_of, MountPlaces, places_in, spread
+from ocp_ros.rig.free_plane import CELL_M, FreePlane
+from ocp_ros.rig.mounts import headings_of, MERGED_M, MountPlaces, places_in, spread
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.structure import (
     Air,
     ceiling_of,
     Contact,
     floor_height,
+    MAX_MOUNT_GAP_M,
     MountSurface,
-    REACH,
     STAND_OFF,
     walls_of,
 )
@@ -38,30 +38,18 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial import cKDTree
 
-#: Tolerances: metres and radians of a camera's height and pitch; metres by which distances may
-#: fall short; metres of rounding, which must not matter for an exact mount.
-LEEWAY, SHORT, ROUNDING = 0.01, 0.001, 1e-5
-#: Radians: the tolerance of the roll, since brackets are turned by hand.
-ROLL_LEEWAY = np.deg2rad(10.0)
-#: The least number of positions among which several cameras find room.
-FEW_PLACES = 48
-#: Radians: steps of yaw and pitch, for a few poses and for a dense grid.
-COARSE, DENSE = np.deg2rad((30.0, 19.0)), np.deg2rad((15.0, 9.5))
-#: Metres: a point must be higher than this above the floor to count as an obstacle there, so that
-#: skirting boards do not.
-SKIRTING = 0.15
-#: Metres: points that differ by less are merged when obstacles on the floor are searched for.
-FINE = 0.02
-#: The names in messages of the constraints that there is floor, and that a ball can be moved to
-#: the camera.
-FLOOR, FREE_SPACE = 'the floor', 'free space'
-#: Metres: at this distance from a camera on a wall into the room there has to be floor.
-INTO_THE_ROOM = 0.3
-#: The first number of neighbours examined if some belong to the surface that the camera is mounted
-#: on.
-FIRST_NEIGHBOURS = 16
-#: The least height above the floor from which floor is searched for, metres.
-LEAST_VIEW = 1.0
+#: Metres of rounding, which must not matter for an exact mount.
+ROUNDING_M = 1e-5
+#: Metres by which distances may fall short.
+DISTANCE_TOLERANCE_M = 0.001
+#: Metres and radians by which the height and the pitch of a camera may be off.
+MOUNT_TOLERANCE = 0.01
+#: Radians: steps of yaw and pitch for a dense grid.
+DENSE = np.deg2rad((15.0, 9.5))
+#: The name in messages of the constraint that a ball can be moved to the camera.
+FREE_SPACE = 'free space'
+#: The name in messages of the constraint that there is floor.
+FLOOR = 'the floor'
 
 
 class Check(NamedTuple):
@@ -140,9 +128,11 @@ class FeasibleRegion:
         :returns: (M, 6) metres, map frame, and radians.
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
-        headings = headings_of(self.rig, model, *COARSE)
+        # Steps of yaw and pitch for a few poses.
+        headings = headings_of(self.rig, model, *np.deg2rad((30.0, 19.0)))
+        # Several cameras find room among 48 positions.
         places, headings, _ = self._poses(
-            model, headings, max(most, min(FEW_PLACES, most) * len(headings)))
+            model, headings, max(most, min(48, most) * len(headings)))
         poses = np.concatenate([np.repeat(places[:, None], headings.shape[1], axis=1), headings],
                                axis=2).reshape(-1, 6)
         count = min(most, len(poses))
@@ -164,7 +154,7 @@ class FeasibleRegion:
         headings = headings_of(self.rig, model, *DENSE)
         return self._poses(model, headings, most, step if len(headings) > 1 else 0.5 * step)
 
-    def _poses(self, model: CameraModel, headings: np.ndarray, most: int, apart: float = ALIKE
+    def _poses(self, model: CameraModel, headings: np.ndarray, most: int, apart: float = MERGED_M
                ) -> tuple[np.ndarray, np.ndarray, float]:
         """Spread positions, with headings (H, 3); see :meth:`pose_grid`."""
         places, away = self.places(model, max(most // len(headings), 1), apart)
@@ -172,7 +162,7 @@ class FeasibleRegion:
         turned[..., 0] += places.inwards[:, None]
         return places.positions, turned, away
 
-    def places(self, model: CameraModel, most: int, apart: float = ALIKE
+    def places(self, model: CameraModel, most: int, apart: float = MERGED_M
                ) -> tuple[MountPlaces, float]:
         """
         Spread feasible positions of a camera, independently of its yaw.
@@ -207,7 +197,7 @@ class FeasibleRegion:
         """Return the constraint that alone rejects the most of some infeasible poses."""
         if len(poses) == 0:
             return ': the mount has none above the floor'
-        checks = list(self._checks(poses, [model] * len(poses), ROUNDING))
+        checks = list(self._checks(poses, [model] * len(poses), ROUNDING_M))
         count = np.sum([check.broken for check in checks], axis=0)
         # Ties are decided by the number of all poses that violate the constraint.
         bites = max(checks, key=lambda check: (np.count_nonzero(check.broken & (count == 1)),
@@ -254,13 +244,13 @@ class FeasibleRegion:
                              f'{len(self.rig.cameras)}, those of the rig that are to be placed')
         chosen = [self.rig.cameras[camera] for camera in cameras]
         # The known floor may end up to one cell before the walls.
-        checks = list(self._checks(poses, [camera.model for camera in chosen], EDGE))
+        checks = list(self._checks(poses, [camera.model for camera in chosen], CELL_M))
         found = [f'{camera.name}: {check.says(k)}' for k, camera in enumerate(chosen)
                  for check in checks if check.broken[k]]
         for k, camera in enumerate(chosen):
             for other in range(k):
                 away = float(np.linalg.norm(poses[k, :3] - poses[other, :3]))
-                if away < self.rig.spacing - SHORT:
+                if away < self.rig.spacing - DISTANCE_TOLERANCE_M:
                     found.append(f'{camera.name}: {self._too_near(away, chosen[other].name)}')
         return found
 
@@ -279,7 +269,7 @@ class FeasibleRegion:
         :returns: (M,) bool.
         """
         poses = _checked(poses)
-        checks = self._checks(poses, [model] * len(poses), ROUNDING)
+        checks = self._checks(poses, [model] * len(poses), ROUNDING_M)
         return ~np.any([check.broken for check in checks
                         if not (unknown and check.name in (FLOOR, FREE_SPACE))], axis=0)
 
@@ -320,13 +310,14 @@ class FeasibleRegion:
             away = np.zeros(len(positions))
             away[out] = np.linalg.norm(positions[out] - nearest_of(
                 self.rig.keep_in, positions[out], self.floor), axis=1)
-            yield Check('keep_in', away > (LEEWAY if beyond > ROUNDING else 0.0), lambda k: (
+            allowed = MOUNT_TOLERANCE if beyond > ROUNDING_M else 0.0
+            yield Check('keep_in', away > allowed, lambda k: (
                 f'found {_place(positions[k])}, {away[k]:.2f} m outside of the keep_in zones; '
                 'expected a position in one; move it there'))
         yield from self._turned(poses, models)
         for fixed in self.rig.fixed:
             away = np.linalg.norm(positions - fixed.pose[:3], axis=1)
-            near = away < self.rig.spacing - SHORT
+            near = away < self.rig.spacing - DISTANCE_TOLERANCE_M
             yield Check('spacing', near, lambda k, away=away, fixed=fixed: (
                 self._too_near(away[k], fixed.camera.name)))
 
@@ -334,7 +325,8 @@ class FeasibleRegion:
         """Check that there is floor below or, on walls, in front, and that z is in the room."""
         places, z = positions[:, :2], positions[:, 2]
         if self.rig.mount.on == 'walls':
-            places = places + INTO_THE_ROOM * contact.normals[:, :2]
+            # There has to be floor 0.3 m in front of the wall.
+            places = places + 0.3 * contact.normals[:, :2]
         away = np.linalg.norm(self.space.inside(places) - places, axis=1)
         wrong = (away > beyond) | (z < self.floor) | (z > self.top)
         return Check(FLOOR, wrong, lambda k: (
@@ -346,7 +338,8 @@ class FeasibleRegion:
         """Check the distance to all surfaces except the one that a camera is mounted on."""
         least = self.rig.keep_clear
         nearest, left = np.full(len(positions), np.inf), np.arange(len(positions))
-        count = 1 if contact is None else FIRST_NEIGHBOURS
+        # Some neighbours may belong to the surface that the camera is mounted on.
+        count = 1 if contact is None else 16
         while len(left) and len(points):
             count = min(count, len(points))
             away, index = tree.query(
@@ -359,7 +352,7 @@ class FeasibleRegion:
             nearest[left] = np.where(others, away, np.inf).min(axis=1)
             # All neighbours so far belong to the mounting surface: examine more.
             left, count = left[full & ~others.any(axis=1)], 4 * count
-        return Check('keep_clear', nearest < least - SHORT, lambda k: (
+        return Check('keep_clear', nearest < least - DISTANCE_TOLERANCE_M, lambda k: (
             f'found {nearest[k]:.2f} m to the nearest surface; expected at least {least:.2f} m '
             '(keep_clear); move it away'))
 
@@ -368,9 +361,13 @@ class FeasibleRegion:
         """Return the points of obstacles on the floor below the cameras, seen from above."""
         points = self.scene.points
         above = points[:, 2] - self.floor
-        low = points[(above > SKIRTING) & (above < self.rig.mount.heights[1] - SKIRTING), :2]
+        # A point must be higher above the floor to count as an obstacle there: skirting boards do
+        # not.
+        skirting_m = 0.15
+        low = points[(above > skirting_m) & (above < self.rig.mount.heights[1] - skirting_m), :2]
         # One point in each small cell is enough.
-        return cKDTree(FINE * np.unique(np.rint(low / FINE), axis=0))
+        merged_m = 0.02
+        return cKDTree(merged_m * np.unique(np.rint(low / merged_m), axis=0))
 
     def _on_furniture(self, positions: np.ndarray) -> Check:
         """Check that there are no obstacles within the footprint of a tripod."""
@@ -387,7 +384,7 @@ class FeasibleRegion:
             low, high = heights
             above = positions[:, 2] - self.floor
             expected = f'{low:.2f}' + (f' to {high:.2f}' if high > low else '')
-            wrong = (above < low - LEEWAY) | (above > high + LEEWAY)
+            wrong = (above < low - MOUNT_TOLERANCE) | (above > high + MOUNT_TOLERANCE)
             yield Check('mount.height', wrong, lambda k: (
                 f'found {above[k]:.2f} m above the floor; expected {expected} m (mount.height); '
                 'raise or lower it'))
@@ -396,10 +393,10 @@ class FeasibleRegion:
             if on == 'ceiling':
                 # With a given height, cameras hang lower, on rods.
                 below = self.surface.height_above(positions[:, :2]) - positions[:, 2]
-                on_it = (below > 0.0) & (below <= (REACH if heights is None else np.inf))
+                on_it = (below > 0.0) & (below <= (MAX_MOUNT_GAP_M if heights is None else np.inf))
             surface = 'wall' if on == 'walls' else on
             near = 'above it' if on == 'ceiling' and heights is not None else (
-                f'within {REACH:g} m')
+                f'within {MAX_MOUNT_GAP_M:g} m')
             yield Check('mount.on', ~on_it, lambda k: (
                 f'found no {surface} {near} (mount.on); expected one that {self.scene.name} '
                 'shows; mount it there'))
@@ -411,7 +408,7 @@ class FeasibleRegion:
         aimed = np.array([model is None or not model.omnidirectional for model in models],
                          dtype=bool)
         (low, high), pitch, roll = self.rig.pitch, poses[:, 4], poses[:, 5]
-        wrong = aimed & ((pitch < low - LEEWAY) | (pitch > high + LEEWAY))
+        wrong = aimed & ((pitch < low - MOUNT_TOLERANCE) | (pitch > high + MOUNT_TOLERANCE))
         yield Check('pitch', wrong, lambda k: (
             f'found a pitch of {np.rad2deg(pitch[k]):.0f} degrees; expected '
             f'{np.rad2deg(low):.0f} to {np.rad2deg(high):.0f} (pitch); tilt it'))
@@ -420,7 +417,8 @@ class FeasibleRegion:
         rolls = np.array(self.rig.rolls)
         away = np.abs((roll[:, None] - rolls + np.pi) % (2.0 * np.pi) - np.pi).min(axis=1)
         offered = ' or '.join(f'{angle:.0f}' for angle in np.rad2deg(rolls))
-        yield Check('roll', aimed & (away > ROLL_LEEWAY), lambda k: (
+        # Brackets are turned by hand: the roll may be off by 10 degrees.
+        yield Check('roll', aimed & (away > np.deg2rad(10.0)), lambda k: (
             f'found a roll of {np.rad2deg(roll[k]):.0f} degrees; expected {offered} (roll); turn '
             'it about its viewing direction'))
 
@@ -438,7 +436,8 @@ def floor_space(scene: Scene, rig: Rig, floor: float, top: float) -> FreePlane:
     :param top: z of the top of the room, metres, map frame.
     """
     high = top - floor if rig.mount.heights is None else rig.mount.heights[1]
-    return FreePlane.of(scene.points, floor + max(high, LEAST_VIEW), len(rig.cameras), 0.0,
+    # Floor is searched for from at least a metre above it.
+    return FreePlane.of(scene.points, floor + max(high, 1.0), len(rig.cameras), 0.0,
                         clearance=0.0)
 
 

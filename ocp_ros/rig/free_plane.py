@@ -23,29 +23,20 @@ import numpy as np
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.plane_cells import close_near, moved_into, nearest_rows
 from ocp_ros.rig.motion import kept_inside, ROUNDING, towards
-from ocp_ros.scenes.scene import LARGEST
+from ocp_ros.scenes.scene import MAX_EXTENT_M
 from scipy import ndimage
 
-#: Metres: the edge of a cell of the floor, and how far below the cameras points have to be to
-#: count as floor or furniture.
-EDGE, BELOW = 0.2, 0.3
-#: Radii in cells of the gaps that are closed: the occlusion shadows of furniture, and in sparse
-#: scans the space between points. The smallest radius is used whose floor has at least this share
-#: of the floor of the largest radius.
-RADII, LEAST_SHARE = (1, 2, 3, 5), 0.6
-#: Square metres: larger holes are not occlusion shadows; and the smallest floor that counts.
-HOLE, LEAST = 10.0, 1.0
+#: Metres: the edge of a cell of the floor.
+CELL_M = 0.2
+#: Square metres: the smallest floor that counts.
+MIN_FLOOR_AREA_M2 = 1.0
 #: Metres: the default distance of cameras from every scanned surface. A camera inside a thin panel
 #: would see both its sides.
 CLEARANCE = 0.15
-#: Metres: the edge of the cells that are closed near surfaces, and the rounding margin added to
-#: the clearance. The edge is doubled if there are more cells than the last number.
-FINE_EDGE, SLACK, MOST_CELLS = 0.05, 1e-4, 100_000
-#: The least length of a step in cells for paths over cells, and the largest number of moves of a
-#: path; a camera farther away moves straight on.
-CELLS_A_STEP, MOST_MOVES = 2, 60
-#: Shares of a move that are tried in turn if its end is too near to a surface.
-SHORTENED = (1.0, 0.75, 0.5, 0.25, 0.0)
+#: Metres: the rounding margin added to the clearance.
+SLACK_M = 1e-4
+#: Metres: the edge of the cells that are closed near surfaces.
+FINE_CELL_M = 0.05
 
 
 @dataclass(frozen=True)
@@ -60,7 +51,7 @@ class Floor:
 
     low: np.ndarray
     open: np.ndarray  # noqa: A003
-    edge: float = EDGE
+    edge: float = CELL_M
 
     @property
     def area(self) -> float:
@@ -133,13 +124,13 @@ class Floor:
             cell stays open.
         """
         cells = self.open.copy()
-        close_near(points, heights, clearance + SLACK, self.low, self.edge, cells)
+        close_near(points, heights, clearance + SLACK_M, self.low, self.edge, cells)
         parts, count = ndimage.label(cells)
         if count == 0:
             return None
         sizes = np.bincount(parts.ravel())
         sizes[0] = 0
-        large = sizes >= min(LEAST / self.edge ** 2, sizes.max())
+        large = sizes >= min(MIN_FLOOR_AREA_M2 / self.edge ** 2, sizes.max())
         return replace(self, open=large[parts])
 
 
@@ -155,21 +146,26 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     :returns: the largest connected part; None if there is too little floor, or if the points are
         too far apart to be a room.
     """
-    below = points[np.flatnonzero(points[:, 2] < height - BELOW), :2]
+    # Points this far below the cameras are floor or furniture.
+    below = points[np.flatnonzero(points[:, 2] < height - 0.3), :2]
     if len(below) == 0:
         return None
     lowest, highest = corners_of(below)
-    if (highest - lowest).max() > LARGEST:
+    if (highest - lowest).max() > MAX_EXTENT_M:
         return None
-    low = lowest - 4.0 * EDGE
-    cell = np.floor((below - low) / EDGE).astype(np.int64)
+    low = lowest - 4.0 * CELL_M
+    cell = np.floor((below - low) / CELL_M).astype(np.int64)
     # A margin is needed, since cells at the edge of the grid would not be closed.
-    cell, low = cell + max(RADII), low - max(RADII) * EDGE
-    seen = np.zeros(corners_of(cell)[1] + max(RADII) + 5, dtype=bool)
+    # Radii of the gaps that are closed: the occlusion shadows of furniture, and in sparse scans
+    # the space between points.
+    radii_cells = (1, 2, 3, 5)
+    cell, low = cell + max(radii_cells), low - max(radii_cells) * CELL_M
+    seen = np.zeros(corners_of(cell)[1] + max(radii_cells) + 5, dtype=bool)
     seen[cell[:, 0], cell[:, 1]] = True
-    widest = _largest_part(seen, RADII[-1])
-    enough = max(LEAST_SHARE * np.count_nonzero(widest), LEAST / EDGE ** 2)
-    parts = (_largest_part(seen, radius) for radius in RADII[:-1])
+    widest = _largest_part(seen, radii_cells[-1])
+    # The smallest radius is used whose floor has 60 % of the floor of the largest radius.
+    enough = max(0.6 * np.count_nonzero(widest), MIN_FLOOR_AREA_M2 / CELL_M ** 2)
+    parts = (_largest_part(seen, radius) for radius in radii_cells[:-1])
     part = next((part for part in parts if np.count_nonzero(part) >= enough), widest)
     return Floor(low.astype(np.float64), part) if np.count_nonzero(part) >= enough else None
 
@@ -179,7 +175,8 @@ def _closed(seen: np.ndarray, radius: int) -> np.ndarray:
     x, y = np.ogrid[-radius:radius + 1, -radius:radius + 1]
     closed = ndimage.binary_closing(seen, x * x + y * y <= radius ** 2)
     holes, _ = ndimage.label(ndimage.binary_fill_holes(closed) & ~closed)
-    small = np.bincount(holes.ravel()) * EDGE ** 2 <= HOLE
+    # Holes of more than 10 m2 are not occlusion shadows.
+    small = np.bincount(holes.ravel()) * CELL_M ** 2 <= 10.0
     small[0] = False
     return closed | small[holes]
 
@@ -202,26 +199,29 @@ def _fine(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor | Non
     :param high: (2,) metres, the other corner.
     :returns: the cells with their centre in the rectangle; None if there are none.
     """
+    # With more cells the edge is doubled.
+    max_cells = 100_000
     if floor is None:
-        edge = FINE_EDGE
-        while np.prod((high - low) / edge) > MOST_CELLS:
+        edge = FINE_CELL_M
+        while np.prod((high - low) / edge) > max_cells:
             edge *= 2.0
         shape = np.ceil((high - low) / edge).astype(int)
         return Floor(low, np.ones(shape, dtype=bool), edge).within(low, high)
     rows, columns = (np.flatnonzero(floor.open.any(axis=axis)) for axis in (1, 0))
     cropped = floor.open[rows[0]:rows[-1] + 1, columns[0]:columns[-1] + 1]
-    times = round(EDGE / FINE_EDGE)
-    while times > 1 and cropped.size * times ** 2 > MOST_CELLS:
+    times = round(CELL_M / FINE_CELL_M)
+    while times > 1 and cropped.size * times ** 2 > max_cells:
         times //= 2
-    return Floor(floor.low + EDGE * np.array([rows[0], columns[0]]),
-                 cropped.repeat(times, axis=0).repeat(times, axis=1), EDGE / times
+    return Floor(floor.low + CELL_M * np.array([rows[0], columns[0]]),
+                 cropped.repeat(times, axis=0).repeat(times, axis=1), CELL_M / times
                  ).within(low, high)
 
 
 def _around(cells: Floor, position: np.ndarray, target: np.ndarray, straight: np.ndarray,
             step: float) -> np.ndarray:
     """Return the end of a move on a path to a target, near the straight move: (2,) metres."""
-    for floor in islice(cells.reached(target, step), MOST_MOVES):
+    # A camera farther away than 60 moves moves straight on.
+    for floor in islice(cells.reached(target, step), 60):
         near = floor.near(position, step)
         if near.open.any():
             return near.nearest_middle(straight)
@@ -341,7 +341,9 @@ class FreePlane:
         ended, moving = ended.copy(), (ended != positions).any(axis=1)
         for camera in np.flatnonzero(moving & ~self.contains(ended)):
             here = positions[camera]
-            places = self.inside(here + np.outer(SHORTENED, ended[camera] - here))
+            # Shares of a move that are tried in turn if its end is too near to a surface.
+            shares = (1.0, 0.75, 0.5, 0.25, 0.0)
+            places = self.inside(here + np.outer(shares, ended[camera] - here))
             reached = np.linalg.norm(places - here, axis=1) <= reach
             if reached.any():
                 ended[camera] = places[np.argmax(reached)]
@@ -402,7 +404,8 @@ class FreePlane:
     def _cells_for(self, step: float) -> Floor | None:
         """Return the cells of paths; None if they are too large for such a step."""
         cells = self._cells
-        return cells if cells is not None and step >= CELLS_A_STEP * cells.edge else None
+        # A path over cells needs steps of two cells or more.
+        return cells if cells is not None and step >= 2 * cells.edge else None
 
     @cached_property
     def _cells(self) -> Floor | None:

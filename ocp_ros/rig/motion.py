@@ -18,9 +18,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-#: The number of positions from the centre to the edge of the disc that one turn reaches, and the
-#: scales of the disc in successive, finer searches.
-ACROSS, FINER = 10, (1.0, 0.15)
+#: The number of positions from the centre to the edge of the disc that one turn reaches.
+DISC_STEPS = 10
 #: Metres: the tolerance for rounding.
 ROUNDING = 1e-9
 
@@ -149,8 +148,9 @@ def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
     if len(there := usable(target[None])):
         return there[0]
     best, middle = np.empty((0, 3)), position
-    straight = position + np.linspace(0.0, 1.0, ACROSS)[:, None] * (target - position)
-    for scale in FINER:
+    straight = position + np.linspace(0.0, 1.0, DISC_STEPS)[:, None] * (target - position)
+    # The second search is finer, in a smaller disc.
+    for scale in (1.0, 0.15):
         places = usable(np.concatenate([best, _disc(middle, scale * reach), straight]))
         if len(places) == 0:
             break
@@ -161,7 +161,7 @@ def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
 
 def _disc(middle: np.ndarray, radius: float) -> np.ndarray:
     """Return positions (P, 3) in a horizontal disc."""
-    steps = np.linspace(-radius, radius, 2 * ACROSS + 1)
+    steps = np.linspace(-radius, radius, 2 * DISC_STEPS + 1)
     x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
     within = np.hypot(x, y) <= radius
     return middle + np.column_stack([x, y, np.zeros_like(x)])[within]

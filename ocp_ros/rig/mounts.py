@@ -26,15 +26,10 @@ from ocp_ros.rig.structure import floor_height, MountSurface, STAND_OFF
 from ocp_ros.rig.zones import lattice_of, nearest_of, Zone
 from ocp_ros.scenes.scene import Scene
 
-#: The number of positions examined, and metres between the levels if any height is allowed.
-DENSE, LEVELS = 4000, 0.3
-#: Metres: points of a wall within this distance above or below a height count as at this height.
-BAND = 0.2
-#: Radians: the largest yaw to either side of a camera on a wall, and the largest default pitch.
-SIDEWAYS, STEEPEST = np.deg2rad(60.0), np.deg2rad(38.0)
+#: The number of positions examined.
+MAX_POSITIONS = 4000
 #: Metres: positions this near to each other count as one.
-ALIKE = 0.02
-FULL_TURN = 2.0 * np.pi
+MERGED_M = 0.02
 
 
 class MountPlaces(NamedTuple):
@@ -65,16 +60,16 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
     low, high = scene.bounds[:, 2] if heights is None else floor + np.array(heights)
     if rig.keep_in:
         places = lattice_of(rig.keep_in, np.append(space.low, low), np.append(space.high, high),
-                            floor, DENSE, on != 'free')
+                            floor, MAX_POSITIONS, on != 'free')
         places = places[space.contains(places[:, :2])]
         places, z = places[:, :2], places[:, 2]
     elif on == 'free':
-        levels = np.linspace(low, high, int(np.ceil((high - low) / LEVELS)) + 1)
-        grid = space.grid(max(DENSE // len(levels), 1))
+        levels = np.linspace(low, high, int(np.ceil((high - low) / 0.3)) + 1)
+        grid = space.grid(max(MAX_POSITIONS // len(levels), 1))
         places = np.repeat(grid, len(levels), axis=0)
         z = np.tile(levels, len(grid))
     else:
-        places = space.grid(DENSE)
+        places = space.grid(MAX_POSITIONS)
     if on != 'free':
         z = surface.height_above(places) - STAND_OFF if heights is None else np.full(
             len(places), floor + heights[0])
@@ -87,11 +82,13 @@ def _along_walls(heights: np.ndarray, space: FreePlane, walls: MountSurface,
     """List positions on the side of walls that faces the floor, in the zones if there are any."""
     low, high = heights
     z = walls.points[:, 2]
-    near = np.flatnonzero((z >= low - BAND) & (z <= high + BAND))
+    # Points of a wall this near to a height count as at this height.
+    band_m = 0.2
+    near = np.flatnonzero((z >= low - band_m) & (z <= high + band_m))
     if zones:
         away = nearest_of(zones, walls.points[near], ground) - walls.points[near]
-        near = near[np.linalg.norm(away, axis=1) <= BAND]
-    near = near[::max(len(near) // DENSE, 1)]
+        near = near[np.linalg.norm(away, axis=1) <= band_m]
+    near = near[::max(len(near) // MAX_POSITIONS, 1)]
     points, normals = walls.points[near].astype(np.float64), walls.normals[near]
     positions, inwards = [], []
     for side in (-1.0, 1.0):
@@ -116,7 +113,7 @@ def pitches_of(rig: Rig, step: float) -> np.ndarray:
     """
     low, high = rig.pitch
     if 'pitch' not in rig.document.data:
-        high = float(np.clip(STEEPEST, low, high))
+        high = float(np.clip(np.deg2rad(38.0), low, high))
     return np.linspace(low, high, int(np.ceil((high - low) / step - 1e-9)) + 1)
 
 
@@ -130,12 +127,15 @@ def headings_of(rig: Rig, model: CameraModel, step: float, tilt: float) -> np.nd
     """
     if model.omnidirectional:
         return np.zeros((1, 3))
-    if model.horizontal_fov >= FULL_TURN - 1e-9:
+    full_turn = 2.0 * np.pi
+    if model.horizontal_fov >= full_turn - 1e-9:
         # The pitch is as level as the rig allows.
         return np.array([[0.0, np.clip(0.0, *rig.pitch), rig.rolls[0]]])
-    yaws = np.arange(0.0, FULL_TURN - 1e-9, step)
+    yaws = np.arange(0.0, full_turn - 1e-9, step)
     if rig.mount.on == 'walls':
-        yaws = np.arange(-SIDEWAYS, SIDEWAYS + 1e-9, step)
+        # A camera on a wall turns up to 60 degrees to either side.
+        max_yaw = np.deg2rad(60.0)
+        yaws = np.arange(-max_yaw, max_yaw + 1e-9, step)
     return np.array([(yaw, pitch, roll) for roll in rig.rolls for pitch in pitches_of(rig, tilt)
                      for yaw in yaws])
 
@@ -156,7 +156,7 @@ def first_headings(rig: Rig, positions: np.ndarray, middle: np.ndarray) -> np.nd
     return headings
 
 
-def spread(positions: np.ndarray, count: int, apart: float = ALIKE) -> tuple[np.ndarray, float]:
+def spread(positions: np.ndarray, count: int, apart: float = MERGED_M) -> tuple[np.ndarray, float]:
     """
     Choose positions one by one, each time the one farthest from those chosen before.
 

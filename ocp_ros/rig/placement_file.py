@@ -45,16 +45,11 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.yaml_files import Document, read_document, timestamp, Way, written
 
-VERSION, FRAME, FIXED = 1, 'map', 'fixed'
-#: Decimals of metres and of degrees in files: cameras are mounted less accurately than this.
-METRES, DEGREES = 4, 3
-#: Metres: the default distance from surfaces without a rig, less than a camera's own size.
-TOUCHING = 0.05
-#: Degrees: the default largest pitch of further cameras without a rig.
-MORE_PITCH = 60.0
-#: The tolerance, in metres and in entries of the rotation matrix, between a camera in place in the
-#: rig and in the placement.
-SAME = 1e-3
+FIXED = 'fixed'
+FRAME = 'map'
+#: Metres, and entries of the rotation matrix, by which a camera in place may differ between the
+#: rig and the placement.
+POSE_TOLERANCE = 1e-3
 ANGLES = ('yaw', 'pitch', 'roll')
 
 
@@ -172,7 +167,8 @@ def _rounded_numbers(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     angles = np.rad2deg(poses[:, 3:])
     angles[:, [0, 2]] = (angles[:, [0, 2]] + 180.0) % 360.0 - 180.0
     # Adding 0.0 turns -0.0 into 0.0.
-    return np.round(poses[:, :3], METRES) + 0.0, np.round(angles, DEGREES) + 0.0
+    # Cameras are mounted less accurately than to 0.1 mm and 0.001 degrees.
+    return np.round(poses[:, :3], 4) + 0.0, np.round(angles, 3) + 0.0
 
 
 def as_written(poses: np.ndarray) -> np.ndarray:
@@ -287,7 +283,7 @@ def _sees_as(document: Document, way: Way, model: CameraModel) -> bool:
 def _alike(pose: np.ndarray, other: np.ndarray) -> bool:
     """Return whether two poses are the same, also if their angles differ in representation."""
     turns = rotation_matrix(*pose[3:]) - rotation_matrix(*other[3:])
-    return max(np.abs(pose[:3] - other[:3]).max(), np.abs(turns).max()) <= SAME
+    return max(np.abs(pose[:3] - other[:3]).max(), np.abs(turns).max()) <= POSE_TOLERANCE
 
 
 def _rig_like(placement: Placement, floor: float) -> Rig:
@@ -299,15 +295,16 @@ def _rig_like(placement: Placement, floor: float) -> Rig:
     mounts = {one.mount for one in moved}
     on = mounts.pop() if len(mounts) == 1 else 'free'
     mount: dict[str, Any] = {'on': on}
-    if on == 'plane' and np.ptp(heights) > SAME:
+    if on == 'plane' and np.ptp(heights) > POSE_TOLERANCE:
         mount['on'] = 'free'
     if on != 'ceiling':
         mount['height'] = heights[0] if mount['on'] == 'plane' else [min(heights), max(heights)]
+    # Metres from surfaces: less than the own size of a camera.
     data = {
         'cameras': [{'name': one.camera.name, **numbers_of(one.camera)} for one in moved],
         'fixed': [_entry(one, mount=False) for one in placed if one.mount == FIXED],
-        'mount': mount, 'pitch': [min([0.0, *pitches]), max([MORE_PITCH, *pitches])],
-        'keep_clear': TOUCHING, 'spacing': 0.0}
+        'mount': mount, 'pitch': [min([0.0, *pitches]), max([60.0, *pitches])],
+        'keep_clear': 0.05, 'spacing': 0.0}
     return rig_from(_made_of(placement, data, int(np.argmin(heights))))
 
 
@@ -352,7 +349,7 @@ def _numbers(position: Sequence[float], angles: Sequence[float]) -> dict[str, An
 
 def data_of(placement: Placement) -> dict[str, Any]:
     """Return a placement as plain data for its file."""
-    data = {'version': VERSION, 'frame': placement.frame, 'room': placement.room,
+    data = {'version': 1, 'frame': placement.frame, 'room': placement.room,
             'cameras': [_entry(placed) for placed in placement.cameras],
             'engine': asdict(placement.engine),
             'rig': placement.rig.document.data if placement.rig else None,

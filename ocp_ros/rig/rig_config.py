@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.sensors import SENSORS
-from ocp_ros.util.settings import check_known, ConfigurationError, MOST_CAMERAS, setting
+from ocp_ros.util.settings import check_known, ConfigurationError, MAX_CAMERAS, setting
 
 OMNIDIRECTIONAL = 'omnidirectional'
 KINDS = (OMNIDIRECTIONAL, *SENSORS)
@@ -28,7 +28,7 @@ KINDS = (OMNIDIRECTIONAL, *SENSORS)
 class RigConfig:
     """Depth cameras on a horizontal plane."""
 
-    cameras: int = setting(4, 'number of cameras', 1, MOST_CAMERAS)
+    cameras: int = setting(4, 'number of cameras', 1, MAX_CAMERAS)
     sensors: str = setting(
         OMNIDIRECTIONAL, 'omnidirectional, or the preset of a sensor: one for all cameras, or one '
         'for each camera, separated by commas')

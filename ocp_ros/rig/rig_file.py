@@ -27,23 +27,17 @@ from typing import Any, NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.rig_config import KINDS, OMNIDIRECTIONAL, RigConfig
-from ocp_ros.rig.schemas import LONGEST_NAME, MODEL, NARROWEST, RIG
+from ocp_ros.rig.schemas import MAX_NAME_LENGTH, MIN_FOV_DEG, MODEL, RIG
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.zones import Zone, zone_of, zones_of
-from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
+from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 from ocp_ros.util.yaml_files import check, describe, Document, nearest, read_document, Way
 
 #: The share of a region's points that has to be seen with ``must_see: true``: some points are
 #: noise, and some are occluded from everywhere.
-MUST_SEE = 0.95
-#: Metres: the default distance between two cameras, the size of most camera bodies.
-SPACING = 0.2
-#: The default share of points and the default angle in degrees that link two cameras.
-OVERLAP, ANGLE = 0.2, 60.0
-#: Metres: planners use no longer range than this.
-FARTHEST = 100.0
+MUST_SEE_SHARE = 0.95
 #: The default heights above the floor in metres; a ceiling mount has the height of the ceiling.
-HEIGHTS = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
+DEFAULT_HEIGHTS_M = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
 
 
 class Camera(NamedTuple):
@@ -196,7 +190,7 @@ class Rig:
     @property
     def farthest(self) -> float:
         """Return the largest range of its cameras that planners use, metres."""
-        return min(max(camera.model.max_range for camera in self.cameras), FARTHEST)
+        return min(max(camera.model.max_range for camera in self.cameras), 100.0)
 
     @property
     def clearance(self) -> float | None:
@@ -372,10 +366,10 @@ def _lens(document: Document, way: Way, given: dict[str, Any]) -> dict[str, floa
             raise document.error((*way, key), 'it beside focal_length', 'one of the two, which '
                                  'both say the field of view', f'leave {key} out')
     fields = [2.0 * float(np.arctan(edge / (2.0 * focal))) for edge in size]
-    if min(fields) < np.deg2rad(NARROWEST):
+    if min(fields) < np.deg2rad(MIN_FOV_DEG):
         raise document.error((*way, 'focal_length'), f'{focal:g} mm with the sensor_size {size}, '
                              f'a field of view of {np.rad2deg(min(fields)):.2g} degrees',
-                             f'one of {NARROWEST:g} degrees or more', 'correct the two')
+                             f'one of {MIN_FOV_DEG:g} degrees or more', 'correct the two')
     return dict(zip(('horizontal_fov', 'vertical_fov'), fields))
 
 
@@ -401,7 +395,7 @@ def rig_from(document: Document) -> Rig:
     low, high = _range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))
     return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
                tuple(map(float, np.deg2rad(data.get('roll', [0.0])))),
-               float(data.get('keep_clear', 0.2)), float(data.get('spacing', SPACING)),
+               float(data.get('keep_clear', 0.2)), float(data.get('spacing', 0.2)),
                zones_of(document, 'keep_out'), zones_of(document, 'keep_in'), regions, seen_by,
                _calibratable(data), document)
 
@@ -411,9 +405,9 @@ def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]
     groups, fixed = document.data['cameras'], document.data.get('fixed', [])
     movable = [('cameras', k) for k, group in enumerate(groups)
                for _ in range(group.get('count', 1))]
-    if len(movable) + len(fixed) > MOST_CAMERAS:
+    if len(movable) + len(fixed) > MAX_CAMERAS:
         raise document.error(('cameras',), f'{len(movable) + len(fixed)} cameras',
-                             f'at most {MOST_CAMERAS}, fixed ones included', 'lower a count')
+                             f'at most {MAX_CAMERAS}, fixed ones included', 'lower a count')
     ways = [*movable, *(('fixed', k) for k in range(len(fixed)))]
     cameras = tuple(cameras_at(document, ways))
     count = len(movable)
@@ -450,7 +444,7 @@ def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
         named = 'name' in entry
         # Cameras of one group share a name, followed by a number.
         number = '' if totals[stem] == 1 else f'_{used[stem]}'
-        name = stem[:LONGEST_NAME - len(number)] + number
+        name = stem[:MAX_NAME_LENGTH - len(number)] + number
         if name in taken or (named and given.setdefault(stem, way) != way):
             raise document.error((*way, 'name' if named else 'sensor'), f'the name {stem!r}, '
                                  'which another camera has', 'one of its own',
@@ -467,7 +461,7 @@ def _mount(document: Document) -> Mount:
         raise document.error(('mount', 'footprint'), describe(footprint), f'none for {on}',
                              'leave it out, or write on: plane for cameras on tripods')
     if given is None:
-        return Mount(on, HEIGHTS[on], footprint)
+        return Mount(on, DEFAULT_HEIGHTS_M[on], footprint)
     if isinstance(given, list) and on in ('plane', 'ceiling'):
         raise document.error(('mount', 'height'), describe(given), f'one number for {on}',
                              f'write, for example, height: {given[0]:g}, or on: free')
@@ -487,7 +481,7 @@ def _calibratable(data: dict[str, Any]) -> Calibratable | None:
     """Read the condition for links between cameras, if the file has one."""
     asked = data.get('calibratable')
     return None if asked is None else Calibratable(
-        float(asked.get('overlap', OVERLAP)), float(np.deg2rad(asked.get('angle', ANGLE))))
+        float(asked.get('overlap', 0.2)), float(np.deg2rad(asked.get('angle', 60.0))))
 
 
 def _regions(document: Document, most: int) -> Iterator[Region]:
@@ -499,7 +493,7 @@ def _regions(document: Document, most: int) -> Iterator[Region]:
                                  'another region has', 'one of its own', 'give it another name')
         names.add(data['name'])
         must_see = data.get('must_see', False)
-        share = MUST_SEE * must_see if isinstance(must_see, bool) else float(must_see)
+        share = MUST_SEE_SHARE * must_see if isinstance(must_see, bool) else float(must_see)
         yield Region(data['name'], zone_of(document, ('regions', k)),
                      float(data.get('weight', 1.0)), share, document.where('regions', k),
                      _watched(document, ('regions', k, 'air'), most))

@@ -22,7 +22,7 @@ Messages about an invalid file use their descriptions and examples.
 from ocp_ros.geometry.visibility import MESH, PRESETS
 from ocp_ros.rig.rig_config import KINDS
 from ocp_ros.scenes.up_axis import UP_AXES
-from ocp_ros.util.settings import FEWEST_POINTS, MOST_POINTS
+from ocp_ros.util.settings import MAX_ROOM_POINTS, MIN_ROOM_POINTS
 from ocp_ros.util.yaml_files import (
     array,
     many,
@@ -37,27 +37,27 @@ from ocp_ros.util.yaml_files import (
 
 MOUNTS = ('plane', 'ceiling', 'walls', 'free')
 #: Metres: the limit of all coordinates in a room.
-FAR = 1000.0
+MAX_COORDINATE_M = 1000.0
 #: The largest number of letters of a name.
-LONGEST_NAME = 60
+MAX_NAME_LENGTH = 60
 #: Degrees: the least field of view of a depth camera.
-NARROWEST = 1.0
-POINT = {'type': 'number', 'minimum': -FAR, 'maximum': FAR}
+MIN_FOV_DEG = 1.0
+POINT = {'type': 'number', 'minimum': -MAX_COORDINATE_M, 'maximum': MAX_COORDINATE_M}
 
-NAME = text(f'a name of letters, digits, _, - and blanks, at most {LONGEST_NAME}', 'door',
-            pattern=f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{LONGEST_NAME - 1}}}$')
+NAME = text(f'a name of letters, digits, _, - and blanks, at most {MAX_NAME_LENGTH}', 'door',
+            pattern=f'^[A-Za-z0-9_][A-Za-z0-9_ -]{{0,{MAX_NAME_LENGTH - 1}}}$')
 MODEL: dict[str, Schema] = {
     'sensor': one_of(KINDS, 'realsense_d455'),
-    'horizontal_fov': number(f'degrees from {NARROWEST:g} to 360', 90.0, minimum=NARROWEST,
+    'horizontal_fov': number(f'degrees from {MIN_FOV_DEG:g} to 360', 90.0, minimum=MIN_FOV_DEG,
                              maximum=360),
-    'vertical_fov': number(f'degrees from {NARROWEST:g} to 180', 60.0, minimum=NARROWEST,
+    'vertical_fov': number(f'degrees from {MIN_FOV_DEG:g} to 180', 60.0, minimum=MIN_FOV_DEG,
                            maximum=180),
     'focal_length': number('millimetres from 0.1 to 1000, with sensor_size', 4.0, minimum=0.1,
                            maximum=1000),
     'sensor_size': many('width and height in millimetres from 0.1 to 1000, with focal_length',
                         {'type': 'number', 'minimum': 0.1, 'maximum': 1000}, [5.4, 3.0], 2, 2),
     'min_range': number('metres from 0 to 100', 0.3, minimum=0, maximum=100),
-    'max_range': number('metres from 0.05 to 1000', 5.0, minimum=0.05, maximum=FAR),
+    'max_range': number('metres from 0.05 to 1000', 5.0, minimum=0.05, maximum=MAX_COORDINATE_M),
     'resolution': many('whole pixels across and down, both from 1 to 20000',
                        {'type': 'integer', 'minimum': 1, 'maximum': 20000}, [640, 480], 2, 2),
 }
@@ -69,13 +69,13 @@ ANGLES: dict[str, Schema] = {
     'roll': number('degrees about the viewing direction, -180 to 180', 0.0, minimum=-180,
                    maximum=180),
 }
-BOX = many('the lowest and the highest corner, metres, map frame', array(POINT, 3, 3),
-           [[0, 0, 0], [1, 1, 3]], 2, 2)
-POLYGON = many('three or more corners x, y in metres, map frame', array(POINT, 2, 2),
-               [[0, 0], [2, 0], [2, 1]], 3, 1000)
-BETWEEN = many('the lowest and the highest metres above the floor', POINT, [0.0, 3.0], 2, 2)
 #: A zone is a box, or a polygon between two heights.
-ZONE = {'box': BOX, 'polygon': POLYGON, 'height': BETWEEN}
+ZONE = {'box': many('the lowest and the highest corner, metres, map frame', array(POINT, 3, 3),
+                    [[0, 0, 0], [1, 1, 3]], 2, 2),
+        'polygon': many('three or more corners x, y in metres, map frame', array(POINT, 2, 2),
+                        [[0, 0], [2, 0], [2, 1]], 3, 1000),
+        'height': many('the lowest and the highest metres above the floor', POINT, [0.0, 3.0],
+                       2, 2)}
 CAMERA = mapping(
     'a sensor, or horizontal_fov, vertical_fov and max_range',
     {'sensor': 'realsense_d455', 'count': 3}, (), **MODEL, name=NAME,
@@ -127,7 +127,7 @@ RIG = mapping(
         overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),
         angle=number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180)))
 
-TRUTH = {'description': 'true or false', 'type': 'boolean', 'examples': [True]}
+BOOLEAN = {'description': 'true or false', 'type': 'boolean', 'examples': [True]}
 PLACED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
     ('position',), name=NAME, **MODEL, position=POSITION, **ANGLES,
@@ -143,10 +143,10 @@ ROOM = mapping(
     sha256=text('the SHA-256 of the file, or of the points of a generated room, as 64 hexadecimal '
                 'digits', '0' * 64, pattern='^[0-9a-f]{64}$'),
     points=whole('the most points that are kept of the scan, 1000 or more', 25000,
-                 minimum=FEWEST_POINTS, maximum=MOST_POINTS),
+                 minimum=MIN_ROOM_POINTS, maximum=MAX_ROOM_POINTS),
     scale=number('metres per unit of the file, above 0', 1.0, exclusiveMinimum=0),
     up=one_of(UP_AXES, 'z'),
-    drop_nonfinite=TRUTH, all_rooms=TRUTH,
+    drop_nonfinite=BOOLEAN, all_rooms=BOOLEAN,
     source_from_map={
         'description': 'four rows of four numbers: map coordinates to those of the scan',
         'type': 'array', 'minItems': 4, 'maxItems': 4,

@@ -26,29 +26,16 @@ from ocp_ros.scenes.scene import Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-#: Metres: the distance of a mounted camera from its surface, and the largest distance at which it
-#: still counts as mounted there.
-STAND_OFF, REACH = 0.1, 0.25
-#: Metres: points this near to the plane of a surface belong to the surface.
-FLAT = 0.08
-#: The number of points that define the plane of a surface, and the least cosine between their
-#: normals.
-VOTERS, ALIKE = 8, 0.9
-#: The least height of a ceiling in metres and as a share of the room's height, of which the lower
-#: one counts; the least height of walls as a share of it.
-HEADROOM, HEADROOM_SHARE, WALL_SHARE = 2.0, 0.8, 0.8
-#: Metres: the least height of a standing obstacle, such as a knee wall, a fence or a cupboard.
-STANDING = 1.0
-#: Metres: the least edge of the columns in which a ceiling or wall is searched for; how far a
-#: ceiling, and the top of a wall, may lie below the highest point around it.
-COLUMN, CEILING_DROP, WALL_DROP = 0.2, 0.25, 0.5
-#: The lower share of a room's height in which its floor is searched for, and the thickness of the
-#: floor in metres.
-LOWER_PART, LAYER = 0.4, 0.1
-#: Square metres: smaller surfaces are not ceilings or walls.
-LEAST_AREA = 1.0
+#: Metres: the largest distance from its surface at which a camera still counts as mounted there.
+MAX_MOUNT_GAP_M = 0.25
+#: Metres: the distance of a mounted camera from its surface.
+STAND_OFF = 0.1
+#: The number of points that define the plane of a surface.
+PLANE_POINTS = 8
+#: Metres: the thickness of a floor.
+LAYER_M = 0.1
 #: Metres: the least radius of the ball that is moved through the air of a room.
-BALL = 0.2
+MIN_BALL_M = 0.2
 
 
 class Contact(NamedTuple):
@@ -65,7 +52,7 @@ class Contact(NamedTuple):
     @property
     def on(self) -> np.ndarray:
         """Return which positions are near enough to be mounted on the surface: (M,) bool."""
-        return self.distances <= REACH
+        return self.distances <= MAX_MOUNT_GAP_M
 
     def own(self, which: np.ndarray, ways: np.ndarray) -> np.ndarray:
         """
@@ -76,7 +63,8 @@ class Contact(NamedTuple):
         :returns: (L, P) bool.
         """
         off = np.einsum('lpk,lk->lp', ways, self.normals[which]) + self.distances[which, None]
-        return self.on[which, None] & (np.abs(off) <= FLAT)
+        # Points within 8 cm of the plane of a surface belong to the surface.
+        return self.on[which, None] & (np.abs(off) <= 0.08)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,11 +91,12 @@ class MountSurface:
         """Return the location of positions (M, 3), metres, relative to the surface."""
         if len(self.points) == 0:
             return Contact(np.zeros((len(positions), 3)), np.full(len(positions), np.inf))
-        count = min(VOTERS, len(self.points))
+        count = min(PLANE_POINTS, len(self.points))
         away, index = self._tree.query(positions, k=np.arange(1, count + 1))
         normals = self.normals[index].astype(np.float64)
         along = np.einsum('mvk,mk->mv', normals, normals[:, 0])
-        votes = (np.abs(along) >= ALIKE) & (away <= away[:, :1] + self.gap)
+        # Only points with a similar normal define the plane.
+        votes = (np.abs(along) >= 0.9) & (away <= away[:, :1] + self.gap)
         normal = np.einsum('mv,mvk->mk', np.sign(along) * votes, normals)
         normal /= np.linalg.norm(normal, axis=1, keepdims=True)
         ways = positions[:, None] - self.points[index]
@@ -115,7 +104,7 @@ class MountSurface:
         normal *= np.where(distances < 0.0, -1.0, 1.0)[:, None]
         # The surface that a camera is screwed to is behind it, not beside it.
         off = np.einsum('mk,mk->m', ways[:, 0], normal)
-        hole = (away[:, 0] > np.hypot(REACH, self.gap)) | (
+        hole = (away[:, 0] > np.hypot(MAX_MOUNT_GAP_M, self.gap)) | (
             away[:, 0] ** 2 - off ** 2 > (0.5 * self.gap) ** 2)
         return Contact(normal, np.where(hole, np.inf, np.abs(distances)))
 
@@ -126,7 +115,7 @@ class MountSurface:
         :param places: (M, 2) metres.
         :returns: (M,) z, metres; -inf if there is no ceiling.
         """
-        count = min(VOTERS, len(self.points))
+        count = min(PLANE_POINTS, len(self.points))
         away, index = self._plan.query(places, k=np.arange(1, count + 1))
         height = np.median(self.points[index, 2], axis=1)
         return np.where(away[:, 0] <= self.gap, height, -np.inf)
@@ -147,11 +136,12 @@ def floor_height(scene: Scene) -> float:
     """
     z, level = scene.points[:, 2], np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
     low, high = np.percentile(z, [0.1, 99.9])
-    level &= z <= low + LOWER_PART * (high - low)
+    # The floor is in the lower 40 % of the height of a room.
+    level &= z <= low + 0.4 * (high - low)
     if not level.any():
         return float(scene.bounds[0, 2])
     heights, areas = np.sort(z[level]), scene.pitch[level][np.argsort(z[level])] ** 2
-    above = np.searchsorted(heights, heights + LAYER, side='right')
+    above = np.searchsorted(heights, heights + LAYER_M, side='right')
     total = np.concatenate([[0.0], np.cumsum(areas)])
     first = int(np.argmax(total[above] - total[:-1]))
     return float(np.median(heights[first:above[first]]))
@@ -159,14 +149,16 @@ def floor_height(scene: Scene) -> float:
 
 def gap_of(scene: Scene) -> float:
     """Return the largest distance of neighbouring points of a closed surface, metres."""
-    return max(COLUMN, 2.0 * float(np.median(scene.pitch)))
+    # Metres: the least edge of the columns in which a ceiling or wall is searched for.
+    return max(0.2, 2.0 * float(np.median(scene.pitch)))
 
 
 class _Columns:
     """The highest points of a scene in square columns, which are as wide as the allowed gaps."""
 
     def __init__(self, scene: Scene) -> None:
-        self.low, self.edge = scene.bounds[0, :2], gap_of(scene)
+        self.low = scene.bounds[0, :2]
+        self.edge = gap_of(scene)
         self.shape = tuple(np.floor(scene.size[:2] / self.edge).astype(int) + 1)
 
     def of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -192,9 +184,10 @@ def ceiling_of(scene: Scene) -> MountSurface:
     top = ndimage.maximum_filter(columns.highest(points), 3)[columns.of(points)]
     floor = floor_height(scene)
     height = np.percentile(points[:, 2], 99.0) - floor
+    # A ceiling is at least 2 m high, or as high as 80 % of the room.
     chosen = ((np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL)
-              & (points[:, 2] >= top - CEILING_DROP)
-              & (points[:, 2] >= floor + min(HEADROOM, HEADROOM_SHARE * height)))
+              & (points[:, 2] >= top - 0.25)
+              & (points[:, 2] >= floor + min(2.0, 0.8 * height)))
     return _surface(scene, chosen, scene.normals_or_estimate)
 
 
@@ -208,8 +201,10 @@ def walls_of(scene: Scene) -> MountSurface:
     around = int(np.ceil(0.4 / columns.edge))
     top = ndimage.maximum_filter(columns.highest(scene.points), 2 * around + 1)
     floor = floor_height(scene)
-    high = floor + WALL_SHARE * (np.percentile(scene.points[:, 2], 99.0) - floor)
-    return _upright(scene, columns, np.maximum(top - WALL_DROP, high))
+    # Walls reach at least 80 % of the height of the room.
+    high = floor + 0.8 * (np.percentile(scene.points[:, 2], 99.0) - floor)
+    # The top of a wall lies up to half a metre below the highest point around it.
+    return _upright(scene, columns, np.maximum(top - 0.5, high))
 
 
 def standing_of(scene: Scene) -> MountSurface:
@@ -218,7 +213,8 @@ def standing_of(scene: Scene) -> MountSurface:
 
     :returns: their upright points with level normals.
     """
-    high = min(floor_height(scene) + STANDING, np.percentile(scene.points[:, 2], 99.0))
+    # A standing obstacle is a metre high, such as a knee wall, a fence or a cupboard.
+    high = min(floor_height(scene) + 1.0, np.percentile(scene.points[:, 2], 99.0))
     columns = _Columns(scene)
     return _upright(scene, columns, np.full(columns.shape, high))
 
@@ -233,7 +229,7 @@ def _upright(scene: Scene, columns: _Columns, least: np.ndarray) -> MountSurface
 
 def _surface(scene: Scene, chosen: np.ndarray, normals: np.ndarray) -> MountSurface:
     """Return some points of a scene as a surface; empty if their area is too small."""
-    if (scene.pitch[chosen] ** 2).sum() < LEAST_AREA:
+    if (scene.pitch[chosen] ** 2).sum() < 1.0:
         chosen = np.zeros_like(chosen)
     normals = normals[chosen]
     normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
@@ -257,7 +253,7 @@ class Air:
         self.grid = CellGrid.over(scene.bounds, centred)
         edge, shape = self.grid.edge, self.grid.shape
         # The ball must not fit through the gaps between the points of a surface.
-        self.ball = max(BALL, 1.5 * float(np.median(scene.pitch)))
+        self.ball = max(MIN_BALL_M, 1.5 * float(np.median(scene.pitch)))
         free = ndimage.distance_transform_edt(~self.grid.taken(scene.points)) * edge > self.ball
         middles = [self.grid.low[k] + edge * (np.arange(shape[k]) + 0.5) for k in (0, 1)]
         columns = np.stack(np.meshgrid(*middles, indexing='ij'), axis=-1)
@@ -287,4 +283,5 @@ class Air:
         """Return which positions (M, 3), metres, the ball does not come near: (M,) bool."""
         away = self._away[tuple(self.grid.cells(positions))]
         # In a corner of three walls the ball's centre stays root 3 radii away.
-        return away > max(self.ball + self.grid.edge, np.sqrt(3.0) * (self.ball - 0.5 * BALL))
+        corner = np.sqrt(3.0) * (self.ball - 0.5 * MIN_BALL_M)
+        return away > max(self.ball + self.grid.edge, corner)

@@ -20,13 +20,9 @@ from dataclasses import dataclass
 import numpy as np
 from ocp_ros.util.yaml_files import describe, Document, Way
 
-#: Square metres: smaller polygons have no inside.
-LEAST_AREA = 1e-6
 #: Metres: positions moved into a zone keep this distance from its faces; files round to a tenth of
 #: it.
-INSIDE = 0.001
-#: Metres: the least distance between positions that fill a zone.
-FINEST = 0.1
+INSET_M = 0.001
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +68,7 @@ class Zone:
         :returns: (M, 3), a millimetre from the faces; points inside stay.
         """
         low, high = self.corners(floor)
-        inset = np.minimum(INSIDE, 0.5 * (high - low))
+        inset = np.minimum(INSET_M, 0.5 * (high - low))
         moved = np.clip(points, low + inset, high - inset)
         if self.polygon is not None:
             out = ~_in_polygon(moved[:, :2], self.polygon)
@@ -89,7 +85,7 @@ def _onto_edge(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     edge = np.argmin(np.linalg.norm(on_edge - points[:, None], axis=2), axis=1)
     found = on_edge[np.arange(len(points)), edge]
     way = found - points
-    return found + INSIDE * way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), INSIDE)
+    return found + INSET_M * way / np.maximum(np.linalg.norm(way, axis=1, keepdims=True), INSET_M)
 
 
 def nearest_of(zones: Sequence[Zone], points: np.ndarray, floor: float) -> np.ndarray:
@@ -115,7 +111,7 @@ def lattice_of(zones: Sequence[Zone], low: np.ndarray, high: np.ndarray, floor: 
         size = np.minimum(highest, high) - lowest
         if (size < 0.0).any():
             continue
-        step, count = FINEST, np.full(3, most)
+        step, count = 0.1, np.full(3, most)
         while count.prod() > max(most / len(zones), 1):
             count = np.maximum(np.ceil(size / step), 1).astype(int)
             count[2] = 1 if flat else count[2]
@@ -179,7 +175,8 @@ def zone_of(document: Document, way: Way) -> Zone:
                              'edges do not', 'write its corners one after the other, round it '
                              'once')
     x, y = corners.T
-    if abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) < 2.0 * LEAST_AREA:
+    # Smaller polygons have no inside.
+    if abs(x @ np.roll(y, -1) - y @ np.roll(x, -1)) < 2.0 * 1e-6:
         raise document.error((*way, 'polygon'), 'corners on one line', 'a polygon with an area',
                              'write its corners one after the other, round it once')
     bottom, top = data.get('height', (-np.inf, np.inf))

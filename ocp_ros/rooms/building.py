@@ -16,10 +16,7 @@
 
 import numpy as np
 from ocp_ros.rooms.furniture import placed, solid
-from ocp_ros.rooms.room_plan import RoomPlan, RoomWall, WALL_GAP
-
-#: Metres of floor in front of a door that stay free.
-DOORWAY = 0.9
+from ocp_ros.rooms.room_plan import RoomPlan, RoomWall, WALL_GAP_M
 
 
 def shell(plan: RoomPlan, corner: float) -> None:
@@ -99,7 +96,7 @@ def ceiling(plan: RoomPlan) -> None:
         for y in np.arange(1.2, d - 0.3, 2.4):
             if rng.random() < 0.6:
                 plan.solids.append(solid('clutter', (x - 0.6, y - 0.12, h - 0.11),
-                                         (x + 0.6, y + 0.12, h - WALL_GAP)))
+                                         (x + 0.6, y + 0.12, h - WALL_GAP_M)))
 
 
 def openings(plan: RoomPlan, doors: int, windows: int, boards: int) -> None:
@@ -110,7 +107,8 @@ def openings(plan: RoomPlan, doors: int, windows: int, boards: int) -> None:
         angle = rng.uniform(1.0, 1.8) if opened else 0.0
         leaf = placed([solid('door', (0.0, -0.025, 0.01), (0.9, 0.025, rng.uniform(2.0, 2.15)))],
                       (-0.45, 0.0), angle)
-        plan.lean(lambda leaf=leaf: leaf, 0.95, 0.05, DOORWAY)
+        # Metres of floor in front of a door stay free.
+        plan.lean(lambda leaf=leaf: leaf, 0.95, 0.05, 0.9)
     for _ in range(windows):
         wall = plan.walls[rng.integers(len(plan.walls))]
         wide, low = rng.uniform(1.0, 3.0), rng.uniform(0.7, 1.0)
@@ -150,6 +148,6 @@ def fittings(plan: RoomPlan) -> None:
                 continue
             low = rng.uniform(0.1, plan.size[2] - high - 0.1)
             at = wall.start + rng.uniform(0.5 * wide, wall.length - 0.5 * wide) * wall.along
-            box = solid('clutter', (-0.5 * wide, WALL_GAP, low),
-                        (0.5 * wide, WALL_GAP + deep, low + high))
+            box = solid('clutter', (-0.5 * wide, WALL_GAP_M, low),
+                        (0.5 * wide, WALL_GAP_M + deep, low + high))
             plan.solids += placed([box], at, np.arctan2(wall.along[1], wall.along[0]))

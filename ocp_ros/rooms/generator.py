@@ -23,8 +23,8 @@ from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene
 from ocp_ros.util.settings import check_whole
 
 #: The triangles of a box; the bits of a corner's number stand for x, y, z.
-TRIANGLES = np.array([(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
-                      (2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)])
+BOX_TRIANGLES = np.array([(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
+                          (2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)])
 
 
 def plan_of(seed: int) -> RoomPlan:
@@ -59,6 +59,6 @@ def mesh_of(plan: RoomPlan) -> Mesh:
     vertices = [(bits + 0.5) * plan.size]
     for part in plan.solids:
         vertices.append(bits * part.size @ rotation_matrix(part.yaw).T + part.centre)
-    triangles = TRIANGLES + 8 * np.arange(len(vertices))[:, None, None]
+    triangles = BOX_TRIANGLES + 8 * np.arange(len(vertices))[:, None, None]
     return Mesh(np.concatenate(vertices).astype(np.float32),
                 triangles.reshape(-1, 3).astype(np.int32))

@@ -85,14 +85,12 @@ def _clutter(plan: RoomPlan, count: int) -> None:
         plan.stand(lambda s=size: things(plan.rng, s, s, 0.0, 1), size, size)
 
 
-PIECES = {'desks': _desks, 'shelves': _shelves, 'cabinets': _cabinets, 'chairs': _chairs,
-          'clutter': _clutter}
-
-
 def _fill(plan: RoomPlan, **counts: tuple[int, int]) -> None:
     """Add pieces kind by kind; each count is drawn from the first to below the second number."""
+    pieces = {'desks': _desks, 'shelves': _shelves, 'cabinets': _cabinets, 'chairs': _chairs,
+              'clutter': _clutter}
     for kind, (low, high) in counts.items():
-        PIECES[kind](plan, plan.rng.integers(low, high))
+        pieces[kind](plan, plan.rng.integers(low, high))
 
 
 def _seated_table(plan: RoomPlan, width: float, depth: float, every: float) -> None:

@@ -25,10 +25,12 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.rooms.furniture import Piece, placed, Solid
 
-#: Free floor around objects, and the gap between furniture and the wall behind it.
-CLEARANCE, WALL_GAP = 0.12, 0.03
+#: Metres between furniture and the wall behind it.
+WALL_GAP_M = 0.03
+#: Metres of free floor around objects.
+CLEARANCE_M = 0.12
 #: The number of attempts to place a piece before it is left out.
-TRIES = 25
+MAX_ATTEMPTS = 25
 
 
 class RoomWall(NamedTuple):
@@ -71,7 +73,7 @@ class RoomPlan:
     walls: list[RoomWall] = field(default_factory=list)
     _taken: list[np.ndarray] = field(default_factory=list)
 
-    def claim(self, low: np.ndarray, high: np.ndarray, clearance: float = CLEARANCE) -> bool:
+    def claim(self, low: np.ndarray, high: np.ndarray, clearance: float = CLEARANCE_M) -> bool:
         """Reserve a rectangle of the floor if it is in the room and free."""
         low, high = np.minimum(low, high), np.maximum(low, high)
         if (low < -1e-9).any() or (high > self.size[:2] + 1e-9).any():
@@ -92,7 +94,7 @@ class RoomPlan:
         :param depth: the same along y.
         :param turns: yaws to choose from, in units of pi.
         """
-        for _ in range(TRIES):
+        for _ in range(MAX_ATTEMPTS):
             yaw = float(self.rng.choice(turns)) * np.pi
             half = 0.5 * footprint(width, depth, yaw)
             if (2.0 * half > self.size[:2] - 0.2).any():
@@ -113,12 +115,12 @@ class RoomPlan:
         :param depth: the extent away from the wall, metres.
         :param front: metres of floor in front of it that stay free.
         """
-        for _ in range(TRIES):
+        for _ in range(MAX_ATTEMPTS):
             wall = self.walls[self.rng.integers(len(self.walls))]
             if wall.length < width + 0.1:
                 continue
             shift = self.rng.uniform(0.05, wall.length - width - 0.05)
-            corner = wall.start + shift * wall.along + WALL_GAP * wall.inward
+            corner = wall.start + shift * wall.along + WALL_GAP_M * wall.inward
             far = corner + width * wall.along + (depth + front) * wall.inward
             if self.claim(corner, far, 0.05):
                 at = corner + 0.5 * width * wall.along + 0.5 * depth * wall.inward

@@ -25,21 +25,11 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.rooms.furniture import KINDS
-from ocp_ros.rooms.room_plan import RoomPlan, WALL_GAP
+from ocp_ros.rooms.room_plan import RoomPlan, WALL_GAP_M
 from ocp_ros.util.kernels import njit
 
-#: Square metres of floor per tripod, and the range of the number of tripods; below: the range of
-#: their heights, and the free air around them, metres.
-FLOOR_PER_TRIPOD, TRIPODS = 10.0, (2, 10)
-TRIPOD_HEIGHTS, TRIPOD_CLEARANCE = (1.3, 1.7), 0.3
-#: The standard deviation of a return along its ray, metres: constant part, and part per metre.
-NOISE, NOISE_PER_METRE = 0.002, 0.001
-#: The least probability of a return, relative to well-scanned surfaces.
-LEAST_DENSITY = 0.4
-#: Square metres of floor per dark or shiny patch, and the range of its radius, metres.
-FLOOR_PER_PATCH, PATCH = 12.0, (0.12, 0.45)
 #: Metres: an object this near to the end of a ray does not occlude it.
-TOLERANCE = 0.01
+OCCLUSION_TOLERANCE_M = 0.01
 
 
 class ScannedSurface(NamedTuple):
@@ -102,7 +92,8 @@ def scan(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> tuple[np.nd
     nearest = np.argmin((offset ** 2).sum(axis=2), axis=1)
     ray = offset[np.arange(len(nearest)), nearest]
     distance = np.linalg.norm(ray, axis=1, keepdims=True)
-    noise = rng.normal(0.0, NOISE + NOISE_PER_METRE * distance)
+    # The standard deviation along a ray: 2 mm, and 1 mm per metre.
+    noise = rng.normal(0.0, 0.002 + 0.001 * distance)
     points = found.points + noise * ray / np.maximum(distance, 1e-9)
     return points.astype(np.float32), found.kind
 
@@ -132,7 +123,7 @@ def _outside(plan: RoomPlan, boxes: Boxes, pitch: float,
              rng: np.random.Generator) -> ScannedSurface:
     """Sample the surfaces at a pitch, except parts inside or against another solid."""
     surface = surface_of(plan, pitch, rng)
-    return surface.only(exposed(surface.points, surface.owner, plan.size, *boxes, WALL_GAP))
+    return surface.only(exposed(surface.points, surface.owner, plan.size, *boxes, WALL_GAP_M))
 
 
 def _returns(plan: RoomPlan, boxes: Boxes, tripods: np.ndarray, patches: np.ndarray, pitch: float,
@@ -146,7 +137,7 @@ def _returns(plan: RoomPlan, boxes: Boxes, tripods: np.ndarray, patches: np.ndar
     for *centre, radius in patches:
         density[((surface.points - centre) ** 2).sum(axis=1) < radius ** 2] = 0.0
     well = np.percentile(density[density > 0.0], 60.0) if density.any() else 1.0
-    chance = np.clip(np.sqrt(density / well), LEAST_DENSITY, 1.0)
+    chance = np.clip(np.sqrt(density / well), 0.4, 1.0)
     return surface.only((density > 0.0) & (rng.random(len(chance)) < chance))
 
 
@@ -184,13 +175,15 @@ def surface_of(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> Scanne
 
 def _tripods(plan: RoomPlan, boxes: Boxes, rng: np.random.Generator) -> np.ndarray:
     """Place tripods where there is room for them: (T, 3) metres."""
-    count = int(np.clip(np.prod(plan.size[:2]) / FLOOR_PER_TRIPOD, *TRIPODS))
+    # One tripod for 10 m2 of floor.
+    count = int(np.clip(np.prod(plan.size[:2]) / 10.0, 2, 10))
     found: list[np.ndarray] = []
+    free_air_m = 0.3
     for trial in range(200 * count):
-        low = min(TRIPOD_CLEARANCE, 0.4 * plan.size[:2].min())
-        at = np.append(rng.uniform(low, plan.size[:2] - low), rng.uniform(*TRIPOD_HEIGHTS))
+        low = min(free_air_m, 0.4 * plan.size[:2].min())
+        at = np.append(rng.uniform(low, plan.size[:2] - low), rng.uniform(1.3, 1.7))
         # In a crowded room the required free air decreases with the attempts.
-        air = TRIPOD_CLEARANCE * (1.0 - trial / (200.0 * count))
+        air = free_air_m * (1.0 - trial / (200.0 * count))
         apart = min((np.linalg.norm(at[:2] - other[:2]) for other in found), default=np.inf)
         if free(at, air, *boxes) and apart > 1.2 * (1.0 - trial / (200.0 * count)):
             found.append(at)
@@ -202,9 +195,11 @@ def _tripods(plan: RoomPlan, boxes: Boxes, rng: np.random.Generator) -> np.ndarr
 def _patches(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
     """Draw patches that give no returns: (P, 4) centre and radius, metres."""
     surface = surface_of(plan, 0.3, rng)
-    count = rng.poisson(np.prod(plan.size[:2]) / FLOOR_PER_PATCH)
+    # One dark or shiny patch for 12 m2 of floor.
+    count = rng.poisson(np.prod(plan.size[:2]) / 12.0)
     centres = surface.points[rng.integers(len(surface.points), size=count)]
-    return np.column_stack([centres, rng.uniform(*PATCH, count)])
+    # The radius of a patch, metres.
+    return np.column_stack([centres, rng.uniform(0.12, 0.45, count)])
 
 
 @njit(cache=True, nogil=True)
@@ -280,7 +275,7 @@ def densities(points, normals, owner, tripods, centre, half, turn):
                 across = way[k, 1] * turn[k, 0] - way[k, 0] * turn[k, 1]
                 start = (along * far[k], across * far[k], way[k, 2] * far[k])
                 step = (d0 * turn[k, 0] + d1 * turn[k, 1], d1 * turn[k, 0] - d0 * turn[k, 1], d2)
-                enter, leave = 0.0, 1.0 - TOLERANCE / distance
+                enter, leave = 0.0, 1.0 - OCCLUSION_TOLERANCE_M / distance
                 for axis in range(3):
                     if abs(step[axis]) < 1e-12:
                         if abs(start[axis]) > half[k, axis]:

@@ -24,12 +24,12 @@ from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.util.files import sha256_of_file
-from ocp_ros.util.settings import FEWEST_POINTS, LARGEST_SEED, MOST_POINTS, setting
+from ocp_ros.util.settings import MAX_ROOM_POINTS, MAX_SEED, MIN_ROOM_POINTS, setting
 
-#: The default number of points of a room in which placements are evaluated.
-ROOM_POINTS = 60_000
 #: The options of reading a scan, as in command lines, parameters and placement files.
 READING = ('scale', 'up', 'drop_nonfinite', 'all_rooms')
+#: The default number of points of a room in which placements are evaluated.
+ROOM_POINTS = 60_000
 
 
 @dataclass(frozen=True)
@@ -37,10 +37,10 @@ class SceneConfig:
     """Settings of a room: a file, or the generator if no file is named."""
 
     file: str = setting('', 'scan to read; empty for a generated room')
-    seed: int = setting(1, 'seed of the generated room', 0, LARGEST_SEED)
+    seed: int = setting(1, 'seed of the generated room', 0, MAX_SEED)
     points: int = setting(15000, 'points of a generated room; a larger scan is thinned to this '
                                  'number',
-                          FEWEST_POINTS, MOST_POINTS)
+                          MIN_ROOM_POINTS, MAX_ROOM_POINTS)
     voxel_size: float = setting(
         0.0, 'edge of the grid that thins a scan, metres; 0: use scene.points', 0.0, 10.0)
     scale: float = setting(0.0, 'metres per unit of the file; 0: as the file says, otherwise 1',
@@ -70,10 +70,10 @@ def seed_named(name: str) -> int:
     :raises SceneError: if it is too large.
     """
     # Python refuses to convert numbers of thousands of digits.
-    if len(name) > 20 or int(name) > LARGEST_SEED:
+    if len(name) > 20 or int(name) > MAX_SEED:
         shown = name if len(name) <= 20 else f'{name[:20]}...'
         raise SceneError(f'{shown}: found no seed of a room; expected one of at most '
-                         f'{LARGEST_SEED}, or the path of a scan; name another')
+                         f'{MAX_SEED}, or the path of a scan; name another')
     return int(name)
 
 

@@ -72,10 +72,6 @@ def load_checkpoint(path: Path) -> 'Checkpoint':
     return Checkpoint.load(path)
 
 
-#: Seconds for which a planner may plan ahead although messages wait: it needs a tenth of that.
-UNDISTURBED = 2.0
-
-
 class PolicyNode(ManagedNode):
     """
     Answer turns with a planner.
@@ -113,17 +109,17 @@ class PolicyNode(ManagedNode):
                 self, lambda: self.policy, self._go_on)  # type: ignore[return-value]
         if self.config.clouds:
             self._live = LiveTurns(
-                self, self.config, self._commands, self._play, lambda: self._settled,
-                self._refuse, self._waits, self._decider.expected, self._reflect,
+                self, self.config, self._commands, self._answer, lambda: self._is_final,
+                self._refuse, self._waits, self._decider.expected, self._plan_ahead,
                 self._decider.in_place)
         else:
             self._turns = SimulatedTurns(
-                self, self._commands, self._play, self._tell, self._refuse, self._waits,
-                self._reflect)
+                self, self._commands, self._answer, self._on_turn_info, self._refuse, self._waits,
+                self._plan_ahead)
         if self._live is not None and self.config.scan:
             from ocp_ros.ros.policy.calibrator import Calibrator
             self._calibrator = Calibrator(self, self.config, self._decider, self._live.sighted,
-                                          lambda: self._settled)
+                                          lambda: self._is_final)
         if self.policy is not None:
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
@@ -144,7 +140,7 @@ class PolicyNode(ManagedNode):
 
     def deactivate(self) -> None:
         """Leave the cameras where they are, and let other nodes command them."""
-        self._hold()
+        self._stop_cameras()
         self._commands.end()
 
     def release(self) -> None:
@@ -154,10 +150,11 @@ class PolicyNode(ManagedNode):
         self._live = self._turns = self._experiences = self._calibrator = None
         self._paused = False
 
-    def _reflect(self) -> None:
-        """Let the planner plan ahead; after ``UNDISTURBED`` seconds stop once a message waits."""
-        alone = time.monotonic() + UNDISTURBED
-        self._decider.plan_ahead(lambda: time.monotonic() > alone and has_news(self))
+    def _plan_ahead(self) -> None:
+        """Let the planner plan ahead; after two seconds stop once a message waits."""
+        # A planner needs a tenth of this time to plan ahead.
+        undisturbed_until = time.monotonic() + 2.0
+        self._decider.plan_ahead(lambda: time.monotonic() > undisturbed_until and has_news(self))
 
     @property
     def planner(self) -> Online:
@@ -170,16 +167,18 @@ class PolicyNode(ManagedNode):
         return None if self._decider.learned is None else self._decider.learned.policy
 
     @property
-    def _settled(self) -> bool:
+    def _is_final(self) -> bool:
         """Return whether the placement is final."""
         return bool(self._finality.why)
 
     def _start_episode(self, episode: int) -> None:
         """Drop the data of the last episode and begin a new one."""
         self._decider.reset()
-        self._episode, self._step, self._over = episode, 0, False
+        self._episode = episode
+        self._step = 0
+        self._is_last_turn = False
         #: The final placement; None while there is none.
-        self._held: PoseArray | None = None
+        self._final_poses: PoseArray | None = None
         self._finality.begin()
         self._finality.say(self._step, self.config)
 
@@ -192,18 +191,18 @@ class PolicyNode(ManagedNode):
         if self._calibrator is not None:
             self._calibrator.change(config)
 
-    def _tell(self, told: TurnInfo) -> None:
+    def _on_turn_info(self, info: TurnInfo) -> None:
         """Take from a simulation which turn it is and whether it is the last."""
         # Step 0 always begins a new episode: a restarted simulation counts episodes from 1 again.
-        if told.episode != self._episode or told.step == 0:
-            self._start_episode(told.episode)
-        self._step, self._over = told.step, told.over
-        if told.answered is not None:
-            if self._over:
-                self._settle(told.answered)
+        if info.episode != self._episode or info.step == 0:
+            self._start_episode(info.episode)
+        self._step, self._is_last_turn = info.step, info.is_last
+        if info.answered is not None:
+            if self._is_last_turn:
+                self._finish(info.answered)
             self._step += 1
 
-    def _hold(self) -> None:
+    def _stop_cameras(self) -> None:
         """Command cameras that may be moving to stay where they are."""
         if self._live is not None and self.active and not self._commands.waits:
             self._live.hold()
@@ -211,10 +210,11 @@ class PolicyNode(ManagedNode):
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
         """Pause or continue, as the request says."""
         if request.data and not self._paused:
-            self._hold()
+            self._stop_cameras()
         self._paused = request.data
         self._go_on()
-        response.success, response.message = True, 'paused' if self._paused else 'going on'
+        response.success = True
+        response.message = 'paused' if self._paused else 'going on'
         return response
 
     def _on_reset(self, request: Trigger.Request, response: Trigger.Response) -> Trigger.Response:
@@ -231,14 +231,14 @@ class PolicyNode(ManagedNode):
     def _waits(self) -> bool:
         """Return whether an answer waits: node inactive or paused, other commander, or trainer."""
         return bool(not self.active or self._paused or self._commands.waits or (
-            self._experiences and self._experiences.held))
+            self._experiences and self._experiences.must_wait))
 
     def _go_on(self) -> None:
         """Answer the turn that waits, if there is one."""
         if self._turns is not None:
             self._turns.act()
 
-    def _play(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
+    def _answer(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
         """
         Answer a turn.
 
@@ -248,45 +248,47 @@ class PolicyNode(ManagedNode):
         """
         positions = msg_to_positions(poses)
         self._decider.check(cloud, poses)
-        if self._why():
-            self._settle(poses)
+        if self._final_reason():
+            self._finish(poses)
             if self._experiences:
                 # The last choice needs the observation that it led to: planning records it.
                 self._decider.plan(cloud, poses, self._step)
         # A final placement stays as it is, even if measured poses differ from it.
-        answer = self._decider.decide(cloud, poses, self._step) if self._held is None else \
-            PoseArray(header=poses.header, poses=self._held.poses)
+        answer = self._decider.decide(cloud, poses, self._step) if self._final_poses is None else \
+            PoseArray(header=poses.header, poses=self._final_poses.poses)
         target = msg_to_positions(answer)
-        if self._held is None:
+        if self._final_poses is None:
             self._finality.moved(np.linalg.norm(target - positions, axis=1).max(),
                                  self._decider.widest, self.config)
         if self._experiences:
             # Fixed cameras come last; the policy chooses nothing for them.
             moved = target[:self._decider.movable(poses)]
-            self._experiences.tell(stamp_to_ns(poses.header.stamp), self._step, moved)
+            self._experiences.publish(stamp_to_ns(poses.header.stamp), self._step, moved)
         self._counts['turns_answered'] += 1
         self._step += 1
         self._views.turn(cloud, poses)
         self._finality.say(self._step, self.config)
         return answer
 
-    def _why(self) -> str:
+    def _final_reason(self) -> str:
         """Return why the placement is final; empty while it is not."""
-        return self._finality.reason(self._step, self._over, self._decider.alone, self.config)
+        return self._finality.reason(
+            self._step, self._is_last_turn, self._decider.alone, self.config)
 
-    def _settle(self, poses: PoseArray) -> None:
+    def _finish(self, poses: PoseArray) -> None:
         """Publish the final placement, once per episode, and the reason why it is final."""
-        if not self._settled:
-            self._finality.why, self._held = self._why(), poses
+        if not self._is_final:
+            self._finality.why = self._final_reason()
+            self._final_poses = poses
             self._finality.gaps = self._live.gaps if self._live else ''
             self._placement.publish(poses)
             log = self.get_logger()
             (log.warning if self._finality.gaps else log.info)(
                 f'placement is {self._finality.say(self._step, self.config)}')
             if self.config.placement_file:
-                self._keep(self.config.placement_file, poses)
+                self._save(self.config.placement_file, poses)
 
-    def _keep(self, path: str, poses: PoseArray) -> None:
+    def _save(self, path: str, poses: PoseArray) -> None:
         """Write the placement to a file; log an error if that fails."""
         try:
             save_placement(path, placement_from(poses, self._decider, '; '.join(filter(None, (
@@ -323,7 +325,7 @@ class PolicyNode(ManagedNode):
     def _status(self) -> diagnostics.Status:
         """Return the status of the planner for diagnostics."""
         message, gaps = 'answering turns', self._finality.gaps
-        if self._settled:
+        if self._is_final:
             message = 'placement is final'
         wrong, live = self._live.status() if self._live else (
             diagnostics.crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION), {})

@@ -51,7 +51,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.point_maps import maps_of
 from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.util.settings import group, LARGEST_SEED, setting
+from ocp_ros.util.settings import group, MAX_SEED, setting
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from sensor_msgs.msg import PointCloud2
@@ -64,7 +64,7 @@ class SimNodeConfig(SimulationConfig):
     """Parameters of ``sim_node``."""
 
     scene: SceneConfig = group(SceneConfig)
-    seed: int = setting(0, 'seed of the start positions', 0, LARGEST_SEED)
+    seed: int = setting(0, 'seed of the start positions', 0, MAX_SEED)
     auto_reset: bool = setting(False, 'begin the next episode when one ends', running=True)
     resend_period: float = setting(
         0.5, 'time without a command after which the latest turn is sent again, '

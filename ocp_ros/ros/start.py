@@ -29,13 +29,10 @@ import signal
 import sys
 from typing import NoReturn
 
-#: Ctrl-C and a plain ``kill``.
-EARLY = (signal.SIGINT, signal.SIGTERM)
-
 
 def _started(module: str) -> NoReturn:
     """Import a node, run it and end the process with its exit code."""
-    for number in EARLY:
+    for number in (signal.SIGINT, signal.SIGTERM):
         # Nothing has started that would have to be ended. Raising an error would be wrong: some
         # libraries catch errors that are raised during their import as their own.
         signal.signal(number, lambda *_: os._exit(0))

@@ -46,14 +46,11 @@ from rclpy.node import Node
 import torch
 import yaml
 
-#: Seconds between two checks for new weights, and the number of checks between two status messages
-#: to the policies.
-TICK, STATUS = 0.1, 10
-#: Largest number of namespaces to learn from, and seconds without a transition after which a
-#: namespace is dropped, if it has no publisher any more or if others need its place.
-MOST_SOURCES, SILENT = 256, 60.0
-#: Largest number of dropped namespaces for which the time of dropping is kept.
-LET_GO = 10_000
+#: Largest number of namespaces to learn from.
+MAX_SOURCES = 256
+#: Seconds without a transition after which a namespace is dropped, if it has no publisher any more
+#: or if others need its place.
+MAX_SILENCE_S = 60.0
 
 
 @dataclass(frozen=True)
@@ -85,16 +82,16 @@ class TrainerNode(Node):
                          yaml.safe_dump(to_nested(self.config), sort_keys=False))
         self.sources: dict[str, Source] = {}
         #: Counts of the dropped sources together, and the time at which each was dropped.
-        self._gone: Counter[str] = Counter()
-        self._let_go: dict[str, float] = {}
+        self._dropped_counts: Counter[str] = Counter()
+        self._dropped_at: dict[str, float] = {}
         self._published = self._ticks = 0
-        self._hold = self._told = False
+        self._policies_wait = self._failure_logged = False
         #: The latest weights, for namespaces that are found later; empty while there are none.
-        self._blob = b''
+        self._weights = b''
         names = [name.strip().strip('/') for name in self.config.sources.split(',')]
         for name in [name for name in names if name] or [self.get_namespace().strip('/')]:
             self._add(f'/{name}')
-        self.create_timer(TICK, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.create_timer(0.1, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._health = diagnostics.Health(self, self._status)
         self.get_logger().info(
             f'run {self.learner.run}: {self.learner.updates} updates so far from '
@@ -104,8 +101,8 @@ class TrainerNode(Node):
         """Subscribe to a namespace to learn from it."""
         source = self.sources[namespace] = Source(
             self, namespace, self.agent, self.learner.add)
-        if self._blob:
-            source.send_weights(self._blob)
+        if self._weights:
+            source.send_weights(self._weights)
 
     def _discover(self) -> None:
         """Add namespaces in which a policy explores, and drop silent namespaces."""
@@ -116,57 +113,60 @@ class TrainerNode(Node):
                  and kinds == ['std_msgs/msg/UInt8MultiArray'] and self.count_publishers(name)]
         # Namespaces that were dropped before come after all others.
         new = sorted((name for name in found if name not in self.sources),
-                     key=lambda name: self._let_go.get(name, 0.0))
-        silent = time.monotonic() - SILENT
+                     key=lambda name: self._dropped_at.get(name, 0.0))
+        silent = time.monotonic() - MAX_SILENCE_S
         for name, source in list(self.sources.items())[1:]:
-            full = len(self.sources) + len(new) > MOST_SOURCES
+            full = len(self.sources) + len(new) > MAX_SOURCES
             if source.heard < silent and (full or name not in found):
-                self._leave(name)
-        for name in new[:MOST_SOURCES - len(self.sources)]:
+                self._drop(name)
+        for name in new[:MAX_SOURCES - len(self.sources)]:
             self._add(name)
             self.get_logger().info(f'learning from {name}')
 
-    def _leave(self, namespace: str) -> None:
+    def _drop(self, namespace: str) -> None:
         """Drop a namespace: stop learning from it."""
         source = self.sources.pop(namespace)
-        self._gone.update(source.status())
+        self._dropped_counts.update(source.status())
         source.close()
-        if len(self._let_go) >= LET_GO:
-            del self._let_go[min(self._let_go, key=self._let_go.get)]
-        self._let_go[namespace] = time.monotonic()
+        # The time of dropping is kept for 10,000 namespaces.
+        if len(self._dropped_at) >= 10_000:
+            del self._dropped_at[min(self._dropped_at, key=self._dropped_at.get)]
+        self._dropped_at[namespace] = time.monotonic()
         self.get_logger().info(f'not learning from {namespace} any more: it was silent for '
-                               f'{SILENT:g} s')
+                               f'{MAX_SILENCE_S:g} s')
 
     def _tick(self) -> None:
         """Publish new weights, and publish to the policies whether they have to wait."""
         self._publish_weights()
         learner, most = self.learner, self.config.most_behind
-        before = self._hold
+        before = self._policies_wait
         # Policies wait until half of ``most_behind`` is left: else they would stop at every turn.
-        self._hold = learner.failure is None and learner.behind > (most / 2 if before else most)
+        limit = most / 2 if before else most
+        self._policies_wait = learner.failure is None and learner.behind > limit
         self._ticks += 1
-        due = self._ticks % STATUS == 0
+        # Every tenth check sends a status message to the policies.
+        due = self._ticks % 10 == 0
         if due:
             self._discover()
-        if due or self._hold != before:
+        if due or self._policies_wait != before:
             for source in self.sources.values():
-                source.send_status(self._hold, learner.updates, max(learner.behind, 0.0))
+                source.send_status(self._policies_wait, learner.updates, max(learner.behind, 0.0))
 
     def _publish_weights(self) -> None:
         """Publish the weights that the learner made since the last check, or log its failure."""
-        if self.learner.failure is not None and not self._told:
-            self._told = True
+        if self.learner.failure is not None and not self._failure_logged:
+            self._failure_logged = True
             self.get_logger().error(f'training stopped: {self.learner.failure!r}')
         checkpoint = self.learner.take_weights()
         if checkpoint is not None:
             self._published += 1
-            self._blob = checkpoint.to_bytes()
+            self._weights = checkpoint.to_bytes()
             for source in self.sources.values():
-                source.send_weights(self._blob)
+                source.send_weights(self._weights)
 
     def totals(self) -> dict[str, int]:
         """Return the sums of the counts over all sources."""
-        counts = [self._gone, *(source.status() for source in self.sources.values())]
+        counts = [self._dropped_counts, *(source.status() for source in self.sources.values())]
         return {name: sum(one[name] for one in counts) for name in counts[-1]}
 
     def _status(self) -> diagnostics.Status:
@@ -175,7 +175,7 @@ class TrainerNode(Node):
         values = {'run': learner.run, 'stored_transitions': learner.transitions, **totals,
                   'refused_messages': totals['refused'], 'updates': learner.updates,
                   'critic_loss': round(float(np.mean(losses)), 4) if losses else '-',
-                  'behind': round(max(learner.behind, 0.0)), 'policies_wait': self._hold,
+                  'behind': round(max(learner.behind, 0.0)), 'policies_wait': self._policies_wait,
                   'weights_published': self._published, 'sources': len(self.sources),
                   **{f'turns {name}': source.assembler.assembled
                      for name, source in self.sources.items()}}

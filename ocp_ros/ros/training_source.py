@@ -40,17 +40,6 @@ from rclpy.node import Node
 from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
-                 'reward', 'terminated')
-#: The largest experience that is read, bytes.
-LARGEST = 1 << 24
-#: The largest magnitude of a reward that is accepted: the paper's penalty at its largest setting.
-#: Much larger rewards make the numbers of the networks overflow, and the training is lost.
-LARGEST_REWARD = 1e9
-#: The largest action that is accepted: moves are in units of the longest step, and random ones
-#: may be a little longer than 1.
-LARGEST_ACTION = 10.0
-
 
 def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
     """Return the shape and the type of each array of an observation."""
@@ -60,7 +49,9 @@ def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]
 
 def ends_of(agent: AgentConfig) -> dict[str, tuple[float, float]]:
     """Return the lowest and the highest value of each array of an experience."""
-    return {'actions': (-LARGEST_ACTION, LARGEST_ACTION), **{
+    # Moves are in units of the longest step, and random ones may be a little longer than 1.
+    max_action = 10.0
+    return {'actions': (-max_action, max_action), **{
         name: (space.low.min(), space.high.max())  # type: ignore[attr-defined]
         for name, space in encoded_space(agent).spaces.items()}}
 
@@ -102,7 +93,9 @@ class Source:
 
     def __init__(self, node: Node, namespace: str, agent: AgentConfig,
                  learn: Callable[[Transition], bool]) -> None:
-        self._node, self.namespace, self._learn = node, namespace, learn
+        self._node = node
+        self.namespace = namespace
+        self._learn = learn
         self._expected, self._ends = arrays_of(agent), ends_of(agent)
         self._together = None if agent.map else cameras_of(agent)
         self.assembler = Assembler(last=agent.map)
@@ -140,9 +133,10 @@ class Source:
 
     def _on_experience(self, message: UInt8MultiArray) -> list[Transition]:
         """Take the choices of the policy in a turn."""
-        if len(message.data) > LARGEST:
+        max_bytes = 1 << 24
+        if len(message.data) > max_bytes:
             raise MessageError(f'experience: found {len(message.data)} bytes; expected at most '
-                               f'{LARGEST}')
+                               f'{max_bytes}')
         found = from_bytes(msg_to_bytes(message), self._expected, self._together)
         return self.assembler.add_experience(check_ends(found, self._ends))
 
@@ -153,7 +147,9 @@ class Source:
 
     def _on_reward(self, message: Float64MultiArray) -> list[Transition]:
         """Take the reward of a turn; the first turn of an episode has no reward."""
-        fields = msg_to_fields(message, REWARD_FIELDS)
+        names = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
+                 'reward', 'terminated')
+        fields = msg_to_fields(message, names)
         stamp, previous = ns_of(fields, 'stamp'), ns_of(fields, 'previous')
         if stamp < self._newest:
             # The simulation was restarted with a reset clock: equal stamps mean other turns now.
@@ -166,10 +162,13 @@ class Source:
             shares.append(fields[name])
         worth = [fields['reward'], *shares]
         # Comparisons with NaN are false, so NaN is refused as well.
-        if not (np.abs(worth) <= LARGEST_REWARD).all():
+        # The paper's penalty at its largest setting. Much larger rewards make the numbers of the
+        # networks overflow, and the training is lost.
+        max_reward = 1e9
+        if not (np.abs(worth) <= max_reward).all():
             raise MessageError(
                 f'reward: found reward and shares from {min(worth):g} to {max(worth):g}; expected '
-                f'finite numbers within {LARGEST_REWARD:g}')
+                f'finite numbers within {max_reward:g}')
         return self.assembler.add_reward(Reward(
             previous, stamp, int(fields['step']), fields['reward'], tuple(shares),
             bool(fields['terminated'])))

@@ -27,14 +27,9 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.text_tables import read_points, read_ptx_points
 from ocp_ros.util.terminal_text import printable
 
-#: The largest step between two float32 coordinates, as a share of the extent of a scan: 2 mm in
-#: 10 m.
-COARSE = 2e-4
 #: Suffixes of measured rooms. Other kinds of files have these suffixes too, so
 #: :func:`~ocp_ros.scenes.scene_files.scans_in` leaves them out.
 MEASURED = ('.yaml', '.yml')
-#: Names of the columns that hold normals.
-NORMALS = (('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z'))
 
 
 def _from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
@@ -45,7 +40,8 @@ def _from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
                          f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
     for axis in 'xyz':
         _check_rounding(np.ravel(fields[axis]), axis, name)
-    normals = next((names for names in NORMALS if all(axis in fields for axis in names)), ())
+    columns = ('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')
+    normals = next((names for names in columns if all(axis in fields for axis in names)), ())
     return np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in (*'xyz', *normals)],
                     axis=-1)
 
@@ -58,7 +54,8 @@ def _check_rounding(column: np.ndarray, axis: str, name: str) -> None:
     if len(finite) == 0:
         return
     step = float(np.spacing(np.float32(np.abs(finite).max())))
-    if step > COARSE * np.ptp(finite) and np.ptp(finite) > 0.0:
+    # float32 steps of 2 mm in 10 m are too coarse.
+    if step > 2e-4 * np.ptp(finite) and np.ptp(finite) > 0.0:
         raise SceneError(
             f'{name}: found {axis} of {finite.max():.0f} as float32, which rounds it to steps of '
             f'{step:.3g}; expected coordinates that are not rounded; export them as float64 '

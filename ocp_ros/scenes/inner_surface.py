@@ -39,59 +39,6 @@ from ocp_ros.util.kernels import njit
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-#: Sample points on the faces that the air is found between: the least number, and the number per
-#: square metre.
-PILOT, DENSE = 150_000, 60.0
-#: The largest number of sample points.
-MOST = 2_000_000
-#: Metres: the least distance of enclosed air from any surface.
-BALL = 0.2
-#: The least number of the eight level directions from a cell that have to end at a surface.
-SHUT = 5
-#: Upward directions, and the least number of them that have to hit a surface for a point to count
-#: as roofed.
-UP, ROOFED = np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0.5, 1)]), 3
-WAYS = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
-#: Cubic metres: a smaller volume of air is not a room.
-LEAST = 2.0
-#: The roofed air is used if its largest part has at least this share of the largest volume without
-#: the roof condition.
-ROOFED_SHARE = 0.4
-#: Metres: how far from a side of a face the air is searched for, and how far beside the air a face
-#: may lie. Surfaces outside that are visible through doors and windows do not belong to the room.
-REACH, BESIDE = 2.0, 0.45
-#: Metres: points are placed this far in front of their face, so that the two sides of a thin face
-#: differ.
-BEFORE = 0.001
-#: The directions in which a side is tested for air: angles to the normal in radians, and the
-#: number of directions at each angle.
-TILTS = ((0.0, 1), (np.deg2rad(35.0), 4), (np.deg2rad(65.0), 7))
-#: The factor by which more points are sampled than the estimate requires.
-ENOUGH = 1.05
-#: The least share of faces with one closed-in side for which a model counts as solid bodies.
-SOLID = 0.9
-#: The share of hidden faces below which no remark is made.
-NONE = 0.005
-#: The least and the largest number of test positions in the air, one per cubic metre; and the
-#: share of the surface that is invisible from all of them, from which on a cloud is not a scan.
-#: Real scans had 8 % or less.
-LOOKS, MISSED = (40, 300), 0.14
-#: Metres in front of a point at which the search for points that hide it starts, and the factor to
-#: the next distance. A point hides it if it lies within both limits: a share of that distance, and
-#: a multiple of the edge of the square that the hidden point stands for.
-HIDING, NEXT, ASIDE, SQUARE = 0.05, 1.25, 0.6, 1.0
-#: The least cosine between the normal of a point and the direction to the air, for air across its
-#: plane.
-ACROSS = 0.7
-#: The number of neighbours, including the point, and the share of hidden ones above which the
-#: point is hidden too.
-AMONG, MOST_OF = 9, 0.6
-#: Metres: the largest thickness of a wall or slab; and the least share of the invisible surface
-#: that has to lie behind one.
-THICK, BACKS = 0.6, 0.4
-#: A point that is visible from this share of the test positions is not hidden.
-OFTEN = 0.5
-
 
 class InnerSurface(NamedTuple):
     """
@@ -124,11 +71,13 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
     """
     rays, corners = MeshRays(mesh), mesh.corners
     area = _area(corners)
-    pilot = sampled(corners, int(np.clip(DENSE * area, PILOT, MOST)))
+    max_points = 2_000_000
+    # The air is found between 60 points per square metre, and 150,000 at least.
+    pilot = sampled(corners, int(np.clip(60.0 * area, 150_000, max_points)))
     air = EnclosedAir.of(pilot[:, :3], float(np.sqrt(area / len(pilot))), solids)
     some = pilot[::len(pilot) // 4000]
     if air is None:
-        if solids is None and _solid(some, rays):
+        if solids is None and _is_solid(some, rays):
             raise SceneError(
                 f'{name}: found solid bodies and no air that is closed in above, below and '
                 'around; expected a room; cut the room out of the model, or add the walls and '
@@ -141,15 +90,16 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
         return None
     if apart:
         samples = min(int(share * area / apart ** 2), samples)
-    rows = sampled(corners, int(min(ENOUGH * samples / share, MOST)))
+    # Five per cent more than the estimate requires.
+    rows = sampled(corners, int(min(1.05 * samples / share, max_points)))
     hidden, seen = 1.0 - float(seen.any(axis=1).mean()), air.seen_from(rows, rays)
-    sides = [np.hstack([_before(rows[kept], sign), sign * rows[kept, 3:]])
+    sides = [np.hstack([_in_front(rows[kept], sign), sign * rows[kept, 3:]])
              for kept, sign in zip(seen.T, (1.0, -1.0))]
     found = np.vstack(sides)
     count = min(samples, len(found))
     points, normals = np.hsplit(found[np.arange(count) * len(found) // count], 2)
     # Hidden faces of given boxes, such as the underside of a cupboard, need no remark.
-    remarks = () if hidden < NONE or solids is not None else (
+    remarks = () if hidden < 0.005 or solids is not None else (
         f'{100.0 * hidden:.0f} % of the faces left out: the air of the room does not see them',)
     if air.rooms:
         remarks += (f'{len(air.rooms)} other closed space{"s" * (len(air.rooms) > 1)} left out, '
@@ -163,20 +113,23 @@ def _area(corners: np.ndarray) -> float:
         corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
 
 
-def _solid(rows: np.ndarray, rays: MeshRays) -> bool:
+def _is_solid(rows: np.ndarray, rays: MeshRays) -> bool:
     """Return whether most faces have a closed-in side, given points and normals (N, 6)."""
-    shut = [np.all([np.isfinite(rays.lengths(_before(rows, sign), _ways(rows, sign, *way)))
-                    for way in _directions()], axis=0) for sign in (1.0, -1.0)]
-    return float(np.logical_or(*shut).mean()) >= SOLID
+    enclosed = [
+        np.all([np.isfinite(rays.lengths(_in_front(rows, sign), _ray_directions(rows, sign, *way)))
+                for way in _test_angles()], axis=0) for sign in (1.0, -1.0)]
+    return float(np.logical_or(*enclosed).mean()) >= 0.9
 
 
-def _directions() -> list[tuple[float, float]]:
+def _test_angles() -> list[tuple[float, float]]:
     """Return directions from one side of a face: angles to the normal and around it, radians."""
-    return [(tilt, 2.0 * np.pi * k / count) for tilt, count in TILTS for k in range(count)]
+    # Radians to the normal, and the number of directions at this angle.
+    tilts = ((0.0, 1), (np.deg2rad(35.0), 4), (np.deg2rad(65.0), 7))
+    return [(tilt, 2.0 * np.pi * k / count) for tilt, count in tilts for k in range(count)]
 
 
 @njit(cache=True, nogil=True)
-def _ways(rows, sign, tilt, turn):
+def _ray_directions(rows, sign, tilt, turn):
     """Return unit vectors (N, 3) from one side of faces, given points and normals (N, 6)."""
     ways = np.empty((len(rows), 3))
     up, one, two = np.cos(tilt), np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn)
@@ -196,9 +149,10 @@ def _ways(rows, sign, tilt, turn):
     return ways
 
 
-def _before(rows: np.ndarray, sign: float) -> np.ndarray:
+def _in_front(rows: np.ndarray, sign: float) -> np.ndarray:
     """Return points (N, 3) in front of one side of faces, given points and normals (N, 6)."""
-    return rows[:, :3] + sign * BEFORE * rows[:, 3:]
+    # A millimetre separates the two sides of a thin face.
+    return rows[:, :3] + sign * 0.001 * rows[:, 3:]
 
 
 class EnclosedAir(NamedTuple):
@@ -236,21 +190,24 @@ class EnclosedAir(NamedTuple):
         edge = grid.edge
         away = ndimage.distance_transform_edt(~grid.taken(points)) * edge
         # Sparse points still close the gaps between them.
-        ball = max(BALL, 1.5 * spacing)
+        ball = max(0.2, 1.5 * spacing)
         taken, free = away <= 1.5 * spacing, away > ball
         free &= np.logical_or.accumulate(taken, axis=2)
         for corners in () if solids is None else solids:
             low, high = grid.cells(np.sort(corners, axis=0)).T
             free[tuple(slice(a, b + 1) for a, b in zip(low, high))] = False
         roofed = free & np.logical_or.accumulate(taken[:, :, ::-1], axis=2)[:, :, ::-1]
-        shut = sum(_ends(taken, x, y).astype(np.int8) for x, y in WAYS) >= SHUT
-        found = [_parts(cells & shut, edge) for cells in (roofed, free)]
+        # Most of the eight level directions have to end at a surface.
+        level_steps = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
+        enclosed = sum(_ends_at_surface(taken, x, y).astype(np.int8) for x, y in level_steps) >= 5
+        found = [_connected_parts(cells & enclosed, edge) for cells in (roofed, free)]
         # Without the roof condition, rooms without a ceiling are found. With it, hollow furniture
         # in such a room could count as the room: hence the comparison of volumes.
         most = [volumes.max(initial=0.0) for _, volumes in found]
-        parts, volumes = found[0 if most[0] >= ROOFED_SHARE * most[1] else 1]
+        parts, volumes = found[0 if most[0] >= 0.4 * most[1] else 1]
         order = np.argsort(-volumes, kind='stable')
-        order = order[volumes[order] > (LEAST if solids is None else 0.0)]
+        # A volume of less than 2 m3 is not a room.
+        order = order[volumes[order] > (2.0 if solids is None else 0.0)]
         if len(order) == 0:
             return None
         room = parts == order[0]
@@ -267,27 +224,28 @@ class EnclosedAir(NamedTuple):
         """
         found = np.zeros((len(rows), 2), dtype=bool)
         column = self.grid.cells(rows[:, :3])
+        # Surfaces outside that are visible through doors and windows do not belong to the room.
         near = np.flatnonzero(self.beside[tuple(column[:2])] <= max(
-            BESIDE, self.ball + 2.5 * self.grid.edge))
+            0.45, self.ball + 2.5 * self.grid.edge))
         for side, sign in enumerate((1.0, -1.0)):
             left = near
-            for way in _directions():
+            for way in _test_angles():
                 some = rows[left]
-                ways = _ways(some, sign, *way)
-                first = self._first(some[:, :3], ways)
+                ways = _ray_directions(some, sign, *way)
+                first = self._air_distance(some[:, :3], ways)
                 # Ray casting is the slowest step: only rays that would reach the air are cast.
                 reached = np.isfinite(first)
                 reached[reached] = first[reached] < rays.lengths(
-                    _before(some[reached], sign), ways[reached])
+                    _in_front(some[reached], sign), ways[reached])
                 found[left[reached], side] = True
                 left = left[~reached]
             if self.roofed:
                 found[:, side] &= _under_a_roof(rows, sign, found[:, side], rays)
         return found
 
-    def _first(self, points: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    def _air_distance(self, points: np.ndarray, ways: np.ndarray) -> np.ndarray:
         """Return how far rays from points (N, 3) go until they enter the air, metres; else inf."""
-        reach = max(REACH, 3.0 * (self.ball + self.grid.edge))
+        reach = max(2.0, 3.0 * (self.ball + self.grid.edge))
         return self.grid.edge * _steps_into(
             self.cells, (points - self.grid.low) / self.grid.edge, ways, reach / self.grid.edge)
 
@@ -319,13 +277,15 @@ def _steps_into(cells, points, ways, most):
 
 def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRays) -> np.ndarray:
     """Return which of the sides of faces (N, 6) that ``asked`` marks have a surface above them."""
-    starts, count = _before(rows[asked], sign), np.zeros(len(rows), int)
-    for way in UP:
+    starts, count = _in_front(rows[asked], sign), np.zeros(len(rows), int)
+    upwards = np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0.5, 1)])
+    for way in upwards:
         count[asked] += np.isfinite(rays.lengths(starts, np.broadcast_to(way, starts.shape)))
-    return count >= ROOFED
+    # Three of the five upward directions have to hit a surface.
+    return count >= 3
 
 
-def _parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+def _connected_parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
     """Number the connected parts of cells; return the numbers and the volumes, 0 for number 0."""
     parts, _ = ndimage.label(cells)
     volumes = np.bincount(parts.ravel()) * edge ** 3
@@ -333,10 +293,10 @@ def _parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
     return parts, volumes
 
 
-def _ends(taken: np.ndarray, x: int, y: int) -> np.ndarray:
+def _ends_at_surface(taken: np.ndarray, x: int, y: int) -> np.ndarray:
     """Return from which cells a level path in steps of (x, y) cells ends at a taken cell."""
     if x == 0:
-        return _ends(taken.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
+        return _ends_at_surface(taken.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
     ends = taken.copy()
     rows = range(1, len(taken)) if x < 0 else range(len(taken) - 2, -1, -1)
     for row in rows:
@@ -361,25 +321,28 @@ def without_outside(scene: Scene) -> Scene:
     if air is None:
         return scene
     cells = np.argwhere(air.cells | air.others)
-    looks = int(np.clip(len(cells) * air.grid.edge ** 3, *LOOKS))
-    chosen = cells[np.random.default_rng(0).permutation(len(cells))[:looks]]
-    count = _counted(scene, air.grid.middles(chosen))
-    missed = area[count == 0].sum()
-    if missed < MISSED * area.sum():
+    # One test position per cubic metre.
+    test_count = int(np.clip(len(cells) * air.grid.edge ** 3, 40, 300))
+    chosen = cells[np.random.default_rng(0).permutation(len(cells))[:test_count]]
+    count = _view_counts(scene, air.grid.middles(chosen))
+    invisible_area = area[count == 0].sum()
+    # From real scans, 8 % of the surface or less was invisible.
+    if invisible_area < 0.14 * area.sum():
         return scene
-    hidden, across = _hidden(scene, air)
-    kept = ~(hidden & (count < OFTEN * len(chosen)))
+    hidden, across = _occluded(scene, air)
+    # A point that is visible from half of the test positions is not hidden.
+    kept = ~(hidden & (count < 0.5 * len(chosen)))
     # Points of a yard that was scanned too are invisible from the air, but do not lie behind a
     # wall.
-    backs = area[hidden & across & (count == 0)].sum()
-    if backs < BACKS * missed or np.count_nonzero(kept) < MIN_POINTS:
+    back_area = area[hidden & across & (count == 0)].sum()
+    if back_area < 0.4 * invisible_area or np.count_nonzero(kept) < MIN_POINTS:
         return scene
     remark = (f'{100.0 * (1.0 - kept.mean()):.0f} % of the points left out: those of a solid '
               'model that the air of the room does not see')
     return replace(scene.only(kept), remarks=(*scene.remarks, remark))
 
 
-def _counted(scene: Scene, places: np.ndarray) -> np.ndarray:
+def _view_counts(scene: Scene, places: np.ndarray) -> np.ndarray:
     """Return the number of positions (M, 3), metres, from which each point is visible: (N,)."""
     visibility = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch,
                                   np.empty((0, 3), dtype=np.float32), FINE)
@@ -391,7 +354,7 @@ def _counted(scene: Scene, places: np.ndarray) -> np.ndarray:
     return count
 
 
-def _hidden(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
+def _occluded(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
     """
     Return which points have other points between them and the nearest enclosed air.
 
@@ -403,12 +366,15 @@ def _hidden(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
     goals = air.grid.middles(index[(slice(None), *air.grid.cells(points))].T)
     length = np.linalg.norm(goals - points, axis=1)
     ways, tree = (goals - points) / length[:, None], cKDTree(points)
-    hidden, away = np.zeros(len(points), dtype=bool), HIDING
-    across = np.abs(np.einsum('nk,nk->n', ways, scene.normals_or_estimate)) >= ACROSS
-    while len(left := np.flatnonzero(~hidden & (length > away + air.grid.edge))) and away < THICK:
+    hidden, away = np.zeros(len(points), dtype=bool), 0.05
+    across = np.abs(np.einsum('nk,nk->n', ways, scene.normals_or_estimate)) >= 0.7
+    # The largest thickness of a wall or slab is 0.6 m.
+    while len(left := np.flatnonzero(~hidden & (length > away + air.grid.edge))) and away < 0.6:
         nearest, _ = tree.query(points[left] + away * ways[left],
                                 distance_upper_bound=2.0 * float(np.median(pitch)))
-        hidden[left] = nearest < np.minimum(ASIDE * away, SQUARE * pitch[left])
-        away *= NEXT
+        # A point hides another if it is near the line to the air, in proportion to its distance,
+        # and within the square that the hidden point stands for.
+        hidden[left] = nearest < np.minimum(0.6 * away, pitch[left])
+        away *= 1.25
     # Some hidden points pass the test through gaps between the points in front of them.
-    return hidden | (hidden[tree.query(points, AMONG)[1]].mean(axis=1) > MOST_OF), across
+    return hidden | (hidden[tree.query(points, 9)[1]].mean(axis=1) > 0.6), across

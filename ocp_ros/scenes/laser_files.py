@@ -26,28 +26,16 @@ from ocp_ros.util.terminal_text import printable
 
 _log = logging.getLogger(__name__)
 
-#: Bytes of the file headers that are checked.
-LAS_HEADER, E57_HEADER = 255, 48
-#: Bytes of a page of an E57 file, of its checksum at the end of the page, and of the largest XML
-#: section accepted: files with thousands of scans need a tenth of it.
-PAGE, CHECKSUM, XML = 1024, 4, 50_000_000
-#: XML constructs that refer to other files, which the reader would open, also on other machines.
-#: XML without a DOCTYPE has no entities.
-REFERENCES = re.compile('<!DOCTYPE|<!ENTITY|schemaLocation', re.IGNORECASE)
-ENCODING = re.compile(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)')
+#: Bytes of the largest header of a LAS file.
+LAS_HEADER_BYTES = 255
+#: Bytes of a page of an E57 file.
+PAGE_BYTES = 1024
 #: The least size in bytes of a record before the points.
-RECORD = 54
-#: Record ids of the projection of a LAS file, as text (WKT) and as numbers (GeoTIFF keys); the
-#: bytes of records that are read. Below: the units of length in WKT, and the key and the codes of
-#: the unit in the GeoTIFF keys.
-WKT, GEO_KEYS, PROJECTION = 2112, 34735, 1_000_000
-UNITS = re.compile(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)')
-LENGTHS = re.compile('met(?:er|re)|f(?:oo|ee)t|ft', re.IGNORECASE)
+MIN_RECORD_BYTES = 54
 METRE = ('metre', 1.0)
-LINEAR, CODES = 3076, {9001: METRE, 9002: ('foot', 0.3048),
-                       9003: ('US survey foot', 1200.0 / 3937.0)}
-#: The largest number of compressed points per byte; real scans need one byte or more per point.
-PER_BYTE = 4
+#: The units of length by their codes in GeoTIFF keys.
+GEO_KEY_UNITS = {9001: METRE, 9002: ('foot', 0.3048),
+                 9003: ('US survey foot', 1200.0 / 3937.0)}
 
 
 def read_las_points(path: Path) -> np.ndarray:
@@ -83,46 +71,51 @@ def las_unit(path: Path) -> tuple[str, float]:
         is broken.
     """
     with path.open('rb') as file:
-        head = file.read(LAS_HEADER)
+        head = file.read(LAS_HEADER_BYTES)
         if head[:4] != b'LASF' or len(head) < 104:
             return METRE
         size, = struct.unpack_from('<H', head, 94)
         offset, records = struct.unpack_from('<II', head, 96)
         file.seek(size)
-        content = file.read(min(max(offset - size, 0), PROJECTION))
+        content = file.read(min(max(offset - size, 0), 1_000_000))
     at, named = 0, METRE
+    wkt_unit = re.compile(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)')
+    length_name = re.compile('met(?:er|re)|f(?:oo|ee)t|ft', re.IGNORECASE)
     for _ in range(records):
-        if at + RECORD > len(content):
+        if at + MIN_RECORD_BYTES > len(content):
             break
         user, kind, length = struct.unpack_from('<2x16sHH', content, at)
-        body = content[at + RECORD:at + RECORD + length]
-        at += RECORD + length
+        body = content[at + MIN_RECORD_BYTES:at + MIN_RECORD_BYTES + length]
+        at += MIN_RECORD_BYTES + length
         if user.rstrip(b'\0') != b'LASF_Projection':
             continue
-        if kind == WKT:
-            found = UNITS.findall(body.decode('latin-1'))
-            units = [(name, float(metres)) for name, metres in found if LENGTHS.search(name)]
+        # The projection as text (WKT).
+        if kind == 2112:
+            found = wkt_unit.findall(body.decode('latin-1'))
+            units = [(name, float(metres)) for name, metres in found if length_name.search(name)]
             named = units[-1] if units else named
-        elif kind == GEO_KEYS:
+        # The projection as numbers (GeoTIFF keys); key 3076 is the unit of length.
+        elif kind == 34735:
             keys = np.frombuffer(body[:len(body) // 8 * 8], '<u2').reshape(-1, 4)
-            named = next((CODES[code] for key, place, _, code in keys.tolist()
-                          if key == LINEAR and place == 0 and code in CODES), named)
+            named = next((GEO_KEY_UNITS[code] for key, place, _, code in keys.tolist()
+                          if key == 3076 and place == 0 and code in GEO_KEY_UNITS), named)
     return named if 1e-3 < named[1] < 1e3 else METRE
 
 
 def _declared(path: Path, size: int) -> tuple[int, bool]:
     """Return the declared number of points, if plausible, and whether they are compressed."""
     with path.open('rb') as file:
-        head = file.read(LAS_HEADER)
+        head = file.read(LAS_HEADER_BYTES)
     if head[:4] != b'LASF' or len(head) < 227:
         raise ValueError('no LAS header')
     offset, records, form, length, count = struct.unpack_from('<IIBHI', head, 96)
     if head[25] >= 4:
-        count, = struct.unpack_from('<Q', head.ljust(LAS_HEADER, b'\0'), 247)
-    if offset > size or RECORD * records > offset:
+        count, = struct.unpack_from('<Q', head.ljust(LAS_HEADER_BYTES, b'\0'), 247)
+    if offset > size or MIN_RECORD_BYTES * records > offset:
         raise ValueError(f'{records:,} records in the {offset:,} bytes before the points')
     compressed = form >= 64
-    least = count // PER_BYTE if compressed else count * length
+    # Real scans need one byte or more per compressed point.
+    least = count // 4 if compressed else count * length
     if least > size - offset:
         raise ValueError(f'{size - offset:,} bytes for {count:,} points')
     return count, compressed
@@ -139,15 +132,16 @@ def read_e57_points(path: Path) -> np.ndarray:
     :raises ImportError: if there is no pye57.
     """
     size = path.stat().st_size
+    header_bytes = 48
     with path.open('rb') as file:
-        head = file.read(E57_HEADER)
-    if len(head) < E57_HEADER or head[:8] != b'ASTM-E57':
+        head = file.read(header_bytes)
+    if len(head) < header_bytes or head[:8] != b'ASTM-E57':
         raise ValueError('no E57 header')
     length, start, xml, page = struct.unpack_from('<QQQQ', head, 16)
     if length != size:
         raise ValueError(f'{size:,} of {length:,} bytes')
-    if page != PAGE:
-        raise ValueError(f'pages of {page:,} bytes, not {PAGE:,}')
+    if page != PAGE_BYTES:
+        raise ValueError(f'pages of {page:,} bytes, not {PAGE_BYTES:,}')
     _check_xml(_xml_of(path, start, xml))
     if not find_spec('pye57'):
         raise ImportError('pye57; pip install pye57')
@@ -157,13 +151,16 @@ def read_e57_points(path: Path) -> np.ndarray:
 
 def _xml_of(path: Path, start: int, length: int) -> bytes:
     """Return ``length`` bytes of XML of an E57 file from ``start`` on, without checksums."""
-    if length > XML:
+    # Files with thousands of scans need a tenth of it.
+    if length > 50_000_000:
         raise ValueError(f'{length:,} bytes of XML')
+    checksum_bytes = 4
     with path.open('rb') as file:
-        file.seek(start - start % PAGE)
-        pages = file.read((length // (PAGE - CHECKSUM) + 2) * PAGE)
-    logical = b''.join(pages[at:at + PAGE - CHECKSUM] for at in range(0, len(pages), PAGE))
-    xml = logical[start % PAGE:][:length]
+        file.seek(start - start % PAGE_BYTES)
+        pages = file.read((length // (PAGE_BYTES - checksum_bytes) + 2) * PAGE_BYTES)
+    logical = b''.join(pages[at:at + PAGE_BYTES - checksum_bytes]
+                       for at in range(0, len(pages), PAGE_BYTES))
+    xml = logical[start % PAGE_BYTES:][:length]
     if len(xml) < length:
         raise ValueError(f'{len(xml):,} of {length:,} bytes of XML')
     return xml
@@ -172,8 +169,10 @@ def _xml_of(path: Path, start: int, length: int) -> bytes:
 def _check_xml(content: bytes) -> None:
     """Refuse XML that names other files, or has an encoding in which this cannot be checked."""
     text = content.decode('utf-8')
-    encoding = ENCODING.match(text)
+    encoding = re.match(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)', text)
     if '\0' in text or encoding and encoding[1].lower() != 'utf-8':
         raise ValueError('XML that is not UTF-8')
-    if found := REFERENCES.search(text):
+    # These refer to other files, which the reader would open, also on other machines. XML without
+    # a DOCTYPE has no entities.
+    if found := re.search('<!DOCTYPE|<!ENTITY|schemaLocation', text, re.IGNORECASE):
         raise ValueError(f'XML with {found[0]}, which names other files')

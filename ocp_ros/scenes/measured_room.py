@@ -38,20 +38,19 @@ from scipy.spatial import ConvexHull, QhullError
 
 #: The walls: the axis normal to each, and whether the wall is at the far end of that axis.
 WALLS = {'south': (1, False), 'east': (0, True), 'north': (1, True), 'west': (0, False)}
+#: The number of corners of a room.
+CORNERS = 8
 #: Metres: the largest room.
-LARGEST = 100.0
-#: The number of corners of a room, and the least cosine between the normals of two triangles of
-#: one flat side.
-CORNERS, FLAT = 8, np.cos(np.deg2rad(3.0))
-LENGTH: Schema = {'type': 'number', 'minimum': 0.0, 'maximum': LARGEST}
+MAX_ROOM_M = 100.0
+LENGTH: Schema = {'type': 'number', 'minimum': 0.0, 'maximum': MAX_ROOM_M}
 OPENING = mapping(
     'a wall, and at, width and height', {'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1},
     ('wall', 'at', 'width', 'height'), wall=one_of(WALLS, 'south'),
     at=number('metres along the wall, 0 or more, from the corner with the lower x or y', 1.0,
-              minimum=0, maximum=LARGEST),
-    width=number('metres above 0', 0.9, exclusiveMinimum=0, maximum=LARGEST),
-    height=number('metres above 0', 2.1, exclusiveMinimum=0, maximum=LARGEST),
-    sill=number('metres above the floor, 0 or more', 0.9, minimum=0, maximum=LARGEST))
+              minimum=0, maximum=MAX_ROOM_M),
+    width=number('metres above 0', 0.9, exclusiveMinimum=0, maximum=MAX_ROOM_M),
+    height=number('metres above 0', 2.1, exclusiveMinimum=0, maximum=MAX_ROOM_M),
+    sill=number('metres above the floor, 0 or more', 0.9, minimum=0, maximum=MAX_ROOM_M))
 BOX = mapping(
     'a mapping with the key box', {'box': [[1, 1, 0], [2, 1.8, 0.75]]}, ('box',),
     box=many('the lowest and the highest corner, metres', array(LENGTH, 3, 3),
@@ -59,7 +58,7 @@ BOX = mapping(
 ROOM = mapping(
     'a room with the key size', {'size': [6, 4.5, 2.7]}, ('size',),
     size=many('length, width and height in metres, each from 1 to 100',
-              {'type': 'number', 'minimum': 1.0, 'maximum': LARGEST}, [6, 4.5, 2.7], 3, 3),
+              {'type': 'number', 'minimum': 1.0, 'maximum': MAX_ROOM_M}, [6, 4.5, 2.7], 3, 3),
     openings=many('a list of doors and windows that let one look out', OPENING,
                   [{'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1}], 0, 100),
     boxes=many('a list of boxes', BOX, [{'box': [[1, 1, 0], [2, 1.8, 0.75]]}], 0, 1000))
@@ -156,8 +155,8 @@ def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
         return None
     if len(hull.vertices) < CORNERS:
         return None
-    # The two triangles of a flat side have the same normal.
-    alike = hull.equations[:, :3] @ hull.equations[:, :3].T >= FLAT
+    # The two triangles of a flat side have the same normal, within 3 degrees.
+    alike = hull.equations[:, :3] @ hull.equations[:, :3].T >= np.cos(np.deg2rad(3.0))
     return points[hull.simplices], bool((alike.sum(axis=1) >= 2).all())
 
 

@@ -25,12 +25,9 @@ from ocp_ros.scenes.guarded_reading import read_guarded
 
 #: Suffixes of meshes. PLY files with faces are meshes too.
 MESHES = ('.glb', '.gltf', '.obj', '.off', '.stl')
-#: The number of sample points on a mesh of any size: 2 cm apart in an office, 5 cm in a hall.
-SAMPLES = 300_000
-#: The largest number of triangles of a small file: a scene graph may place one part many times.
-INSTANCES = 2_000_000
-#: Increments whose multiples fill the unit square evenly (M. Roberts, 2018: the sequence R2).
-SPREAD = np.array([0.7548776662466927, 0.5698402909980532])
+#: The default number of sample points on a mesh of any size: 2 cm apart in an office, 5 cm in a
+#: hall.
+MESH_SAMPLES = 300_000
 
 
 def read_mesh(path: Path) -> np.ndarray:
@@ -55,7 +52,7 @@ def read_mesh(path: Path) -> np.ndarray:
     ahead.start()
     try:
         # A face takes a byte or more, unless one part is placed many times.
-        return read_guarded('mesh', path, 9, max(path.stat().st_size, INSTANCES))
+        return read_guarded('mesh', path, 9, max(path.stat().st_size, 2_000_000))
     finally:
         ahead.join()
 
@@ -80,7 +77,7 @@ def _bare_vertices(path: Path) -> np.ndarray | None:
     return np.array(found, dtype=np.float64).reshape(-1, 3)
 
 
-def sampled(corners: np.ndarray, samples: int = SAMPLES) -> np.ndarray:
+def sampled(corners: np.ndarray, samples: int = MESH_SAMPLES) -> np.ndarray:
     """
     Sample points evenly by area over the faces of a mesh; the same mesh gives the same points.
 
@@ -118,7 +115,9 @@ def _spread(corners: np.ndarray, areas: np.ndarray, samples: int
     within = np.random.default_rng(0).random(samples)
     places = (np.arange(samples) + within) * (ends[-1] / samples)
     faces = np.minimum(np.searchsorted(ends, places, side='right'), len(ends) - 1)
-    shares = np.arange(samples)[:, None] * SPREAD % 1.0
+    # The multiples fill the unit square evenly (M. Roberts, 2018: the sequence R2).
+    increments = np.array([0.7548776662466927, 0.5698402909980532])
+    shares = np.arange(samples)[:, None] * increments % 1.0
     # Points beyond the diagonal of the square are mirrored into the triangle.
     shares = np.where(shares.sum(axis=1, keepdims=True) > 1.0, 1.0 - shares, shares)
     first, second, third = (corners[faces, corner] for corner in range(3))

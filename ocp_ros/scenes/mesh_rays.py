@@ -17,13 +17,6 @@
 import numpy as np
 from ocp_ros.scenes.scene import Mesh
 
-#: Metres: a ray that ends this near to a point has reached it. The first is three times the noise
-#: of a scan; the second allows for rounding if the points lie on the mesh.
-TOLERANCE, ROUNDING = 0.03, 0.0005
-
-#: Metres: a point within this distance of the camera has no direction.
-TINY = 1e-9
-
 
 class MeshRays:
     """
@@ -36,7 +29,8 @@ class MeshRays:
         # Open3D takes long to import, and code that only reads scenes does not need it.
         import open3d as o3d
         self._tensor = o3d.core.Tensor
-        self._tolerance = ROUNDING if mesh.exact else TOLERANCE
+        # Metres by which a ray may miss: three times the noise of a scan, or rounding.
+        self._tolerance = 0.0005 if mesh.exact else 0.03
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._tensor(mesh.vertices),
                                   self._tensor(mesh.triangles.astype(np.uint32)))
@@ -65,5 +59,5 @@ class MeshRays:
         """
         offset = points - np.asarray(position, dtype=np.float32)
         distance = np.linalg.norm(offset, axis=1)
-        hit = self.lengths(position, offset / np.maximum(distance, TINY)[:, None])
+        hit = self.lengths(position, offset / np.maximum(distance, 1e-9)[:, None])
         return (hit >= distance - self._tolerance) & (distance <= max_range)

@@ -28,58 +28,43 @@ from ocp_ros.geometry.normals import LEVEL, STEEP
 from ocp_ros.scenes.scene import MIN_POINTS, Scene
 from scipy.spatial import cKDTree
 
-#: Degrees and metres between candidate planes, the largest number of planes tested, and the least
-#: area of a plane in square metres.
-TURN, APART, PLANES, LEAST = 2.0, 0.1, 24, 1.0
-#: Metres: beyond ``BEHIND`` points are behind a plane, up to ``BESIDE`` they are near it, and the
-#: median of those behind it has to lie beyond ``DEEP``. The largest ratio of near points behind to
-#: near points in front; points whose normal has at least the last cosine to that of the plane do
-#: not count.
-BEHIND, BESIDE, DEEP, LESS, ALONG = 0.1, 0.4, 0.5, 0.6, 0.9
-#: The largest number of points tested; the largest distance of a mirrored point from its
-#: counterpart: metres at least, and in multiples of the spacing.
-TRIED, NEAR, SPACINGS = 4000, 0.08, 1.5
-#: Metres: with a larger match distance, mirror images look like a real room.
-SPARSE = 0.3
-#: Metres: the tested distances of a mirror from its wall.
-HUNG = (0.0, 0.03, 0.06)
-#: The least number of points with non-vertical normals.
-FEWEST = 50
-#: The least share of the points behind a mirror that have a counterpart, and the least share of
-#: all points that are behind it.
-MATCHED, SHARE = 0.85, 0.005
-
 
 def without_mirror_images(scene: Scene) -> Scene:
     """Leave out the points behind mirrors, with a note; return the same scene if none."""
     points, normals = scene.points.astype(np.float64), scene.normals_or_estimate
     area = scene.pitch.astype(np.float64) ** 2
-    near = max(NEAR, SPACINGS * float(np.median(scene.pitch)))
-    if near > SPARSE:
+    # The largest distance of a mirrored point from its counterpart, metres.
+    near = max(0.08, 1.5 * float(np.median(scene.pitch)))
+    # With a larger match distance, mirror images look like a real room.
+    if near > 0.3:
         return scene
     kept = np.ones(len(points), dtype=bool)
+    # A point farther behind a plane than this counts as behind it.
+    behind_m = 0.1
     for normal, offset in _planes(points, normals, area):
         away = points @ normal - offset
-        behind = kept & (away > BEHIND)
+        behind = kept & (away > behind_m)
         count = np.count_nonzero(behind)
-        if (not SHARE * len(points) <= count < 0.5 * len(points)
-                or np.median(away[behind]) < DEEP):
+        if (not 0.005 * len(points) <= count < 0.5 * len(points)
+                or np.median(away[behind]) < 0.5):
+            # Too few points are behind the plane, or they are too near to it.
             continue
-        # A real passage has about as much floor and wall near the plane on both sides.
-        across = kept & (np.abs(normals @ normal) < ALONG)
-        sides = [np.count_nonzero(across & (side > BEHIND) & (side < BESIDE))
+        # A real passage has about as much floor and wall within 0.4 m of the plane on both sides.
+        across = kept & (np.abs(normals @ normal) < 0.9)
+        sides = [np.count_nonzero(across & (side > behind_m) & (side < 0.4))
                  for side in (away, -away)]
-        if sides[0] > LESS * sides[1]:
+        if sides[0] > 0.6 * sides[1]:
             continue
         # Floors and ceilings match their mirror images everywhere, so they are excluded.
         some = np.flatnonzero(behind & (np.abs(normals[:, 2]) < LEVEL))
-        some = some[np.random.default_rng(0).permutation(len(some))[:TRIED]]
-        if len(some) < FEWEST:
+        some = some[np.random.default_rng(0).permutation(len(some))[:4000]]
+        if len(some) < 50:
             continue
-        before = cKDTree(points[kept & (away <= BEHIND)])
-        for hung in HUNG:
+        before = cKDTree(points[kept & (away <= behind_m)])
+        # Metres from a wall to a mirror on it.
+        for hung in (0.0, 0.03, 0.06):
             mirrored = points[some] - 2.0 * (away[some, None] + hung) * normal
-            if (before.query(mirrored, distance_upper_bound=near)[0] <= near).mean() >= MATCHED:
+            if (before.query(mirrored, distance_upper_bound=near)[0] <= near).mean() >= 0.85:
                 kept &= ~behind
                 break
     left_out = len(points) - np.count_nonzero(kept)
@@ -95,14 +80,17 @@ def _planes(points: np.ndarray, normals: np.ndarray, area: np.ndarray
     """Yield the largest vertical planes, each from both sides: unit normal (3,) and offset."""
     steep = np.flatnonzero(np.abs(normals[:, 2]) <= STEEP)
     angle = np.rad2deg(np.arctan2(normals[steep, 1], normals[steep, 0])) % 180.0
-    bins = np.round(angle / TURN).astype(int) % round(180.0 / TURN)
-    turns = np.deg2rad(TURN * bins)
+    turn_deg = 2.0
+    bins = np.round(angle / turn_deg).astype(int) % round(180.0 / turn_deg)
+    turns = np.deg2rad(turn_deg * bins)
     offset = points[steep, 0] * np.cos(turns) + points[steep, 1] * np.sin(turns)
-    cells, place = np.unique(np.stack([bins, np.floor(offset / APART).astype(int)], axis=1),
+    # Candidate planes are 10 cm apart.
+    cells, place = np.unique(np.stack([bins, np.floor(offset / 0.1).astype(int)], axis=1),
                              axis=0, return_inverse=True)
     areas = np.bincount(place, area[steep], len(cells))
-    for cell in np.argsort(-areas, kind='stable')[:PLANES]:
-        if areas[cell] < LEAST:
+    # The 24 largest planes of at least 1 m2 are tested.
+    for cell in np.argsort(-areas, kind='stable')[:24]:
+        if areas[cell] < 1.0:
             return
         own = steep[place == cell]
         turn, flat = turns[place == cell][0], normals[own, :2]

@@ -28,15 +28,6 @@ from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 from scipy.spatial import cKDTree
 
-#: Points per cell, as a share of the neighbours that are searched for: most of the neighbours then
-#: lie in the 27 cells around a point.
-SHARE = 0.5
-#: A cloud counts as uneven if its fullest cell has this many times the usual number of points, or
-#: if the grid has more than this many cells per point.
-CROWDED, SPARSE = 16.0, 16.0
-#: The number of parts that are searched in parallel.
-PARTS = 4
-
 
 def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """
@@ -52,25 +43,29 @@ def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     extent = high - low
     # The surface area of a room is about that of its bounding box.
     surface = 2.0 * float(extent @ np.roll(extent, 1))
-    edge = np.sqrt(max(surface, 1e-12) * SHARE * count / len(points))
+    # With half as many points per cell, most of the neighbours lie in the 27 cells around a point.
+    points_per_cell = 0.5 * count
+    edge = np.sqrt(max(surface, 1e-12) * points_per_cell / len(points))
     # A border of empty cells: each cell with points has all its neighbour cells.
     shape = np.floor(extent / edge) + 3
-    if len(points) > count and np.prod(shape) <= SPARSE * len(points):
+    if len(points) > count and np.prod(shape) <= 16.0 * len(points):
         shape = shape.astype(np.int64)
         cells = ((points - low) / edge).astype(np.int64) + 1
         numbers = (cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2]
         held = np.bincount(numbers, minlength=np.prod(shape))
-        if held.max() <= CROWDED * SHARE * count:
+        # An uneven cloud has crowded cells, or many empty ones.
+        if held.max() <= 16.0 * points_per_cell:
             order = np.argsort(numbers, kind='stable')
             starts = np.concatenate([[0], np.cumsum(held)])
             offsets = np.array(sorted(product((-1, 0, 1), repeat=3), key=np.linalg.norm))
             around = offsets @ [shape[1] * shape[2], shape[2], 1]
             distances = np.full((len(points), count), np.inf)
             indices = np.full((len(points), count), len(points))
-            ends = len(points) * np.arange(PARTS + 1) // PARTS
+            parts = 4
+            ends = len(points) * np.arange(parts + 1) // parts
             ordered = points[order], order, numbers[order], starts, around, count
             mapped(lambda k: _search(*ordered, ends[k], ends[k + 1], distances, indices),
-                   range(PARTS))
+                   range(parts))
             far = np.flatnonzero(distances[:, -1] > edge)
             if len(far):
                 distances[far], indices[far] = _by_tree(points, points[far], count)

@@ -22,16 +22,6 @@ from ocp_ros.scenes.text_tables import read_table, TableForm
 from ocp_ros.util.terminal_text import printable
 from scipy.spatial.transform import Rotation
 
-#: The largest number of bytes of a header line, and of lines of a header.
-LONGEST, LINES = 1 << 16, 1000
-#: The largest number of bytes that LibLZF unpacks from one byte: it copies up to 264 bytes for
-#: three.
-EXPANSION = 88
-#: The largest number of points per byte of a file.
-PER_BYTE = 4
-#: The VIEWPOINT of points that are already in the map frame.
-STILL = (0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-
 _log = logging.getLogger(__name__)
 
 
@@ -53,7 +43,7 @@ def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
     # Each number in a text takes two bytes; real binary files need a byte or more per point,
     # packed or not.
     size = path.stat().st_size
-    if count > PER_BYTE * size or header['DATA'] == ['ascii'] and (
+    if count > 4 * size or header['DATA'] == ['ascii'] and (
             2 * count * len(layout.names) > size):
         raise ValueError(f'{count:,} points in {size:,} bytes')
     if header['DATA'] == ['ascii']:
@@ -79,7 +69,9 @@ def _placed(fields: dict[str, np.ndarray], viewpoint: list[str], name: str
         anew.
     """
     numbers = np.array([float(number) for number in viewpoint])
-    if len(numbers) != 7 or np.array_equal(numbers, STILL) or not fields.keys() >= set('xyz'):
+    # This viewpoint is the identity: the points are already in the map frame.
+    if (len(numbers) != 7 or np.array_equal(numbers, (0, 0, 0, 1, 0, 0, 0))
+            or not fields.keys() >= set('xyz')):
         return fields
     if not np.isfinite(numbers).all() or not numbers[3:].any():
         raise ValueError(f'VIEWPOINT {" ".join(viewpoint)[:60]}')
@@ -93,8 +85,8 @@ def _placed(fields: dict[str, np.ndarray], viewpoint: list[str], name: str
 def _pcd_header(file) -> tuple[dict[str, list[str]], int]:
     """Read the header of a PCD file up to its last line; return it and its number of lines."""
     header, lines = {}, 0
-    while 'DATA' not in header and lines < LINES:
-        line = file.readline(LONGEST)
+    while 'DATA' not in header and lines < 1000:
+        line = file.readline(1 << 16)
         if not line.endswith(b'\n'):
             raise ValueError('no DATA line')
         lines += 1
@@ -130,7 +122,8 @@ def _pcd_ascii(path: Path, layout: np.dtype, skip: int) -> dict[str, np.ndarray]
 def _pcd_compressed(body: bytes, layout: np.dtype, count: int) -> dict[str, np.ndarray]:
     """Unpack the fields of a compressed PCD file, which are stored one after the other."""
     packed, size = (int(number) for number in np.frombuffer(body, '<u4', 2))
-    if size > EXPANSION * len(body) or layout.itemsize * count > size:
+    # LibLZF unpacks up to 264 bytes from three.
+    if size > 88 * len(body) or layout.itemsize * count > size:
         raise ValueError(f'{count:,} points in {size:,} bytes, packed to {len(body):,}')
     body, start, fields = _lzf(body[8:8 + packed], size), 0, {}
     for field in layout.names:

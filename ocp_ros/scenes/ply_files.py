@@ -22,13 +22,6 @@ import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
 from plyfile import PlyData
 
-#: The largest size of a header in bytes, since plyfile reads it byte by byte.
-HEADER = 1 << 18
-#: The largest number of rows with lists: each takes a microsecond or two and 100 bytes.
-LISTS = 1_000_000
-#: The columns of a room's points, with normals if there are any.
-COLUMNS = ('x', 'y', 'z', 'nx', 'ny', 'nz')
-
 
 class PlyPart(NamedTuple):
     """
@@ -72,9 +65,12 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     if not vertices.kinds.keys() >= set('xyz'):
         return dict.fromkeys(vertices.kinds, np.empty(0))
     if any(part.has_lists for part in read):
-        if (lists := sum(part.count for part in read if part.has_lists)) > LISTS:
-            raise ValueError(f'{lists:,} rows with lists up to its vertices, more than {LISTS:,}')
-        columns = [name for name in COLUMNS if name in vertices.kinds]
+        # Each row takes a microsecond or two and 100 bytes.
+        max_list_rows = 1_000_000
+        if (lists := sum(part.count for part in read if part.has_lists)) > max_list_rows:
+            raise ValueError(f'{lists:,} rows with lists up to its vertices, more than '
+                             f'{max_list_rows:,}')
+        columns = [name for name in ('x', 'y', 'z', 'nx', 'ny', 'nz') if name in vertices.kinds]
         rows = read_guarded('ply', path, len(columns), vertices.count, columns)
         return dict(zip(columns, rows.T))
     if len(read) == len(parts):
@@ -99,13 +95,15 @@ def has_faces(path: Path) -> bool:
 
 def _parts(path: Path) -> tuple[bytes, bytes, list[PlyPart]]:
     """Return the header, its line ending, and its elements; refuse a file too small for them."""
+    # plyfile reads a header byte by byte.
+    max_header_bytes = 1 << 18
     with path.open('rb') as file:
-        head = file.read(HEADER)
+        head = file.read(max_header_bytes)
     # The first line shows the line ending.
     end_of_line = b'\r\n' if head[3:5] == b'\r\n' else head[3:4]
     header, end, _ = head.partition(end_of_line + b'end_header' + end_of_line)
     if head[:3] != b'ply' or not end:
-        raise ValueError(f'no PLY header within {HEADER:,} bytes')
+        raise ValueError(f'no PLY header within {max_header_bytes:,} bytes')
     parts: list[PlyPart] = []
     at = 0
     for line in header.split(end_of_line):

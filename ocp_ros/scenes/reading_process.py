@@ -34,15 +34,8 @@ from urllib.parse import unquote
 import numpy as np
 from ocp_ros.util.confinement import confine, limit
 
-#: LAS classes that are not surfaces: low and high noise.
-NOISE = (7, 18)
 #: Bytes of points that are processed at once.
-PART = 1 << 25
-#: Formats that Open3D reads with its own, better reader; all others go through the library Assimp,
-#: which stores coordinates as float32.
-OWN = ('.ply', '.off')
-#: The largest step between two float32 coordinates, as a share of the extent of the mesh.
-COARSE = 1e-4
+BYTES_AT_ONCE = 1 << 25
 
 
 def las_rows(path: str) -> Iterator[np.ndarray]:
@@ -53,8 +46,9 @@ def las_rows(path: str) -> Iterator[np.ndarray]:
     """
     import laspy
     with laspy.open(path, read_evlrs=False) as file:
-        for points in file.chunk_iterator(max(PART // file.header.point_format.size, 1)):
-            kept = ~np.isin(points.classification, NOISE) & (np.asarray(points.withheld) == 0)
+        for points in file.chunk_iterator(max(BYTES_AT_ONCE // file.header.point_format.size, 1)):
+            # Classes 7 and 18 are noise, not surfaces.
+            kept = ~np.isin(points.classification, (7, 18)) & (np.asarray(points.withheld) == 0)
             yield np.stack([points.x, points.y, points.z, kept], axis=1)
 
 
@@ -76,13 +70,15 @@ def mesh_rows(path: str) -> Iterator[np.ndarray]:
     vertices, triangles = _mesh(open3d.io, path)
     if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
         raise ValueError('faces with vertices that are not there')
-    for first in range(0, len(triangles), PART // 72):
-        yield vertices[triangles[first:first + PART // 72]].reshape(-1, 9)
+    for first in range(0, len(triangles), BYTES_AT_ONCE // 72):
+        yield vertices[triangles[first:first + BYTES_AT_ONCE // 72]].reshape(-1, 9)
 
 
 def _mesh(io, path: str) -> tuple[np.ndarray, np.ndarray]:
     """Read the vertices (V, 3) and triangles (T, 3) of a file, all its parts in one frame."""
-    if path.lower().endswith(OWN):
+    # Open3D reads these with its own, better reader; all others go through the library Assimp,
+    # which stores coordinates as float32.
+    if path.lower().endswith(('.ply', '.off')):
         meshes = [io.read_triangle_mesh(path)]
     else:
         # read_triangle_mesh is not used: it leaves out faces with more than three corners (0.20).
@@ -103,7 +99,7 @@ def _check_rounding(vertices: np.ndarray) -> None:
     vertices = vertices[np.isfinite(vertices).all(axis=1)]
     if len(vertices):
         step = abs(vertices).max() * np.finfo(np.float32).eps
-        if step > COARSE * np.ptp(vertices, axis=0).max():
+        if step > 1e-4 * np.ptp(vertices, axis=0).max():
             raise ValueError('a mesh so far from the origin that its reader rounds it: move it '
                              'near the origin, or save it as .ply')
 
@@ -143,9 +139,9 @@ def named_files(path: str) -> list[str]:
 
 #: The reader of each kind, and the packages that it imports before the process gives up its
 #: rights.
-READ = {'e57': (e57_rows, 'pye57'), 'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
-        'mesh': (mesh_rows, 'open3d'),
-        'ply': (ply_rows, 'plyfile', 'encodings.ascii')}
+READERS = {'e57': (e57_rows, 'pye57'), 'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
+           'mesh': (mesh_rows, 'open3d'),
+           'ply': (ply_rows, 'plyfile', 'encodings.ascii')}
 
 
 def main(arguments: list[str]) -> int:
@@ -153,12 +149,12 @@ def main(arguments: list[str]) -> int:
     Read a file.
 
     :param arguments: the limits (bytes of memory, seconds of all cores, bytes written), a key of
-        ``READ``, the path, and more arguments of the reader.
+        ``READERS``, the path, and more arguments of the reader.
     :returns: the exit code: 1 if the file cannot be read.
     """
     limit(*map(int, arguments[:3]))
     kind, path, *more = arguments[3:]
-    read, *packages = READ[kind]
+    read, *packages = READERS[kind]
     with os.fdopen(os.dup(1), 'wb') as rows:
         # Text that libraries print must not mix with the rows.
         os.dup2(2, 1)

@@ -27,18 +27,8 @@ import numpy as np
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 
-#: The test areas (the others are for training), and the number of rooms used per area.
-TEST_AREAS, PER_AREA = (6,), 10
-#: Rooms whose floor is not flat.
-NOT_FLAT = ('stairs', 'auditorium')
-#: The least and the largest floor area of the bounding box in square metres that four cameras
-#: roughly cover.
-FLOOR = (20.0, 130.0)
-#: The least share of a closed room's floor with a ceiling above it, and the edge of the cells of
-#: this test in metres.
-CLOSED, CELL = 0.9, 0.25
-#: The number of points that a room is thinned to.
-POINTS = 15000
+#: The areas for tests; the others are for training.
+TEST_AREAS = (6,)
 
 
 def s3dis_folder() -> Path | None:
@@ -77,19 +67,21 @@ def chosen_rooms(folder: Path, area: int) -> list[Path]:
     """
     fitting = []
     for path in rooms_of_area(folder, area):
-        if path.parent.name.rpartition('_')[0] in NOT_FLAT:
+        # These have no flat floor.
+        if path.parent.name.rpartition('_')[0] in ('stairs', 'auditorium'):
             continue
-        scene = load_cached(path, max_points=POINTS)
+        scene = load_cached(path, max_points=15000)
         floor = float(np.prod(scene.size[:2]))
-        if FLOOR[0] <= floor <= FLOOR[1] and (area in TEST_AREAS or is_closed(scene)):
+        # Four cameras roughly cover this floor area in square metres.
+        if 20.0 <= floor <= 130.0 and (area in TEST_AREAS or is_closed(scene)):
             fitting.append((-floor, path))
-    return [path for _, path in sorted(fitting)[:PER_AREA]]
+    return [path for _, path in sorted(fitting)[:10]]
 
 
 def is_closed(scene: Scene) -> bool:
     """Return whether a room has a ceiling above nearly all of its floor."""
     points, (low, high) = scene.points, scene.bounds
-    cells = np.floor((points[:, :2] - low[:2]) / CELL).astype(np.int64)
+    cells = np.floor((points[:, :2] - low[:2]) / 0.25).astype(np.int64)
     below = {tuple(cell) for cell in cells[points[:, 2] < low[2] + 0.3]}
     above = {tuple(cell) for cell in cells[points[:, 2] > 0.5 * (low[2] + high[2]) + 0.5]}
-    return len(below & above) >= CLOSED * max(len(below), 1)
+    return len(below & above) >= 0.9 * max(len(below), 1)

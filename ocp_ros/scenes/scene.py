@@ -30,15 +30,11 @@ from scipy.spatial.distance import pdist
 
 MIN_POINTS = 100
 #: The number of nearest points, including the point, to which its plane is fitted.
-NEIGHBOURS = 14
-#: Metres: the upper limit of a scene's largest extent, and of its smallest extent.
-LARGEST, HIGHEST = 500.0, 40.0
-#: Metres: a cloud that is thinner than this in some direction is flat.
-FLAT = 0.05
+PLANE_NEIGHBOURS = 14
+#: Metres: the upper limit of the largest extent of a scene.
+MAX_EXTENT_M = 500.0
 #: Length in metres of units that scanners export.
-UNITS = {'millimetres': 0.001, 'centimetres': 0.01, 'inches': 0.0254}
-#: Metres: the least, the usual and the greatest height of a room, to guess its unit.
-LOW, USUAL, TALL = 1.5, 2.7, 12.0
+UNITS_M = {'millimetres': 0.001, 'centimetres': 0.01, 'inches': 0.0254}
 
 
 class SceneError(UserError):
@@ -132,7 +128,7 @@ class Scene:
     @cached_property
     def _neighbours(self) -> tuple[np.ndarray, np.ndarray]:
         """Return distances and indices of the nearest points, the point itself first."""
-        return nearest(self.points, NEIGHBOURS)
+        return nearest(self.points, PLANE_NEIGHBOURS)
 
     @cached_property
     def normals_or_estimate(self) -> np.ndarray:
@@ -224,33 +220,36 @@ def _check_size(points: np.ndarray, name: str, up: int) -> None:
     """Refuse a bounding box that is flat or does not have the size of a room in metres."""
     size = np.ptp(corners_of(points), axis=0)
     found = f'{name}: found a bounding box of ' + ' x '.join(f'{s:.4g}' for s in size)
-    if size.max() > LARGEST or size.min() > HIGHEST:
+    # The smallest extent of a room, its height or its width, is at most 40 m.
+    if size.max() > MAX_EXTENT_M or size.min() > 40.0:
         core = np.subtract(*np.percentile(points, [98, 2], axis=0))
-        if size.max() > LARGEST and core.max() <= 0.1 * size.max():
+        if size.max() > MAX_EXTENT_M and core.max() <= 0.1 * size.max():
             raise SceneError(f'{found} m around points that mostly lie within {core.max():.3g}; '
                              'expected one room; remove the stray points')
         units = _units_of(core, up)
         if not units:
             raise SceneError(f'{found}; expected metres, and no room is that large, nor in '
-                             f'{", ".join(UNITS)}; scale it to metres (--scale), or cut one room '
-                             'out of it')
-        scales = ' or '.join(f'--scale {UNITS[unit]:g}' for unit in units)
+                             f'{", ".join(UNITS_M)}; scale it to metres (--scale), or cut one '
+                             'room out of it')
+        scales = ' or '.join(f'--scale {UNITS_M[unit]:g}' for unit in units)
         raise SceneError(f'{found}; expected metres, and no room is that large: these look like '
                          f'{" or ".join(units)}; scale it ({scales})')
     if size.max() < 0.5:
         raise SceneError(f'{found}; expected a room of at least 0.5 m: the unit may not be the '
                          'metre; correct it (--scale, 1000 for kilometres), or check the export')
-    if size.min() < FLAT or _thickness(points) < FLAT:
+    min_thickness_m = 0.05
+    if size.min() < min_thickness_m or _thickness(points) < min_thickness_m:
         raise SceneError(f'{found} m; expected a room with volume: the cloud is flat; use a scan '
                          'that shows more than one wall')
 
 
 def _units_of(size: np.ndarray, up: int) -> list[str]:
     """Return the units in which an extent (3,) is that of a room, the most likely first."""
-    heights = {unit: scale * size[up] for unit, scale in UNITS.items()
-               if scale * size.max() <= LARGEST}
-    return sorted((unit for unit, height in heights.items() if LOW <= height <= TALL),
-                  key=lambda unit: abs(np.log(heights[unit] / USUAL)))
+    heights = {unit: scale * size[up] for unit, scale in UNITS_M.items()
+               if scale * size.max() <= MAX_EXTENT_M}
+    # A room is usually 2.7 m high, and 1.5 to 12 m at all.
+    return sorted((unit for unit, height in heights.items() if 1.5 <= height <= 12.0),
+                  key=lambda unit: abs(np.log(heights[unit] / 2.7)))
 
 
 def _thickness(points: np.ndarray) -> float:

@@ -26,12 +26,10 @@ from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import cache_folder, write_atomically
 
-#: The least size in bytes of a file whose scene is cached.
-LARGE = 4_000_000
+#: The least size in bytes of a file whose scene is cached: smaller files are read as fast.
+MIN_CACHED_BYTES = 4_000_000
 #: The version of the cache format; raise it when reading a file gives another result.
-LAYOUT = 3
-#: The folder of the scenes within the cache.
-SCANS = 'scans'
+CACHE_VERSION = 3
 
 
 def load_cached(path: str | Path, **options) -> Scene:
@@ -50,14 +48,14 @@ def load_cached(path: str | Path, **options) -> Scene:
         state = path.stat()
     except OSError:
         return load_scene(path, **options)
-    if state.st_size < LARGE:
+    if state.st_size < MIN_CACHED_BYTES:
         return load_scene(path, **options)
-    known = [__version__, LAYOUT, path.absolute(), state.st_size, state.st_mtime_ns,
+    known = [__version__, CACHE_VERSION, path.absolute(), state.st_size, state.st_mtime_ns,
              sorted(options.items())]
     folder = cache_folder()
     if folder is None:
         return load_scene(path, **options)
-    kept = folder / SCANS / f'{hashlib.sha256(str(known).encode()).hexdigest()[:24]}.npz'
+    kept = folder / 'scans' / f'{hashlib.sha256(str(known).encode()).hexdigest()[:24]}.npz'
     try:
         with kept.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
             source = SourceFrame(float(arrays['scale']), arrays['rotation'], arrays['shift'])

@@ -24,12 +24,12 @@ import warnings
 
 import numpy as np
 from ocp_ros.geometry.clouds import away_from, corners_of
-from ocp_ros.geometry.voxels import SMALLEST, voxel_downsample, voxel_size_for
+from ocp_ros.geometry.voxels import MIN_VOXEL_M, voxel_downsample, voxel_size_for
 from ocp_ros.scenes.file_formats import Declared, declared_by, MEASURED, READERS
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
 from ocp_ros.scenes.main_room import main_room
 from ocp_ros.scenes.measured_room import CORNERS, room_between
-from ocp_ros.scenes.mesh_files import sampled, SAMPLES
+from ocp_ros.scenes.mesh_files import MESH_SAMPLES, sampled
 from ocp_ros.scenes.mirror_images import without_mirror_images
 from ocp_ros.scenes.scene import (
     check_numbers,
@@ -55,13 +55,8 @@ from ocp_ros.util.settings import UserError
 from ocp_ros.util.terminal_text import printable
 from plyfile import PlyData, PlyElement
 
-FAR = 1000.0
-#: Metres: no room has both a lower height than the first and a shorter length than the second.
-SMALL = (1.0, 1.5)
 #: The number of sample points on a mesh from which its size, axes and stray parts are found.
-ROUGH = 60_000
-#: Metres: faces farther than this outside of the bounds of the kept points are stray.
-NEAR = 0.5
+ROUGH_SAMPLES = 60_000
 
 _log = logging.getLogger(__name__)
 
@@ -178,17 +173,17 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
     if corners is not None:
         mesh = _mesh_of(corners, source, corners_of(points))
         solids = None if said.solids is None else source.to_map(said.solids)
-        inner = inner_surface(mesh, max_points or SAMPLES, voxel_size, name, solids)
+        inner = inner_surface(mesh, max_points or MESH_SAMPLES, voxel_size, name, solids)
     if mesh is not None and inner is None:
         remarks += ('no air is closed in: all faces count, from both sides',)
         if voxel_size:
             mesh = replace(mesh, exact=False)
-        rows = sampled(mesh.corners, SAMPLES if voxel_size else max_points or SAMPLES)
+        rows = sampled(mesh.corners, MESH_SAMPLES if voxel_size else max_points or MESH_SAMPLES)
         points, normals = (part.astype(np.float32) for part in np.hsplit(rows, 2))
     if inner is not None:
         scene = Scene(inner.points, called, inner.normals, mesh, source, tuple(notes),
                       remarks + inner.remarks)
-        return _told(scene if all_rooms else main_room(scene, inner.points), name)
+        return _warned(scene if all_rooms else main_room(scene, inner.points), name)
     merged = _merge(points, voxel_size, max_points, name)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
@@ -204,10 +199,10 @@ def _scene_from(rows: np.ndarray, name: str, called: str, said: Declared,
         # Points behind a mirror must not count as another room.
         points = scene.points
     scene = without_outside(scene)
-    return _told(scene if all_rooms else main_room(scene, points), name)
+    return _warned(scene if all_rooms else main_room(scene, points), name)
 
 
-def _told(scene: Scene, name: str) -> Scene:
+def _warned(scene: Scene, name: str) -> Scene:
     """Show the notes of a room as warnings, and return the room."""
     for note in scene.notes:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=4)
@@ -222,7 +217,7 @@ def _between(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray, lis
                          'expected those, or at least 100 points of a scan; measure the corners '
                          'again')
     corners, flat = found
-    return sampled(corners, ROUGH), corners, [] if flat else [
+    return sampled(corners, ROUGH_SAMPLES), corners, [] if flat else [
         'found eight corners between which sides are not flat; expected six flat ones; measure '
         'the corners again unless the room is so']
 
@@ -234,7 +229,10 @@ def _mesh_of(corners: np.ndarray, source: SourceFrame, bounds: np.ndarray) -> Me
     :param bounds: (2, 3) metres, the bounds of the kept points: triangles far outside are stray.
     """
     corners = source.to_map(corners[np.isfinite(corners).all(axis=(1, 2))])
-    inside = (corners.min(axis=1) >= bounds[0] - NEAR) & (corners.max(axis=1) <= bounds[1] + NEAR)
+    # Faces farther than this outside of the bounds of the kept points are stray.
+    margin_m = 0.5
+    inside = ((corners.min(axis=1) >= bounds[0] - margin_m)
+              & (corners.max(axis=1) <= bounds[1] + margin_m))
     vertices = corners[inside.all(axis=1)].reshape(-1, 3)
     return Mesh(vertices.astype(np.float32),
                 np.arange(len(vertices), dtype=np.int32).reshape(-1, 3), exact=True)
@@ -334,8 +332,8 @@ def _check_options(name: str, voxel_size: float, max_points: int, scale: float, 
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
             raise SceneError(f'{name}: found {option}={value!r}; expected a number')
     for option, value, usable, expected in (
-            ('voxel_size', voxel_size, voxel_size == 0 or SMALLEST <= voxel_size < np.inf,
-             f'0 or at least {SMALLEST} m'),
+            ('voxel_size', voxel_size, voxel_size == 0 or MIN_VOXEL_M <= voxel_size < np.inf,
+             f'0 or at least {MIN_VOXEL_M} m'),
             ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
              f'0 or at least {MIN_POINTS}'),
             ('scale', scale, by_file and scale == 0 or 1e-6 <= scale <= 1e6,
@@ -367,7 +365,7 @@ def _read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
         if rows.shape[1] < 9:
             return rows, None
         corners = rows.reshape(-1, 3, 3)
-        return sampled(corners, ROUGH), corners
+        return sampled(corners, ROUGH_SAMPLES), corners
     except UserError as error:
         raise SceneError(str(error)) from error
     except ImportError as error:
@@ -416,7 +414,7 @@ def _is_room(points: np.ndarray, name: str) -> bool:
 def _near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Move distant coordinates, which float32 would round; return the shift (3,), metres, too."""
     low, high = corners_of(points)
-    if np.linalg.norm(np.maximum(abs(low), abs(high))) <= FAR:
+    if np.linalg.norm(np.maximum(abs(low), abs(high))) <= 1000.0:
         return points, np.zeros(3)
     offset = np.round(low, -2) + 0.0
     # This is a warning, since all placements found will be in the moved coordinates.
@@ -448,10 +446,12 @@ def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: st
 def _size_notes(points: np.ndarray, up: str) -> list[str]:
     """Return a note if a room is smaller than any real one, as with a wrong scale."""
     size = np.ptp(corners_of(points), axis=0)
-    if size[axis_of(up)] >= SMALL[0] or size.max() >= SMALL[1]:
+    # No room has both a lower height and a shorter length.
+    least_m = (1.0, 1.5)
+    if size[axis_of(up)] >= least_m[0] or size.max() >= least_m[1]:
         return []
     return [f'found a room of {" x ".join(f"{edge:.3g}" for edge in size)} m; expected one that '
-            f'is {SMALL[0]:g} m high or {SMALL[1]:g} m long; correct the scale (--scale), '
+            f'is {least_m[0]:g} m high or {least_m[1]:g} m long; correct the scale (--scale), '
             'or go on if the room is that small']
 
 

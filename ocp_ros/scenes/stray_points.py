@@ -20,33 +20,12 @@ from ocp_ros.geometry.clouds import (
     cell_numbers,
     cells_numbered,
     corners_of,
-    REACH,
+    MAX_CELL,
 )
 from ocp_ros.scenes.neighbours import nearest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
-
-#: The edge of the cells that are connected: metres at least, and in multiples of the point
-#: spacing.
-EDGE, SPACINGS = 0.25, 4.0
-#: Per cent of the points at either end of an axis that are ignored for the size of the room.
-ENDS = 2.0
-#: The least distance in metres of a stray group from the bounds of the room, and its largest share
-#: of the points: the second share applies if the group is farther away than the diagonal of the
-#: room.
-AWAY, SHARE, FAR_SHARE = 1.0, 0.002, 0.05
-#: The number of neighbours that are examined; a point that is in fewer neighbour lists than the
-#: second number is a candidate; so is a point whose neighbour of the third number is farther than
-#: the fourth number times the median distance.
-AROUND, LISTED, NEIGHBOUR, FARTHER = 12, 3, 8, 3.0
-#: The least ratio of the smallest to the middle eigenvalue for points that lie on no plane, and
-#: the largest ratio of the middle to the largest one for points that lie on a line, such as the
-#: far rings of a laser scanner.
-PLANE, LINE = 0.1, 0.05
-#: The number of passes, and the largest share of isolated points: a larger share is a property of
-#: the scanner, and no point counts as isolated.
-TIMES, MOST = 2, 0.05
 
 
 def isolated_points(points: np.ndarray) -> np.ndarray:
@@ -60,23 +39,28 @@ def isolated_points(points: np.ndarray) -> np.ndarray:
     :returns: (N,) bool; all False if there would be too many.
     """
     left = np.ones(len(points), dtype=bool)
-    for _ in range(TIMES):
+    neighbours = 12
+    for _ in range(2):
         rest = points[left]
-        if len(rest) <= 10 * AROUND:
+        if len(rest) <= 10 * neighbours:
             break
-        distances, indices = nearest(rest, AROUND + 1)
+        distances, indices = nearest(rest, neighbours + 1)
         listed = np.bincount(indices[:, 1:].ravel(), minlength=len(rest))
-        far = distances[:, NEIGHBOUR] > FARTHER * np.median(distances[:, NEIGHBOUR])
-        lone = listed < LISTED
+        # The eighth neighbour of a far point is three times as far as usual.
+        far = distances[:, 8] > 3.0 * np.median(distances[:, 8])
+        # A point in fewer than three neighbour lists is alone.
+        lone = listed < 3
         asked = np.flatnonzero(far | lone)
         around = rest[indices[asked]].astype(np.float64)
         around -= around.mean(axis=1, keepdims=True)
         values = np.linalg.eigvalsh(np.einsum('mpi,mpj->mij', around, around))
-        on_line = values[:, 1] <= LINE * values[:, 2]
-        lone[asked] = ~on_line & (lone[asked] | (values[:, 0] >= PLANE * values[:, 1]))
+        # Points on a line, such as the far rings of a laser scanner, are not isolated.
+        on_line = values[:, 1] <= 0.05 * values[:, 2]
+        lone[asked] = ~on_line & (lone[asked] | (values[:, 0] >= 0.1 * values[:, 1]))
         left[np.flatnonzero(left)[lone]] = False
     isolated = ~left
-    return isolated if isolated.mean() <= MOST else np.zeros(len(points), dtype=bool)
+    # A larger share is a property of the scanner.
+    return isolated if isolated.mean() <= 0.05 else np.zeros(len(points), dtype=bool)
 
 
 def stray_points(points: np.ndarray) -> np.ndarray:
@@ -91,14 +75,15 @@ def stray_points(points: np.ndarray) -> np.ndarray:
     :returns: (N,) bool.
     """
     points = np.asarray(points, dtype=np.float64)
-    core = np.subtract(*np.percentile(points, [100.0 - ENDS, ENDS], axis=0))
+    # Two per cent of the points at either end do not count for the size of the room.
+    core = np.subtract(*np.percentile(points, [98.0, 2.0], axis=0))
     with np.errstate(over='ignore'):
         area = 2.0 * (core[0] * core[1] + core[1] * core[2] + core[2] * core[0])
-        edge = max(EDGE, SPACINGS * np.sqrt(area / len(points)))
+        edge = max(0.25, 4.0 * np.sqrt(area / len(points)))
         if not np.isfinite(edge):
             return np.zeros(len(points), dtype=bool)
         cells = (points - np.median(points, axis=0)) / edge
-    cells = np.clip(np.floor(cells), 1 - REACH, REACH - 1).astype(np.int64)
+    cells = np.clip(np.floor(cells), 1 - MAX_CELL, MAX_CELL - 1).astype(np.int64)
     numbers, cell = np.unique(cell_numbers(cells), return_inverse=True)
     group = _groups(cells_numbered(numbers))[cell]
     sizes = np.bincount(group)
@@ -106,8 +91,10 @@ def stray_points(points: np.ndarray) -> np.ndarray:
     away = np.full(len(sizes), np.inf)
     with np.errstate(over='ignore'):
         np.minimum.at(away, group, away_from(points, corners))
-    share = np.where(away > np.linalg.norm(corners[1] - corners[0]), FAR_SHARE, SHARE)
-    return ((away > max(AWAY, edge)) & (sizes <= share * len(points)))[group]
+    # A group farther away than the diagonal of the room may have more points.
+    share = np.where(away > np.linalg.norm(corners[1] - corners[0]), 0.05, 0.002)
+    # A stray group is a metre away, or the edge of a cell.
+    return ((away > max(1.0, edge)) & (sizes <= share * len(points)))[group]
 
 
 def _groups(cells: np.ndarray) -> np.ndarray:

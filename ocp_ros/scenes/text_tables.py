@@ -23,16 +23,8 @@ import warnings
 import numpy as np
 from ocp_ros.scenes.scene import SceneError
 
-#: Bytes of the longest line accepted, and bytes that are read at once.
-LONGEST, PIECE = 100_000, 1 << 20
-#: The byte order mark of some UTF-8 files, decoded as Latin-1.
-MARK = b'\xef\xbb\xbf'.decode('latin-1')
 #: NaN and inf as old programs for Windows write them.
-NONFINITE = re.compile(r'([+-]?)1\.#(QNAN|SNAN|IND|INF|NAN)0*')
-#: The unit after the name of a column.
-BEHIND = re.compile(r'\s*[\[(][^\])]*[\])]\s*$')
-#: Names of vector columns that contain positions.
-VECTORS = re.compile('xyz|point|pos|coord')
+WINDOWS_NONFINITE = re.compile(r'([+-]?)1\.#(QNAN|SNAN|IND|INF|NAN)0*')
 
 
 class TableForm(NamedTuple):
@@ -60,7 +52,7 @@ class TableForm(NamedTuple):
 
     def number(self, text: str) -> float:
         """Read a number."""
-        if self.windows and (found := NONFINITE.fullmatch(text)):
+        if self.windows and (found := WINDOWS_NONFINITE.fullmatch(text)):
             return float('nan' if found[2] != 'INF' else f'{found[1]}inf')
         return float(text.replace(',', '.') if self.decimal_comma else text)
 
@@ -139,12 +131,13 @@ def _check_lines(path: Path) -> None:
     """Refuse a text with a line that is too long, before any line is parsed."""
     length = 0
     with path.open('rb') as file:
-        while piece := file.read(PIECE):
+        max_line_bytes = 100_000
+        while piece := file.read(1 << 20):
             first, *others = re.split(rb'[\r\n]', piece)
             longest = max([length + len(first), *map(len, others)])
-            if longest > LONGEST:
-                raise SceneError(f'{path.name}: found a line of more than {LONGEST:,} bytes; '
-                                 'expected lines of numbers x y z; name the right file, or '
+            if longest > max_line_bytes:
+                raise SceneError(f'{path.name}: found a line of more than {max_line_bytes:,} '
+                                 'bytes; expected lines of numbers x y z; name the right file, or '
                                  'export it again')
             length = len(others[-1]) if others else length + len(first)
 
@@ -152,7 +145,7 @@ def _check_lines(path: Path) -> None:
 def _has_windows(path: Path) -> bool:
     """Return whether a text has NaN or inf as old Windows programs write them."""
     with path.open(encoding='latin-1') as file:
-        return any(NONFINITE.search(line) for line in file)
+        return any(WINDOWS_NONFINITE.search(line) for line in file)
 
 
 def _form_of(path: Path) -> tuple[TableForm, int | None]:
@@ -160,8 +153,9 @@ def _form_of(path: Path) -> tuple[TableForm, int | None]:
     with path.open(encoding='latin-1') as file:
         for number, line in enumerate(file, start=1):
             # CloudCompare writes the column names after two slashes.
-            text = line.removeprefix(MARK)
-            if not NONFINITE.search(text):
+            # Some UTF-8 files begin with a byte order mark.
+            text = line.removeprefix('\xef\xbb\xbf')
+            if not WINDOWS_NONFINITE.search(text):
                 text = text.partition('#')[0]
             text = text.strip().removeprefix('//').strip()
             if text:
@@ -176,7 +170,9 @@ def _form_of(path: Path) -> tuple[TableForm, int | None]:
 def _form(text: str, number: int, after: str, name: str) -> TableForm:
     """Return the format of a text, given its first line, its number, and the line after it."""
     separator = ';' if ';' in text else ',' if ',' in text else None
-    names = [BEHIND.sub('', cell.strip(' "\'\t').lower()) for cell in text.split(separator)]
+    # A unit may stand after the name of a column.
+    names = [re.sub(r'\s*[\[(][^\])]*[\])]\s*$', '', cell.strip(' "\'\t').lower())
+             for cell in text.split(separator)]
     if separator is None:
         # A unit after a blank, as in x [m], is not a column.
         names = [cell for cell in names if cell]
@@ -207,7 +203,8 @@ def _columns(names: Sequence[str]) -> list[int] | None:
     for name in known:
         base, colon, first = name.rpartition(':')
         three = [f'{base}:{number}' for number in range(3)]
-        if colon and first == '0' and VECTORS.search(base) and all(one in known for one in three):
+        if (colon and first == '0' and re.search('xyz|point|pos|coord', base)
+                and all(one in known for one in three)):
             return [known.index(one) for one in three]
     return None
 

@@ -24,16 +24,11 @@ _MAP_FROM_FILE = {
     'z': ([0, 1, 2], [1, 1, 1]), '-z': ([0, 1, 2], [1, -1, -1])}
 #: The directions of a file that may point up.
 UP_AXES = tuple(_MAP_FROM_FILE)
-#: The option for a guess, the option for the direction that the file format declares (else z), and
-#: all options.
-AUTO, BY_FILE = 'auto', 'file'
+#: The option for the direction that the file format declares, else z.
+BY_FILE = 'file'
+#: The option for a guess.
+AUTO = 'auto'
 UP_CHOICES = (*UP_AXES, AUTO, BY_FILE)
-#: Metres: the edge of the cubes that count as one point, and the range of distances from floor and
-#: ceiling in which furniture is compared; a number of cubes that is added to both counts so that
-#: few cubes are no evidence.
-CUBE, BAND, TRIFLE = 0.1, (0.15, 1.2), 20
-#: The logarithm of the ratio of lower to upper cubes below which z is guessed to point down.
-DOWN = -0.25
 
 
 def map_from_file(up: str) -> np.ndarray:
@@ -94,10 +89,15 @@ def likely_up(points: np.ndarray) -> str:
     :returns: one of :data:`UP_AXES`.
     """
     axis = likely_up_axis(points)
-    cubes = voxel_downsample(np.asarray(points - points.mean(axis=0), dtype=np.float32), CUBE)
+    # Cubes of 10 cm count as one point.
+    cubes = voxel_downsample(np.asarray(points - points.mean(axis=0), dtype=np.float32), 0.1)
     along = cubes[:, axis_of(axis)]
     low, high = np.percentile(along, [0.5, 99.5])
-    counts = [np.count_nonzero((away > BAND[0]) & (away < BAND[1]))
+    # The distances from floor and ceiling at which furniture is compared.
+    furniture_m = (0.15, 1.2)
+    counts = [np.count_nonzero((away > furniture_m[0]) & (away < furniture_m[1]))
               for away in (along - low, high - along)]
-    evidence = np.log((TRIFLE + counts[0]) / (TRIFLE + counts[1]))
-    return axis if evidence > (DOWN if axis == 'z' else 0.0) else f'-{axis}'
+    # Added to both counts, since few cubes are no evidence.
+    added_cubes = 20
+    evidence = np.log((added_cubes + counts[0]) / (added_cubes + counts[1]))
+    return axis if evidence > (-0.25 if axis == 'z' else 0.0) else f'-{axis}'

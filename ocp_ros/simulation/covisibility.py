@@ -29,10 +29,8 @@ from ocp_ros.rig.rig_file import Calibratable
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.kernels import njit
 
-#: The largest number of points of a room that are compared.
-COMPARED = 8192
 #: The tolerance for rounding when a share is compared with the required one.
-ROUNDING = 1e-9
+SHARE_TOLERANCE = 1e-9
 
 
 class Covisibility(NamedTuple):
@@ -57,7 +55,7 @@ class Covisibility(NamedTuple):
 
     def linked(self, one: int, other: int) -> bool:
         """Return whether two cameras share enough points to be linked."""
-        return bool(self.shares[one, other] >= self.required - ROUNDING)
+        return bool(self.shares[one, other] >= self.required - SHARE_TOLERANCE)
 
     @property
     def groups(self) -> list[list[int]]:
@@ -80,7 +78,8 @@ def covisibility(points: np.ndarray, views: Sequence[View], asked: Calibratable,
     :param asked: the conditions for a link between two cameras.
     :param fixed: the number of cameras in place, which are the last ones.
     """
-    step = -(-len(points) // COMPARED)
+    # At most 8192 points are compared.
+    step = -(-len(points) // 8192)
     seen = np.stack([unpack(view.seen, len(points))[::step] for view in views])
     positions = np.stack([view.position for view in views])
     shared = _shared(np.ascontiguousarray(points[::step], dtype=np.float64), seen, positions,

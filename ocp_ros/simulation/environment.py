@@ -32,11 +32,8 @@ from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 
-#: The name of the environment for ``gymnasium.make``.
-ENVIRONMENT = 'ocp_ros/CameraPlacement-v0'
-LARGEST_ROOM = 1000.0
 #: The number of problems (a scene with a rotation) whose engines are cached.
-KEPT = 16
+MAX_PROBLEMS = 16
 
 
 class CameraPlacementEnv(gym.Env):
@@ -92,10 +89,12 @@ class CameraPlacementEnv(gym.Env):
                  rotations: Sequence[float] = (0.0,)) -> None:
         if not scenes:
             raise ConfigurationError('scenes: found none; expected at least one room')
-        self.scenes, self.config = scenes, config or SimulationConfig()
+        self.scenes = scenes
+        self.config = config or SimulationConfig()
         self.rig = self.config.placed_rig
-        self.observation_points, self.rotations = observation_points, tuple(rotations)
-        self.problem = lru_cache(maxsize=KEPT)(self._make_problem)
+        self.observation_points = observation_points
+        self.rotations = tuple(rotations)
+        self.problem = lru_cache(maxsize=MAX_PROBLEMS)(self._make_problem)
         self.episode: Episode | None = None
         cameras = len(self.rig.cameras)
         self.fewest = cameras if fewest is None else fewest
@@ -111,8 +110,9 @@ class CameraPlacementEnv(gym.Env):
         if 'yaw' in self.axes:
             shapes['camera_headings'] = (cameras, 3)
         self.action_space = spaces.Box(-1.0, 1.0, (cameras, len(self.axes)), np.float32)
+        max_coordinate_m = 1000.0
         self.observation_space = spaces.Dict({
-            name: spaces.Box(-LARGEST_ROOM, LARGEST_ROOM, shape, np.float32)
+            name: spaces.Box(-max_coordinate_m, max_coordinate_m, shape, np.float32)
             for name, shape in shapes.items()})
 
     def _check_rig(self) -> None:
@@ -187,7 +187,8 @@ class RoomsByName(Sequence[Scene]):
     """
 
     def __init__(self, names: Sequence[int | str | PathLike[str]], points: int = 15000) -> None:
-        self._names, self._points = tuple(str(name) for name in names), points
+        self._names = tuple(str(name) for name in names)
+        self._points = points
 
     def __len__(self) -> int:
         """Return how many rooms there are."""
@@ -221,4 +222,4 @@ def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points
 
 
 # Gymnasium 1 loads no entry points of packages: importing this module registers the environment.
-gym.register(ENVIRONMENT, f'{__name__}:{environment_of.__name__}')
+gym.register('ocp_ros/CameraPlacement-v0', f'{__name__}:{environment_of.__name__}')

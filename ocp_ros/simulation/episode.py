@@ -63,7 +63,8 @@ class Episode:
 
     def __init__(self, problem: Problem, rng: np.random.Generator,
                  cameras: int | None = None) -> None:
-        self.problem, self.simulator = problem, problem.simulator
+        self.problem = problem
+        self.simulator = problem.simulator
         self.scene, self.config = self.simulator.scene, self.simulator.config.episode
         self.observed = problem.nothing()
         start = problem.start(

@@ -24,14 +24,12 @@ from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Sub
 from ocp_ros.rig.feasible_region import floor_space
 from ocp_ros.rig.rig_file import Region, Rig
 from ocp_ros.rig.structure import Air, floor_height
-from ocp_ros.simulation.covisibility import Covisibility, covisibility, ROUNDING, watched
+from ocp_ros.simulation.covisibility import Covisibility, covisibility, SHARE_TOLERANCE, watched
 from ocp_ros.simulation.simulator import Simulator, View
-from ocp_ros.util.settings import ConfigurationError, MOST_CAMERAS
+from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 
 #: The cost of missing all of a region that must be seen; missing the whole room costs 1.
-MUST = 10.0
-#: Overlap is counted up to this number of cameras.
-COUNTED = 3
+MUST_SEE_COST = 10.0
 
 
 class RigEvaluation(NamedTuple):
@@ -149,7 +147,7 @@ class Objective:
             yield self._weights @ shares, 0.0
         for share, must in zip(shares, self._must):
             if must > 0.0:
-                yield MUST * share, MUST * (1.0 - must)
+                yield MUST_SEE_COST * share, MUST_SEE_COST * (1.0 - must)
 
     def look(self, poses: np.ndarray) -> list[View]:
         """
@@ -172,7 +170,7 @@ class Objective:
         loss, error, shares = self._loss_of(seen, everyone)
         return RigEvaluation(
             loss + missing, error, space_coverage(covered, self.simulator.cell_volume), shares,
-            Subset(seen, self._order), missing <= ROUNDING)
+            Subset(seen, self._order), missing <= SHARE_TOLERANCE)
 
     def loss(self, views: Sequence[View]) -> float:
         """Return only the loss of views, which are as for :meth:`judge`."""
@@ -195,7 +193,7 @@ class Objective:
                   for count in range(1, most + 1)]
         return float(np.mean(levels)) + self._missing(views)
 
-    def _loss_of(self, seen: np.ndarray, views: Sequence[View], most: int = MOST_CAMERAS
+    def _loss_of(self, seen: np.ndarray, views: Sequence[View], most: int = MAX_CAMERAS
                  ) -> tuple[float, float, np.ndarray]:
         """
         Return loss, depth error and shares of the regions.
@@ -210,7 +208,7 @@ class Objective:
             watched(self._cells, part, views, min(region.air.seen_by, most), region.air.angle)
             for region, part in zip(self.rig.regions, self._regions)])
         loss = (error / self.simulator.depth_error.worst + self._weights @ (1.0 - shares)
-                + MUST * np.maximum(self._must - shares, 0.0).sum())
+                + MUST_SEE_COST * np.maximum(self._must - shares, 0.0).sum())
         return float(loss), error, shares
 
     def covisibility(self, views: Sequence[View]) -> Covisibility | None:
@@ -229,7 +227,7 @@ class Objective:
     def _missing(self, views: Sequence[View]) -> float:
         """Return the cost of cameras that are not linked."""
         found = self.covisibility(views)
-        return 0.0 if found is None else MUST * found.missing
+        return 0.0 if found is None else MUST_SEE_COST * found.missing
 
     def evaluate(self, poses: np.ndarray) -> RigEvaluation:
         """Evaluate poses (K, 6), metres, map frame, and radians."""
@@ -243,7 +241,8 @@ class Objective:
         :returns: the numbers of points seen by 0, 1, 2 and by 3 or more cameras.
         """
         seen = [view.seen for view in self._with_fixed(views)]
-        levels = [count_bits(bits) for bits in seen_by(seen, COUNTED)]
+        # Overlap of more than three cameras is not counted.
+        levels = [count_bits(bits) for bits in seen_by(seen, 3)]
         at_least = np.array([len(self.simulator.scene), *levels, 0])
         return [int(count) for count in at_least[:-1] - at_least[1:]]
 

@@ -34,12 +34,6 @@ from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
 
-#: Metres: a camera that ends this near to its target was not stopped.
-NEAR = 0.01
-#: The number of start positions to choose from, for cameras with headings and for omnidirectional
-#: ones.
-STARTS, ALL_ROUND = 166, 4000
-
 
 def make_problem(scene: Scene, config: SimulationConfig) -> 'Problem':
     """
@@ -109,8 +103,9 @@ class Problem:
     @cached_property
     def _starts(self) -> dict[CameraModel, np.ndarray]:
         """Return feasible positions of each camera model: (M, 3) metres."""
+        # The number of start positions to choose from.
         return {model: self.region.places(
-            model, ALL_ROUND if model.omnidirectional else STARTS)[0].positions
+            model, 4000 if model.omnidirectional else 166)[0].positions
             for model in self.rig.placed_models}
 
     @cached_property
@@ -174,7 +169,8 @@ class Problem:
             if place is not None:
                 ended[k, :3] = place
             wanted = self.region.onto_mount(target[None])[0]
-            refused |= bool(np.linalg.norm(ended[k, :3] - wanted) > NEAR)
+            # A camera that ends within a centimetre of its target was not stopped.
+            refused |= bool(np.linalg.norm(ended[k, :3] - wanted) > 0.01)
         return ended, refused
 
     def look(self, poses: np.ndarray) -> list[View]:
@@ -208,7 +204,9 @@ class PlaneProblem(Problem):
 
     def __init__(self, simulator: Simulator) -> None:
         rig = Rig.plane(simulator.config.rig)
-        self.objective, self.simulator, self.rig = Objective(simulator, rig), simulator, rig
+        self.objective = Objective(simulator, rig)
+        self.simulator = simulator
+        self.rig = rig
         self.axes, self.fixed_poses = rig.axes, rig.fixed_poses
         self.models = simulator.models * (len(rig.cameras) // len(simulator.models))
 

@@ -27,19 +27,12 @@ from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.depth_error import five_viewpoints
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.rig.structure import Air, BALL, STEEP
+from ocp_ros.rig.structure import Air, MIN_BALL_M, STEEP
 from ocp_ros.scenes.scene import Scene, turned
 from scipy.spatial import distance
 
 #: The number of viewpoints in the air, a power of two.
-COUNT = 16
-#: The factor of the variance along the room's long side: in square parts noise would decide the
-#: direction of a cut.
-LONGER = 1.3
-#: Decimals of metres to which coordinates are rounded before they are compared.
-ROUNDED = 6
-#: Degrees: the width of a bin of wall directions; a right angle has 360 bins.
-BIN = 0.25
+VIEWPOINTS = 16
 
 _known: WeakKeyDictionary[Scene, dict[str, np.ndarray]] = WeakKeyDictionary()
 
@@ -73,9 +66,9 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
     air = Air(aligned, FreePlane.of(aligned.points, height, 1, 0.0, clearance=0.0),
               centred=True)
     cells = air.cells(height)
-    if len(cells) < COUNT:
+    if len(cells) < VIEWPOINTS:
         cells = air.cells()
-    if len(cells) < COUNT:
+    if len(cells) < VIEWPOINTS:
         return paper_viewpoints(scene)
     # The order starts at the emptier ends, so that a mirrored room has mirrored viewpoints.
     middle = aligned.bounds.mean(axis=0)
@@ -97,14 +90,14 @@ def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
         floor.
     """
     height = float(corners_of(points)[:, 2].mean())
-    floor = FreePlane.of(points, height, 1, 0.0, clearance=BALL).floor
-    if floor is None or np.count_nonzero(floor.open) < COUNT:
+    floor = FreePlane.of(points, height, 1, 0.0, clearance=MIN_BALL_M).floor
+    if floor is None or np.count_nonzero(floor.open) < VIEWPOINTS:
         return five_viewpoints(corners, height)
     cells = floor.low + floor.edge * (np.argwhere(floor.open) + 0.5)
     sides = corners[1:3] - corners[0]
     lengths = np.linalg.norm(sides, axis=1)
     found = _middles(cells, cells @ (sides / lengths[:, None]).T, int(np.argmax(lengths)))
-    return np.column_stack([found, np.full(COUNT, height)])
+    return np.column_stack([found, np.full(VIEWPOINTS, height)])
 
 
 def _middles(cells: np.ndarray, keys: np.ndarray, long: int) -> np.ndarray:
@@ -117,12 +110,13 @@ def _middles(cells: np.ndarray, keys: np.ndarray, long: int) -> np.ndarray:
     :param long: the axis, 0 or 1, along which the room is longer.
     :returns: (16, D) metres.
     """
-    parts, order = [np.arange(len(cells))], keys.round(ROUNDED)
-    while len(parts) < COUNT:
+    parts, order = [np.arange(len(cells))], keys.round(6)
+    while len(parts) < VIEWPOINTS:
         halves = []
         for part in parts:
             spread = keys[part].var(axis=0)
-            spread[long] *= LONGER
+            # In square parts noise would decide the direction of a cut.
+            spread[long] *= 1.3
             axes = [int(np.argmax(spread)), long, 1 - long, *range(2, keys.shape[1])]
             part = part[np.lexsort(order[part].T[axes[::-1]])]
             halves += [part[:len(part) // 2], part[len(part) // 2:]]
@@ -147,12 +141,14 @@ def wall_direction(scene: Scene) -> float:
     if not steep.any():
         return 0.0
     angles = np.rad2deg(np.arctan2(normals[steep, 1], normals[steep, 0])) % 90.0
-    count = round(90.0 / BIN)
-    bins = np.round(angles / BIN).astype(int) % count
+    # A right angle has 360 bins of wall directions.
+    bin_deg = 0.25
+    count = round(90.0 / bin_deg)
+    bins = np.round(angles / bin_deg).astype(int) % count
     area = scene.pitch[steep].astype(np.float64) ** 2
     areas = np.bincount(bins, area, count)
     # A wall may fall into neighbouring bins, also across 90 degrees.
     best = np.argmax(areas + np.roll(areas, 1) + np.roll(areas, -1))
-    off = (angles - best * BIN + 45.0) % 90.0 - 45.0
-    near = np.abs(off) <= 1.5 * BIN
-    return float(np.deg2rad(best * BIN + np.average(off[near], weights=area[near])))
+    off = (angles - best * bin_deg + 45.0) % 90.0 - 45.0
+    near = np.abs(off) <= 1.5 * bin_deg
+    return float(np.deg2rad(best * bin_deg + np.average(off[near], weights=area[near])))

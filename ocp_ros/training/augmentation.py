@@ -31,11 +31,6 @@ SYMMETRIES = torch.tensor([
     [[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]],
     [[-1, 0], [0, 1]], [[0, -1], [-1, 0]], [[1, 0], [0, -1]], [[0, 1], [1, 0]]],
     dtype=torch.float32)
-#: Standard deviation of the noise of points, in the network's unit of length, and the share of
-#: points that is dropped.
-JITTER, DROPPED = 0.005, 0.1
-#: The inputs of the map actor that are maps of the floor.
-MAPS = ('room', 'others', 'choices')
 
 
 def turn(vectors: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
@@ -72,7 +67,7 @@ def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, numb
     """
     mirrored, quarters = divmod(number, 4)
     turned = dict(observation)
-    for name in MAPS:
+    for name in ('room', 'others', 'choices'):
         if name in observation:
             value = observation[name].flip(-1) if mirrored else observation[name]
             turned[name] = torch.rot90(value, quarters, (-2, -1))
@@ -165,7 +160,9 @@ class CloudReplayBuffer(DictReplayBuffer):
     def __init__(self, *args, n_steps: int = 1, gamma: float = 0.99,
                  augmentation: str = 'symmetries', demonstrations: int = 0, **kwargs) -> None:
         super().__init__(*args, **kwargs)
-        self.n_steps, self.gamma, self.augmentation = n_steps, gamma, augmentation
+        self.n_steps = n_steps
+        self.gamma = gamma
+        self.augmentation = augmentation
         #: Number of first rows that are not overwritten.
         self.kept = min(-(-demonstrations // self.n_envs), self.buffer_size - 1)
 
@@ -212,9 +209,9 @@ class CloudReplayBuffer(DictReplayBuffer):
 def jittered(observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Add noise to the points of clouds, and replace some points of each group by its first."""
     points, found = observation['points'], dict(observation)
-    found['points'] = points + JITTER * torch.randn_like(points)
+    found['points'] = points + 0.005 * torch.randn_like(points)
     for name in ('groups_1', 'groups_2'):
         groups = observation[name]
-        dropped = torch.rand(groups.shape, device=groups.device) < DROPPED
+        dropped = torch.rand(groups.shape, device=groups.device) < 0.1
         found[name] = torch.where(dropped, groups[..., :1], groups)
     return found

@@ -24,7 +24,7 @@ from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.rollout import state_of
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.cloud_encoder import EncodedTurn, Encoder
-from ocp_ros.policy.cloud_observation import encode, MARKS, OF_OTHERS, OF_TURN, OTHERS
+from ocp_ros.policy.cloud_observation import encode, MARKS, MAX_OTHERS, OF_OTHERS, OF_TURN
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.map_turn import MapTurn
 from ocp_ros.rig.motion import bounded_moves, order_of, way_between
@@ -32,13 +32,12 @@ from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.reward import NO_REWARD, RewardTerms
 
-LARGEST = 1000.0
-
 
 def encoded_space(agent: AgentConfig) -> spaces.Dict:
     """Return the space of one input of the agent's network."""
     def real(*shape):
-        return spaces.Box(-LARGEST, LARGEST, shape, np.float32)
+        limit = 1000.0
+        return spaces.Box(-limit, limit, shape, np.float32)
 
     def index(most, *shape):
         return spaces.Box(0, most - 1, shape, np.int16)
@@ -58,7 +57,7 @@ def encoded_space(agent: AgentConfig) -> spaces.Dict:
         'keys_2': index(agent.keys_1, agent.keys_2),
         'groups_2': index(agent.keys_1, agent.keys_2, agent.group_2)}
     if agent.one_by_one:
-        space |= {'others': real(OTHERS, OF_OTHERS), 'turn': real(OF_TURN),
+        space |= {'others': real(MAX_OTHERS, OF_OTHERS), 'turn': real(OF_TURN),
                   'marks': maps(agent.points, MARKS)}
     return spaces.Dict(space)
 
@@ -132,7 +131,8 @@ class EncodedObservation(gym.ObservationWrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
-        self._agent, self.observation_space = agent, encoded_space(agent)
+        self._agent = agent
+        self.observation_space = encoded_space(agent)
 
     def observation(self, observation) -> dict[str, np.ndarray]:
         """Encode the turn."""
@@ -195,7 +195,8 @@ class CameraByCamera(gym.Wrapper):
                                           episode.config.turns)
         self._left = order_of(turn.step, len(turn.positions))
         self._moves = np.zeros((len(turn.positions), 2))
-        self._views, self._value = list(episode.views), episode.value
+        self._views = list(episode.views)
+        self._value = episode.value
         return self._observation()
 
     def _observation(self) -> dict[str, np.ndarray]:

@@ -30,8 +30,6 @@ from safetensors import SafetensorError
 import safetensors.numpy
 
 KEY = 'ocp_ros-experience-1'
-#: Largest number of choices, and of cameras, of a turn that is accepted.
-MOST = 64
 
 
 class ExperienceError(ValueError):
@@ -120,12 +118,13 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
 
 def _choices(actions: np.ndarray, targets: np.ndarray, together: int | None) -> int:
     """Check the shapes of actions and targets, and return the number of choices."""
-    if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= MOST:
+    max_count = 64
+    if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= max_count:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
-                              f'(K, 3) with at most {MOST} cameras')
+                              f'(K, 3) with at most {max_count} cameras')
     count, each = len(actions) if actions.ndim else 0, together or 1
     # All cameras choose: one by one, or all at once.
-    good = 1 <= count <= MOST if together is None else (
+    good = 1 <= count <= max_count if together is None else (
         (count, each) in ((len(targets), 1), (1, len(targets))))
     if not good or actions.shape != (count, each, 2) or actions.dtype != np.float32:
         raise ExperienceError(

@@ -30,17 +30,14 @@ from ocp_ros.training.sac_state import load_replay, load_state, new_run, save_re
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.files import remove_unfinished
-from ocp_ros.util.settings import ConfigurationError, LARGEST_SEED, setting
+from ocp_ros.util.settings import ConfigurationError, MAX_SEED, setting
 from stable_baselines3.common.logger import configure
 
 #: Gradient steps between two checks of the inbox: few, so that the learner stops at once.
-BURST = 4
+BURST_STEPS = 4
 #: Largest number of transitions in the inbox; the learner stores them between two bursts.
-INBOX = 4096
+INBOX_SIZE = 4096
 ACTOR = 'actor.safetensors'
-#: Growth of the number of transitions, as a share, before they are saved again: writing them is
-#: slow.
-NEW = 0.1
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ class LearnerConfig:
     save_every: int = setting(200, 'gradient steps between two checkpoints', 1, 1 << 31)
     folder: str = setting('out/trainer', 'folder of checkpoints and TensorBoard files')
     model: str = setting('', 'first weights: path or name; empty: random')
-    seed: int = setting(0, 'seed of networks and batches', 0, LARGEST_SEED)
+    seed: int = setting(0, 'seed of networks and batches', 0, MAX_SEED)
     threads: int = setting(
         1, 'CPU threads of a gradient step; more threads save time only on idle cores', 1, 1024)
 
@@ -83,7 +80,9 @@ class Learner:
                 raise ConfigurationError(
                     f'sac.{name}: found {found}; expected {expected}: the transitions that arrive '
                     f'are those of nodes, and some may be missing; set it to {expected}')
-        self.config, self.agent, self.sac = config, agent, sac
+        self.config = config
+        self.agent = agent
+        self.sac = sac
         self.folder = Path(config.folder)
         self.model = make_sac(sac, agent, seed=config.seed)
         if start is not None:
@@ -92,16 +91,16 @@ class Learner:
         self.model.set_logger(configure(str(self.folder / 'tensorboard'), ['tensorboard']))
         self.run = self._resume()
         self.dropped = 0
-        self.losses: deque[float] = deque(maxlen=max(config.publish_every // BURST, 1))
+        self.losses: deque[float] = deque(maxlen=max(config.publish_every // BURST_STEPS, 1))
         self.failure: BaseException | None = None
         #: Numbers of transitions and updates in the files, at the start or the last close.
-        self._closed = self.transitions, self.updates
-        self._fresh: deque[Checkpoint] = deque(maxlen=1)
+        self._saved_counts = self.transitions, self.updates
+        self._new_weights: deque[Checkpoint] = deque(maxlen=1)
         if self.updates:
             # Publish the weights again: policies may have been started again as well.
-            self._fresh.append(self.checkpoint())
+            self._new_weights.append(self.checkpoint())
         # Only the thread uses the model; other threads put transitions into the inbox.
-        self._inbox: queue.Queue[Transition | None] = queue.Queue(INBOX)
+        self._inbox: queue.Queue[Transition | None] = queue.Queue(INBOX_SIZE)
         self._thread = threading.Thread(target=self._work, name='learner', daemon=True)
         self._thread.start()
 
@@ -116,10 +115,11 @@ class Learner:
         known = self.model.replay_buffer.size()
         self.model.num_timesteps = max(self.transitions, known)
         #: Number of transitions when the replay file was written last, and of those not in memory.
-        self._saved = self.transitions
-        self._lost = self.transitions - known
+        self._saved_transitions = self.transitions
+        self._missing = self.transitions - known
         # Steps taken for transitions that are not in memory any more do not count for the others.
-        self._paid = max(self.updates - max(self._owed(self.transitions), 0.0), 0.0)
+        due = max(self._total_steps(self.transitions), 0.0)
+        self._steps_of_missing = max(self.updates - due, 0.0)
         return run
 
     @property
@@ -135,15 +135,15 @@ class Learner:
     @property
     def behind(self) -> float:
         """Return the number of gradient steps due, also for transitions still in the inbox."""
-        return self._due(self.transitions + self._inbox.qsize())
+        return self._steps_due(self.transitions + self._inbox.qsize())
 
-    def _due(self, transitions: int) -> float:
+    def _steps_due(self, transitions: int) -> float:
         """Return the number of gradient steps still due for a number of transitions."""
-        return self._owed(transitions) - (self.updates - self._paid)
+        return self._total_steps(transitions) - (self.updates - self._steps_of_missing)
 
-    def _owed(self, transitions: int) -> float:
+    def _total_steps(self, transitions: int) -> float:
         """Return the number of gradient steps that a number of transitions gets in all."""
-        new = transitions - self._lost - self.sac.learning_starts
+        new = transitions - self._missing - self.sac.learning_starts
         return new * self.config.updates_per_turn
 
     def add(self, transition: Transition) -> bool:
@@ -164,7 +164,7 @@ class Learner:
     def take_weights(self) -> Checkpoint | None:
         """Return the newest weights made since the last call, or None."""
         try:
-            return self._fresh.pop()
+            return self._new_weights.pop()
         except IndexError:
             return None
 
@@ -179,26 +179,26 @@ class Learner:
         self._thread.join()
         # Write buffered log entries to the files.
         self.model.logger.close()
-        if self.failure is None and (self.transitions, self.updates) != self._closed:
+        if self.failure is None and (self.transitions, self.updates) != self._saved_counts:
             self._save(whole=True)
-            self._closed = self.transitions, self.updates
+            self._saved_counts = self.transitions, self.updates
 
     def _work(self) -> None:
         """Train while gradient steps are due, until the learner is closed."""
         try:
             while self._read_inbox():
-                if self._behind():
-                    self.model.train(BURST, self.sac.batch_size)
+                if self._burst_is_due():
+                    self.model.train(BURST_STEPS, self.sac.batch_size)
                     self.losses.append(float(
                         self.model.logger.name_to_value['train/critic_loss']))
-                    self._after(self.updates)
+                    self._log_and_save(self.updates)
         except BaseException as error:
             # An exception in a thread ends silently: the user of the learner reports it.
             self.failure = error
 
     def _read_inbox(self) -> bool:
         """Store new transitions; wait for more if no step is due. Return False to stop."""
-        while not self._inbox.empty() or not self._behind():
+        while not self._inbox.empty() or not self._burst_is_due():
             transition = self._inbox.get()
             if transition is None:
                 return False
@@ -214,17 +214,17 @@ class Learner:
             before, after, transition.actions[None], np.array([transition.reward]),
             np.array([transition.terminated]), [{}])
 
-    def _behind(self) -> bool:
+    def _burst_is_due(self) -> bool:
         """Return whether a burst of gradient steps is due for the stored transitions."""
-        return self._due(self.transitions) >= BURST
+        return self._steps_due(self.transitions) >= BURST_STEPS
 
-    def _after(self, updates: int) -> None:
+    def _log_and_save(self, updates: int) -> None:
         """Log, publish and save at their intervals of gradient steps."""
-        if updates % self.config.publish_every < BURST:
-            self._fresh.append(self.checkpoint())
+        if updates % self.config.publish_every < BURST_STEPS:
+            self._new_weights.append(self.checkpoint())
             self.model.logger.record('train/transitions', self.transitions)
             self.model.logger.dump(self.model.num_timesteps)
-        if updates % self.config.save_every < BURST:
+        if updates % self.config.save_every < BURST_STEPS:
             self._save()
 
     def checkpoint(self) -> Checkpoint:
@@ -240,8 +240,9 @@ class Learner:
         :param whole: write the transitions as well, even if few of them are new.
         """
         # Transitions first: those that the saved state does not count yet do no harm.
-        if whole or self.transitions >= (1.0 + NEW) * self._saved:
+        # Writing transitions is slow: they are saved again when there are 10 % more.
+        if whole or self.transitions >= 1.1 * self._saved_transitions:
             save_replay(self.model.replay_buffer, self.folder / REPLAY)
-            self._saved = self.transitions
+            self._saved_transitions = self.transitions
         self.checkpoint().save(self.folder / ACTOR)
         save_state(self.model, self.folder / STATE, self.run)

@@ -32,13 +32,10 @@ CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
 BEST, STATE = 'best.safetensors', 'state.safetensors'
 #: File of the transitions that soft actor-critic learns from.
 REPLAY = 'replay.safetensors'
-#: File of the state of training on dense values, which comes before soft actor-critic, and the
-#: name of this phase in lines of progress.
-VALUES_STATE, VALUES = 'values_state.safetensors', 'values'
-#: Settings that may change when a run is resumed.
-MAY_CHANGE = ('interactions', 'workers', 'evaluate_every')
-#: Fields that every line of progress has.
-COUNTED = ('interactions', 'updates', 'seconds')
+#: Name of this phase in lines of progress.
+VALUES_PHASE = 'values'
+#: File of the state of training on dense values, which comes before soft actor-critic.
+VALUES_STATE = 'values_state.safetensors'
 _log = logging.getLogger(__name__)
 
 
@@ -74,8 +71,9 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
     asked = _flat(to_nested(config))
     before = _flat(to_nested(_settings(path))) if path.exists() else asked
+    may_change = ('interactions', 'workers', 'evaluate_every')
     wrong = [f'{name} {before[name]!r}' for name in asked
-             if name not in MAY_CHANGE and asked[name] != before[name]
+             if name not in may_change and asked[name] != before[name]
              # A rig file replaces these.
              and not (config.simulation.rig_file and name.startswith('simulation.rig.'))]
     if rooms.exists() and _sets(rooms) != sets:
@@ -83,7 +81,7 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     if wrong:
         raise ConfigurationError(
             f'{folder}: found a run with {", ".join(wrong)}; expected one with the settings '
-            f'asked for, but for {", ".join(MAY_CHANGE)}; name another folder, or remove '
+            f'asked for, but for {", ".join(may_change)}; name another folder, or remove '
             'this one to begin anew')
     if not rooms.exists():
         write_atomically(rooms, json.dumps(sets) + '\n')
@@ -171,7 +169,8 @@ def _record(line: str) -> dict[str, Any] | None:
         return None
     if not isinstance(record, dict) or not isinstance(record.get('phase'), str):
         return None
-    numbers = [record.get(name) for name in COUNTED] + [record.get('ratio', 0.0)]
+    numbers = [record.get(name) for name in ('interactions', 'updates', 'seconds')]
+    numbers.append(record.get('ratio', 0.0))
     return record if all(map(_is_figure, numbers)) else None
 
 

@@ -30,10 +30,6 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
-#: Options of glibc's ``mallopt``: M_TRIM_THRESHOLD, M_TOP_PAD and M_MMAP_MAX; all freed memory
-#: stays with the process.
-KEEP_MEMORY = {-1: (1 << 31) - 1, -2: 1 << 28, -4: 0}
-
 
 class AgentSac(SAC):
     """
@@ -49,7 +45,9 @@ class AgentSac(SAC):
 
     def __init__(self, *args, config: SacConfig, agent: AgentConfig, warm: bool = False,
                  **kwargs) -> None:
-        self.config, self.agent, self.warm = config, agent, warm
+        self.config = config
+        self.agent = agent
+        self.warm = warm
         #: Number of gradient steps of SAC itself so far, and the function that returns the
         #: imitation loss of a batch of a given size; None for no imitation loss.
         self.own_updates, self.imitation_loss = 0, None
@@ -94,7 +92,10 @@ def keep_memory() -> None:
     the time of a step. The setting applies to the whole process.
     """
     with suppress(AttributeError, OSError):
-        for option, value in KEEP_MEMORY.items():
+        # M_TRIM_THRESHOLD, M_TOP_PAD and M_MMAP_MAX of glibc: all freed memory stays with the
+        # process.
+        options = {-1: (1 << 31) - 1, -2: 1 << 28, -4: 0}
+        for option, value in options.items():
             ctypes.CDLL(None).mallopt(option, value)
 
 

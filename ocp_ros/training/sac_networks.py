@@ -38,12 +38,7 @@ import torch
 
 #: Factor from the network's values, logarithms of the depth error, to the reward: see
 #: ``potential`` in :mod:`ocp_ros.simulation.reward`. The critics begin with it.
-IN_REWARDS = 2.0
-#: Logarithm of the number of cells per unit of area of the actions: it converts the entropy over
-#: cells to an entropy over positions.
-PER_AREA = 2.0 * math.log(0.5 * CELLS)
-#: Relative standard deviation by which the first weights of the critics differ.
-UNLIKE = 0.01
+REWARD_PER_VALUE = 2.0
 
 
 class CloudFeatures(BaseFeaturesExtractor):
@@ -78,7 +73,8 @@ class CloudFeatures(BaseFeaturesExtractor):
         if not torch.is_grad_enabled():
             return extract()
         if self._batch is not batch:
-            self._batch, self._features = batch, extract()
+            self._features = extract()
+            self._batch = batch
         return self._features
 
     def forget(self) -> None:
@@ -222,7 +218,9 @@ class MapSacActor(Actor):
     def action_log_prob(self, obs) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the probabilities of cells (B, 64 * 64), and the mean log-density (B,)."""
         choices = self.choices_of(obs)
-        return choices.shares, PER_AREA - choices.entropy
+        # It converts the entropy over cells to an entropy over positions.
+        log_cell_density = 2.0 * math.log(0.5 * CELLS)
+        return choices.shares, log_cell_density - choices.entropy
 
 
 class _MapQ(torch.nn.Module):
@@ -238,7 +236,8 @@ class _MapQ(torch.nn.Module):
         # Means over probabilities are used to train the actor; only values of chosen positions
         # train this network.
         with torch.set_grad_enabled(chosen and torch.is_grad_enabled()):
-            values = -IN_REWARDS * valued(self.network, maps).nan_to_num(posinf=0.0).flatten(1)
+            found = valued(self.network, maps).nan_to_num(posinf=0.0)
+            values = -REWARD_PER_VALUE * found.flatten(1)
         if chosen:
             return values.gather(1, cell_of(actions)[:, None])
         return (values * actions).sum(dim=1, keepdim=True)
@@ -273,8 +272,9 @@ class MapPolicy(OwnPolicy):
         self.actor.load_state_dict({f'network.{name}': value for name, value in weights.items()})
         for number, critic in enumerate(self.critic.q_networks):
             # With equal weights the same batches would keep the critics equal: add noise.
+            # The first weights of the critics differ by 1 %.
             critic.load_state_dict({
-                f'network.{name}': value * (1.0 + number * UNLIKE * torch.randn_like(value))
+                f'network.{name}': value * (1.0 + number * 0.01 * torch.randn_like(value))
                 for name, value in weights.items()})
         self.critic_target.load_state_dict(self.critic.state_dict())
 

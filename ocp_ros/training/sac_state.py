@@ -23,7 +23,7 @@ from pathlib import Path
 import uuid
 
 import numpy as np
-from ocp_ros.policy.checkpoint import CheckpointError, LARGEST_WEIGHT, read_metadata
+from ocp_ros.policy.checkpoint import CheckpointError, MAX_WEIGHT, read_metadata
 from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
 from safetensors import SafetensorError
 import safetensors.numpy
@@ -32,10 +32,6 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
-#: Largest absolute value of a counter or of a number of an optimiser that is accepted.
-MOST = 1 << 40
-#: Largest number of bytes of a replay file beside its arrays.
-REST = 1_000_000
 #: Name of the array with the slot that is written next, and whether the buffer is full.
 FILLED = 'filled'
 COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
@@ -158,7 +154,8 @@ def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) 
             raise ValueError(f'{name} is {tensor.dtype} {tuple(tensor.shape)}, not '
                              f'{expected[name].dtype} {tuple(expected[name].shape)}')
         low = 0.0 if name.endswith(('.exp_avg_sq', '.step')) or 'counter.' in name else -torch.inf
-        most = LARGEST_WEIGHT if name.startswith('policy.') else MOST
+        # Counters and numbers of an optimiser are smaller.
+        most = MAX_WEIGHT if name.startswith('policy.') else (1 << 40)
         if not ((tensor >= low) & (tensor.abs() <= most)).all():
             raise ValueError(f'{name} has numbers that no training ends with')
 
@@ -191,7 +188,8 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
         unchanged.
     """
     try:
-        check_regular(path, sum(row.nbytes for row in _rows(buffer).values()) + REST)
+        # A replay file has little beside its arrays.
+        check_regular(path, sum(row.nbytes for row in _rows(buffer).values()) + 1_000_000)
         arrays = safetensors.numpy.load_file(path)
         position, full = arrays.pop(FILLED).tolist()
         rows = _rows(buffer)
@@ -203,7 +201,8 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
         ) from error
     for name, values in arrays.items():
         rows[name][:len(values)] = values
-    buffer.pos, buffer.full = position, bool(full)
+    buffer.pos = position
+    buffer.full = bool(full)
     # The next transition belongs to another episode: end the present one here.
     newest = position - 1
     buffer.timeouts[newest] = np.maximum(buffer.timeouts[newest], 1.0 - buffer.dones[newest])

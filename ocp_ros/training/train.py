@@ -34,10 +34,10 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.simulation.environment import CameraPlacementEnv, KEPT
+from ocp_ros.simulation.environment import CameraPlacementEnv, MAX_PROBLEMS
 from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import playable
-from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES
+from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES_PHASE
 from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
 from ocp_ros.training.sac_state import load_replay, load_state, save_replay, save_state
 from ocp_ros.training.training_config import TrainingConfig
@@ -58,9 +58,7 @@ import torch
 
 _log = logging.getLogger(__name__)
 #: Name of the phase of soft actor-critic in lines of progress.
-SAC = 'sac'
-#: Terms of the reward that are logged one by one.
-TERMS = ('delta_space_coverage', 'delta_depth_error', 'penalty')
+SAC_PHASE = 'sac'
 
 
 class Run(TrainingRun):
@@ -72,7 +70,9 @@ class Run(TrainingRun):
 
     def __init__(self, model: AgentSac, *settings) -> None:
         super().__init__(*settings)
-        self.model, self.device, self.best = model, model.device, np.inf
+        self.model = model
+        self.device = model.device
+        self.best = np.inf
 
     @property
     def interactions(self) -> int:
@@ -105,7 +105,7 @@ class Run(TrainingRun):
             self.best = result['ratio']
             checkpoint.save(self.folder / BEST)
         self.save()
-        self.note(SAC, **result)
+        self.note(SAC_PHASE, **result)
         return result['ratio']
 
     def resume(self) -> None:
@@ -121,7 +121,7 @@ class Run(TrainingRun):
             self.name = load_state(self.model, state)
             if replay.exists():
                 load_replay(self.model.replay_buffer, replay)
-        elif any(line['phase'] != VALUES for line in self.past):
+        elif any(line['phase'] != VALUES_PHASE for line in self.past):
             raise CheckpointError(
                 f'{state}: found no file though the run had begun; expected the state to go '
                 'on from; put it back from a copy, or begin in another folder with model set to '
@@ -177,7 +177,7 @@ class TrainingWatch(BaseCallback):
 
     def _on_step(self) -> bool:
         """Update the progress bar, and evaluate if it is due."""
-        for name in TERMS:
+        for name in ('delta_space_coverage', 'delta_depth_error', 'penalty'):
             self.logger.record_mean(
                 f'reward/{name}', float(np.mean([info[name] for info in self.locals['infos']])))
         self.run.progress.update(self.task, completed=self.num_timesteps)
@@ -234,7 +234,7 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     made = [CameraPlacementEnv(shared, config.simulation, fewest=config.fewest_cameras,
                                rotations=config.rooms.angles)
             for shared in [Rooms(rooms, config.rooms)] * config.environments]
-    problem = lru_cache(KEPT * len(made))(made[0].problem.__wrapped__)
+    problem = lru_cache(MAX_PROBLEMS * len(made))(made[0].problem.__wrapped__)
     for env in made:
         env.problem = problem
     return VecMonitor(SideBySide([partial(playable, env, config.agent) for env in made]))
@@ -249,15 +249,17 @@ def learn(run: Run) -> None:
     # If the transitions so far are lost, collect some before the first gradient step.
     if not model.replay_buffer.size():
         model.learning_starts += model.num_timesteps
-    model.set_env(environments(config, room_names(config.rooms, 'training')))
+    played = environments(config, room_names(config.rooms, 'training'))
+    model.set_env(played)
     if config.sac.demonstrations:
-        model.demonstrator = Demonstrator(model.env.venv.envs, config.seed)
+        envs = played.venv.envs  # type: ignore[attr-defined]
+        model.demonstrator = Demonstrator(envs, config.seed)
     # The seed depends on the number of interactions: a resumed run plays other episodes.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
     try:
         model.learn(last - model.num_timesteps, callback=TrainingWatch(run),
-                    reset_num_timesteps=False, tb_log_name=SAC)
+                    reset_num_timesteps=False, tb_log_name=SAC_PHASE)
     finally:
         model.env.close()
 
@@ -283,7 +285,7 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
             start = learn_values(values)
             if not config.interactions:
                 if not any('ratio' in line for line in records(folder)):
-                    values.note(VALUES, **values.judge(start))
+                    values.note(VALUES_PHASE, **values.judge(start))
                 return report(values, command)
         run = Run(_model(config, folder, start), config, folder, pool, progress)
         run.resume()

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD
 from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.util.settings import ConfigurationError, group, LARGEST_SEED, MOST_CAMERAS, setting
+from ocp_ros.util.settings import ConfigurationError, group, MAX_CAMERAS, MAX_SEED, setting
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ class ValuesConfig:
 class TrainingConfig:
     """Settings of a training run, which ``ocp train`` reads from YAML."""
 
-    seed: int = setting(0, 'seed of networks, exploration and order of rooms', 0, LARGEST_SEED)
+    seed: int = setting(0, 'seed of networks, exploration and order of rooms', 0, MAX_SEED)
     interactions: int = setting(
         0, 'interactions of soft actor-critic: choices of one camera, or with agent.inputs paper '
            'turns; 0 for dense values alone', 0, 1 << 40)
@@ -138,7 +138,7 @@ class TrainingConfig:
                        'such as auto; empty for none')
     fewest_cameras: int = setting(
         4, 'least number of cameras in an episode; simulation.rig.cameras is the most', 1,
-        MOST_CAMERAS)
+        MAX_CAMERAS)
     updates_per_turn: float = setting(1.0, 'gradient steps per interaction', 0.0, 100.0)
     evaluate_every: int = setting(2000, 'interactions between evaluations', 1, 1 << 40)
     model: str = setting('', 'first weights: path or name; empty: random')

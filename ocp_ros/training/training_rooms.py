@@ -35,9 +35,7 @@ from ocp_ros.util.settings import ConfigurationError
 PARTS = ('training', 'validation', 'test')
 #: Largest number of points, over all rooms, that are kept in memory: making a room takes as long
 #: as playing a hundred turns in it.
-KEPT_POINTS = 4_000_000
-#: Areas of S3DIS for training and validation, and the one of them that is for validation.
-AREAS, VALIDATION_AREA = (1, 2, 3, 4, 5), 5
+MAX_CACHED_POINTS = 4_000_000
 
 
 def room_names(config: RoomsConfig, part: str) -> list[str]:
@@ -77,14 +75,15 @@ def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
 
 class Rooms(Sequence):
     """
-    Rooms that are made at first use, and kept up to ``KEPT_POINTS`` points.
+    Rooms that are made at first use, and kept up to ``MAX_CACHED_POINTS`` points.
 
     :param names: of the rooms.
     :param config: options for making them.
     """
 
     def __init__(self, names: Sequence[str], config: RoomsConfig) -> None:
-        self._names, self._config = list(names), config
+        self._names = list(names)
+        self._config = config
         self._kept: dict[int, Scene] = {}
 
     def __len__(self) -> int:
@@ -96,7 +95,7 @@ class Rooms(Sequence):
         if index in self._kept:
             return self._kept[index]
         scene = make(self._config, self._names[index])
-        if (len(self._kept) + 1) * self._config.points <= KEPT_POINTS:
+        if (len(self._kept) + 1) * self._config.points <= MAX_CACHED_POINTS:
             self._kept[index] = scene
         return scene
 
@@ -107,8 +106,9 @@ def _of_s3dis(part: str) -> list[str]:
     if folder is None:
         raise SceneError('rooms.source: found s3dis but no S3DIS_DIR; expected the folder that '
                          'it was unpacked to; set S3DIS_DIR to Stanford3dDataset_v1.2')
-    areas = {'training': [area for area in AREAS if area != VALIDATION_AREA],
-             'validation': [VALIDATION_AREA], 'test': list(TEST_AREAS)}[part]
+    validation_area = 5
+    areas = {'training': [area for area in (1, 2, 3, 4, 5) if area != validation_area],
+             'validation': [validation_area], 'test': list(TEST_AREAS)}[part]
     return [str(path.resolve()) for area in areas for path in chosen_rooms(folder, area)]
 
 

@@ -21,9 +21,6 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.training.experience import Experience
 
-#: Largest distance between the commanded and the reported position of a camera, metres.
-TOLERANCE = 0.05
-
 
 class Reward(NamedTuple):
     """
@@ -152,9 +149,10 @@ class Assembler:
         shares: Sequence[float] = reward.shares
         if self.last or len(choices) == 1:
             shares = (len(choices) - 1) * [0.0] + [reward.reward]
+        # The camera did not reach its target, to 5 cm.
         if (before.targets.shape != positions.shape or before.turn != reward.step - 1
                 or len(shares) != len(choices)
-                or np.abs(before.targets - positions)[:, :2].max() > TOLERANCE):
+                or np.abs(before.targets - positions)[:, :2].max() > 0.05):
             self.inconsistent += 1
             return []
         self.assembled += 1

@@ -39,14 +39,6 @@ import torch
 from torch import Tensor
 from torch.nn.functional import grid_sample, smooth_l1_loss
 
-#: Error at which the loss changes from quadratic to linear, extra weight of the best position, and
-#: difference of values over which this weight falls by the factor e.
-BETA, BEST_COUNTS, GOOD = 0.1, 6.0, 0.1
-#: Gradient steps in which the step size grows linearly from 0.
-WARM = 100
-#: Weight and temperature of the divergence of the softmax of predictions from that of labels.
-SHARPNESS, TEMPERATURE = 0.03, 0.05
-
 
 class ValueSet:
     """
@@ -141,13 +133,17 @@ def loss_of(predicted: Tensor, values: Tensor) -> Tensor:
     predicted, values = predicted.flatten(1), values.flatten(1)
     known = ~values.isnan()
     labels = torch.where(known, values, 10.0)
-    weight = (1.0 + BEST_COUNTS * torch.exp(
-        (labels.amin(dim=1, keepdim=True) - labels) / GOOD)) * known
-    away = smooth_l1_loss(predicted, labels, beta=BETA, reduction='none')
-    best = torch.softmax(-labels / TEMPERATURE, dim=1)
-    said = torch.where(known, -predicted / TEMPERATURE, -1e4).log_softmax(dim=1)
+    # The best position has an extra weight, which falls by the factor e per 0.1 of the value.
+    weight = (1.0 + 6.0 * torch.exp(
+        (labels.amin(dim=1, keepdim=True) - labels) / 0.1)) * known
+    # Below an error of 0.1 the loss is quadratic, above it is linear.
+    away = smooth_l1_loss(predicted, labels, beta=0.1, reduction='none')
+    temperature = 0.05
+    best = torch.softmax(-labels / temperature, dim=1)
+    said = torch.where(known, -predicted / temperature, -1e4).log_softmax(dim=1)
     cross = torch.where(known, best * (best.clamp(min=1e-9).log() - said), 0.0).sum(dim=1)
-    return (away * weight).sum() / weight.sum() + SHARPNESS * cross.mean()
+    # The divergence of the softmax of predictions from that of labels.
+    return (away * weight).sum() / weight.sum() + 0.03 * cross.mean()
 
 
 def regret_of(network: ValueMap, choices: ValueSet, size: int = 64) -> float:
@@ -176,7 +172,9 @@ class ValueFit:
     """
 
     def __init__(self, network: ValueMap, config: ValuesConfig, seed: int) -> None:
-        self.config, self._seed, self.step = config, seed, 0
+        self.config = config
+        self._seed = seed
+        self.step = 0
         self.network = network.to(memory_format=torch.channels_last)
         self.average = deepcopy(network).eval()
         self._optimizer = torch.optim.AdamW(network.parameters(), config.learning_rate,
@@ -196,7 +194,8 @@ class ValueFit:
         while self.step < until:
             part = 0.5 * (1.0 + math.cos(math.pi * self.step / total))
             for group in self._optimizer.param_groups:
-                group['lr'] = (last + (first - last) * part) * min((self.step + 1) / WARM, 1.0)
+                # In the first 100 gradient steps the step size grows linearly from 0.
+                group['lr'] = (last + (first - last) * part) * min((self.step + 1) / 100, 1.0)
             loss = self._step(choices)
             watch(self.step, loss)
 

@@ -49,7 +49,7 @@ from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.partial_map import LookHistory, PartialMap
 from ocp_ros.online.rig_state import record_views
 from ocp_ros.online.rollout import state_of
-from ocp_ros.policy.map_actor import MapActor, PLAIN_POINTS, PLAIN_ROWS
+from ocp_ros.policy.map_actor import MapActor, MODEL_POINTS, MODEL_ROWS
 from ocp_ros.rig.motion import towards, turned_towards
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS
@@ -63,30 +63,17 @@ from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.training.training_rooms import make
 from ocp_ros.training.validation import policy_of
 
-#: Number of labelled positions, points of the true scan, and rows of its depth maps.
-PLACES, TRUE_POINTS, TRUE_ROWS = 450, 40_000, 64
-#: For cameras with a limited field of view: the number of labelled positions; the names of the
-#: sensors; and their pitch, the middle of a range of pitches that begins level.
+#: Number of labelled positions.
+PLACES = 450
+#: Number of labelled positions for cameras with a limited field of view.
 AIMED_PLACES = 150
-AIMED = tuple(name for name, sensor in SENSORS.items() if sensor.model.lens.kind == PINHOLE)
+#: Sensors with a limited field of view.
+AIMED_SENSORS = tuple(name for name, sensor in SENSORS.items()
+                      if sensor.model.lens.kind == PINHOLE)
+#: Their pitch in radians, the middle of a range of pitches that begins level.
 AIMED_PITCH = float(np.deg2rad(15.0))
 #: Numbers of points of the scans that the rig observes.
-SCANS = (8_000, 15_000, 25_000, 40_000)
-#: Episodes of a room, maps of an episode, and choices (one camera after the other) on each map.
-EPISODES, MAPS, CHOICES = 3, 3, 8
-#: Numbers of cameras, and their probabilities.
-CAMERAS, OFTEN = np.arange(1, 9), np.array([1, 2, 3, 5, 3, 3, 1, 1]) / 19.0
-#: Shortest and longest step, metres; number of turns among which those with a map are drawn; range
-#: of the cameras' maximum range, metres; range of their height above the floor, metres.
-STEPS, TURNS, RANGES, HEIGHTS = (0.5, 2.0), 14, (3.0, 6.0), (1.0, 2.3)
-#: Smallest and largest limit of a camera's rotation in one turn, radians.
-TURNED = 0.5, 2.0
-#: Probability that a camera chooses a random pose, and standard deviation of the noise that is
-#: added to the labels before the best pose is chosen otherwise.
-AT_RANDOM, NEARLY = 0.15, 0.04
-#: Probability of the default rig's range and height; probability of larger map cells, and the
-#: largest factor of their size.
-PLAIN, COARSE, COARSEST = 0.5, 0.2, 2.0
+SCAN_POINTS = (8_000, 15_000, 25_000, 40_000)
 
 
 def shapes_of(headings: int) -> dict[str, tuple[type, tuple[int, ...]]]:
@@ -135,18 +122,18 @@ class TrueRoom:
     """
 
     def __init__(self, scene: Scene, config: SimulationConfig, headings: int = 0) -> None:
-        engine = EngineConfig(preset='fine', error_rows=TRUE_ROWS, coverage_cell=1.0)
+        engine = EngineConfig(preset='fine', error_rows=64, coverage_cell=1.0)
         self.engine = Simulator(scene, replace(config, engine=with_rays(engine, scene)))
         self.space = space_of(self.engine, 1)
         self.places = self.space.grid(AIMED_PLACES if headings else PLACES)
-        turned = np.zeros((max(headings, 1), 3))
+        aims = np.zeros((max(headings, 1), 3))
         if headings:
-            turned[:, 0], turned[:, 1] = yaws_of(headings), AIMED_PITCH
+            aims[:, 0], aims[:, 1] = yaws_of(headings), AIMED_PITCH
         at = self.space.placement(self.places)
-        self.poses = np.hstack([np.repeat(at, len(turned), axis=0), np.tile(turned, (len(at), 1))])
-        self._seen = [seen for place in at for seen in self._looks(place, turned)]
+        self.poses = np.hstack([np.repeat(at, len(aims), axis=0), np.tile(aims, (len(at), 1))])
+        self._seen = [seen for place in at for seen in self._looks(place, aims)]
 
-    def _looks(self, place: np.ndarray, turned: np.ndarray) -> list[np.ndarray]:
+    def _looks(self, place: np.ndarray, aims: np.ndarray) -> list[np.ndarray]:
         """Return the packed points visible from a position, for each heading (D, 3), radians."""
         lens = self.engine.models[0].lens
         # The preset of this engine never uses the other kind of visibility, points as cubes.
@@ -154,9 +141,9 @@ class TrueRoom:
         seen, covered = no_bits(len(self.engine.scene)), no_bits(len(self.engine.grid))
         look.look(Pose.of(place), lens._replace(kind=OMNIDIRECTIONAL), seen, covered)
         if lens.kind == OMNIDIRECTIONAL:
-            return [seen] * len(turned)
+            return [seen] * len(aims)
         return [look.narrowed(Pose.of(np.append(place, one)), lens, seen, covered)[0]
-                for one in turned]
+                for one in aims]
 
     def nearest(self, targets: np.ndarray, headings: np.ndarray | None = None) -> np.ndarray:
         """
@@ -167,9 +154,9 @@ class TrueRoom:
         """
         away = np.linalg.norm(targets[:, None] - self.places[None], axis=2)
         count = len(self.poses) // len(self.places)
-        turned = 0 if headings is None else np.rint(
+        number = 0 if headings is None else np.rint(
             headings[:, 0] * (count / (2.0 * np.pi))).astype(np.int64) % count
-        return np.argmin(away, axis=1) * count + turned
+        return np.argmin(away, axis=1) * count + number
 
     def values(self, others: Sequence[int]) -> np.ndarray:
         """
@@ -195,21 +182,27 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     """
     rng = np.random.default_rng(task.seed)
     rotation = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
-    true = make(replace(task.rooms, points=TRUE_POINTS), task.room, rotation)
-    scan = make(replace(task.rooms, points=int(rng.choice(SCANS))), task.room, rotation)
-    plain = rng.random() < PLAIN or true.size[2] < HEIGHTS[1]
-    rig = RigConfig(cameras=CAMERAS[-1]) if plain else RigConfig(
-        cameras=CAMERAS[-1], max_range=float(rng.uniform(*RANGES)),
-        height=float(rng.uniform(*HEIGHTS)))
+    true = make(replace(task.rooms, points=40_000), task.room, rotation)
+    scan = make(replace(task.rooms, points=int(rng.choice(SCAN_POINTS))), task.room, rotation)
+    heights_m = (1.0, 2.3)
+    # Half of the rooms have the range and the height of the default rig.
+    plain = rng.random() < 0.5 or true.size[2] < heights_m[1]
+    counts = np.arange(1, 9)
+    rig = RigConfig(cameras=counts[-1]) if plain else RigConfig(
+        cameras=counts[-1], max_range=float(rng.uniform(3.0, 6.0)),
+        height=float(rng.uniform(*heights_m)))
     if task.headings:
-        rig = replace(rig, sensors=str(rng.choice(AIMED)))
+        rig = replace(rig, sensors=str(rng.choice(AIMED_SENSORS)))
     config = SimulationConfig(rig, EngineConfig(preset='fine', error_rows=16))
     room = TrueRoom(true, config, task.headings)
     problem = PlaneProblem(Simulator(scan, config))
     states = _States(room, rng, task)
-    for _ in range(EPISODES):
-        cameras = int(rng.choice(CAMERAS, p=OFTEN))
-        states.play(problem, cameras, float(rng.uniform(*STEPS)), task.weights)
+    # Three episodes in a room.
+    probabilities = np.array([1, 2, 3, 5, 3, 3, 1, 1]) / 19.0
+    for _ in range(3):
+        cameras = int(rng.choice(counts, p=probabilities))
+        # The step is 0.5 to 2 m.
+        states.play(problem, cameras, float(rng.uniform(0.5, 2.0)), task.weights)
     return states.arrays()
 
 
@@ -217,37 +210,40 @@ class _States:
     """The recorded maps and choices of a room."""
 
     def __init__(self, room: TrueRoom, rng: np.random.Generator, task: StateTask) -> None:
-        self._room, self._rng, self._headings = room, rng, task.headings
+        self._room = room
+        self._rng = rng
+        self._headings = task.headings
         self._lens = room.engine.models[0].lens if task.headings else None
         self._maps: list[np.ndarray] = []
         self._places: list[np.ndarray] = []
         self._choices: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
         #: Numbers of the poses that the cameras chose last.
-        self._good: list[int] = []
+        self._last_choices: list[int] = []
 
     def play(self, problem: Problem, cameras: int, step: float, weights: bytes) -> None:
         """Run an episode; at some turns record a map and let the cameras choose."""
-        rng, memory = self._rng, LookHistory()
-        due = np.sort(rng.choice(TURNS, MAPS, replace=False))
-        turns = int(due[-1]) + 1 + int(rng.integers(6))
+        rng, history = self._rng, LookHistory()
+        # Maps are recorded at 3 of 14 turns.
+        map_turns = np.sort(rng.choice(14, 3, replace=False))
+        turns = int(map_turns[-1]) + 1 + int(rng.integers(6))
         simulator = problem.simulator
         simulator.config = replace(simulator.config, episode=EpisodeConfig(
             turns=turns, max_step=step, start_radius=float(rng.choice([0.5, 3.0])),
-            max_turn=float(rng.uniform(*TURNED)) if self._headings else EpisodeConfig.max_turn))
+            max_turn=float(rng.uniform(0.5, 2.0)) if self._headings else EpisodeConfig.max_turn))
         settings = settings_of(simulator.config.episode, problem.rig, rng)
         actor = MapActor(policy_of(weights), *settings) if weights else None
         episode = Episode(problem, rng, cameras)
-        going = self._drawn(cameras)
-        for turn in range(int(due[-1]) + 1):
+        chosen = self._draw_targets(cameras)
+        for turn in range(int(map_turns[-1]) + 1):
             positions, cloud = episode.turn.positions, episode.observed_cloud
             rig_state = state_of(episode) if self._headings else None
-            record_views(memory, positions, rig_state)
-            if turn in due:
+            record_views(history, positions, rig_state)
+            if turn in map_turns:
                 if actor is not None and actor.targets is not None:
-                    going = self._room.nearest(actor.targets, actor.headings)
-                going = self._choose(cloud, positions, memory, going, settings[2])
-            goals = self._room.poses[going]
-            moves, headings = self._walked(positions, goals[:, :2], step), goals[:, 3:]
+                    chosen = self._room.nearest(actor.targets, actor.headings)
+                chosen = self._choose(cloud, positions, history, chosen, settings[2])
+            goals = self._room.poses[chosen]
+            moves, headings = self._moves_towards(positions, goals[:, :2], step), goals[:, 3:]
             if actor is not None:
                 actor.set_rig_state(rig_state)
                 moves = actor.move(cloud, positions, turn, turns)
@@ -255,51 +251,54 @@ class _States:
             episode.move(moves, None if rig_state is None else turned_towards(
                 episode.turn.headings, headings, episode.config.max_turn))
 
-    def _walked(self, positions: np.ndarray, places: np.ndarray, step: float) -> np.ndarray:
+    def _moves_towards(self, positions: np.ndarray, places: np.ndarray, step: float) -> np.ndarray:
         """Return moves (K, 2), metres, towards targets, within the true feasible region."""
         flat = positions[:, :2]
         way = towards(flat, places, step) - flat
         return self._room.space.moved(flat, way, step) - flat
 
-    def _drawn(self, cameras: int) -> np.ndarray:
+    def _draw_targets(self, cameras: int) -> np.ndarray:
         """Draw target poses; with probability 0.5 some of them are the last good ones."""
         drawn = self._rng.integers(len(self._room.poses), size=cameras)
-        if self._good and self._rng.random() < 0.5:
-            count = min(cameras, len(self._good))
-            drawn[:count] = self._rng.permutation(self._good)[:count]
+        if self._last_choices and self._rng.random() < 0.5:
+            count = min(cameras, len(self._last_choices))
+            drawn[:count] = self._rng.permutation(self._last_choices)[:count]
         return drawn
 
-    def _choose(self, cloud: np.ndarray, positions: np.ndarray, memory: LookHistory,
-                going: np.ndarray, max_range: float) -> np.ndarray:
+    def _choose(self, cloud: np.ndarray, positions: np.ndarray, history: LookHistory,
+                chosen: np.ndarray, max_range: float) -> np.ndarray:
         """Record the map of a turn and the choices of cameras; return the chosen poses."""
         rng, places, cameras = self._rng, self._room.places, len(positions)
         poses = self._room.poses
-        coarse = rng.uniform(1.0, COARSEST) if rng.random() < COARSE else 1.0
+        coarse = rng.uniform(1.0, 2.0) if rng.random() < 0.2 else 1.0
         try:
-            model = PartialMap(cloud, positions, max_range, PLAIN_POINTS, PLAIN_ROWS)
+            model = PartialMap(cloud, positions, max_range, MODEL_POINTS, MODEL_ROWS)
         except SceneError:
-            return going
-        known = ObservationMap(model, memory.unseen(model), cameras, max_range,
-                               float(positions[0, 2]), coarse * EDGE_M)
-        going = (going if rng.random() < 0.5 else self._drawn(cameras)).copy()
-        views = [self._look(model, poses[pose], positions) for pose in going]
+            return chosen
+        observed = ObservationMap(model, history.unseen(model), cameras, max_range,
+                                  float(positions[0, 2]), coarse * EDGE_M)
+        chosen = (chosen if rng.random() < 0.5 else self._draw_targets(cameras)).copy()
+        views = [self._look(model, poses[pose], positions) for pose in chosen]
         number = len(self._maps)
-        self._maps.append(known.room)
-        self._places.append(((places - known.window.low) / known.window.edge).astype(np.float32))
+        self._maps.append(observed.room)
+        window = observed.window
+        self._places.append(((places - window.low) / window.edge).astype(np.float32))
         first = int(rng.integers(cameras))
-        for camera in (first + np.arange(CHOICES)) % cameras:
-            others = np.delete(going, camera)
+        # One camera after the other chooses.
+        for camera in (first + np.arange(8)) % cameras:
+            others = np.delete(chosen, camera)
             values = self._room.values(others)
-            channels, numbers = known.others(
+            channels, numbers = observed.others(
                 views[:camera] + views[camera + 1:], poses[others])
             self._choices.append((number, channels, numbers, values))
-            if rng.random() < AT_RANDOM:
-                going[camera] = rng.integers(len(poses))
+            if rng.random() < 0.15:
+                chosen[camera] = rng.integers(len(poses))
             else:
-                going[camera] = np.argmin(values + rng.normal(0.0, NEARLY, len(values)))
-            views[camera] = self._look(model, poses[going[camera]], positions)
-        self._good = going.tolist()
-        return going
+                # Noise is added to the labels before the best pose is chosen.
+                chosen[camera] = np.argmin(values + rng.normal(0.0, 0.04, len(values)))
+            views[camera] = self._look(model, poses[chosen[camera]], positions)
+        self._last_choices = chosen.tolist()
+        return chosen
 
     def _look(self, model: PartialMap, pose: np.ndarray, positions: np.ndarray) -> View:
         """Return the view of the partial map from a pose (6,) at the height of the cameras."""

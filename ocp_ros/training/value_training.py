@@ -35,7 +35,7 @@ import numpy as np
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.value_network import ValueMapNetwork
-from ocp_ros.training.run_folder import add_record, BEST, records, VALUES, VALUES_STATE
+from ocp_ros.training.run_folder import add_record, BEST, records, VALUES_PHASE, VALUES_STATE
 from ocp_ros.training.sac_state import new_run
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names
@@ -49,13 +49,13 @@ from ocp_ros.util.worker_pool import WorkerPool
 from rich.progress import Progress
 import torch
 
-STATES = 'states'
-#: Kinds of states: of rooms with moves to random poses, with moves of the network itself, and of
-#: validation rooms. The number is part of the seed.
-WALKED, OWN, CHECKED = 0, 1, 2
-NAMES = {WALKED: 'walked', OWN: 'own', CHECKED: 'validation'}
-#: Every ``EVERY``-th validation room is used to measure the regret.
-EVERY = 3
+#: States of rooms with moves to random poses. The number of a kind is part of the seed.
+WALKED = 0
+#: States of rooms with moves of the network itself.
+OWN = 1
+#: States of validation rooms.
+CHECKED = 2
+KIND_NAMES = {WALKED: 'walked', OWN: 'own', CHECKED: 'validation'}
 
 
 class TrainingRun(ABC):
@@ -75,8 +75,12 @@ class TrainingRun(ABC):
 
     def __init__(self, config: TrainingConfig, folder: Path, pool: WorkerPool,
                  progress: Progress) -> None:
-        self.config, self.folder, self.pool = config, folder, pool
-        self.progress, self.name, self.past = progress, new_run(), records(folder)
+        self.config = config
+        self.folder = folder
+        self.pool = pool
+        self.progress = progress
+        self.name = new_run()
+        self.past = records(folder)
         self._began = time.monotonic() - (self.past[-1]['seconds'] if self.past else 0.0)
 
     @property
@@ -158,13 +162,13 @@ class ValueRun(TrainingRun):
 
     def states(self, kind: int, rooms: list[str], weights: bytes = b'') -> ValueSet:
         """Return the states of some rooms; read those that were saved, and play the others."""
-        folder = self.folder / STATES
-        paths = [folder / f'{NAMES[kind]}_{number:05}.npz' for number in range(len(rooms))]
+        folder = self.folder / 'states'
+        paths = [folder / f'{KIND_NAMES[kind]}_{number:05}.npz' for number in range(len(rooms))]
         missing = [number for number, path in enumerate(paths) if not path.exists()]
         headings = self.config.agent.headings
         tasks = [StateTask(self.config.rooms, rooms[number], (self.config.seed, kind, number),
                            weights, headings) for number in missing]
-        bar = self.progress.add_task(f'states, {NAMES[kind]}', total=len(rooms),
+        bar = self.progress.add_task(f'states, {KIND_NAMES[kind]}', total=len(rooms),
                                      completed=len(rooms) - len(missing), error='')
         for index, arrays in self.pool.unordered(play_states, tasks):
             buffer = io.BytesIO()
@@ -226,7 +230,8 @@ def learn_values(run: ValueRun) -> Checkpoint:
     total = values.steps + values.own_steps
     if run.fit.step >= total:
         return run.checkpoint()
-    checked = run.states(CHECKED, room_names(run.config.rooms, 'validation')[::EVERY])
+    # Every third validation room is used to measure the regret.
+    checked = run.states(CHECKED, room_names(run.config.rooms, 'validation')[::3])
     choices = [run.states(WALKED, rooms[:values.rooms])]
     bar = run.progress.add_task('dense values', total=total, error='')
 
@@ -235,7 +240,7 @@ def learn_values(run: ValueRun) -> Checkpoint:
         if step % values.evaluate_every == 0 or step == total:
             regret = regret_of(run.fit.average, checked)
             run.progress.update(bar, error=f'regret {regret:.3f}, loss {loss:.3f}')
-            run.note(VALUES, loss=loss, regret=regret)
+            run.note(VALUES_PHASE, loss=loss, regret=regret)
             run.save()
 
     run.fit.run(choices[0], values.steps, total, watch)

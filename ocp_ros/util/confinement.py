@@ -31,23 +31,10 @@ import signal
 import struct
 import time
 
-#: The option of prctl(2) that forbids started programs more rights than this one; Landlock and
-#: seccomp need it.
-NO_NEW_PRIVILEGES = 38
-#: System calls of Landlock, the same on all machines, see landlock(7).
-CREATE_RULESET, ADD_RULE, RESTRICT_SELF = 444, 445, 446
-VERSION_FLAG, PATH_RULE, O_PATH = 1, 1, 0o10000000
+#: The right to read a file.
 READ_FILE = 1 << 2
 #: Rights to write, read, list, remove, make and truncate files in the process's own folder.
 USE_FOLDER = 1 << 1 | READ_FILE | 1 << 3 | 1 << 4 | 1 << 5 | 1 << 7 | 1 << 8
-TRUNCATE = 1 << 14
-#: The number of rights of each version of Landlock, from the first on.
-RIGHTS = (13, 14, 15, 15, 16)
-#: The first version of Landlock that restricts signals to the process itself, and the flag for
-#: this.
-SCOPED, SCOPE_SIGNALS = 6, 2
-#: Values of seccomp(2): set a filter, for all threads; and the answers of a filter.
-FILTER, ALL_THREADS, ALLOW, REFUSE, KILL = 1, 1, 0x7FFF0000, 0x00050000 | 1, 0x80000000
 #: For each machine: its architecture mark, the numbers of seccomp and tgkill (which may only
 #: signal the process itself), and the numbers of the refused calls: socket, execve, execveat,
 #: ptrace, process_vm_readv, process_vm_writev, kill, tkill, rt_sigqueueinfo, rt_tgsigqueueinfo,
@@ -60,8 +47,6 @@ MACHINES = {
     'aarch64': (0xC00000B7, 277, 131,
                 (198, 221, 281, 117, 270, 271, 129, 130, 138, 240, 424, 438, 425, 52, 53, 452, 55,
                  54, 88))}
-#: System calls from here on are those of another ABI of x86_64.
-X32 = 0x40000000
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
@@ -96,27 +81,38 @@ def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> No
     :param files: the files that may be read; the targets of links count.
     :param folder: the folder that may be written to; None for none.
     """
-    _libc.prctl(NO_NEW_PRIVILEGES, 1, 0, 0, 0)
+    # Option 38 of prctl(2) forbids started programs more rights than this one; Landlock and
+    # seccomp need it.
+    _libc.prctl(38, 1, 0, 0, 0)
     _allow_files(dict.fromkeys(files, READ_FILE) | ({folder: USE_FOLDER} if folder else {}))
     _refuse_calls()
 
 
 def _allow_files(rights: dict[str | Path, int]) -> None:
     """Restrict file access to some files with Landlock."""
-    version = _libc.syscall(CREATE_RULESET, None, 0, VERSION_FLAG)
+    # System calls of Landlock, the same on all machines, see landlock(7).
+    create_ruleset = 444
+    # Flag 1 asks for the version.
+    version = _libc.syscall(create_ruleset, None, 0, 1)
     if version < 1:
         return
-    known = (1 << RIGHTS[min(version, len(RIGHTS)) - 1]) - 1
+    # The number of rights of each version, from the first on.
+    rights_of_version = (13, 14, 15, 15, 16)
+    known = (1 << rights_of_version[min(version, len(rights_of_version)) - 1]) - 1
     attribute = struct.pack('<Q', known)
-    if version >= SCOPED:
-        attribute = struct.pack('<QQQ', known, 0, SCOPE_SIGNALS)
-    rules = _libc.syscall(CREATE_RULESET, attribute, len(attribute), 0)
+    # From version 6 on, Landlock also restricts signals to the process itself: flag 2.
+    if version >= 6:
+        attribute = struct.pack('<QQQ', known, 0, 2)
+    rules = _libc.syscall(create_ruleset, attribute, len(attribute), 0)
     for path, right in rights.items():
-        handle = os.open(path, O_PATH | os.O_CLOEXEC)
-        right |= TRUNCATE if right == USE_FOLDER else 0
-        _libc.syscall(ADD_RULE, rules, PATH_RULE, struct.pack('<Qi', right & known, handle), 0)
+        handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
+        # Bit 14 is the right to truncate.
+        right |= 1 << 14 if right == USE_FOLDER else 0
+        # Call 445 adds a rule of kind 1, for files below a path.
+        _libc.syscall(445, rules, 1, struct.pack('<Qi', right & known, handle), 0)
         os.close(handle)
-    _libc.syscall(RESTRICT_SELF, rules, 0)
+    # Call 446 restricts this process.
+    _libc.syscall(446, rules, 0)
     os.close(rules)
 
 
@@ -127,13 +123,19 @@ def _refuse_calls() -> None:
     mark, seccomp, signal_thread, refused = MACHINES[platform.machine()]
     # A filter of classic BPF: load a word, jump by its value, return.
     load, equal, at_least, answer = 0x20, 0x15, 0x35, 0x06
-    rows = [(load, 0, 0, 4), (equal, 1, 0, mark), (answer, 0, 0, KILL), (load, 0, 0, 0),
-            (at_least, 0, 1, X32), (answer, 0, 0, REFUSE)]
+    # The answers of a filter, see seccomp(2).
+    allow = 0x7FFF0000
+    refuse = 0x00050000 | 1
+    kill = 0x80000000
+    # System calls from here on are those of another ABI of x86_64.
+    rows = [(load, 0, 0, 4), (equal, 1, 0, mark), (answer, 0, 0, kill), (load, 0, 0, 0),
+            (at_least, 0, 1, 0x40000000), (answer, 0, 0, refuse)]
     for number in refused:
-        rows += [(equal, 0, 1, number), (answer, 0, 0, REFUSE)]
+        rows += [(equal, 0, 1, number), (answer, 0, 0, refuse)]
     # In the data, the first argument follows the number, the machine and the address.
     rows += [(equal, 0, 3, signal_thread), (load, 0, 0, 16), (equal, 1, 0, os.getpid()),
-             (answer, 0, 0, REFUSE), (answer, 0, 0, ALLOW)]
+             (answer, 0, 0, refuse), (answer, 0, 0, allow)]
     code = ctypes.create_string_buffer(b''.join(struct.pack('<HBBI', *row) for row in rows))
     program = struct.pack('<HxxxxxxQ', len(rows), ctypes.addressof(code))
-    _libc.syscall(seccomp, FILTER, ALL_THREADS, program)
+    # Set a filter, for all threads.
+    _libc.syscall(seccomp, 1, 1, program)

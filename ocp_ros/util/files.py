@@ -30,16 +30,17 @@ from typing import BinaryIO
 
 from ocp_ros.util.settings import ConfigurationError
 
-#: Names in a folder of results: the prefix of a folder with an unfinished set of files, the folder
-#: of a complete set that has to be swapped in, and the list of its file names in that folder.
-UNFINISHED, COMPLETE, NAMES = '.ocp_unfinished_', '.ocp_complete', '.names.json'
-#: The largest size of a list of names in bytes.
-LONGEST_LIST = 10_000
-#: The default largest size in bytes of a file read at once, and the bytes read in one step.
-LARGEST, PIECE = 1_000_000_000, 1 << 20
+#: The list of the file names of a complete set, in its folder.
+NAMES_FILE = '.names.json'
+#: The folder of a complete set that has to be swapped in.
+COMPLETE_FOLDER = '.ocp_complete'
+#: Prefix of a folder with an unfinished set of files.
+UNFINISHED_PREFIX = '.ocp_unfinished_'
+#: The default largest size in bytes of a file read at once.
+MAX_BYTES = 1_000_000_000
 
 
-def read_regular(path: str | Path, most: int = LARGEST) -> bytes:
+def read_regular(path: str | Path, most: int = MAX_BYTES) -> bytes:
     """
     Read a file that should not be large; pipes and devices, which may never end, are refused.
 
@@ -83,7 +84,7 @@ def sha256_of_file(path: str | Path) -> str:
     """
     found = hashlib.sha256()
     with _regular(path, math.inf) as file:
-        while piece := file.read(PIECE):
+        while piece := file.read(1 << 20):
             found.update(piece)
     return found.hexdigest()
 
@@ -180,13 +181,15 @@ class FileSet:
     """
 
     def __init__(self, folder: Path, names: Collection[str], mark: str) -> None:
-        self.folder, self._names, self._mark = folder, names, mark
+        self.folder = folder
+        self._names = names
+        self._mark = mark
 
     def __enter__(self) -> 'FileSet':
         """Make the folder to write to."""
         recover(self.folder, self._names, self._mark)
         with _locked(self.folder):
-            self.aside = Path(tempfile.mkdtemp(prefix=UNFINISHED, dir=self.folder))
+            self.aside = Path(tempfile.mkdtemp(prefix=UNFINISHED_PREFIX, dir=self.folder))
             #: The lock shows that the writing process is alive.
             self._lock = os.open(self.aside, os.O_RDONLY)
             with suppress(OSError):
@@ -198,10 +201,10 @@ class FileSet:
         written = [name for name in self._names if (self.aside / name).exists()]
         try:
             if self._mark in written:
-                write_atomically(self.aside / NAMES, json.dumps(written))
+                write_atomically(self.aside / NAMES_FILE, json.dumps(written))
                 with _locked(self.folder):
                     _swap_in(self.folder, self._names, self._mark)
-                    self.aside.rename(self.folder / COMPLETE)
+                    self.aside.rename(self.folder / COMPLETE_FOLDER)
         finally:
             os.close(self._lock)
             recover(self.folder, self._names, self._mark)
@@ -230,7 +233,7 @@ def recover(folder: Path, names: Collection[str], mark: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
         _swap_in(folder, names, mark)
-        for aside in folder.glob(f'{UNFINISHED}*'):
+        for aside in folder.glob(f'{UNFINISHED_PREFIX}*'):
             with suppress(OSError):
                 handle = os.open(aside, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
                 try:
@@ -242,9 +245,10 @@ def recover(folder: Path, names: Collection[str], mark: str) -> None:
 
 def complete_set(folder: Path, names: Collection[str], mark: str) -> list[str]:
     """Return the file names of a complete set that is not swapped in yet; [] without one."""
-    complete = folder / COMPLETE
+    complete = folder / COMPLETE_FOLDER
     try:
-        kept = json.loads(read_regular(complete / NAMES, LONGEST_LIST))
+        # Bytes of the longest list of names.
+        kept = json.loads(read_regular(complete / NAMES_FILE, 10_000))
         # Files that are missing here have been swapped in already.
         whole = mark in kept and set(kept) <= set(names) and all(
             (complete / name).is_file() or (folder / name).is_file() for name in kept)
@@ -255,7 +259,7 @@ def complete_set(folder: Path, names: Collection[str], mark: str) -> list[str]:
 
 def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:
     """Replace the previous set by a complete one; remove an incomplete one."""
-    complete, kept = folder / COMPLETE, complete_set(folder, names, mark)
+    complete, kept = folder / COMPLETE_FOLDER, complete_set(folder, names, mark)
     for name in names if kept else ():
         if name not in kept:
             (folder / name).unlink(missing_ok=True)

@@ -25,19 +25,11 @@ import sys
 import tempfile
 from typing import NamedTuple
 
-#: Seconds to wait for a process beyond its own time limit; and seconds of all cores per million
-#: bytes of a file.
-PATIENCE, SECONDS_PER_MB = 60, 4
-#: Bytes of its last error output that are read, and the default largest size in bytes of a file
-#: that it writes.
-LAST_WORDS, WRITTEN = 4096, 1 << 20
-#: Bytes that are read from it at once.
-PIECE = 1 << 20
-TOO_LONG = 'it takes its reader too long'
-#: The code of the process: it must not import modules from the user's current folder.
-RUN = ('import sys; sys.path = [folder for folder in sys.path if folder]; '
-       'from importlib import import_module; '
-       'sys.exit(import_module(sys.argv[1]).main(sys.argv[2:]))')
+#: Seconds to wait for a process beyond its own time limit.
+GRACE_SECONDS = 60
+#: The default largest size in bytes of a file that it writes.
+MAX_WRITTEN_BYTES = 1 << 20
+TOO_SLOW = 'it takes its reader too long'
 
 
 class ReadingCost(NamedTuple):
@@ -72,13 +64,18 @@ class GuardedProcess:
     """
 
     def __init__(self, module: str, arguments: list[str], cost: ReadingCost, size: int,
-                 written: int = WRITTEN, more: Mapping[str, str] | None = None) -> None:
-        seconds = cost.seconds + SECONDS_PER_MB * size // 1_000_000
+                 written: int = MAX_WRITTEN_BYTES, more: Mapping[str, str] | None = None) -> None:
+        # Seconds of all cores: 4 for each million bytes of a file.
+        seconds = cost.seconds + 4 * size // 1_000_000
         limits = cost.memory + cost.memory_per_byte * size, seconds, written
-        self._patience = seconds + PATIENCE
+        self._patience = seconds + GRACE_SECONDS
         self._words = tempfile.TemporaryFile()  # noqa: SIM115
+        # The process must not import modules from the user's current folder.
+        program = ('import sys; sys.path = [folder for folder in sys.path if folder]; '
+                   'from importlib import import_module; '
+                   'sys.exit(import_module(sys.argv[1]).main(sys.argv[2:]))')
         self._process = subprocess.Popen(
-            [sys.executable, '-c', RUN, module, *map(str, limits), *arguments],
+            [sys.executable, '-c', program, module, *map(str, limits), *arguments],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._words,
             env={**_environment(), **(more or {})})
         self._out = self._process.stdout.fileno()
@@ -112,8 +109,8 @@ class GuardedProcess:
         parts, left = [], count
         while left:
             if not select.select([self._out], [], [], self._patience)[0]:
-                raise ValueError(TOO_LONG)
-            part = os.read(self._out, min(left, PIECE))
+                raise ValueError(TOO_SLOW)
+            part = os.read(self._out, min(left, 1 << 20))
             if not part:
                 self._check_end()
                 break
@@ -124,15 +121,16 @@ class GuardedProcess:
     def _check_end(self) -> None:
         """Raise a short error if the process failed."""
         try:
-            code = self._process.wait(PATIENCE)
+            code = self._process.wait(GRACE_SECONDS)
         except subprocess.TimeoutExpired:
-            raise ValueError(TOO_LONG) from None
+            raise ValueError(TOO_SLOW) from None
         if code in (-signal.SIGXCPU, -signal.SIGKILL):
-            raise ValueError(TOO_LONG)
+            raise ValueError(TOO_SLOW)
         if code < 0:
             raise ValueError('it makes its reader crash')
         if code:
-            self._words.seek(-min(LAST_WORDS, self._words.seek(0, os.SEEK_END)), os.SEEK_END)
+            # The last 4096 bytes of the error output.
+            self._words.seek(-min(4096, self._words.seek(0, os.SEEK_END)), os.SEEK_END)
             lines = self._words.read().decode(errors='replace').splitlines()
             raise ValueError(lines[-1] if lines else f'its reader ended with {code}')
 

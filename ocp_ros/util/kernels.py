@@ -28,9 +28,6 @@ from types import ModuleType
 
 from ocp_ros.util.files import cache_folder
 
-#: The flag of unshare(2) for a current folder of the calling thread only.
-OWN_FOLDER = 0x200
-
 
 def import_elsewhere(name: str) -> ModuleType:
     """
@@ -53,7 +50,8 @@ def import_elsewhere(name: str) -> ModuleType:
 def _import(name: str) -> None:
     """Import a package in the root folder; the caller reports import errors."""
     unshare = getattr(ctypes.CDLL(None), 'unshare', None)
-    alone = unshare is not None and unshare(OWN_FOLDER) == 0
+    # Flag 0x200 of unshare(2) gives the calling thread a current folder of its own.
+    alone = unshare is not None and unshare(0x200) == 0
     before = os.open('.', os.O_RDONLY)
     os.chdir('/')
     try:

@@ -21,12 +21,6 @@ They are in one folder: the source tree, or ``share/ocp_ros`` if the package is 
 from collections.abc import Iterator
 from pathlib import Path
 
-#: The largest number of folders from the package up to its installation prefix: site-packages,
-#: python3.x, lib, and the prefix itself.
-HEIGHT = 4
-#: A file that only this folder contains.
-MARK = Path('config', 'fastdds_local.xml')
-
 
 def share_folder() -> Path:
     """
@@ -39,8 +33,9 @@ def share_folder() -> Path:
 
     :raises FileNotFoundError: if there is none: the package is incomplete.
     """
+    # Only this folder contains the file.
     for folder in _places():
-        if (folder / MARK).is_file():
+        if (folder / 'config' / 'fastdds_local.xml').is_file():
             return folder
     raise FileNotFoundError(
         f'ocp_ros: found no folder share/ocp_ros above {Path(__file__).parents[1]}; expected one '
@@ -51,7 +46,8 @@ def _places() -> Iterator[Path]:
     """Yield possible paths of this folder, the most likely first."""
     # Some installers link to files elsewhere, without the rest of the prefix.
     for file in (Path(__file__).absolute(), Path(__file__).resolve()):
-        above = file.parents[2:2 + HEIGHT]
+        # At most four folders up: site-packages, python3.x, lib, and the installation prefix.
+        above = file.parents[2:6]
         yield above[0]
         yield from (folder / 'share' / 'ocp_ros' for folder in above)
     try:

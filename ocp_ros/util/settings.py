@@ -26,10 +26,14 @@ from typing import Any, TypeVar
 
 T = TypeVar('T')
 
-#: The most cameras of a rig, and the largest seed.
-MOST_CAMERAS, LARGEST_SEED = 64, 1 << 31
-#: The least and the largest number of points of a room.
-FEWEST_POINTS, MOST_POINTS = 1000, 5_000_000
+#: The largest number of cameras of a rig.
+MAX_CAMERAS = 64
+#: The largest seed.
+MAX_SEED = 1 << 31
+#: The least number of points of a room.
+MIN_ROOM_POINTS = 1000
+#: The largest number of points of a room.
+MAX_ROOM_POINTS = 5_000_000
 
 
 class UserError(ValueError):

@@ -14,9 +14,6 @@
 
 """Make untrusted text, such as file names, safe to print."""
 
-#: Invisible characters that join or separate letters, which several scripts need.
-JOINERS = '\u200c\u200d'
-
 
 def printable(text: str) -> str:
     """
@@ -30,6 +27,7 @@ def printable(text: str) -> str:
 
 def _shown(letter: str) -> str:
     """Return a letter or its printable replacement."""
-    if letter.isprintable() or letter in JOINERS:
+    # Several scripts need these invisible characters, which join or separate letters.
+    if letter.isprintable() or letter in '\u200c\u200d':
         return letter
     return ' ' if letter.isspace() else letter.encode('unicode_escape').decode('ascii')

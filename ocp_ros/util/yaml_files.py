@@ -51,11 +51,7 @@ Validator = extend(
 #: The path to a value: keys and indices of lists.
 Way = tuple[str | int, ...]
 Schema = dict[str, Any]
-#: The largest number of bytes, and of keys and values, of a file.
-LARGEST, MOST = 1_000_000, 20_000
-NUMBER = re.compile(r'[-+]?(\d{1,300}(\.\d*)?|\.\d+)([eE][-+]?\d{1,2})?')
-WORDS = {'': None, '~': None, 'null': None, 'true': True, 'false': False}
-PLAIN_TAGS = {f'tag:yaml.org,2002:{kind}' for kind in ('str', 'seq', 'map')}
+PLAIN_WORDS = {'': None, '~': None, 'null': None, 'true': True, 'false': False}
 
 
 @dataclass(frozen=True)
@@ -119,8 +115,9 @@ class _Loader(yaml.BaseLoader):
         """Refuse too many nodes and aliases."""
         self.nodes += 1
         line = self.peek_event().start_mark.line + 1
-        if self.nodes > MOST:
-            raise _Refused(line, f'more than {MOST:,} keys and values', 'fewer',
+        max_nodes = 20_000
+        if self.nodes > max_nodes:
+            raise _Refused(line, f'more than {max_nodes:,} keys and values', 'fewer',
                            'name the right file')
         if self.check_event(yaml.AliasEvent):
             raise _Refused(line, 'an alias', 'each value where it belongs',
@@ -181,13 +178,14 @@ def read_plain(path: str | Path) -> Document:
 
 def _text(path: Path) -> str:
     """Read a file that should be text of a reasonable length."""
+    max_bytes = 1_000_000
     try:
-        return read_regular(path, LARGEST).decode('utf-8-sig')
+        return read_regular(path, max_bytes).decode('utf-8-sig')
     except OSError as error:
         if error.errno == errno.EFBIG:
             raise ConfigurationError(
-                f'{path.name}: line 1: found {error.strerror}; expected at most {LARGEST:,}; name '
-                'the right file') from error
+                f'{path.name}: line 1: found {error.strerror}; expected at most '
+                f'{max_bytes:,}; name the right file') from error
         raise ConfigurationError(f'{path}: found no file that can be read ({error.strerror}); '
                                  'expected YAML or JSON; check the path') from error
     except UnicodeDecodeError as error:
@@ -200,7 +198,7 @@ def _text(path: Path) -> str:
 def _plain(node: yaml.Node, way: Way, lines: dict[Way, int]) -> Any:
     """Convert a YAML node to plain data and record its lines."""
     line = node.start_mark.line + 1
-    if node.tag not in PLAIN_TAGS:
+    if node.tag not in {f'tag:yaml.org,2002:{kind}' for kind in ('str', 'seq', 'map')}:
         raise _Refused(line, f'the tag {_word(node.tag)}', 'a plain value', 'remove the tag')
     lines.setdefault(way, line)
     if isinstance(node, yaml.SequenceNode):
@@ -226,9 +224,9 @@ def _scalar(node: yaml.ScalarNode) -> Any:
     text = node.value
     if node.style is not None:
         return text
-    if text.lower() in WORDS:
-        return WORDS[text.lower()]
-    if NUMBER.fullmatch(text):
+    if text.lower() in PLAIN_WORDS:
+        return PLAIN_WORDS[text.lower()]
+    if re.fullmatch(r'[-+]?(\d{1,300}(\.\d*)?|\.\d+)([eE][-+]?\d{1,2})?', text):
         return float(text) if re.search(r'[.eE]', text) else int(text)
     return text
 

@@ -22,7 +22,7 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.patches import Polygon
 import numpy as np
 from ocp_ros.geometry.normals import edge_aware_normals
-from ocp_ros.scenes.scene import NEIGHBOURS
+from ocp_ros.scenes.scene import PLANE_NEIGHBOURS
 from scipy.spatial import cKDTree, ConvexHull
 
 INK, PALE_INK = '#1c2530', '#66707c'
@@ -106,7 +106,7 @@ def _surface(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     :returns: (N, 3) unit normals of either sign and (N,) radii in metres, smaller for points that
         are not on a surface.
     """
-    distance, near = cKDTree(points).query(points, k=min(NEIGHBOURS, len(points)))
+    distance, near = cKDTree(points).query(points, k=min(PLANE_NEIGHBOURS, len(points)))
     normals = edge_aware_normals(points, near)
     offsets = points[near[:, :10]] - points[:, None]
     misfit = np.einsum('nki,ni->nk', offsets, normals).std(axis=1)

@@ -31,22 +31,11 @@ from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 from ocp_ros.util.settings import ConfigurationError
 import yaml
 
-#: Number of messages of a topic whose frame is read, and the longest name of a frame, bytes.
-ASKED, LONGEST = 20, 1000
-#: Largest size of the metadata, bytes: a bag of hundreds of topics and files has a tenth of it.
-METADATA = 2_000_000
 #: Limits for reading a bag: bytes of memory, bytes of memory for each byte of the bag, and seconds
 #: of all cores for an answer, to which seconds by the size of the bag are added.
-COST = ReadingCost(1_500_000_000, 0, 10)
-#: Largest size, unpacked, of files that are compressed as a whole: a constant number of bytes, and
-#: bytes for each packed byte.
-UNPACKED, UNPACKED_PER_BYTE = 500_000_000, 50
-#: Text that may be an alias in YAML; only the parser decides whether it is one.
-ALIAS = re.compile(rb'(^|[\s,\[{])\*\w')
-#: First bytes of a ROS 1 bag, suffixes of the files of ROS 2 bags, suffix of packed files.
-ROS1, ROS2_FILES, PACKED = b'#ROSBAG V', ('.mcap', '.db3'), '.zstd'
-#: Endings of the names of image types.
-IMAGES = ('/Image', '/CompressedImage')
+READING_COST = ReadingCost(1_500_000_000, 0, 10)
+#: Suffix of packed files.
+PACKED_SUFFIX = '.zstd'
 
 
 class Topic(NamedTuple):
@@ -123,12 +112,13 @@ class Bag:
     def _start(self) -> dict[str, Any]:
         """Start the process that reads, and return its description of the bag."""
         size = sum(file.stat().st_size for file in self._files)
-        packed = max(sum(file.suffix == PACKED for file in self._files), 1)
+        packed = max(sum(file.suffix == PACKED_SUFFIX for file in self._files), 1)
+        # Files that are compressed as a whole may unpack to 500 MB, and 50 bytes for each byte.
         self._process = GuardedProcess(
             'ocp_ros.ros.bags.bag_process',
             ['1' if self._is_ros1 else '2', self._folder.name, str(self._bag.absolute()),
              *(str(file.absolute()) for file in self._files)],
-            COST, size, (UNPACKED + UNPACKED_PER_BYTE * size) // packed,
+            READING_COST, size, (500_000_000 + 50 * size) // packed,
             {'TMPDIR': self._folder.name, 'SQLITE_TMPDIR': self._folder.name})
         return json.loads(self._answer()[-1])
 
@@ -171,7 +161,8 @@ class Bag:
         names = [topic.name for topic in self.topics if KINDS.get(topic.kind) == CLOUD]
         if not names:
             found = ', '.join(f'{t.name} ({t.kind})' for t in self.topics) or 'no topic at all'
-            images = any(topic.kind.endswith(IMAGES) and 'depth' in topic.name
+            images = any('depth' in topic.name
+                         and topic.kind.endswith(('/Image', '/CompressedImage'))
                          for topic in self.topics)
             remedy = ('play it, let ros2 run depth_image_proc point_cloud_xyz_node make clouds of '
                       'the depth images, and record these') if images else (
@@ -194,8 +185,9 @@ class Bag:
         """Return the frames of a topic's first messages; empty for transforms and other types."""
         if KINDS.get(topic.kind) not in (CLOUD, POSES):
             return []
+        # The frames of 20 messages are read.
         return sorted({_frame(item.cdr) if isinstance(item, Recorded) else '?'
-                       for item in self.messages([topic.name], most=ASKED)})
+                       for item in self.messages([topic.name], most=20)})
 
     def messages(self, names: list[str], start: int | None = None, stop: int | None = None,
                  most: int | None = None) -> Iterator[Recorded | BrokenMessage]:
@@ -257,11 +249,13 @@ def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
                 '.mcap or .db3 files are')
     if not path.exists():
         raise ConfigurationError(f'{path}: found nothing there; {expected}; correct the path')
-    if path.is_file() and path.suffix in ROS2_FILES:
+    ros2_suffixes = ('.mcap', '.db3')
+    if path.is_file() and path.suffix in ros2_suffixes:
         path = path.parent
     if path.is_dir():
         if (path / 'metadata.yaml').is_file():
-            files = [file for file in path.iterdir() if file.suffix in (*ROS2_FILES, PACKED)]
+            files = [file for file in path.iterdir()
+                     if file.suffix in (*ros2_suffixes, PACKED_SUFFIX)]
             files = [path / 'metadata.yaml', *files]
             if strange := [file.name for file in files if not file.is_file()]:
                 raise ConfigurationError(f'{path}: found {strange[0]}, which is no file; '
@@ -272,14 +266,14 @@ def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
                                          f'{expected}; copy the file here')
             _check_metadata(path / 'metadata.yaml')
             return False, path, files
-        recorded = any(file.suffix in ROS2_FILES for file in path.iterdir())
+        recorded = any(file.suffix in ros2_suffixes for file in path.iterdir())
         inside, remedy = ('recorded files without metadata.yaml', 'run ros2 bag reindex') if (
             recorded) else ('a folder that is no bag', 'name the folder that ros2 bag record made')
         raise ConfigurationError(f'{path}: found {inside}; {expected}; {remedy}')
     if not path.is_file():
         raise ConfigurationError(f'{path}: found a pipe or a device; {expected}; correct the path')
     with open(path, 'rb') as file:
-        if file.read(len(ROS1)) != ROS1:
+        if file.read(9) != b'#ROSBAG V':
             raise ConfigurationError(f'{path}: found a file that is no bag; {expected}; correct '
                                      'the path')
     return True, path, [path]
@@ -287,9 +281,12 @@ def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
 
 def _check_metadata(path: Path) -> None:
     """Refuse metadata with YAML aliases: when they are expanded, they may fill the memory."""
-    text = read_regular(path, METADATA)
+    # A bag of hundreds of topics and files has a tenth of 2 MB of metadata.
+    text = read_regular(path, 2_000_000)
     loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-    if ALIAS.search(text) and any(isinstance(event, yaml.AliasEvent)
+    # The text may be an alias in YAML; only the parser decides whether it is one.
+    alias = re.compile(rb'(^|[\s,\[{])\*\w')
+    if alias.search(text) and any(isinstance(event, yaml.AliasEvent)
                                   for event in yaml.parse(text, loader)):
         raise ValueError('metadata.yaml has an alias, which ROS never writes')
 
@@ -298,6 +295,7 @@ def _frame(cdr: bytes) -> str:
     """Return the frame of a message that begins with a header."""
     # The header has the byte order, the stamp, and a text that ends with a zero byte.
     length, = struct.unpack_from('>I' if cdr[1] % 2 == 0 else '<I', cdr, 12)
-    if length > min(LONGEST, len(cdr) - 16):
+    # A longer name is no frame.
+    if length > min(1000, len(cdr) - 16):
         return '?'
     return cdr[16:16 + length].rstrip(b'\0').decode(errors='replace')

@@ -38,19 +38,12 @@ TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 #: The types that are read; old bags use another type name for transforms, with the same layout.
 KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage': TRANSFORMS}
 #: Least number of bytes of one list element in ROS 1: field of a cloud, pose, transform.
-PARTS = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
+MIN_ELEMENT_BYTES = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
 #: Bytes of the largest message: a cloud of five million points is smaller.
-LARGEST = 200_000_000
+MAX_MESSAGE_BYTES = 200_000_000
 #: The kind of an answer, the number of its topic, its time of recording, bytes of its content.
 HEADER = struct.Struct('<BIqQ')
 TOPICS, MESSAGE, BROKEN, END = range(4)
-#: Packages that are imported before the process gives up its access to files.
-PACKAGES = ('apsw', 'numpy', 'rosbags.rosbag1', 'rosbags.rosbag2', 'rosbags.serde.cdr',
-            'rosbags.serde.primitives', 'rosbags.serde.ros1', 'rosbags.serde.utils',
-            'rosbags.typesys.stores.ros2_jazzy')
-#: All tables of a ROS 2 bag in SQLite, including those that SQLite itself makes.
-TABLES = {'schema', 'metadata', 'topics', 'messages', 'message_definitions', 'sqlite_sequence',
-          'sqlite_stat1', 'sqlite_stat4'}
 
 
 def check_schema(path: Path) -> None:
@@ -64,8 +57,11 @@ def check_schema(path: Path) -> None:
     import apsw
     database = apsw.Connection(f'file:{path}?immutable=1',
                                flags=apsw.SQLITE_OPEN_READONLY | apsw.SQLITE_OPEN_URI)
+    # All tables of a ROS 2 bag in SQLite, including those that SQLite itself makes.
+    tables = {'schema', 'metadata', 'topics', 'messages', 'message_definitions', 'sqlite_sequence',
+              'sqlite_stat1', 'sqlite_stat4'}
     for kind, name, sql in list(database.execute('SELECT type, name, sql FROM sqlite_master')):
-        plain = kind == 'index' or (kind == 'table' and name in TABLES and
+        plain = kind == 'index' or (kind == 'table' and name in tables and
                                     sql.lstrip()[:13].upper().startswith('CREATE TABLE'))
         # The last column is not 0 for columns that are computed or hidden.
         if not plain or kind == 'table' and any(
@@ -108,7 +104,9 @@ class Answers:
 
     def __init__(self, reader: Any, is_ros1: bool, out: BinaryIO) -> None:
         from rosbags.typesys import get_typestore, Stores
-        self._reader, self._is_ros1, self._out = reader, is_ros1, out
+        self._reader = reader
+        self._is_ros1 = is_ros1
+        self._out = out
         self._store = get_typestore(Stores.ROS2_JAZZY)
         self._names = sorted(reader.topics)
 
@@ -139,8 +137,8 @@ class Answers:
                 if self._is_ros1:
                     check_count(raw, kind)
                     raw = self._store.ros1_to_cdr(raw, kind)
-                if len(raw) > LARGEST:
-                    raise ValueError(f'{len(raw):,} bytes, more than {LARGEST:,}')
+                if len(raw) > MAX_MESSAGE_BYTES:
+                    raise ValueError(f'{len(raw):,} bytes, more than {MAX_MESSAGE_BYTES:,}')
             except Exception as error:
                 self._answer(BROKEN, topic, time, str(error).encode(errors='replace'))
             else:
@@ -162,7 +160,7 @@ def check_count(raw: bytes, kind: str) -> None:
         length, = struct.unpack_from('<I', raw, 12)
         start = 16 + length + (8 if kind == CLOUD else 0)
     count, = struct.unpack_from('<I', raw, start)
-    if count * PARTS[kind] > len(raw):
+    if count * MIN_ELEMENT_BYTES[kind] > len(raw):
         raise ValueError(f'{count:,} parts in {len(raw):,} bytes')
 
 
@@ -182,7 +180,11 @@ def main(arguments: list[str]) -> int:
         # Output that libraries print must not get into the answers: it goes to standard error.
         os.dup2(2, 1)
         try:
-            for package in PACKAGES:
+            # Imported before the process gives up its access to files.
+            packages = ('apsw', 'numpy', 'rosbags.rosbag1', 'rosbags.rosbag2',
+                        'rosbags.serde.cdr', 'rosbags.serde.primitives', 'rosbags.serde.ros1',
+                        'rosbags.serde.utils', 'rosbags.typesys.stores.ros2_jazzy')
+            for package in packages:
                 import_module(package)
             confine(files, folder)
             answers = Answers(open_reader(Path(bag), version == '1'), version == '1', out)

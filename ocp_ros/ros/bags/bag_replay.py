@@ -37,7 +37,7 @@ from ocp_ros.ros.interface.conversions import (
     rotation_of,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.frames import SENSOR
+from ocp_ros.ros.interface.frames import CAMERA_FRAME
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.util.settings import check_known, ConfigurationError
 from rclpy.clock import Clock
@@ -50,13 +50,6 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-#: Seconds between two checks for subscribers, and seconds from the moment all have subscribed to
-#: the first message: a subscriber discovers the publisher a little later.
-TICK, SETTLE = 0.05, 0.3
-#: Seconds that the last messages may take to arrive.
-FLUSH = 2.0
-#: Least time between the end of one loop and the beginning of the next, seconds of the recording.
-GAP = 0.1
 #: Endings of the names of optical frames, in which z is forward, x right and y down.
 OPTICAL_ENDS = ('optical', 'optical_frame')
 
@@ -73,7 +66,9 @@ class Replay(Node):
 
     def __init__(self, bag: Bag, options: ReplayOptions, **kwargs) -> None:
         super().__init__('replay', **kwargs)
-        self.bag, self.options, self.done = bag, options, Future()
+        self.bag = bag
+        self.options = options
+        self.done = Future()
         self.topics = chosen_topics(bag, options.topics)
         if options.poses and not options.topics:
             # Poses of the command line replace those of the bag.
@@ -89,14 +84,14 @@ class Replay(Node):
         self._posing = bool(options.poses) or (self._has_transforms and not has_poses)
         self._check_poses(has_poses)
         self._tree = TransformTree()
-        self._posed: dict[str, Pose] = {}
+        self._cloud_poses: dict[str, Pose] = {}
         self._make_publishers()
-        self._ahead = self._schedule()
+        self._upcoming = self._schedule()
         self._next: tuple[float, int, Recorded | BrokenMessage] | None = None
         self._began: float | None = None
         self._patience = time.monotonic() + options.wait
         self._timer = self.create_timer(
-            TICK, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
+            0.05, self._on_time, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def _check_poses(self, has_poses: bool) -> None:
         """Check that each camera has a pose; warn if there are neither poses nor transforms."""
@@ -151,18 +146,18 @@ class Replay(Node):
             if not options.loop:
                 return
             # The gap between two loops is the mean time between two clouds, at least ``GAP``.
-            moved += int(1e9 * (length + max(length / count, GAP)))
+            moved += int(1e9 * (length + max(length / count, 0.1)))
 
     def _on_time(self) -> None:
         """Publish the next message if it is due, and set the timer for the one after it."""
         try:
-            if self._began is None and not self._somebody_listens():
+            if self._began is None and not self._has_subscribers():
                 return
             self._publish_due()
         except ConfigurationError as error:
             self._end(error)
 
-    def _somebody_listens(self) -> bool:
+    def _has_subscribers(self) -> bool:
         """Return whether to begin: all topics have subscribers, or ``wait`` seconds are over."""
         now, mine = time.monotonic(), list(self._publishers_of.values())
         if self._posing:
@@ -174,13 +169,14 @@ class Replay(Node):
             self.get_logger().warning(f'found no subscriber of {", ".join(deaf)} after '
                                       f'{self.options.wait:g} s; expected policy_node with these '
                                       'cloud_topics; going on')
-        self._began = now + (0.0 if deaf else SETTLE)
+        # Subscribers discover the publisher a little later.
+        self._began = now + (0.0 if deaf else 0.3)
         return True
 
     def _publish_due(self) -> None:
         """Publish one message if it is due."""
         if self._next is None:
-            self._next = next(self._ahead, None)
+            self._next = next(self._upcoming, None)
             if self._next is None:
                 self._end(self._nothing_placed())
                 return
@@ -193,7 +189,7 @@ class Replay(Node):
     def flush(self) -> None:
         """Wait until reliable subscribers have all messages, at most ``FLUSH`` seconds."""
         for publisher in self.publishers:
-            publisher.wait_for_all_acked(Duration(seconds=FLUSH))
+            publisher.wait_for_all_acked(Duration(seconds=2.0))
 
     def _nothing_placed(self) -> ConfigurationError | None:
         """Return an error if no cloud was published."""
@@ -245,13 +241,13 @@ class Replay(Node):
         if self._posing:
             if self.options.poses:
                 at = self.options.poses
-                self._posed = {name: Pose.of(at[k]) for k, name in enumerate(self._clouds)}
+                self._cloud_poses = {name: Pose.of(at[k]) for k, name in enumerate(self._clouds)}
             else:
-                self._posed[topic] = self._looked_up(topic, frame, optical)
-            if len(self._posed) == len(self._clouds):
+                self._cloud_poses[topic] = self._looked_up(topic, frame, optical)
+            if len(self._cloud_poses) == len(self._clouds):
                 self._say_where(cloud.header)
             if frame != self.options.fixed_frame and not (
-                    self.options.poses and SENSOR.fullmatch(frame)):
+                    self.options.poses and CAMERA_FRAME.fullmatch(frame)):
                 cloud.header.frame_id = f'camera_{number}' + optical * '_optical'
         given = self._frames_given.get(topic, self._frames_given.get('', ''))
         cloud.header.frame_id = given or cloud.header.frame_id
@@ -269,13 +265,13 @@ class Replay(Node):
 
     def _say_where(self, header: Header) -> None:
         """Publish the camera poses, with the stamp of a cloud."""
-        posed = [self._posed[name] for name in self._clouds]
+        posed = [self._cloud_poses[name] for name in self._clouds]
         message = positions_to_msg(
             np.array([pose.position for pose in posed]),
             Header(stamp=header.stamp, frame_id=self.options.fixed_frame))
-        for told, pose in zip(message.poses, posed, strict=True):
+        for pose_message, pose in zip(message.poses, posed, strict=True):
             x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat()
-            told.orientation = Quaternion(x=x, y=y, z=z, w=w)
+            pose_message.orientation = Quaternion(x=x, y=y, z=z, w=w)
         self._poses.publish(message)
 
 

@@ -27,9 +27,6 @@ from ocp_ros.util.settings import check_known, ConfigurationError
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import PointCloud2
 
-#: Number of clouds of a topic that are joined: their noise is independent.
-FRAMES = 5
-
 
 def recorded_clouds(path: Path, names: Sequence[str], chosen: Mapping[str, str],
                     frame: str | None = None) -> dict[str, np.ndarray]:
@@ -67,7 +64,8 @@ def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -
 def _cloud(bag: Bag, topic: str, frame: str | None) -> np.ndarray:
     """Return the first ``FRAMES`` clouds of a topic, joined."""
     clouds, why = [], 'it has no message'
-    for item in islice(bag.messages([topic]), FRAMES):
+    # Five clouds of a topic are joined: their noise is independent.
+    for item in islice(bag.messages([topic]), 5):
         try:
             if not isinstance(item, Recorded):
                 raise item

@@ -25,7 +25,7 @@ from ocp_ros.ros.bags.bag_files import Bag
 from ocp_ros.ros.bags.bag_replay import Replay
 from ocp_ros.ros.bags.replay_options import chosen_topics, ReplayOptions
 from ocp_ros.ros.runtime.network import stay_local
-from ocp_ros.ros.runtime.node_main import ENDING
+from ocp_ros.ros.runtime.node_main import END_SIGNALS
 from ocp_ros.util.settings import ConfigurationError
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor
@@ -88,7 +88,7 @@ def _noted_signals(executor: Executor) -> Iterator[list[int]]:
         noted.append(number)
         executor.wake()
 
-    before = {number: signal.signal(number, note) for number in ENDING}
+    before = {number: signal.signal(number, note) for number in END_SIGNALS}
     try:
         yield noted
     finally:

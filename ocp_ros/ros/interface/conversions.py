@@ -22,18 +22,12 @@ from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 import numpy as np
 from ocp_ros.geometry.cameras import Pose as CameraPose
-from ocp_ros.util.settings import MOST_CAMERAS
+from ocp_ros.util.settings import MAX_CAMERAS
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
-#: Metres: largest coordinate of a camera on any axis, enough for national survey coordinates.
-FARTHEST = 1e7
-#: Characters of an error that are logged: a name that it quotes may be of any length.
-LONGEST_ERROR = 600
-#: Least length of a quaternion that defines a rotation.
-SHORTEST = 1e-6
 
 
 class MessageError(ValueError):
@@ -43,7 +37,9 @@ class MessageError(ValueError):
 def shortened(error: Exception) -> str:
     """Return the text of an error, cut to ``LONGEST_ERROR`` characters."""
     text = str(error)
-    return text if len(text) <= LONGEST_ERROR else f'{text[:LONGEST_ERROR]} ...'
+    # A name that an error quotes may be of any length.
+    max_letters = 600
+    return text if len(text) <= max_letters else f'{text[:max_letters]} ...'
 
 
 def stamp_to_ns(stamp: Time) -> int:
@@ -90,7 +86,9 @@ def cloud_with(points: np.ndarray, name: str, values: np.ndarray, header: Header
     rows = np.empty(len(points), dtype=[('xyz', '<f4', 3), ('value', values.dtype)])
     rows['xyz'], rows['value'] = points, values
     message = cloud_to_msg(points[:0], header)
-    message.width, message.point_step, message.row_step = len(rows), 16, 16 * len(rows)
+    message.width = len(rows)
+    message.point_step = 16
+    message.row_step = 16 * len(rows)
     message.fields = [*message.fields, PointField(name=name, offset=12, datatype=kind, count=1)]
     message.data = array('B', rows.tobytes())
     return message
@@ -196,15 +194,17 @@ def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarr
         not finite or beyond ``FARTHEST``.
     """
     count = len(message.poses)
-    if not 1 <= count <= MOST_CAMERAS or cameras not in (None, count):
-        expected = f'at least 1, at most {MOST_CAMERAS}' if cameras is None else cameras
+    if not 1 <= count <= MAX_CAMERAS or cameras not in (None, count):
+        expected = f'at least 1, at most {MAX_CAMERAS}' if cameras is None else cameras
         raise MessageError(f'poses: found {count} cameras; expected {expected}')
     positions = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
     if not np.isfinite(positions).all():
         raise MessageError('poses: found NaN or inf; expected finite metres')
-    if (farthest := np.abs(positions).max()) > FARTHEST:
+    # Enough for national survey coordinates.
+    max_coordinate_m = 1e7
+    if (farthest := np.abs(positions).max()) > max_coordinate_m:
         raise MessageError(f'poses: found a camera at {farthest:.3g} m; expected it within '
-                           f'{FARTHEST:.0e} m of the origin')
+                           f'{max_coordinate_m:.0e} m of the origin')
     return positions
 
 
@@ -230,7 +230,7 @@ def rotation_of(quaternion: Quaternion, whose: str) -> np.ndarray:
     :raises MessageError: if it is zero or not finite.
     """
     xyzw = np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
-    if not SHORTEST < (length := math.hypot(*xyzw)) < np.inf:
+    if not 1e-6 < (length := math.hypot(*xyzw)) < np.inf:
         raise MessageError(f'{whose}: found the quaternion {xyzw.tolist()}; expected one of '
                            'length 1; send x, y, z, w = 0, 0, 0, 1 for a level camera along x')
     return Rotation.from_quat(xyzw / length).as_matrix()

@@ -33,14 +33,9 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_msgs.msg import Header
 
-#: Names of the camera frames with the camera's index among the poses: body (x forward, y left,
-#: z up) and optical (z forward, x right, y down), as in REP-103.
-SENSOR = re.compile(r'camera_([0-9]{1,4})(_optical)?')
-#: For the check of axes: the least number of points; the least ratio of a point's forward
-#: coordinate to its distance; the share of the points that must reach that ratio.
-FEW, ALONG, NEARLY_ALL = 100, 0.4, 0.999
-#: Metres: a frame of tf2 within this distance of a camera counts as that camera's frame.
-OWN = 0.3
+#: Names of the camera frames with the camera's index among the poses: body (x forward, y left, z
+#: up) and optical (z forward, x right, y down), as in REP-103.
+CAMERA_FRAME = re.compile(r'camera_([0-9]{1,4})(_optical)?')
 
 
 class LateTransformError(MessageError):
@@ -91,7 +86,8 @@ class Transforms:
         except ImportError:
             self._buffer = None
             return
-        self._error, self._buffer = tf2_ros.TransformException, tf2_ros.Buffer()
+        self._error = tf2_ros.TransformException
+        self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
     def forget(self) -> None:
@@ -164,10 +160,13 @@ class CameraFrames:
             from tf2_msgs.msg import TFMessage
         except ImportError:
             return
-        self._message, self._taken, self._log = TFMessage, taken, node.get_logger()
+        self._message = TFMessage
+        self._taken = taken
+        self._log = node.get_logger()
         self._moving = node.create_publisher(TFMessage, '/tf', LOOP)
         self._static = node.create_publisher(TFMessage, '/tf_static', LATCHED)
-        self._cameras, self._published = 0, frozenset[int]()
+        self._cameras = 0
+        self._published = frozenset[int]()
 
     def publish(self, header: Header, poses: Sequence[Pose]) -> None:
         """
@@ -191,7 +190,8 @@ class CameraFrames:
         if others:
             self._log.info(f'publish_tf: another node publishes {len(others)} of the '
                            f'{cameras} frames camera_<i>; these are left to it')
-        self._cameras, self._published = cameras, frozenset(range(cameras)) - others
+        self._cameras = cameras
+        self._published = frozenset(range(cameras)) - others
         own, body = np.zeros(3), np.eye(3)
         self._static.publish(self._message(transforms=[
             transform(Header(stamp=header.stamp, frame_id=f'camera_{camera}'),
@@ -229,10 +229,11 @@ def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
     frame = frame.lstrip('/')
     if frame == rig.frame.lstrip('/'):
         return points, rig.positions
-    found, seen_from = SENSOR.fullmatch(frame), rig.positions
+    found, seen_from = CAMERA_FRAME.fullmatch(frame), rig.positions
     if found is None or int(found[1]) >= len(rig.poses):
         pose = transforms.pose(frame, rig)
-        if np.linalg.norm(rig.positions - pose.position, axis=1).min() <= OWN:
+        # A frame of tf2 within 0.3 m of a camera is that camera's frame.
+        if np.linalg.norm(rig.positions - pose.position, axis=1).min() <= 0.3:
             seen_from = pose.position[None]
     else:
         pose = rig.poses[int(found[1])]
@@ -248,11 +249,13 @@ def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
 
 def _check_axes(points: np.ndarray, frame: str, optical: bool) -> None:
     """Refuse points that lie ahead of the camera only in the other convention of axes."""
-    if len(points) < FEW:
+    # Fewer points show nothing.
+    if len(points) < 100:
         return
-    least = ALONG * np.linalg.norm(points.astype(np.float64), axis=1)
+    least = 0.4 * np.linalg.norm(points.astype(np.float64), axis=1)
     ahead = [np.mean(points[:, axis] > least) for axis in (0, 2)]
-    if ahead[not optical] < NEARLY_ALL or ahead[optical] >= NEARLY_ALL:
+    nearly_all = 0.999
+    if ahead[not optical] < nearly_all or ahead[optical] >= nearly_all:
         return
     found, expected = ('x forward (body axes)', 'z') if optical else ('z forward (optical axes)',
                                                                       'x')

@@ -22,11 +22,12 @@ from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
 from std_msgs.msg import ColorRGBA, Header
 from visualization_msgs.msg import Marker, MarkerArray
 
-CAMERA_COLOUR = ColorRGBA(r=0.84, g=0.15, b=0.16, a=1.0)
-TRAJECTORY_COLOUR = ColorRGBA(r=1.0, g=1.0, b=1.0, a=0.9)
-RANGE_COLOUR = ColorRGBA(r=0.4, g=0.65, b=1.0, a=0.08)
-FRUSTUM_COLOUR = ColorRGBA(r=0.4, g=0.65, b=1.0, a=0.8)
-MOVE_COLOUR = ColorRGBA(r=1.0, g=0.75, b=0.1, a=1.0)
+#: Colours by the namespace of the markers.
+COLOURS = {'cameras': ColorRGBA(r=0.84, g=0.15, b=0.16, a=1.0),
+           'trajectories': ColorRGBA(r=1.0, g=1.0, b=1.0, a=0.9),
+           'ranges': ColorRGBA(r=0.4, g=0.65, b=1.0, a=0.08),
+           'frusta': ColorRGBA(r=0.4, g=0.65, b=1.0, a=0.8),
+           'moves': ColorRGBA(r=1.0, g=0.75, b=0.1, a=1.0)}
 
 
 def rig_markers(trajectories: np.ndarray, poses: Sequence[Pose], models: Sequence[CameraModel],
@@ -42,15 +43,15 @@ def rig_markers(trajectories: np.ndarray, poses: Sequence[Pose], models: Sequenc
     for camera, pose in enumerate(poses):
         model = models[camera if len(models) > 1 else 0]
         way = _points(trajectories[:, camera])
-        markers.append(_ball(header, 'cameras', camera, way[-1], 0.2, CAMERA_COLOUR))
+        markers.append(_ball(header, 'cameras', camera, way[-1], 0.2, COLOURS['cameras']))
         if model.lens.kind == PINHOLE:
             markers.append(_lines(header, 'frusta', camera, Marker.LINE_LIST, 0.015,
-                                  FRUSTUM_COLOUR, _points(frustum_edges(pose, model))))
+                                  COLOURS['frusta'], _points(frustum_edges(pose, model))))
         else:
             markers.append(_ball(header, 'ranges', camera, way[-1], 2.0 * model.max_range,
-                                 RANGE_COLOUR))
+                                 COLOURS['ranges']))
         markers.append(_lines(header, 'trajectories', camera, Marker.LINE_STRIP, 0.03,
-                              TRAJECTORY_COLOUR, way))
+                              COLOURS['trajectories'], way))
     return MarkerArray(markers=markers)
 
 
@@ -85,7 +86,7 @@ def move_markers(positions: np.ndarray, targets: np.ndarray, moving: np.ndarray,
         # The scale has the diameters of shaft and head, and the length of the head.
         arrow = Marker(header=header, ns='moves', id=camera, type=Marker.ARROW,
                        action=Marker.ADD if moves else Marker.DELETE,
-                       scale=Vector3(x=0.04, y=0.1, z=0.1), color=MOVE_COLOUR,
+                       scale=Vector3(x=0.04, y=0.1, z=0.1), color=COLOURS['moves'],
                        points=_points(np.array([positions[camera], targets[camera]])))
         arrow.pose.orientation.w = 1.0
         markers.append(arrow)

@@ -37,11 +37,6 @@ from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import MarkerArray
 
-#: Metres that a camera has to move before a new row is added to the trajectories.
-STEP = 0.001
-#: Rows of the trajectories that are kept; every second row of longer ones is dropped.
-LONGEST = 2000
-
 
 class RigView:
     """
@@ -55,7 +50,9 @@ class RigView:
 
     def __init__(self, node: Node, topic: str, models: Sequence[CameraModel], cameras: int
                  ) -> None:
-        self.models, self._header, self._poses = models, Header(), []
+        self.models = models
+        self._header = Header()
+        self._poses = []
         self._way: list[np.ndarray] = []
         self._views = [OnDemand(node, MarkerArray, topic, self._markers)]
         for camera in range(cameras):
@@ -74,9 +71,11 @@ class RigView:
         now = np.array([pose.position for pose in poses])
         if self._way and self._way[-1].shape != now.shape:
             self._way.clear()
-        if not self._way or np.abs(now - self._way[-1]).max() > STEP:
+        # A millimetre of movement makes a new row of the trajectories.
+        if not self._way or np.abs(now - self._way[-1]).max() > 0.001:
             self._way.append(now)
-        if len(self._way) > LONGEST:
+        # Every second row of longer trajectories is dropped.
+        if len(self._way) > 2000:
             self._way = self._way[::2] + self._way[-1:]
         for view in self._views:
             view.update()
@@ -108,7 +107,9 @@ class CloudView:
 
     def __init__(self, node: Node, coverage: str, error: str, judge: Callable[[], PointMaps | None]
                  ) -> None:
-        self._judge, self._maps, self._header = judge, None, Header()
+        self._judge = judge
+        self._maps = None
+        self._header = Header()
         self._views = [OnDemand(node, PointCloud2, coverage, self._coverage),
                        OnDemand(node, PointCloud2, error, self._error)]
         # The timer publishes after the present callback has ended, which may answer a turn.
@@ -118,7 +119,8 @@ class CloudView:
 
     def turn(self, header: Header) -> None:
         """Show a turn after the present callback has ended."""
-        self._header, self._maps = header, None
+        self._header = header
+        self._maps = None
         if any(view.wanted for view in self._views):
             self._soon.reset()
 

@@ -41,9 +41,6 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-#: Seconds between two checks whether a drift check is due.
-TICK = 1.0
-
 
 class Calibrator:
     """
@@ -62,16 +59,19 @@ class Calibrator:
         if not Path(config.scan).is_file():
             raise ConfigurationError(f'scan: found no file {config.scan!r}; expected a scan of '
                                      'the room; correct the path, or leave it empty')
-        self._node, self._config, self._decider = node, config, decider
+        self._node = node
+        self._config = config
+        self._decider = decider
         self._sighted, self._final = sighted, final
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='calibrator')
         self._scan: ScanSurfaces | None = None
-        self._busy, self._checked_at = False, time.monotonic()
+        self._busy = False
+        self._checked_at = time.monotonic()
         #: A sentence for each camera that had drifted at the last check.
         self.drifted: list[str] = []
         self.checks = 0
         node.create_service(Trigger, '~/calibrate', self._on_calibrate)
-        node.create_timer(TICK, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        node.create_timer(1.0, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     def change(self, config: PolicyNodeConfig) -> None:
         """Continue with other parameters."""

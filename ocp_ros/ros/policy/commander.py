@@ -38,12 +38,9 @@ from rclpy.publisher import Publisher
 
 #: Seconds until a new node has discovered all others: with config/fastdds_local.xml nodes announce
 #: themselves once a second.
-SETTLING = 1.5
-#: Shortest and longest interval between two checks of the graph, seconds; and seconds for which a
-#: new publisher is visible before it is used.
-LOOK, VISIBLE = (0.15, 0.35), 0.5
-#: The longest wait for the acknowledgement of a node's last command.
-ARRIVAL = Duration(seconds=0.5)
+DISCOVERY_S = 1.5
+#: Seconds for which a new publisher is visible before it is used.
+PUBLISHER_AGE_S = 0.5
 
 
 class Commander:
@@ -54,9 +51,11 @@ class Commander:
     """
 
     def __init__(self, node: LifecycleNode) -> None:
-        self._node, self._topic = node, node.resolve_topic_name(topics.CAMERA_COMMANDS)
+        self._node = node
+        self._topic = node.resolve_topic_name(topics.CAMERA_COMMANDS)
         self._publisher: Publisher | None = None
-        self._commanded, self._ready = False, time.monotonic() + SETTLING
+        self._commanded = False
+        self._ready = time.monotonic() + DISCOVERY_S
 
     def begin(self, go_on: Callable[[], None]) -> None:
         """
@@ -65,14 +64,16 @@ class Commander:
         :param go_on: is called while this node may command and has not commanded yet.
         """
         self._go_on = go_on
-        self._node.create_timer(random.uniform(*LOOK), self._look,
+        # The graph is checked every 0.15 to 0.35 s.
+        self._node.create_timer(random.uniform(0.15, 0.35), self._look,
                                 clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._look()
 
     def end(self) -> None:
         """Let other nodes command; the node destroys the entities created since :meth:`begin`."""
         if self._publisher is not None:
-            self._publisher.wait_for_all_acked(ARRIVAL)
+            # The longest wait for the acknowledgement of a node's last command.
+            self._publisher.wait_for_all_acked(Duration(seconds=0.5))
         self._publisher, self._commanded = None, False
 
     def publish(self, message: PoseArray) -> None:
@@ -101,7 +102,7 @@ class Commander:
                 self._publisher = None
         elif self._publisher is None:
             self._publisher = self._node.create_publisher(PoseArray, self._topic, LOOP)
-            self._ready = max(self._ready, time.monotonic() + VISIBLE)
+            self._ready = max(self._ready, time.monotonic() + PUBLISHER_AGE_S)
         elif not self.waits:
             self._go_on()
 

@@ -20,9 +20,6 @@ from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from rclpy.node import Node
 from std_msgs.msg import String
 
-#: Radians: cameras that rotate by less count as standing still.
-WIDEST = 0.02
-
 
 class Convergence:
     """
@@ -37,19 +34,23 @@ class Convergence:
 
     def __init__(self, node: Node) -> None:
         self._status = node.create_publisher(String, topics.PLACEMENT_STATUS, LATCHED)
-        self._said = ''
+        self._published = ''
         self.begin()
 
     def begin(self) -> None:
         """Begin an episode."""
-        self.still, self.longest, self.why, self.gaps = 0, 0.0, '', ''
+        self.still = 0
+        self.longest = 0.0
+        self.why = ''
+        self.gaps = ''
         #: Number of turns played when the placement became final; None before.
         self._after: int | None = None
 
     def moved(self, longest: float, widest: float, config: PolicyNodeConfig) -> None:
         """Record the longest move of a turn, metres, and its largest rotation, radians."""
         self.longest = longest
-        still = longest < config.convergence_distance and widest < WIDEST
+        # Cameras that rotate by less than 0.02 radians count as standing still.
+        still = longest < config.convergence_distance and widest < 0.02
         self.still = self.still + 1 if still else 0
 
     def reason(self, step: int, over: bool, alone: bool, config: PolicyNodeConfig) -> str:
@@ -80,8 +81,8 @@ class Convergence:
         else:
             text = (f'not final: turn {step} of {config.turns}, longest move {self.longest:.3f} '
                     f'm, standing still for {self.still} turns')
-        if text != self._said:
-            self._said = text
+        if text != self._published:
+            self._published = text
             self._status.publish(String(data=text))
         return text
 

@@ -35,7 +35,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.policy_planners import make_planner, planned_alike
-from ocp_ros.scenes.scene import LARGEST, SceneError
+from ocp_ros.scenes.scene import MAX_EXTENT_M, SceneError
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
 if TYPE_CHECKING:
@@ -123,9 +123,9 @@ class Decider:
         if len(cloud) == 0:
             raise MessageError('cloud: found no finite point; expected what the cameras see')
         around = np.concatenate([corners_of(cloud).astype(np.float64), msg_to_positions(poses)])
-        if (size := np.ptp(around, axis=0).max()) > LARGEST:
+        if (size := np.ptp(around, axis=0).max()) > MAX_EXTENT_M:
             raise MessageError(f'cloud: found points and cameras {size:.0f} m apart; expected '
-                               f'those of a room, within {LARGEST:.0f} m')
+                               f'those of a room, within {MAX_EXTENT_M:.0f} m')
         self.state(poses)
 
     def state(self, poses: PoseArray) -> RigState:

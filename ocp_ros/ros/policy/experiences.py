@@ -29,7 +29,7 @@ from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 #: Seconds after which the policy stops waiting for a trainer that is silent.
-PATIENCE = 5.0
+MAX_SILENCE_S = 5.0
 
 
 class Experiences:
@@ -44,15 +44,15 @@ class Experiences:
     def __init__(self, node: Node, policy: Callable[[], RecordedPolicy | RecordedValues],
                  go_on: Callable[[], None]) -> None:
         self._policy, self._go_on = policy, go_on
-        self._held_at: float | None = None
+        self._wait_began: float | None = None
         self._publisher = node.create_publisher(UInt8MultiArray, topics.EXPERIENCE, LOOP)
         node.create_subscription(Float64MultiArray, topics.TRAINING, self._on_training, LATCHED)
         node.create_timer(0.5, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
     @property
-    def held(self) -> bool:
+    def must_wait(self) -> bool:
         """Return whether the next turn has to wait for the trainer."""
-        return self._held_at is not None and time.monotonic() - self._held_at < PATIENCE
+        return self._wait_began is not None and time.monotonic() - self._wait_began < MAX_SILENCE_S
 
     def _on_training(self, message: Float64MultiArray) -> None:
         """Read whether the trainer asks to wait; ignore a message that cannot be read."""
@@ -60,17 +60,17 @@ class Experiences:
             hold = bool(msg_to_fields(message, ('hold',))['hold'])
         except MessageError:
             return
-        before, self._held_at = self._held_at, time.monotonic() if hold else None
+        before, self._wait_began = self._wait_began, time.monotonic() if hold else None
         if before is not None and not hold:
             self._go_on()
 
     def _look(self) -> None:
         """Continue without a trainer that has become silent."""
-        if self._held_at is not None and not self.held:
-            self._held_at = None
+        if self._wait_began is not None and not self.must_wait:
+            self._wait_began = None
             self._go_on()
 
-    def tell(self, stamp: int, turn: int, targets: np.ndarray) -> None:
+    def publish(self, stamp: int, turn: int, targets: np.ndarray) -> None:
         """
         Publish the choices since the last call, if they are finite and for all cameras.
 

@@ -43,6 +43,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.frames import (
+    CAMERA_FRAME,
     CameraFrames,
     in_body,
     in_range,
@@ -51,9 +52,6 @@ from ocp_ros.ros.interface.frames import (
     placed,
     Sighting,
     Transforms,
-)
-from ocp_ros.ros.interface.frames import (
-    SENSOR as CAMERA_FRAME,
 )
 from ocp_ros.ros.interface.markers import move_markers
 from ocp_ros.ros.interface.qos import LATCHED, LOOP, POSES, SENSOR
@@ -70,11 +68,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
-#: Seconds between two checks whether a turn is due, also without messages; and seconds after which
-#: a command is sent again to cameras that have not arrived: it may have been lost.
-TICK, AGAIN = 0.1, 1.0
-#: Least change of poses, metres and radians, that leads to new instructions for a person.
-SAME = 0.05
+#: Seconds after which a command is sent again to cameras that have not arrived: it may have been
+#: lost.
+RESEND_S = 1.0
 
 
 class LiveTurns:
@@ -102,11 +98,18 @@ class LiveTurns:
                  refuse: Callable[[ValueError], None], waits: Callable[[], bool],
                  expect: Callable[[np.ndarray, PoseArray, PoseArray], str],
                  plan_ahead: Callable[[], None], in_place: tuple[list[Pose], int]) -> None:
-        self._waits, self._expect, self._reflect = waits, expect, plan_ahead
-        self._node, self._config, self._commands = node, config, commands
-        self._answer, self._final, self._refuse = answer, final, refuse
+        self._waits = waits
+        self._expect = expect
+        self._plan_ahead = plan_ahead
+        self._node = node
+        self._config = config
+        self._commands = commands
+        self._answer = answer
+        self._final = final
+        self._refuse = refuse
         self._fused = FusedCloud(config.voxel_size, config.most_points)
-        self._transforms, self._in_place = Transforms(node), in_place
+        self._transforms = Transforms(node)
+        self._in_place = in_place
         self._frames = CameraFrames(node, config.publish_tf, self._transforms.knows)
         self._await_turns()
         #: The newest cloud of each topic, unread.
@@ -115,15 +118,16 @@ class LiveTurns:
         self._poses: PoseArray | None = None
         self._rig: LiveRig | None = None
         #: The number of cameras and the frame of their poses, once a turn was answered.
-        self._known: tuple[int, str] | None = None
+        self._rig_size: tuple[int, str] | None = None
         self._command: PoseArray | None = None
         #: Of the command: targets, (K, 3) metres, and rotations (3, 3) of cameras that it rotates.
         self._sent: tuple[np.ndarray, dict[int, np.ndarray]] = np.empty((0, 3)), {}
         self._instruction = self._expected = ''
         #: Of the last instruction: targets, positions and rotations, (K, 8) metres and radians.
-        self._left = np.empty((0, 8))
+        self._instructed = np.empty((0, 8))
         #: Number of turns that were decided, and for each topic the number of them with a cloud.
-        self._decided, self._brought = 0, Counter[str]()
+        self._decided = 0
+        self._with_cloud = Counter[str]()
         self._observation = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         if config.manual:
             self._instructions = node.create_publisher(String, topics.INSTRUCTIONS, LATCHED)
@@ -132,22 +136,23 @@ class LiveTurns:
         for topic, name in self._names(config.clouds).items():
             node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
         steady = Clock(clock_type=ClockType.STEADY_TIME)
-        node.create_timer(TICK, self._act, clock=steady)
-        self._again = node.create_timer(AGAIN, self._command_again, clock=steady)
+        # It is checked ten times a second whether a turn is due, also without messages.
+        node.create_timer(0.1, self._act, clock=steady)
+        self._resend_timer = node.create_timer(RESEND_S, self._resend, clock=steady)
 
     def _await_turns(self) -> None:
         """Begin to wait for cameras and clouds, without any data of earlier turns."""
-        self._turns: Turns[PointCloud2] = Turns(self._config.clouds, *self._patience()[:3])
-        self._turns.change(*self._patience())
+        self._turns: Turns[PointCloud2] = Turns(self._config.clouds, *self._wait_limits()[:3])
+        self._turns.change(*self._wait_limits())
         self._jumps = self._turns.jumps
 
-    def _patience(self) -> tuple[float, float, float, float, float]:
+    def _wait_limits(self) -> tuple[float, float, float, float, float]:
         """Return the arguments of ``Turns.change``: distance (m), three times (s), angle (rad)."""
         config = self._config
         return (config.arrival_distance,
                 math.inf if config.manual else config.arrival_timeout, config.cloud_timeout,
                 # With a final placement the same command need not be sent for every cloud.
-                max(config.turn_seconds, AGAIN if self._final() else 0.0), config.arrival_angle)
+                max(config.turn_seconds, RESEND_S if self._final() else 0.0), config.arrival_angle)
 
     def hold(self) -> None:
         """Command cameras that may be moving to stay where they are."""
@@ -157,15 +162,18 @@ class LiveTurns:
     def reset(self) -> None:
         """Drop the fused cloud, the poses and the last command."""
         self._fused.clear()
-        self._known = self._command = self._poses = self._rig = None
-        self._instruction, self._left, self._expected = '', np.empty((0, 8)), ''
-        self._decided, self._brought = 0, Counter()
+        self._rig_size = self._command = self._poses = self._rig = None
+        self._instruction = ''
+        self._instructed = np.empty((0, 8))
+        self._expected = ''
+        self._decided = 0
+        self._with_cloud = Counter()
         self._await_turns()
 
     def change(self, config: PolicyNodeConfig) -> None:
         """Continue with other parameters."""
         self._config = config
-        self._turns.change(*self._patience())
+        self._turns.change(*self._wait_limits())
 
     def _names(self, clouds: list[str]) -> dict[str, str]:
         """Return the full names of the cloud topics, by their given names."""
@@ -192,7 +200,7 @@ class LiveTurns:
         """Store the camera poses, and play the turn if it is due."""
         try:
             rig = LiveRig(message.header.frame_id, msg_to_poses(message))
-            self._check_known(rig)
+            self._check_same_rig(rig)
             if not stamp_to_ns(message.header.stamp):
                 raise MessageError('poses: found the stamp 0; expected when the cameras were '
                                    'there, by the clock of the clouds')
@@ -206,13 +214,13 @@ class LiveTurns:
             self._frames.publish(message.header, rig.poses + fixed[len(rig.poses) - movable:])
         self._act()
 
-    def _check_known(self, rig: LiveRig) -> None:
+    def _check_same_rig(self, rig: LiveRig) -> None:
         """Refuse poses of another rig than the one that has been commanded."""
         found = len(rig.poses), rig.frame
-        if self._known not in (None, found):
+        if self._rig_size not in (None, found):
             raise MessageError(
                 f'poses: found {found[0]} cameras in the frame {found[1]!r}; expected '
-                f'{self._known[0]} in {self._known[1]!r}, as before; for another rig start '
+                f'{self._rig_size[0]} in {self._rig_size[1]!r}, as before; for another rig start '
                 f'{self._node.get_name()} again')
 
     def _act(self) -> None:
@@ -237,12 +245,12 @@ class LiveTurns:
                 self._turns.refuse(topic)
                 self._refuse(error)
         if self._turns.due() and not self._waits():
-            self._play()
+            self._answer_turn()
         elif self._turns.stuck and not self._waits():
             self._node.get_logger().warning(
-                f'{self._silence()}; expected a cloud since the cameras stand, by the clock of '
+                f'{self._no_clouds()}; expected a cloud since the cameras stand, by the clock of '
                 'the poses; waiting', throttle_duration_sec=5.0)
-        elif self._turns.lost and self._command is None and not self._waits():
+        elif self._turns.poses_missing and self._command is None and not self._waits():
             name = self._node.resolve_topic_name(topics.CAMERA_POSES)
             self._node.get_logger().warning(
                 f'poses: found nothing on {name}; expected where the cameras are '
@@ -259,11 +267,11 @@ class LiveTurns:
                                  self._transforms)
         self._fused.add(in_range(points, cameras, self._config.min_range, self._config.max_range))
 
-    def _play(self) -> None:
+    def _answer_turn(self) -> None:
         """Ask for the command of this turn, send it, and begin to wait for the cameras."""
-        self._complain()
+        self._log_missing()
         header = Header(stamp=ns_to_stamp(self._turns.stamp), frame_id=self._rig.frame)
-        poses = self._settled(header)
+        poses = self._standing_poses(header)
         before = self._final()
         try:
             self._command = self._answer(self._fused.points, poses)
@@ -275,31 +283,31 @@ class LiveTurns:
             return
         if not self._final():
             self._decided += 1
-            self._brought.update(self._turns.used)
+            self._with_cloud.update(self._turns.used)
         if not before:
             self._observation.publish(cloud_to_msg(self._fused.points, header))
         self._commands.publish(self._command)
-        self._again.reset()
+        self._resend_timer.reset()
         targets = msg_to_positions(self._command)
-        self._known = len(targets), header.frame_id
-        turned = self._turned(poses)
+        self._rig_size = len(targets), header.frame_id
+        turned = self._target_rotations(poses)
         if self._config.manual:
             self._expected = self._expect(self._fused.points, poses, self._command)
             self._instruct(self._turns.positions, targets, turned, header)
         self._turns.sent(targets, turned, targets[:, 2] != msg_to_positions(poses)[:, 2])
         self._sent = targets, turned
         if self._final():
-            self._turns.change(*self._patience())
-        self._reflect()
+            self._turns.change(*self._wait_limits())
+        self._plan_ahead()
 
     @property
     def gaps(self) -> str:
         """Return which topics brought clouds in less than half of the turns, in words."""
-        return ', '.join(f'{topic} brought a cloud in {self._brought[topic]} of {self._decided} '
-                         'turns' for topic in self._config.clouds
-                         if 2 * self._brought[topic] < self._decided)
+        return ', '.join(f'{topic} brought a cloud in {self._with_cloud[topic]} of '
+                         f'{self._decided} turns' for topic in self._config.clouds
+                         if 2 * self._with_cloud[topic] < self._decided)
 
-    def _settled(self, header: Header) -> PoseArray:
+    def _standing_poses(self, header: Header) -> PoseArray:
         """
         Return the poses at which the cameras stand.
 
@@ -308,7 +316,7 @@ class LiveTurns:
         """
         message = PoseArray(header=header)
         for camera, measured in enumerate(map(Pose, *self._turns.measured)):
-            message.poses.append(self._sent_to(camera, measured)
+            message.poses.append(self._reached_command(camera, measured)
                                  or self._measured(camera, measured))
         return message
 
@@ -319,7 +327,7 @@ class LiveTurns:
         return positions_to_msg(mean.position[None], Header(),
                                 heading_of(mean.rotation)[None]).poses[0]
 
-    def _sent_to(self, camera: int, measured: Pose) -> PoseMsg | None:
+    def _reached_command(self, camera: int, measured: Pose) -> PoseMsg | None:
         """Return the commanded pose of a camera if the camera has arrived there; else None."""
         if self._command is None:
             return None
@@ -330,13 +338,13 @@ class LiveTurns:
                  and angle_between(measured.rotation, rotation) <= self._config.arrival_angle)
         return sent if there else None
 
-    def _turned(self, poses: PoseArray) -> dict[int, np.ndarray]:
+    def _target_rotations(self, poses: PoseArray) -> dict[int, np.ndarray]:
         """Return the commanded rotations, (3, 3), of the cameras that the command rotates."""
         return {camera: rotation_of(goal.orientation, f'command: camera {camera}')
                 for camera, (goal, now) in enumerate(zip(self._command.poses, poses.poses))
                 if goal.orientation != now.orientation}
 
-    def _command_again(self) -> None:
+    def _resend(self) -> None:
         """Send the command again to cameras that have not arrived; update the instructions."""
         if self._waits():
             # These clouds will be old once other nodes stop commanding: wait for new ones then.
@@ -365,22 +373,24 @@ class LiveTurns:
             positions, targets, least, turns, self._config.arrival_angle, self._expected)
         # Publish new instructions only if the remaining moves changed by more than pose noise.
         left = np.column_stack([targets, positions, turns])
-        same = (self._left.shape == left.shape and (np.abs(left - self._left) < SAME).all()
+        # Poses that change by less than 5 cm and 0.05 radians need no new instructions.
+        same = (self._instructed.shape == left.shape
+                and (np.abs(left - self._instructed) < 0.05).all()
                 and _asked(text) == _asked(self._instruction))
         if text != self._instruction and not same:
-            self._instruction, self._left = text, left
+            self._instruction, self._instructed = text, left
             self._instructions.publish(String(data=text))
             self._markers.publish(
                 move_markers(positions, targets, moving(positions, targets, least), header))
             self._node.get_logger().info(text)
 
-    def _complain(self) -> None:
+    def _log_missing(self) -> None:
         """Log which data this turn lacks."""
         log = self._node.get_logger()
         if self._turns.silent():
-            log.warning(f'{self._silence()}; expected a cloud since the cameras stand; going on '
+            log.warning(f'{self._no_clouds()}; expected a cloud since the cameras stand; going on '
                         'without', throttle_duration_sec=1.0)
-        if self._turns.overdue and self._turns.sent_nowhere:
+        if self._turns.overdue and self._turns.no_command_sent:
             log.warning('cameras: found them moving, or their poses noisy, ever since this node '
                         'began; expected them to stand still before the first turn; going on '
                         'from the mean of their poses', throttle_duration_sec=1.0)
@@ -390,7 +400,7 @@ class LiveTurns:
                         f'{self._config.arrival_distance} m of the commanded positions; the next '
                         'turn begins at their present positions', throttle_duration_sec=1.0)
 
-    def _silence(self) -> str:
+    def _no_clouds(self) -> str:
         """Return which topics are silent, and why, in words."""
         return 'no clouds: ' + ', '.join(
             f'{topic} ({why})' for topic, why in self._turns.silent().items())
@@ -420,20 +430,20 @@ class LiveTurns:
     def status(self) -> tuple[str, dict[str, object]]:
         """Return a warning, empty if all is well, and values to show."""
         silent, wrong = self._turns.silent(), ''
-        if self._turns.lost and not (
+        if self._turns.poses_missing and not (
                 self._config.manual and self._command is not None):
             wrong = f'nothing on {topics.CAMERA_POSES}'
         elif self._turns.backward():
             wrong = (f'stamps of {self._turns.backward()} go back: found two clocks, or one that '
                      'was set')
         elif silent:
-            wrong = self._silence()
+            wrong = self._no_clouds()
         elif self._turns.overdue:
-            wrong = 'the cameras do not stand still' if self._turns.sent_nowhere else \
+            wrong = 'the cameras do not stand still' if self._turns.no_command_sent else \
                 'the cameras do not arrive'
         return wrong, {
             'silent_topics': ','.join(silent), 'late_turns': self._turns.late,
-            'turns_with_clouds': ', '.join(f'{topic} {self._brought[topic]}/{self._decided}'
+            'turns_with_clouds': ', '.join(f'{topic} {self._with_cloud[topic]}/{self._decided}'
                                            for topic in self._config.clouds),
             'clock_jumps': self._turns.jumps, 'fused_points': len(self._fused),
             'voxel_size': self._fused.edge}

@@ -29,9 +29,6 @@ from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
 if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint
 
-#: Parameters that the constructor of a planner takes and that may change at run time.
-PLANNED_WITH = ('max_step', 'max_range', 'wall_margin', 'clearance')
-
 
 class ExploringMap(MapActor):
     """Draw target positions from the distribution of a trained map actor."""
@@ -87,4 +84,6 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
 
 def planned_alike(one: PolicyNodeConfig, other: PolicyNodeConfig) -> bool:
     """Return whether a planner made with one configuration also suits the other."""
-    return all(getattr(one, name) == getattr(other, name) for name in PLANNED_WITH)
+    # The constructor of a planner takes these parameters, which may change at run time.
+    settings = ('max_step', 'max_range', 'wall_margin', 'clearance')
+    return all(getattr(one, name) == getattr(other, name) for name in settings)

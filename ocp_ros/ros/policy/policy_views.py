@@ -32,9 +32,6 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from rclpy.node import Node
 
-#: Largest number of observed points that are evaluated, and rows of the depth maps of the error.
-MOST, ROWS = 15000, 64
-
 
 class PolicyViews:
     """
@@ -49,7 +46,7 @@ class PolicyViews:
 
     def __init__(self, node: Node, models: Sequence[CameraModel], live: bool,
                  rig_state: Callable[[PoseArray], RigState] | None) -> None:
-        self._models, self._sight = models, rig_state
+        self._models, self._rig_state = models, rig_state
         self._turn: tuple[np.ndarray, PoseArray] | None = None
         self._clouds = CloudView(node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._judge)
         known = 0 if rig_state is None else len(models)
@@ -70,9 +67,9 @@ class PolicyViews:
 
     def _standing(self, poses: PoseArray) -> list[Pose]:
         """Return the poses of all known cameras in a turn."""
-        if self._sight is None:
+        if self._rig_state is None:
             return msg_to_poses(poses)
-        return [Pose.of(row) for row in self._sight(poses).placement]
+        return [Pose.of(row) for row in self._rig_state(poses).placement]
 
     def _judge(self) -> PointMaps | None:
         """Return the maps of the latest turn; None if there is no turn or it cannot be used."""
@@ -94,7 +91,7 @@ def observed_maps(cloud: np.ndarray, poses: list[Pose],
     :param models: one camera model per camera, or one for all.
     :raises SceneError: if the cloud is no room.
     """
-    scene = Scene(thinned(cloud, MOST), 'observed cloud')
+    scene = Scene(thinned(cloud, 15000), 'observed cloud')
     config = SimulationConfig(RigConfig(cameras=len(poses), height=0.5 * float(scene.size[2])),
-                              EngineConfig(preset='fast', error_rows=ROWS, coverage_cell=0.5))
+                              EngineConfig(preset='fast', error_rows=64, coverage_cell=0.5))
     return maps_of(Simulator(scene, config, models), poses)

@@ -37,10 +37,7 @@ from std_msgs.msg import Float64MultiArray
 
 #: Number of poses that are kept: the poses of a turn and its observation may arrive far apart if
 #: other nodes publish as well and this node is slow.
-REMEMBERED = 16
-#: Longest wait for the reward of a turn, seconds, if the turn before had a reward: messages of
-#: different topics overtake each other, and only the reward shows that an episode begins.
-PATIENCE = 0.25
+MAX_STORED_POSES = 16
 
 
 class TurnInfo(NamedTuple):
@@ -49,13 +46,13 @@ class TurnInfo(NamedTuple):
 
     :ivar episode: number of the episode.
     :ivar step: number of turns of the episode before this one.
-    :ivar over: whether it is the last turn of the episode.
+    :ivar is_last: whether it is the last turn of the episode.
     :ivar answered: the poses of the turn if it has been answered already; else None.
     """
 
     episode: int
     step: int
-    over: bool
+    is_last: bool
     answered: PoseArray | None
 
 
@@ -67,7 +64,7 @@ class SimulatedTurns:
     :param commands: publishes the answers.
     :param answer: is called once per turn with the points (N, 3) float32, metres, observed so far,
         and the camera poses; returns the command.
-    :param told: is called once per turn with its data.
+    :param on_turn_info: is called once per turn with its data.
     :param refuse: counts and logs a message that cannot be used.
     :param waits: returns whether this node may not command now.
     :param plan_ahead: is called after each command, to plan while the cameras move.
@@ -75,19 +72,25 @@ class SimulatedTurns:
 
     def __init__(self, node: Node, commands: Commander,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray],
-                 told: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
+                 on_turn_info: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
                  waits: Callable[[], bool], plan_ahead: Callable[[], None]) -> None:
-        self._commands, self._answer_turn, self._tell = commands, answer, told
-        self._refuse, self._waits, self._reflect = refuse, waits, plan_ahead
+        self._commands = commands
+        self._answer_turn = answer
+        self._on_turn_info = on_turn_info
+        self._refuse = refuse
+        self._waits = waits
+        self._plan_ahead = plan_ahead
         self.cloud: PointCloud2 | None = None
         #: The latest poses by their stamps in nanoseconds, none older than the turn answered last.
         self.poses: dict[int, PoseArray] = {}
         self.answer: PoseArray | None = None
         #: Stamp of the latest reward, nanoseconds.
-        self.told: int | None = None
+        self.reward_stamp: int | None = None
         #: Whether to wait for the reward of the present turn.
         self._patient = True
-        self._late = node.create_timer(PATIENCE, self._give_up,
+        # If the turn before had a reward, this one is awaited for 0.25 s: messages of different
+        # topics overtake each other, and only the reward shows that an episode begins.
+        self._late = node.create_timer(0.25, self._give_up,
                                        clock=Clock(clock_type=ClockType.STEADY_TIME))
         self._late.cancel()
         # Subscribe to the reward first, so that a new episode is noticed before its first answer.
@@ -104,13 +107,14 @@ class SimulatedTurns:
             self._refuse(error)
             return
         stamp = ns_of(fields, 'stamp')
-        if stamp == self.told:
+        if stamp == self.reward_stamp:
             # The turn was sent again: an episode that began with it continues.
             return
-        self.told = stamp
+        self.reward_stamp = stamp
         answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
-        self._tell(TurnInfo(int(fields['episode']), int(fields['step']), bool(fields['truncated']),
-                            self.poses[stamp] if answered else None))
+        self._on_turn_info(TurnInfo(
+            int(fields['episode']), int(fields['step']), bool(fields['truncated']),
+            self.poses[stamp] if answered else None))
         if not answered and self.cloud is not None \
                 and stamp_to_ns(self.cloud.header.stamp) == stamp:
             self.act()
@@ -124,7 +128,7 @@ class SimulatedTurns:
         """Store the poses, and answer the turn if its observation is here."""
         stamp = stamp_to_ns(message.header.stamp)
         self.poses[stamp] = message
-        if len(self.poses) > REMEMBERED:
+        if len(self.poses) > MAX_STORED_POSES:
             answered = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
             del self.poses[next(one for one in self.poses if one != answered)]
         self.act()
@@ -137,7 +141,7 @@ class SimulatedTurns:
             return
         poses = self.poses[stamp]
         if self.answer is None or self.answer.header.stamp != poses.header.stamp:
-            if self._untold(stamp):
+            if self._waits_for_reward(stamp):
                 return
             try:
                 if cloud.header.frame_id != poses.header.frame_id:
@@ -150,12 +154,12 @@ class SimulatedTurns:
                 self._refuse(error)
                 return
         self._commands.publish(self.answer)
-        self._reflect()
+        self._plan_ahead()
 
-    def _untold(self, stamp: int) -> bool:
+    def _waits_for_reward(self, stamp: int) -> bool:
         """Return whether to wait for the reward of a turn: the turn before had a reward."""
         before = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
-        if self.told in (None, stamp) or self.told != before or not self._patient:
+        if self.reward_stamp in (None, stamp) or self.reward_stamp != before or not self._patient:
             self._late.cancel()
             self._patient = True
             return False

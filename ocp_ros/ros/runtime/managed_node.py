@@ -34,10 +34,6 @@ from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
 
-#: Errors that the user can correct: a wrong file or parameter.
-MENDABLE = (CheckpointError, ConfigurationError, SceneError, OSError)
-#: Beginnings of the names of topics that all nodes have.
-COMMON = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
@@ -50,7 +46,9 @@ def autostart() -> Any:
 def _overridable(topic: str, profile: QoSProfile | int, settings: dict[str, Any]
                  ) -> QoSProfile | int:
     """Return the profile of a topic; for own topics ``qos_overrides`` parameters may change it."""
-    if topic.startswith(('~', *COMMON)) or not isinstance(profile, QoSProfile):
+    # All nodes have the topics that begin with these names.
+    common = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
+    if topic.startswith(('~', *common)) or not isinstance(profile, QoSProfile):
         return profile
     settings.setdefault('qos_overriding_options', QoSOverridingOptions.with_default_policies())
     # rclpy writes the overrides into the profile: it gets a copy.
@@ -167,8 +165,10 @@ class ManagedNode(LifecycleNode):
             undo()
             self._failure = error
             if not (self._starting and self.config.autostart):
+                # The user can correct a wrong file or parameter.
+                mendable = (CheckpointError, ConfigurationError, SceneError, OSError)
                 self.get_logger().error(
-                    str(error) if isinstance(error, MENDABLE) else
+                    str(error) if isinstance(error, mendable) else
                     f'found {type(error).__name__}: {error}; the node stays as it was')
             return False
         return True

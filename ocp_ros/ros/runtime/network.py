@@ -21,9 +21,9 @@ from ocp_ros.util.resources import share_folder
 #: Environment that limits nodes of any middleware to this machine.
 LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 #: Variables by which the user may have set the range of discovery or the transport.
-ASKED = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_DISCOVERY_SERVER',
-         'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE',
-         'FASTDDS_BUILTIN_TRANSPORTS', 'CYCLONEDDS_URI')
+USER_VARIABLES = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_DISCOVERY_SERVER',
+                  'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE',
+                  'FASTDDS_BUILTIN_TRANSPORTS', 'CYCLONEDDS_URI')
 
 
 def local_transport() -> dict[str, str]:
@@ -46,7 +46,7 @@ def local_transport() -> dict[str, str]:
 
 def stay_local() -> bool:
     """
-    Limit this process to its machine, unless a variable of ``ASKED`` is set.
+    Limit this process to its machine, unless a variable of ``USER_VARIABLES`` is set.
 
     Nodes on this machine are found whatever their own range is. Call it before ``rclpy.init``.
 
@@ -54,7 +54,7 @@ def stay_local() -> bool:
     """
     # Fast DDS would read a file of the current folder as the user's profile.
     os.environ.setdefault('SKIP_DEFAULT_XML_FILE', '1')
-    if any(os.environ.get(name) for name in ASKED):
+    if any(os.environ.get(name) for name in USER_VARIABLES):
         return False
     os.environ.update(local_transport())
     return True

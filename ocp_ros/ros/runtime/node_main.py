@@ -45,36 +45,26 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.utilities import remove_ros_args
 
 #: Ctrl-C, a plain ``kill``, and a closed terminal.
-ENDING = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 #: Environment variable with the id of the parent process with which a node shall end.
-PARENT = 'OCP_ROS_PARENT'
-#: Seconds between two checks for signals in an idle executor.
-LOOK = 0.1
+PARENT_VARIABLE = 'OCP_ROS_PARENT'
 #: Seconds for the middleware to shut a node down: ``ros2 launch`` kills it 10 s after Ctrl-C.
-PATIENCE = 3.0
-#: File descriptor of standard error, even if ``sys.stderr`` is replaced.
-STDERR = 2
-#: ``PR_SET_PDEATHSIG`` of prctl(2).
-DEATH_SIGNAL = 1
-#: Packages that compile the numerical kernels.
-COMPILERS = ('numba', 'llvmlite')
-#: Errors of rclpy when it cannot read its arguments or cannot start.
-REFUSALS = (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError)
+SHUTDOWN_TIMEOUT_S = 3.0
 #: Errors that the user can correct: printed as one sentence, exit code 2.
 USER_ERRORS = (CheckpointError, ConfigurationError, SceneError, FileNotFoundError,
                InvalidParameterTypeException, InvalidParameterValueException)
 
 
 def ignore_signals() -> None:
-    """Ignore the signals of ``ENDING`` from now on."""
-    for number in ENDING:
+    """Ignore the signals of ``END_SIGNALS`` from now on."""
+    for number in END_SIGNALS:
         signal.signal(number, signal.SIG_IGN)
 
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Ignore the signals of ``ENDING`` within a block."""
-    before = {number: signal.getsignal(number) for number in ENDING}
+    """Ignore the signals of ``END_SIGNALS`` within a block."""
+    before = {number: signal.getsignal(number) for number in END_SIGNALS}
     ignore_signals()
     try:
         yield
@@ -100,11 +90,12 @@ def refusal(error: Exception) -> str:
 
 
 def end_with_parent() -> None:
-    """Make the system send SIGTERM to this process when its parent dies, if ``PARENT`` is set."""
-    parent = os.environ.get(PARENT)
+    """End this process (SIGTERM) when its parent dies, if ``PARENT_VARIABLE`` is set."""
+    parent = os.environ.get(PARENT_VARIABLE)
     if parent is None or sys.platform != 'linux':
         return
-    ctypes.CDLL(None).prctl(DEATH_SIGNAL, signal.SIGTERM)
+    # Option 1 of prctl(2) is PR_SET_PDEATHSIG.
+    ctypes.CDLL(None).prctl(1, signal.SIGTERM)
     if str(os.getppid()) != parent:
         # The parent has died already.
         os.kill(os.getpid(), signal.SIGTERM)
@@ -113,7 +104,8 @@ def end_with_parent() -> None:
 def compiling(frame: FrameType | None) -> bool:
     """Return whether a frame is of the compiler or called by it: an error would break it."""
     while frame is not None:
-        if str(frame.f_globals.get('__name__')).partition('.')[0] in COMPILERS:
+        # These packages compile the numerical kernels.
+        if str(frame.f_globals.get('__name__')).partition('.')[0] in ('numba', 'llvmlite'):
             return True
         frame = frame.f_back
     return False
@@ -137,7 +129,7 @@ def interrupt_on_signals() -> list[int]:
         if not compiling(frame):
             raise KeyboardInterrupt
 
-    for number in ENDING:
+    for number in END_SIGNALS:
         # nohup sets SIGHUP to ignored before a node starts; keep it ignored.
         if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, interrupt)
@@ -155,7 +147,7 @@ def spin(executor: SingleThreadedExecutor, received: list[int]) -> None:
     :param received: gets the number of the signal.
     """
     while not received:
-        executor.spin_once(timeout_sec=LOOK)
+        executor.spin_once(timeout_sec=0.1)
 
 
 def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
@@ -197,7 +189,9 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     except USER_ERRORS as error:
         print(f'{name}: {error}', file=sys.stderr)
     except Exception as error:
-        if isinstance(error, REFUSALS) and executor is None or about_security(error):
+        # Errors of rclpy when it cannot read its arguments or cannot start.
+        refusals = (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError)
+        if isinstance(error, refusals) and executor is None or about_security(error):
             print(f'{name}: {refusal(error)}', file=sys.stderr)
         elif rclpy.ok() and not received:
             code = 1
@@ -219,7 +213,7 @@ def take_down(node: Node | None, executor: SingleThreadedExecutor | None) -> Non
     Fast DDS 2.14 may wait for ever when it shuts down a participant while another participant
     leaves (``DomainParticipantImpl::set_listener``): it takes and releases a lock in a tight loop
     until no callback runs, and the callback waits for the same lock. rclpy keeps the interpreter's
-    lock meanwhile. Therefore a thread in C writes the stacks after ``PATIENCE`` seconds and ends
+    lock meanwhile. Therefore a thread in C writes the stacks after ``SHUTDOWN_TIMEOUT_S`` and ends
     the process with exit code 1.
     """
     try:
@@ -228,7 +222,8 @@ def take_down(node: Node | None, executor: SingleThreadedExecutor | None) -> Non
     finally:
         # Flush the output: the process may end without finalisers.
         sys.stdout.flush()
-        faulthandler.dump_traceback_later(PATIENCE, exit=True, file=STDERR)
+        # Descriptor 2 is standard error, even if ``sys.stderr`` is replaced.
+        faulthandler.dump_traceback_later(SHUTDOWN_TIMEOUT_S, exit=True, file=2)
         if executor is not None:
             executor.shutdown()
         if node is not None:

@@ -35,11 +35,6 @@ import yaml
 
 T = TypeVar('T')
 
-#: Least similarity (0 to 1) at which an unknown name for all nodes counts as a misspelt parameter.
-TYPO = 0.8
-#: Beginning of the names of parameters that override the quality of service of topics.
-QOS = 'qos_overrides.'
-
 
 def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None = None) -> T:
     """
@@ -62,10 +57,12 @@ def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None 
     values = {name: node.declare_parameter(name, defaults[name], _descriptor(item)).value
               for name, item in settings.items()}
     # rclpy would drop overrides that are not declared without a warning.
+    # These parameters override the quality of service of topics.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
-               and not name.startswith(QOS)]
+               and not name.startswith('qos_overrides.')]
+    # A name for all nodes that is similar to a parameter is a misspelt parameter.
     shared = {name for name in for_all_nodes(sys.argv, node.get_name()) & set(unknown)
-              if not difflib.get_close_matches(name, settings, n=1, cutoff=TYPO)}
+              if not difflib.get_close_matches(name, settings, n=1, cutoff=0.8)}
     for name in shared:
         node.get_logger().warning(f'parameters: found {name!r} for all nodes (/**), which this '
                                   'one does not have; going on without')
