@@ -22,8 +22,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from ocp_ros.planning.assessment import Assessment, judge
-from ocp_ros.planning.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
+from ocp_ros.report.assessment import Assessment, judge
+from ocp_ros.report.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
 from ocp_ros.report.verdict_tables import as_text, show_plan, show_verdict
 from ocp_ros.rig.placement_file import (
     load_placement,

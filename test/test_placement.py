@@ -29,12 +29,12 @@ import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planning.assessment import Assessment
-from ocp_ros.planning.camera_words import words_for
-from ocp_ros.planning.findings import scores_of
-from ocp_ros.planning.wall_references import WallReferences, walls_around
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.camera_words import words_for
 from ocp_ros.report.exports import launch_of, rviz_of, table_of, xacro_of
+from ocp_ros.report.findings import scores_of
 from ocp_ros.report.installer import instructions
+from ocp_ros.report.wall_references import WallReferences, walls_around
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of

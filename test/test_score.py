@@ -20,7 +20,7 @@ from conftest import BAD_ROOMS, made_room
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
-from ocp_ros.planning.findings import improvements
+from ocp_ros.report.findings import improvements
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.scene_files import load_scene, save_scene

@@ -27,7 +27,7 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planning.assessment import judge
+from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing import assessment_pictures, figures, sheet
 from ocp_ros.report.drawing.figures import shortened, width_of
 from ocp_ros.report.drawing.plan_marks import apart

@@ -128,7 +128,7 @@ def check_cameras(arguments: argparse.Namespace) -> None:
 
 def _write_rig(arguments: argparse.Namespace) -> Path:
     """Write the rig of ``--sensor`` to the folder of the results, and use it as ``--rig``."""
-    from ocp_ros.planning.rig_planning import CAMERAS, MOUNT
+    from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import rig_of
     from ocp_ros.util.files import folder_to_write, write_atomically
     from ocp_ros.util.yaml_files import written

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from ocp_ros.cli.arguments import room_asked
-from ocp_ros.planning.assessment import Assessment
+from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.exports import export, FORMS
 from ocp_ros.rig.placement_file import load_placement, Placement
 from ocp_ros.rig.rig_file import load_rig

@@ -45,7 +45,7 @@ from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
 
 if TYPE_CHECKING:
-    from ocp_ros.planning.rig_planning import PlanTask
+    from ocp_ros.report.rig_planning import PlanTask
     from ocp_ros.rig.placement_file import Placement
     from ocp_ros.rig.rig_file import Rig
     from ocp_ros.search.budget import Budget
@@ -104,7 +104,7 @@ def add_arguments(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> Found:
     """Plan a rig in a room, and write the placement in all file formats."""
     from ocp_ros.cli.placement_files import MARK, WRITTEN, written_to
-    from ocp_ros.planning.rig_planning import PlannedRig
+    from ocp_ros.report.rig_planning import PlannedRig
     from ocp_ros.util.files import folder_to_write
     task = task_of(arguments)
     claim_folder(arguments, arguments.out, WRITTEN, MARK)
@@ -124,7 +124,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 def task_of(arguments: argparse.Namespace) -> 'PlanTask':
     """Return the settings of the search from a command line."""
-    from ocp_ros.planning.rig_planning import Counting, PlanTask
+    from ocp_ros.report.rig_planning import Counting, PlanTask
     for name in COUNTING:
         if getattr(arguments, name) is not None and arguments.count != 0:
             raise ConfigurationError(f'--{name}: found it without --count auto; expected it where '
@@ -165,7 +165,7 @@ def _kept(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]':
 
 def rig_asked(arguments: argparse.Namespace) -> 'Rig':
     """Return the rig of a command line; with ``auto``, a rig for counting cameras."""
-    from ocp_ros.planning.rig_planning import CAMERAS, MOUNT
+    from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
     number = arguments.count
     if arguments.rig is None:

@@ -47,7 +47,7 @@ def add_arguments(commands: Commands) -> None:
 def run(arguments: argparse.Namespace) -> Found:
     """Write the page, and open it with ``--open``."""
     from ocp_ros.cli.placement_files import room_and_placement
-    from ocp_ros.planning.assessment import judge
+    from ocp_ros.report.assessment import judge
     from ocp_ros.report.viewer import write_view
     claim_file(arguments, arguments.out, 'a page')
     if arguments.rig and not arguments.placement:

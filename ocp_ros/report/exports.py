@@ -24,7 +24,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, rotation_matrix
-from ocp_ros.planning.assessment import Assessment
+from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.installer import instructions
 from ocp_ros.rig.placement_file import FRAME, numbers_of, Placement, save_placement
 from ocp_ros.scenes.source_frame import SourceFrame
@@ -82,7 +82,7 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]
 
     Placement files are in the map frame, in which scores are computed, and contain the transform
     to the frame of the scan. The frame of the other files is
-    :attr:`~ocp_ros.planning.assessment.Assessment.data_frame`.
+    :attr:`~ocp_ros.report.assessment.Assessment.data_frame`.
 
     :param folder: it is created if it does not exist.
     :param prefix: of the names of frames, so that the frames of two rigs have different names.

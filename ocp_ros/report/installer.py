@@ -18,8 +18,8 @@ from html import escape
 import re
 
 import numpy as np
-from ocp_ros.planning.assessment import Assessment, COLUMNS
-from ocp_ros.planning.camera_words import lens_of
+from ocp_ros.report.assessment import Assessment, COLUMNS
+from ocp_ros.report.camera_words import lens_of
 from ocp_ros.report.key_figures import expectation
 from ocp_ros.util.terminal_text import printable
 

@@ -20,8 +20,8 @@ import re
 import shlex
 from typing import NamedTuple
 
-from ocp_ros.planning.assessment import Assessment
-from ocp_ros.planning.rig_planning import gap_percent
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.rig_planning import gap_percent
 from ocp_ros.util.terminal_text import printable
 
 DISTANCES = 'distances are perpendicular to the walls, to the centre of the front of a camera'

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 import io
 from typing import Any
 
-from ocp_ros.planning.assessment import COLUMNS
+from ocp_ros.report.assessment import COLUMNS
 from ocp_ros.report.count_report import show_curve
 from ocp_ros.report.key_figures import expectation, percent
 from ocp_ros.report.room_facts import show_notes

@@ -24,7 +24,7 @@ from string import Template
 from typing import Any, NamedTuple
 
 import numpy as np
-from ocp_ros.planning.assessment import Assessment
+from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
 from ocp_ros.report.drawing.frustum_drawing import chained, edges
 from ocp_ros.report.drawing.plan_marks import camera_colour, corners_of

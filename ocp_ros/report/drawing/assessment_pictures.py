@@ -27,7 +27,7 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Polygon
 import numpy as np
-from ocp_ros.planning.assessment import Assessment
+from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.drawing.plan_marks import (

@@ -21,8 +21,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch, Polygon
 import numpy as np
-from ocp_ros.planning.wall_references import InnerWall, ReferenceWall
 from ocp_ros.report.drawing.room_drawing import INK
+from ocp_ros.report.wall_references import InnerWall, ReferenceWall
 from ocp_ros.rig.placement_file import Placement
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.zones import Zone

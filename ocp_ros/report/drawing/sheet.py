@@ -24,7 +24,7 @@ from matplotlib.image import AxesImage
 from matplotlib.lines import Line2D
 from matplotlib.patches import FancyBboxPatch, Patch
 import numpy as np
-from ocp_ros.planning.assessment import Assessment
+from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing import assessment_pictures
 from ocp_ros.report.drawing.figures import all_letters, draw_table, save_figure, write
 from ocp_ros.report.drawing.plan_marks import camera_colour, dark, zone_legend

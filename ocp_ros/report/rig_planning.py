@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
-from ocp_ros.planning.assessment import Assessment, COLUMNS
-from ocp_ros.planning.findings import evaluate_placement
+from ocp_ros.report.assessment import Assessment, COLUMNS
+from ocp_ros.report.findings import evaluate_placement
 from ocp_ros.rig.placement_file import created_by, data_of, Placement, placement_of
 from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene

@@ -23,9 +23,9 @@ import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import MESH
-from ocp_ros.planning.camera_words import aim_of, Words, words_for
-from ocp_ros.planning.findings import evaluate_placement, scores_of
-from ocp_ros.planning.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
+from ocp_ros.report.camera_words import aim_of, Words, words_for
+from ocp_ros.report.findings import evaluate_placement, scores_of
+from ocp_ros.report.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
 from ocp_ros.rig.placement_file import created_by, data_of, Placement
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
-from ocp_ros.planning.wall_references import Distance, FAR, ReferenceWall
+from ocp_ros.report.wall_references import Distance, FAR, ReferenceWall
 from ocp_ros.rig.placement_file import Placed
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
