@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from ocp_ros.report.assessment import Assessment, judge
 from ocp_ros.report.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
-from ocp_ros.report.verdict_tables import as_text, show_plan, show_verdict
+from ocp_ros.report.terminal import as_text, show_score
 from ocp_ros.rig.placement_file import (
     load_placement,
     Placement,
@@ -101,8 +101,8 @@ class ScoreResult:
         save_placement(path, self.placement)
 
     def __str__(self) -> str:
-        """Return the scores as tables and sentences."""
-        return as_text(show_verdict, self.assessment.found)
+        """Return the result as tables and sentences."""
+        return as_text(show_score, self.assessment.found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +123,6 @@ class PlanResult(ScoreResult):
     seconds: float
     gap: float | None
     reached: bool | None
-
-    def __str__(self) -> str:
-        """Return the plan as tables and sentences."""
-        return as_text(show_plan, self.assessment.found)
 
 
 def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | None = None,

@@ -76,7 +76,7 @@ def test_every_way_to_colour_points_has_a_share_for_each():
         assert values.shape == (len(judged.scene),), name
         assert (values >= 0.0).all() and (values <= 1.0).all(), name
     assert np.array_equal(paints['what is missed'] > 0.5, judged.missed)
-    assert np.array_equal(paints['depth error'] > 0.0, judged.lost > 0.0)
+    assert np.array_equal(paints['depth error'] > 0.0, judged.error_by_point > 0.0)
 
 
 def test_walls_are_sorted_by_where_they_face():

@@ -19,11 +19,23 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from ocp_ros.cli.arguments import add_overwrite, add_reading, frame_prefix, room_asked
-from ocp_ros.cli.common import claim_folder, command_of, Commands, document, Found, JUDGE
-from ocp_ros.util.resources import find_config
+from ocp_ros.cli.arguments import (
+    add_overwrite,
+    add_placement,
+    add_room,
+    frame_prefix,
+    room_asked,
+)
+from ocp_ros.cli.common import (
+    claim_folder,
+    command_of,
+    Commands,
+    document,
+    Found,
+    JUDGE,
+    show_written,
+)
 from ocp_ros.util.settings import check_known, ConfigurationError
-from ocp_ros.util.terminal_text import printable
 
 if TYPE_CHECKING:
     import numpy as np
@@ -37,34 +49,30 @@ POINTS = 120_000
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp calibrate``."""
-    made = commands.add(
+    command = commands.add(
         JUDGE, 'calibrate', 'find where cameras hang by what they see',
         'ocp calibrate room.ply placement.yaml --clouds door.ply window.ply --out out/built')
-    made.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
-    made.add_argument('placement', type=Path, metavar='PLACEMENT',
-                      help='planned or measured poses of the cameras: docs/reference/placement.md')
-    seen = made.add_mutually_exclusive_group(required=True)
+    add_room(command, thinned=False)
+    add_placement(command)
+    seen = command.add_mutually_exclusive_group(required=True)
     seen.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
-                      help='one cloud of each camera, in metres; without CAMERA=, the name of '
-                      'the file is the name of the camera')
+                      help='one cloud of each camera, in metres; without CAMERA=, the name of the '
+                      'file is the name of the camera')
     seen.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
-    made.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
-                      help='topics of the bag; default: the topics whose names contain the names '
-                      'of the cameras, otherwise all topics in their order')
-    made.add_argument('--cloud-frame', choices=('optical', 'body'),
-                      help='frame of the clouds: optical (z forward, x right, y down) or body (x '
-                      'forward, y left, z up); default: optical for files, and the frame that '
-                      'a bag names')
-    made.add_argument('--rig', type=find_config,
-                      help='constraints, instead of those in the placement: docs/reference/rig.md')
-    made.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
-                      help='write the placement as built, a launch file of static transforms and '
-                      'the figures here')
-    made.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
-                      help='before the names of frames in the launch file')
-    add_overwrite(made)
-    add_reading(made)
-    made.set_defaults(run=run, show=show)
+    command.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
+                         help='topics of the bag; default: the topics whose names contain the '
+                         'names of the cameras, otherwise all topics in their order')
+    command.add_argument('--cloud-frame', choices=('optical', 'body'),
+                         help='frame of the clouds: optical (z forward, x right, y down) or body '
+                         '(x forward, y left, z up); default: optical for files, and the frame '
+                         'that a bag names')
+    command.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
+                         help='write the placement as built, a launch file of static transforms '
+                         'and the figures here')
+    command.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
+                         help='before the names of frames in the launch file')
+    add_overwrite(command)
+    command.set_defaults(run=run, show=show)
 
 
 def run(arguments: argparse.Namespace) -> Found:
@@ -96,6 +104,32 @@ def run(arguments: argparse.Namespace) -> Found:
             + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
             + '); expected one at least; scan more of the room, or correct the placement')
     return answer
+
+
+def show(found: Found) -> None:
+    """Print the result of each camera."""
+    from ocp_ros.report.terminal import print_table, WIDTH
+    from rich.console import Console
+    console = Console(width=WIDTH)
+    rows = [(row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
+             ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
+             f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°',
+             f'{1000.0 * row["deviations"][0]["metres"]:.1f} mm, '
+             f'{row["deviations"][3]["degrees"]:.2f}°',
+             f'{1000.0 * row["residual"]:.1f} mm', f'{100.0 * row["overlap"]:.0f} %')
+            for row in found['cameras'] if not row['refused']]
+    if rows:
+        print_table(console, 'As built', (
+            'camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
+            'residual', 'overlap'), rows)
+    for row in found['cameras']:
+        if row.get('otherwise'):
+            console.print(f'note: {row["camera"]}: {row["otherwise"]}; correct the placement or '
+                          'the option', style='yellow', markup=False, highlight=False)
+        if row['refused']:
+            console.print(f'refused: {row["camera"]}: {row["refused"]}', style='yellow',
+                          markup=False, highlight=False)
+    show_written({'written': found['written']})
 
 
 def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str, np.ndarray]':
@@ -161,32 +195,3 @@ def _write(paths: Sequence[Path], built: 'Placement', answer: Found, prefix: str
     save_placement(paths[0], built)
     write_atomically(paths[1], launch_of(built, (), prefix, refused))
     write_atomically(paths[2], document(answer) + '\n')
-
-
-def show(found: Found) -> None:
-    """Print the result of each camera."""
-    from rich.console import Console
-    from rich.table import Table
-    console = Console(width=100)
-    table = Table('camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
-                  'residual', 'overlap', title='As built')
-    for row in found['cameras']:
-        if not row['refused']:
-            slide, turn = row['deviations'][0], row['deviations'][3]
-            table.add_row(
-                row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
-                ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
-                f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°',
-                f'{1000.0 * slide["metres"]:.1f} mm, {turn["degrees"]:.2f}°',
-                f'{1000.0 * row["residual"]:.1f} mm', f'{100.0 * row["overlap"]:.0f} %')
-    if table.row_count:
-        console.print(table)
-    for row in found['cameras']:
-        if row.get('otherwise'):
-            console.print(f'note: {row["camera"]}: {row["otherwise"]}; correct the placement or '
-                          'the option', style='yellow', markup=False, highlight=False)
-        if row['refused']:
-            console.print(f'refused: {row["camera"]}: {row["refused"]}', style='yellow',
-                          markup=False, highlight=False)
-    for path in found['written']:
-        print(f'wrote {printable(path)}')

@@ -221,9 +221,12 @@ def _plain(value: Any) -> Any:
 
 
 def show_written(found: Found) -> None:
-    """Print the names of the files that were written."""
-    for path in found['written']:
+    """Print the names of the written files, and a placement if some of its files are missing."""
+    for path in found.get('written', ()):
         print(f'wrote {printable(str(path))}')
+    if 'error' in found:
+        from ocp_ros.util.yaml_files import written
+        print(written({'cameras': found['cameras']}, '.yaml'), end='')
 
 
 def command_of(argv: Sequence[str]) -> str:

@@ -17,10 +17,8 @@
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from html import escape
-from importlib import resources
 import json
 from pathlib import Path
-from string import Template
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -36,9 +34,8 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
     some_of,
 )
-from ocp_ros.report.installer import frame_named
-from ocp_ros.report.key_figures import figures_of, percent
-from ocp_ros.report.verdict_tables import links_line
+from ocp_ros.report.facts import page_facts_of, REGION_COLUMNS
+from ocp_ros.report.templates import fill_template
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
@@ -113,9 +110,8 @@ def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None)
         {'scale': paint.scale, 'values': [_bytes_of(paint.values[group]) for group in groups]}
         for paint in paints]}
     title, subtitle = _head(scene, judged)
-    template = resources.files('ocp_ros.report').joinpath('viewer.html').read_text('utf-8')
-    write_atomically(path, Template(template).substitute(
-        title=escape(title), subtitle=escape(subtitle),
+    write_atomically(path, fill_template(
+        'viewer.html', title=escape(title), subtitle=escape(subtitle),
         paints='\n'.join(map(_paint_switch, paints, range(len(paints)))),
         layers='\n'.join(map(_layer_switch, layers, numbers)), plot=plot, data=json.dumps(data),
         tables='' if judged is None else '\n'.join(tables_of(judged))))
@@ -160,7 +156,7 @@ def paints_of(scene: Scene, judged: Assessment | None) -> list[Paint]:
         return [height]
     kinds = len(COUNT_COLOURS)
     counts = (np.minimum(judged.counts, kinds - 1) + 0.5) / kinds
-    lost = 1000.0 * judged.lost
+    lost = 1000.0 * judged.error_by_point
     most = float(np.percentile(lost[lost > 0.0], 98.0)) if (lost > 0.0).any() else 1.0
     return [_banded('seen by how many cameras', counts, tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
             _banded('what is missed', judged.missed.astype(float),
@@ -278,7 +274,8 @@ def _head(scene: Scene, judged: Assessment | None) -> tuple[str, str]:
         size = ' x '.join(f'{edge:.1f}' for edge in scene.size)
         title, subtitle = scene.name, f'{size} m, {len(scene):,} points'
     else:
-        title, subtitle, *_ = figures_of(judged)
+        facts = page_facts_of(judged)
+        title, subtitle = facts.title, facts.subtitle
     return title, subtitle + (f'; {SHOWN:,} points are shown' if len(scene) > SHOWN else '')
 
 
@@ -302,34 +299,38 @@ def _layer_switch(layer: Layer, numbers: list[int]) -> str:
 
 def tables_of(judged: Assessment) -> Iterator[str]:
     """Return the tables beside the room as HTML."""
-    found, figures = judged.found, figures_of(judged)
-    yield f'<p class="{"good" if figures.kept else "bad"}">{escape(figures.verdict)}</p>'
-    if found['broken']:
-        yield '<ul>' + ''.join(f'<li>{escape(line)}</li>' for line in found['broken']) + '</ul>'
-    if figures.doubts:
-        yield '<p class="bad">Check first:</p><ul>' + ''.join(
-            f'<li>{escape(line)}</li>' for line in figures.doubts) + '</ul>'
-    yield _table(('', '', ''), figures.cards)
-    if 'search' in found:
-        yield f'<p>{escape(found["search"]["certificate"]["sentence"])}</p>'
+    facts = page_facts_of(judged)
+    yield f'<p class="{"good" if facts.satisfied else "bad"}">{escape(facts.verdict)}</p>'
+    yield from _list(judged.found['broken'])
+    if facts.doubts:
+        yield '<p class="bad">Check first:</p>'
+        yield from _list(facts.doubts)
+    yield _table(('', '', ''), facts.figures)
+    yield from _paragraphs(facts.certificate)
     yield '<h2>How to mount the cameras</h2>'
     rows = []
-    for number, (words, added) in enumerate(zip(judged.words, found['scores']['cameras']), 1):
+    for number, (words, camera) in enumerate(zip(judged.words, facts.cameras), start=1):
         sensor = '' if words.name.startswith(words.sensor) else f' ({words.sensor})'
         mounting = '; '.join((words.place, words.height, words.pan, words.tilt))
         rows.append((str(number), f'{words.name}{sensor}: {mounting}', words.coordinates,
-                     f'{added["depth_error"]:.3f} m', percent(added['only'])))
+                     camera.reduction, camera.only))
     yield _table(('', 'camera', 'x, y, z', 'error reduction', 'seen by this camera only'), rows)
-    yield '<p>' + escape('Walls: ' + ', '.join(
-        wall.said for wall in judged.walls) + '; A faces +y most, then clockwise. x, y and z are '
-        + frame_named(judged) + '.') + '</p>'
-    if found['scores']['regions']:
-        yield '<h2>Regions</h2>' + _table(('region', 'seen', 'required', 'satisfied'), [
-            (region['name'], percent(region['seen']), percent(region['must_see']),
-             'yes' if region['met'] else 'no') for region in found['scores']['regions']])
-    if 'calibratable' in found['scores']:
-        yield f'<p>{escape(links_line(found["scores"]["calibratable"]))}</p>'
-    yield from (f'<p>{escape(line)}</p>' for line in figures.foot)
+    yield from _paragraphs(f'Walls: {facts.walls}; A faces +y most, then clockwise. x, y and z '
+                           f'are {facts.frame}.')
+    if facts.regions:
+        yield '<h2>Regions</h2>' + _table(REGION_COLUMNS, facts.regions)
+    yield from _paragraphs(facts.links, facts.origin, facts.meaning)
+
+
+def _paragraphs(*texts: str) -> Iterator[str]:
+    """Yield texts as paragraphs of HTML, without empty ones."""
+    return (f'<p>{escape(text)}</p>' for text in texts if text)
+
+
+def _list(texts: Sequence[str]) -> Iterator[str]:
+    """Yield a list of texts as HTML, if there are any."""
+    if texts:
+        yield '<ul>' + ''.join(f'<li>{escape(text)}</li>' for text in texts) + '</ul>'
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -18,7 +18,9 @@ The pictures of an assessment: plan, coverage, depth error and perspective views
 The installer's page has its own plan, which shows the distances to reference walls.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from matplotlib import patheffects
 from matplotlib.axes import Axes
@@ -55,6 +57,7 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
     some_of,
 )
+from ocp_ros.report.facts import count_sentence, SHARES
 from scipy import ndimage
 
 #: Colours of points seen by 0, 1, 2, and 3 or more cameras; they differ in hue and lightness.
@@ -233,7 +236,7 @@ def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
     edge = float(np.clip(size.max() / CELLS, *CELL))
     shape = np.floor(size / edge).astype(int) + 1
     cell = np.ravel_multi_index(tuple(np.floor((flat - low) / edge).astype(int).T), shape)
-    sums = np.bincount(cell, judged.lost, minlength=shape.prod()).reshape(shape)
+    sums = np.bincount(cell, judged.error_by_point, minlength=shape.prod()).reshape(shape)
     density = 1000.0 * sums / edge ** 2
     most = max(float(np.percentile(density[density > 0.0], 99.0)) if density.any() else 0.0, 1.0)
     # Cells below a hundredth of the maximum stay transparent, so that the room is visible.
@@ -316,6 +319,32 @@ def floor_plan_of(judged: Assessment) -> Figure:
     draw_scale_bar(axes, 10.0)
     _draw_axes(axes, judged, frame, 2.0 * margin)
     return figure
+
+
+def draw_curve(path: Path, found: Mapping[str, Any]) -> None:
+    """
+    Draw shares and depth error against the number of cameras as PNG.
+
+    :param found: with the data of counted cameras, ``curve`` and ``count``.
+    """
+    rows, count = found['curve'], found['count']
+    figure = Figure(figsize=(7.0, 4.5), dpi=100, facecolor='white')
+    axes = figure.add_subplot()
+    cameras = [row['cameras'] for row in rows]
+    for (name, (_, label)), style in zip(SHARES.items(), ('o-', 's--', '^:')):
+        axes.plot(cameras, [100.0 * row[f'share_{name}'] for row in rows], style,
+                  color=INK if name == count['by'] else PALE_INK, label=label)
+    axes.axhline(100.0 * count['target'], color=INK, lw=0.8, ls=':')
+    axes.set(xlabel='cameras', ylabel='per cent', xticks=cameras, ylim=(0.0, 102.0))
+    error = axes.twinx()
+    error.plot(cameras, [row['depth_error'] for row in rows], 'x-', color='tab:red',
+               label='depth error')
+    error.set_ylim(bottom=0.0)
+    error.set_ylabel('depth error (m)', color='tab:red')
+    axes.legend(loc='center right', fontsize=8)
+    axes.set_title(count_sentence(count), fontsize=9)
+    figure.tight_layout()
+    save_figure(figure, path, dpi=100)
 
 
 def _draw_axes(axes: Axes, judged: Assessment, frame: np.ndarray, length: float) -> None:

@@ -29,7 +29,7 @@ from ocp_ros.report.drawing import assessment_pictures
 from ocp_ros.report.drawing.figures import all_letters, draw_table, save_figure, write
 from ocp_ros.report.drawing.plan_marks import camera_colour, dark, zone_legend
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
-from ocp_ros.report.key_figures import Figures, figures_of
+from ocp_ros.report.facts import page_facts_of, PageFacts
 
 #: Width, height and margin of A4 landscape, inches, and dots per inch.
 WIDTH, HEIGHT, MARGIN, DOTS = 11.69, 8.27, 0.4, 150
@@ -81,9 +81,10 @@ def figures_of_pages(judged: Assessment) -> Iterator[Figure]:
 
 def _pictures(judged: Assessment) -> Figure:
     """Draw the page with the pictures."""
-    found = figures_of(judged)
-    figure, room = _page(found), assessment_pictures.room_for(judged)
-    _draw_head(figure, found)
+    facts = page_facts_of(judged)
+    figure = _page(facts)
+    room = assessment_pictures.room_for(judged)
+    _draw_head(figure, facts)
     top = FOOT if len(judged.placement.cameras) > MOST else _draw_cameras(figure, judged)
     bottom = top + 0.58
     slots = _slots(judged, bottom, 6.52 - bottom)
@@ -104,20 +105,20 @@ def _pictures(judged: Assessment) -> Figure:
 
 def _table_page(judged: Assessment) -> Figure:
     """Draw the page with the table of many cameras."""
-    figure = _page(figures_of(judged))
+    figure = _page(page_facts_of(judged))
     rows = len(judged.placement.cameras) + 1
     _draw_cameras(figure, judged, min(ROW, (7.4 - FOOT) / rows))
     return figure
 
 
-def _page(found: Figures) -> Figure:
+def _page(facts: PageFacts) -> Figure:
     """Return a page with its title, subtitle, verdict and foot."""
     figure = Figure(figsize=(WIDTH, HEIGHT), dpi=DOTS, facecolor='white')
-    write(figure, (MARGIN, 7.92), found.title, 5.6, 15, INK, bold=True)
-    write(figure, (MARGIN, 7.66), found.subtitle, 4.6 if found.doubts else 10.8, 8, PALE_INK)
-    write(figure, (WIDTH - MARGIN, 7.92), found.verdict, 5.0, 9.5, GOOD if found.kept else BAD,
-          bold=True, align='right')
-    for line, y in zip(found.foot, (0.27, 0.15)):
+    write(figure, (MARGIN, 7.92), facts.title, 5.6, 15, INK, bold=True)
+    write(figure, (MARGIN, 7.66), facts.subtitle, 4.6 if facts.doubts else 10.8, 8, PALE_INK)
+    write(figure, (WIDTH - MARGIN, 7.92), facts.verdict, 5.0, 9.5,
+          GOOD if facts.satisfied else BAD, bold=True, align='right')
+    for line, y in ((facts.origin, 0.27), (facts.meaning, 0.15)):
         write(figure, (MARGIN, y), line, INSIDE, 6.2, PALE_INK)
     return figure
 
@@ -193,15 +194,15 @@ def _few_ticks(most: float) -> np.ndarray:
     return np.array([0.0, 0.1 * top, 0.4 * top, top])
 
 
-def _draw_head(figure: Figure, found: Figures) -> None:
+def _draw_head(figure: Figure, facts: PageFacts) -> None:
     """Write the doubts about the room, and the key figures."""
-    for number, doubt in enumerate(found.doubts[:DOUBTS]):
-        more = len(found.doubts) - DOUBTS
+    for number, doubt in enumerate(facts.doubts[:DOUBTS]):
+        more = len(facts.doubts) - DOUBTS
         text = f'{doubt} (and {more} more)' if more > 0 and number == DOUBTS - 1 else doubt
         write(figure, (WIDTH - MARGIN, 7.72 - 0.13 * number), text, 6.0, 6.2, BAD, align='right')
     gap = 0.12
-    wide = (INSIDE - gap * (len(found.cards) - 1)) / len(found.cards)
-    for number, (label, value, more) in enumerate(found.cards):
+    wide = (INSIDE - gap * (len(facts.figures) - 1)) / len(facts.figures)
+    for number, (label, value, more) in enumerate(facts.figures):
         left = MARGIN + number * (wide + gap)
         figure.add_artist(FancyBboxPatch(
             (left / WIDTH, 6.84 / HEIGHT), wide / WIDTH, 0.62 / HEIGHT, linewidth=0,
@@ -241,11 +242,11 @@ def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None)
     """
     rows = [['', 'camera', 'sensor', 'place', 'above floor', 'pan', 'tilt', 'x, y, z (m)',
              'error reduction']]
-    for row, added in zip(judged.rows, judged.found['scores']['cameras']):
+    for row, camera in zip(judged.rows, page_facts_of(judged).cameras):
         number, name, sensor, place, height, *turns_and_coordinates = row
         rows.append([number, name, '' if name.startswith(sensor) else sensor, place,
                      height.replace(' above the floor', ''), *turns_and_coordinates,
-                     f'{added["depth_error"]:.3f} m'])
+                     camera.reduction])
     if not any(row[2] for row in rows[1:]):
         rows = [[*row[:2], *row[3:]] for row in rows]
     step = step or (ROW if len(rows) - 1 <= FEW else LOW_ROW)
