@@ -52,8 +52,10 @@ from ocp_ros.util.yaml_files import check, Document
 
 RoomLike: TypeAlias = str | PathLike[str] | int | Scene | ArrayLike
 RigLike: TypeAlias = str | PathLike[str] | Mapping[str, Any] | Rig
-#: Quantities by which cameras are counted, and the value of ``cameras`` that asks for counting.
-BY, AUTO = ('error', 'seen', 'coverage'), 'auto'
+#: Quantities by which cameras are counted.
+COUNTED_BY = ('error', 'seen', 'coverage')
+#: The value of ``cameras`` that asks for counting.
+AUTO = 'auto'
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,8 +309,8 @@ def _document(name: str, data: Mapping[str, Any], schema: dict[str, Any]) -> Doc
 
 def _counting(target: float, by: str, most: int) -> Counting:
     """Check the arguments of ``'auto'``, and return the criterion for enough cameras."""
-    if by not in BY:
-        raise ConfigurationError(f'by: found {by!r}; expected one of {", ".join(BY)}')
+    if by not in COUNTED_BY:
+        raise ConfigurationError(f'by: found {by!r}; expected one of {", ".join(COUNTED_BY)}')
     check_positive('target', target)
     if target > 1.0:
         raise ConfigurationError(f'target: found {target}; expected a share of at most 1')

@@ -74,7 +74,7 @@ def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number,
     cameras = [{'sensor': 'realsense_d455', 'count': count, **({'name': LONG} if named else {})}]
     judged = judged_in(room, rig_from(Document('rig', {'cameras': cameras})), poses)
     pages = list(sheet.figures_of_pages(judged))
-    assert len(pages) == (1 if count <= sheet.MOST else 2)
+    assert len(pages) == (1 if count <= sheet.MOST_ROWS else 2)
     for figure in pages:
         texts = texts_of(figure)
         width, height = figure.get_size_inches() * figure.dpi

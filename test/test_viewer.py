@@ -62,10 +62,10 @@ def test_the_page_of_a_large_room_is_small_and_says_what_the_engine_says(tmp_pat
 def test_what_can_be_switched_is_what_the_rig_has():
     names = {layer.name: len(layer.traces) for layer in layers_of(judged_with(1500, **ASKED))
              if layer.traces}
-    assert names == {'cameras': 1, 'fields of view': 2, 'ranges': 2, 'regions': 1,
-                     'keep-out zones': 1, 'one more camera': 1}
+    assert names == {'cameras': 1, 'fields of view': 2, 'ranges': 2,
+                     'weighted regions': 1, 'keep-out zones': 1, 'one more camera': 1}
     plain = {layer.name for layer in layers_of(judged_with(1500)) if layer.traces}
-    assert not {'regions', 'keep-out zones'} & plain
+    assert not {'weighted regions', 'keep-out zones'} & plain
 
 
 def test_every_way_to_colour_points_has_a_share_for_each():

@@ -156,18 +156,17 @@ def frame_prefix(text: str) -> str:
     return text
 
 
-def add_room(command: argparse.ArgumentParser, thinned: bool = True) -> None:
-    """
-    Add the argument ``room`` and the options for reading a scan.
-
-    :param thinned: whether to add ``--points``, the largest number of points of the room.
-    """
+def add_room(command: argparse.ArgumentParser) -> None:
+    """Add the argument ``room`` and the options for reading a scan."""
     command.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
-    if thinned:
-        command.add_argument('--points', type=room_points, metavar='N',
-                             help='number of points of a generated room; a larger scan is thinned '
-                             'to this number; default: 60000; with a placement: its number')
     add_reading(command)
+
+
+def add_points(command: argparse.ArgumentParser) -> None:
+    """Add the option ``--points``, the largest number of points of a room."""
+    command.add_argument('--points', type=room_points, metavar='N',
+                         help='number of points of a generated room; a larger scan is thinned to '
+                         'this number; default: 60000; with a placement: its number')
 
 
 def add_placement(command: argparse.ArgumentParser, **options: Any) -> None:

@@ -17,7 +17,7 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
 from ocp_ros.cli.arguments import (
     add_overwrite,
@@ -39,7 +39,6 @@ from ocp_ros.util.settings import check_known, ConfigurationError
 
 if TYPE_CHECKING:
     import numpy as np
-    from ocp_ros.rig.placement_file import Placement
 
 #: Names of the files that are written.
 WRITTEN = ('placement.yaml', 'cameras.launch.py', 'calibration.json')
@@ -52,7 +51,7 @@ def add_arguments(commands: Commands) -> None:
     command = commands.add(
         JUDGE, 'calibrate', 'find where cameras hang by what they see',
         'ocp calibrate room.ply placement.yaml --clouds door.ply window.ply --out out/built')
-    add_room(command, thinned=False)
+    add_room(command)
     add_placement(command)
     seen = command.add_mutually_exclusive_group(required=True)
     seen.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
@@ -77,11 +76,12 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Register each camera that has a cloud, and write its pose."""
-    from ocp_ros.registration.calibration import as_built, calibrate
+    from ocp_ros.registration.calibration import answer_of, as_built, calibrate
     from ocp_ros.registration.scan_surfaces import ScanSurfaces
-    from ocp_ros.rig.placement_file import load_placement
+    from ocp_ros.report.exports import launch_of
+    from ocp_ros.rig.placement_file import load_placement, save_placement
     from ocp_ros.rig.rig_file import load_rig
-    from ocp_ros.util.files import FileSet, folder_to_write
+    from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
     read = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
     claim_folder(arguments, arguments.out, WRITTEN, WRITTEN[-1], read)
@@ -93,11 +93,17 @@ def run(arguments: argparse.Namespace) -> Found:
     scene, _ = room_asked(arguments, {**placement.room, 'points': points})
     found, broken = calibrate(ScanSurfaces(scene), placement, clouds)
     built = as_built(placement, found, command_of(arguments.argv))
-    rows = [_row(placed, found, broken) for placed in placement.cameras]
+    rows = [answer_of(placed, found[placed.camera.name]) if placed.camera.name in found else {
+        'camera': placed.camera.name, 'refused': broken.get(placed.camera.name, 'it has no cloud')}
+        for placed in placement.cameras]
     answer: Found = {'cameras': rows,
                      'written': [str(arguments.out / name) for name in WRITTEN]}
     with FileSet(arguments.out, WRITTEN, WRITTEN[-1]) as files:
-        _write([files.aside / name for name in WRITTEN], built, answer, arguments.frame_prefix)
+        save_placement(files.aside / WRITTEN[0], built)
+        refused = [row['camera'] for row in rows if row['refused']]
+        launch = launch_of(built, (), arguments.frame_prefix, refused)
+        write_atomically(files.aside / WRITTEN[1], launch)
+        write_atomically(files.aside / WRITTEN[2], document(answer) + '\n')
     if all(row['refused'] for row in rows):
         answer['error'] = (
             f'{arguments.placement}: found no camera that could be calibrated ('
@@ -175,23 +181,3 @@ def _named(text: str, option: str, what: str) -> tuple[str, str]:
         raise ConfigurationError(f'{option}: found {text!r}; expected CAMERA={what}; write, for '
                                  f'example, door={what.lower()}')
     return name, value
-
-
-def _row(placed: Any, found: dict, broken: dict[str, str]) -> dict[str, Any]:
-    """Return the result of a camera as plain data."""
-    from ocp_ros.registration.calibration import answer_of
-    name = placed.camera.name
-    if name in found:
-        return answer_of(placed, found[name])
-    return {'camera': name, 'refused': broken.get(name, 'it has no cloud')}
-
-
-def _write(paths: Sequence[Path], built: 'Placement', answer: Found, prefix: str) -> None:
-    """Write the placement as built, the static transforms and the results."""
-    from ocp_ros.report.exports import launch_of
-    from ocp_ros.rig.placement_file import save_placement
-    from ocp_ros.util.files import write_atomically
-    refused = [row['camera'] for row in answer['cameras'] if row['refused']]
-    save_placement(paths[0], built)
-    write_atomically(paths[1], launch_of(built, (), prefix, refused))
-    write_atomically(paths[2], document(answer) + '\n')

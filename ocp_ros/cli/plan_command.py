@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 from ocp_ros.cli.arguments import (
     add_frame,
     add_overwrite,
+    add_points,
     add_room,
     cameras,
     count,
@@ -59,6 +60,7 @@ def add_arguments(commands: Commands) -> None:
     command = commands.add(PLAN, 'plan', 'find the best poses of cameras in a room',
                            'ocp plan room.ply --cameras 4 --model d455 --out out/plan')
     add_room(command)
+    add_points(command)
     rig = command.add_mutually_exclusive_group()
     rig.add_argument('--rig', type=find_config, help='rig file with cameras and constraints: '
                      'docs/reference/rig.md')

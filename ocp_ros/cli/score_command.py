@@ -21,6 +21,7 @@ from ocp_ros.cli.arguments import (
     add_frame,
     add_overwrite,
     add_placement,
+    add_points,
     add_room,
     room_and_placement,
 )
@@ -32,6 +33,7 @@ def add_arguments(commands: Commands) -> None:
     command = commands.add(JUDGE, 'score', 'evaluate a placement of cameras in a room',
                            'ocp score room.ply placement.yaml --rig rig.yaml --out out/hang-up')
     add_room(command)
+    add_points(command)
     add_placement(command)
     command.add_argument('--out', type=Path, metavar='DIR', help='folder for report, placement, '
                          'CSV, launch file, xacro and more')

@@ -45,8 +45,9 @@ WRITTEN = (*PLACEMENTS, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro'
 OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
 #: Name of the frame of the room's scan, in metres.
 SCAN = 'scan'
-COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
-           'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
+#: Columns of ``cameras.csv``: metres and degrees.
+CSV_COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
+               'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
 JOINT = """    <link name="%s"/>
     <joint name="%s_joint" type="fixed">
       <parent link=%s/>
@@ -68,9 +69,9 @@ def written_to(files: FileSet, judged: Assessment, prefix: str = '', brief: bool
     """
     paths: list[str] = []
     try:
-        for name in chain(export(files.aside, judged, prefix),
+        for path in chain(export(files.aside, judged, prefix),
                           () if brief else reports(files.aside, judged)):
-            paths.append(str(files.folder / name))
+            paths.append(str(files.folder / path.name))
     except OSError as error:
         return {'written': paths, 'error': (
             f'--out: found {files.folder}, where not all could be written '
@@ -79,9 +80,9 @@ def written_to(files: FileSet, judged: Assessment, prefix: str = '', brief: bool
     return {'written': paths}
 
 
-def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[str]:
+def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]:
     """
-    Write a placement as files for programs and installers, and yield the name of each.
+    Write a placement as files for programs and installers, and yield the path of each.
 
     Placement files are in the map frame, in which scores are computed, and contain the transform
     to the frame of the scan. The frame of the other files is
@@ -95,7 +96,7 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[str]:
     source = judged.scene.source
     for name in PLACEMENTS:
         save_placement(folder / name, placement)
-        yield name
+        yield folder / name
     shown = placement
     link = link_between(FRAME, SCAN, source.rotation, -source.shift)
     if not judged.data_frame.is_map:
@@ -109,24 +110,23 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[str]:
              'installer.md': instructions(judged, 'plan.png')}
     for name, text in texts.items():
         write_atomically(folder / name, text)
-        yield name
+        yield folder / name
     # The import of the drawing modules is slow, so other commands do not import them.
     from ocp_ros.report.drawing.assessment_pictures import draw_floor_plan
     draw_floor_plan(folder / 'plan.png', judged)
-    yield 'plan.png'
+    yield folder / 'plan.png'
 
 
-def reports(folder: Path, judged: Assessment) -> Iterator[str]:
-    """Write the PNG sheet, the HTML page and the curve of counted cameras; yield their names."""
+def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
+    """Write the PNG sheet, the HTML page and the curve of counted cameras; yield their paths."""
     from ocp_ros.report.drawing import assessment_pictures, sheet
     from ocp_ros.report.viewer import write_view
-    for path in sheet.draw(folder, judged):
-        yield path.name
+    yield from sheet.draw(folder, judged)
     write_view(folder / 'report.html', judged.scene, judged)
-    yield 'report.html'
+    yield folder / 'report.html'
     if 'curve' in judged.found:
         assessment_pictures.draw_curve(folder / 'curve.png', judged.found)
-        yield 'curve.png'
+        yield folder / 'curve.png'
 
 
 class Link(NamedTuple):
@@ -175,7 +175,7 @@ def table_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
     :param prefix: of the names of frames.
     """
     file = io.StringIO()
-    rows = csv.DictWriter(file, COLUMNS, extrasaction='ignore', lineterminator='\n')
+    rows = csv.DictWriter(file, CSV_COLUMNS, extrasaction='ignore', lineterminator='\n')
     rows.writeheader()
     for number, placed in enumerate(placement.cameras, start=1):
         rows.writerow({

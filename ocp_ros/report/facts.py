@@ -124,8 +124,9 @@ def facts_of(found: Mapping[str, Any]) -> Facts:
                 percent(region['must_see']), 'yes' if region['met'] else 'no')
                for region in scores['regions']]
     certificate = found['search']['certificate']['sentence'] if 'search' in found else ''
+    links = links_line(scores['calibratable']) if 'calibratable' in scores else ''
     return Facts(verdict, not (broken or doubts), doubts, _figures(found), cameras, regions,
-                 _links(scores), certificate)
+                 links, certificate)
 
 
 def page_facts_of(assessed: Assessment) -> PageFacts:
@@ -153,12 +154,16 @@ def page_facts_of(assessed: Assessment) -> PageFacts:
         walls=', '.join(wall.said for wall in assessed.walls))
 
 
-def _figures(found: Mapping[str, Any]) -> list[Figure]:
-    """Return the key figures of a placement."""
-    scores, missed, expected = (found[key] for key in ('scores', 'missed', 'expected'))
+def score_figures(scores: Mapping[str, Any], expected: Mapping[str, float]) -> list[Figure]:
+    """
+    Return the key figures that scores give.
+
+    :param scores: from :func:`~ocp_ros.report.findings.scores_of`.
+    :param expected: from :func:`~ocp_ros.report.findings.expected`.
+    """
     by = 'a camera' if scores['seen_by'] == 1 else f'{scores["seen_by"]} cameras'
     twice = sum(count for cameras, count in scores['overlap'].items() if cameras not in '01')
-    figures = [
+    return [
         Figure('depth error', metres(scores['depth_error']),
                f'{metres(scores["depth_error_of_nothing"])} without cameras'),
         Figure('expected (9 of 10 rooms)', metres(expected['depth_error']),
@@ -166,9 +171,15 @@ def _figures(found: Mapping[str, Any]) -> list[Figure]:
         Figure('seen', percent(scores['seen']), f'of the points, by {by}'),
         Figure('seen twice', percent(twice / scores['points']), 'by two cameras or more'),
         Figure('space coverage', f'{scores["space_coverage"]:.1f} m³',
-               f'of {scores["volume"]:.1f} m³ in all'),
-        Figure('missed', percent(missed['share']),
-               f'no candidate sees {percent(missed["hopeless"])}')]
+               f'of {scores["volume"]:.1f} m³ in all')]
+
+
+def _figures(found: Mapping[str, Any]) -> list[Figure]:
+    """Return all key figures of a placement."""
+    scores, missed = found['scores'], found['missed']
+    figures = [*score_figures(scores, found['expected']),
+               Figure('missed', percent(missed['share']),
+                      f'no candidate sees {percent(missed["hopeless"])}')]
     if regions := scores['regions']:
         worst = min(regions, key=lambda region: region['seen'] - region['must_see'])
         figures.append(Figure(
@@ -189,11 +200,12 @@ def _figures(found: Mapping[str, Any]) -> list[Figure]:
     return figures
 
 
-def _links(scores: Mapping[str, Any]) -> str:
-    """Return the pairs of cameras that can be calibrated to each other; '' if not required."""
-    links = scores.get('calibratable')
-    if links is None:
-        return ''
+def links_line(links: Mapping[str, Any]) -> str:
+    """
+    Return the pairs of cameras that can be calibrated to each other.
+
+    :param links: the key ``calibratable`` of the scores.
+    """
     pairs = ', '.join(f'{" and ".join(pair["cameras"])} {percent(pair["overlap"])}'
                       for pair in links['pairs'] if pair['linked'])
     return (f'calibratable: overlaps of {percent(links["overlap"])} or more under at most '

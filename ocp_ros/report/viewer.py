@@ -25,7 +25,7 @@ import numpy as np
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
 from ocp_ros.report.drawing.frustum_drawing import chained, edges
-from ocp_ros.report.drawing.plan_marks import camera_colour, corners_of
+from ocp_ros.report.drawing.plan_marks import camera_colour, corners_of, STYLES, zones_of
 from ocp_ros.report.drawing.room_drawing import (
     HEIGHTS,
     heights_of,
@@ -44,12 +44,13 @@ import plotly.graph_objects as go
 #: Largest number of points on the page: more points make the rotation slow.
 SHOWN = 40000
 #: Decimals of positions in metres on the page, which limit its size.
-ROUND = 3
-#: Colour of seen points and of points without error; smallest share of a wall's votes for a side.
-PLAIN, WALL = '#dcdcd6', 0.3
+DECIMALS = 3
+#: Colour of seen points and of points without error.
+PLAIN = '#dcdcd6'
+#: Smallest share of a wall's votes for a side.
+LEAST_VOTES = 0.3
 #: Length of a drawn frustum, as a share of the room's diagonal.
-CONE = 0.12
-REGION, KEEP_OUT, MOUNTING, MORE = '#009e73', '#cc79a7', '#0072b2', '#e69f00'
+FRUSTUM_SHARE = 0.12
 
 
 class Layer(NamedTuple):
@@ -141,7 +142,7 @@ def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
     room = room_of(points, np.arange(len(points))[:, None])
     ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
     along = room.inward[:, :2] @ np.array(ways).T
-    side = np.where(along.max(axis=1) > WALL, along.argmax(axis=1), -1)
+    side = np.where(along.max(axis=1) > LEAST_VOTES, along.argmax(axis=1), -1)
     shown = room.colours[:, 0]
     groups = [shown[side == k] for k in range(-1, 4)]
     return [*groups, np.setdiff1d(np.arange(len(points)), shown)], ways
@@ -156,12 +157,12 @@ def paints_of(scene: Scene, judged: Assessment | None) -> list[Paint]:
         return [height]
     kinds = len(COUNT_COLOURS)
     counts = (np.minimum(judged.counts, kinds - 1) + 0.5) / kinds
-    lost = 1000.0 * judged.error_by_point
-    most = float(np.percentile(lost[lost > 0.0], 98.0)) if (lost > 0.0).any() else 1.0
+    errors = 1000.0 * judged.error_by_point
+    most = float(np.percentile(errors[errors > 0.0], 98.0)) if (errors > 0.0).any() else 1.0
     return [_banded('seen by how many cameras', counts, tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
             _banded('what is missed', judged.missed.astype(float),
                     (('seen', PLAIN), ('missed', COUNT_COLOURS[0]))),
-            Paint('depth error', np.sqrt(np.minimum(lost / most, 1.0)),
+            Paint('depth error', np.sqrt(np.minimum(errors / most, 1.0)),
                   [[0.0, PLAIN], *([max(share, 0.004), colour]
                                    for share, colour in _scale(ERROR_COLOURS))], (),
                   ('0', f'{most:.2g} mm or more at a point')), height]
@@ -185,30 +186,27 @@ def layers_of(judged: Assessment) -> Iterator[Layer]:
     yield Layer('cameras', [_cameras(judged)])
     longest = float(np.linalg.norm(scene.size))
 
-    def cones(part: float) -> list[go.Scatter3d]:
+    def frusta(part: float) -> list[go.Scatter3d]:
         return [_line(edges(one.camera.model, one.pose, min(one.camera.model.max_range,
                                                             part * longest)),
                       camera_colour(number), f'camera {number + 1}')
                 for number, one in enumerate(placed) if not one.camera.model.omnidirectional]
-    yield Layer('fields of view', cones(CONE))
+    yield Layer('fields of view', frusta(FRUSTUM_SHARE))
     balls = [_ball(one.position, one.camera.model.max_range, camera_colour(number))
              for number, one in enumerate(placed) if one.camera.model.omnidirectional]
     # Several frusta with their full range would hide the room, so they are off at first.
-    yield Layer('ranges', [*balls, *cones(1.0)], len(balls) == len(placed))
-    for name, zones, colour in (
-            ('regions', {region.name: region.zone for region in rig.regions}, REGION),
-            ('keep-out zones',
-             {f'keep-out zone {k + 1}': zone for k, zone in enumerate(rig.keep_out)}, KEEP_OUT),
-            ('mounting zones',
-             {f'mounting zone {k + 1}': zone for k, zone in enumerate(rig.keep_in)}, MOUNTING)):
-        yield Layer(name, [_line(_outline(zone, scene, judged.floor), colour, label)
-                           for label, zone in zones.items()])
+    yield Layer('ranges', [*balls, *frusta(1.0)], len(balls) == len(placed))
+    zones = zones_of(rig)
+    for kind, style in STYLES.items():
+        yield Layer(f'{kind}s', [
+            _line(_outline(zone, scene, judged.floor), style['edgecolor'], name)
+            for other, name, zone in zones if other == kind])
     more = judged.found.get('one_more')
     yield Layer('one more camera', [go.Scatter3d(
         x=[more['position'][0]], y=[more['position'][1]], z=[more['position'][2]],
         mode='markers', hovertemplate=f'one more {escape(more["sensor"])}: x %{{x:.2f}}, '
         f'y %{{y:.2f}}, z %{{z:.2f}} m, {more["gain"]:.3f} m less error<extra></extra>',
-        marker={'size': 9, 'color': MORE, 'symbol': 'diamond',
+        marker={'size': 9, 'color': '#e69f00', 'symbol': 'diamond',
                 'line': {'color': INK, 'width': 2}})] if more else [], False)
 
 
@@ -221,7 +219,7 @@ def _scale(colours: Any) -> list[list[Any]]:
 
 def _cloud(points: np.ndarray, colour: str) -> go.Scatter3d:
     """Return the trace of points (N, 3) in a colour."""
-    x, y, z = np.round(points, ROUND).astype(np.float32).T
+    x, y, z = np.round(points, DECIMALS).astype(np.float32).T
     return go.Scatter3d(x=x.copy(), y=y.copy(), z=z.copy(), mode='markers', hoverinfo='skip',
                         marker={'size': 2.8, 'color': colour, 'line': {'width': 0}})
 
@@ -242,7 +240,7 @@ def _cameras(judged: Assessment) -> go.Scatter3d:
 
 def _line(points: np.ndarray, colour: str, label: str) -> go.Scatter3d:
     """Return the trace of lines (M, 3), separated by rows of NaN."""
-    x, y, z = np.round(points, ROUND).T
+    x, y, z = np.round(points, DECIMALS).T
     return go.Scatter3d(x=x, y=y, z=z, mode='lines', line={'color': colour, 'width': 3},
                         hovertemplate=f'{escape(label)}<extra></extra>')
 
@@ -253,7 +251,7 @@ def _ball(centre: Sequence[float], radius: float, colour: str) -> go.Mesh3d:
                                      np.linspace(-np.pi / 2, np.pi / 2, 19))
     way = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
                     np.sin(elevation)], axis=-1).reshape(-1, 3)
-    x, y, z = np.round(np.asarray(centre) + radius * way, ROUND).T
+    x, y, z = np.round(np.asarray(centre) + radius * way, DECIMALS).T
     return go.Mesh3d(x=x, y=y, z=z, alphahull=0, color=colour, opacity=0.05, hoverinfo='skip')
 
 

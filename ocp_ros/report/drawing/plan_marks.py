@@ -163,11 +163,13 @@ def corners_of(zone: Zone) -> np.ndarray:
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-def zones_of(rig: Rig) -> list[tuple[str, Zone]]:
-    """Return the kind of each zone of a rig, a key of :data:`STYLES`, and the zone."""
-    return [*(('must-see region' if region.must_see else 'weighted region', region.zone)
-              for region in rig.regions), *(('keep-out zone', zone) for zone in rig.keep_out),
-            *(('mounting zone', zone) for zone in rig.keep_in)]
+def zones_of(rig: Rig) -> list[tuple[str, str, Zone]]:
+    """Return each zone of a rig: its kind, which is a key of :data:`STYLES`, name and shape."""
+    return [*(('must-see region' if region.must_see else 'weighted region', region.name,
+               region.zone) for region in rig.regions),
+            *((kind, f'{kind} {number}', zone)
+              for kind, zones in (('keep-out zone', rig.keep_out), ('mounting zone', rig.keep_in))
+              for number, zone in enumerate(zones, start=1))]
 
 
 def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
@@ -177,7 +179,7 @@ def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
     :param frame: (2, 2) rotation from the map frame to that of the plan.
     :param level: drawing order (zorder).
     """
-    for kind, zone in zones_of(rig):
+    for kind, _, zone in zones_of(rig):
         axes.add_patch(Polygon(corners_of(zone) @ frame.T, facecolor='none', linewidth=1.2,
                                zorder=level, label=kind, **STYLES[kind]))
 
@@ -185,4 +187,4 @@ def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
 def zone_legend(rig: Rig) -> dict[str, Patch]:
     """Return the legend entries of the kinds of zones that a rig has."""
     return {kind: Patch(facecolor='none', **STYLES[kind])
-            for kind in dict.fromkeys(kind for kind, _ in zones_of(rig))}
+            for kind in dict.fromkeys(kind for kind, *_ in zones_of(rig))}
