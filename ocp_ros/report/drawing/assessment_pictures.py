@@ -345,8 +345,8 @@ def _draw_axes(axes: Axes, judged: Assessment, length: float) -> None:
             continue
         axes.annotate('', corner + length * way, corner, zorder=5, arrowprops={
             'arrowstyle': '-|>', 'color': PALE_INK, 'lw': 1.5, 'shrinkA': 0.0, 'shrinkB': 0.0})
-        axes.text(*(corner + 1.15 * length * way), name, fontsize=10, color=PALE_INK, ha='center',
-                  va='center', zorder=5)
+        x, y = corner + 1.15 * length * way
+        axes.text(x, y, name, fontsize=10, color=PALE_INK, ha='center', va='center', zorder=5)
 
 
 def _draw_distances(axes: Axes, judged: Assessment) -> None:
@@ -363,7 +363,8 @@ def _draw_distances(axes: Axes, judged: Assessment) -> None:
             free = np.linalg.norm(taken - middle, axis=1).min() > 0.5 * MEASURED_SHARE * longer
             if free and np.linalg.norm(at - place) > MEASURED_SHARE * longer:
                 turn = np.rad2deg(np.arctan2(*(at - place)[::-1]))
-                axes.text(*middle, f'{100.0 * distance.away:.0f} cm', fontsize=8, color=INK,
-                          ha='center', va='center', rotation=(turn + 90.0) % 180.0 - 90.0,
-                          bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}, zorder=4.5)
+                axes.text(middle[0], middle[1], f'{100.0 * distance.away:.0f} cm', fontsize=8,
+                          color=INK, ha='center', va='center', zorder=4.5,
+                          rotation=(turn + 90.0) % 180.0 - 90.0,
+                          bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0})
                 taken = np.vstack([taken, middle])
