@@ -197,14 +197,14 @@ def add_reading(command: argparse.ArgumentParser) -> None:
                          'other rooms through openings')
 
 
-def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
+def room_asked(arguments: argparse.Namespace, recorded: dict[str, Any]
                ) -> 'tuple[Scene, dict[str, Any]]':
     """
     Read the room that a command line names.
 
     :param arguments: with ``room``, the options for reading it, and perhaps ``points``.
-    :param known: options with which it was read before, from a placement file; options of the
-        command line replace them.
+    :param recorded: options with which it was read before, from a placement file; options of
+        the command line replace them.
     :returns: the room, and its record for placement files.
     """
     from ocp_ros.rooms.scene_source import READING, room_named
@@ -215,12 +215,12 @@ def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
             f'--{next(iter(given)).replace("_", "-")}: found it with the generated room '
             f'{arguments.room}; expected a scan, since generated rooms are in metres, z up; leave '
             'it out')
-    known = {key: known[key] for key in ('points', *READING) if key in known}
+    recorded = {key: recorded[key] for key in ('points', *READING) if key in recorded}
     if (points := getattr(arguments, 'points', None)) is not None:
-        known['points'] = points
+        recorded['points'] = points
     if arguments.room.isdecimal():
-        known = {key: value for key, value in known.items() if key == 'points'}
-    return room_named(arguments.room, **{**known, **given})
+        recorded = {key: value for key, value in recorded.items() if key == 'points'}
+    return room_named(arguments.room, **{**recorded, **given})
 
 
 def room_and_placement(arguments: argparse.Namespace

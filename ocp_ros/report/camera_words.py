@@ -94,9 +94,9 @@ def aim_of(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor: 
     if placed.camera.model.omnidirectional:
         return ''
     ahead = rotation_matrix(*placed.pose[3:])[:, 0]
-    ways = scene.points - placed.pose[:3]
-    along = ways @ ahead
-    aside = np.linalg.norm(ways - along[:, None] * ahead, axis=1)
+    offsets = scene.points - placed.pose[:3]
+    along = offsets @ ahead
+    aside = np.linalg.norm(offsets - along[:, None] * ahead, axis=1)
     near = np.flatnonzero((along > LEAST_AIM_DISTANCE)
                           & (aside <= np.maximum(scene.pitch, AIM_TOLERANCE)))
     if len(near) == 0:

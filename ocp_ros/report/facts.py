@@ -151,7 +151,7 @@ def page_facts_of(assessed: Assessment) -> PageFacts:
         frame=f'metres in the frame of the {"scan" if scene.source.is_map else "map"}'
         if frame.is_map else 'in the axes and units of the scan' + (
             '' if frame.scale == 1.0 else f', {frame.scale:g} m each'),
-        walls=', '.join(wall.said for wall in assessed.walls))
+        walls=', '.join(wall.description for wall in assessed.walls))
 
 
 def score_figures(scores: Mapping[str, Any], expected: Mapping[str, float]) -> list[Figure]:

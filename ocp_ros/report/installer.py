@@ -51,7 +51,8 @@ def instructions(assessed: Assessment, plan: str) -> str:
     facts, cameras, corner = page_facts_of(assessed), assessed.placement.cameras, assessed.corner
     rig, floor = assessed.objective.rig, assessed.floor
     corner_at = assessed.frame.to_source(np.append(corner.at, floor)).round(2)
-    inner = ', '.join(wall.said(assessed.walls, floor) for wall in assessed.references.inner)
+    inner = ', '.join(wall.description(assessed.walls, floor)
+                      for wall in assessed.references.inner)
     mount = f'**Mount.** The cameras are {MOUNTED[rig.mount.on]}. The room is ' \
             f'{100.0 * (assessed.scene.bounds[1, 2] - floor):.0f} cm high.\n\n'
     level = ' Unless the table gives a roll, keep the long side of the camera level, top side up.'

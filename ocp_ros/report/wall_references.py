@@ -86,7 +86,7 @@ class ReferenceWall(NamedTuple):
     stands: bool
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Return the letter and the length, with a remark if most of the side is no wall."""
         return f'{self.letter} {self.length:.2f} m' + (
             '' if self.stands else f' (less than {100.0 * LEAST_WALL_SHARE:.0f} % of it is wall)')
@@ -187,7 +187,7 @@ class InnerWall(NamedTuple):
     at: np.ndarray
     top: float
 
-    def said(self, sides: Sequence[ReferenceWall], floor: float) -> str:
+    def description(self, sides: Sequence[ReferenceWall], floor: float) -> str:
         """Return its position relative to the sides of a room and its height, in words."""
         top = f'{self.letter} (up to {100.0 * (self.top - floor):.0f} cm high'
         along = max(sides, key=lambda side: float(side.outward @ self.outward))
