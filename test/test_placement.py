@@ -438,7 +438,7 @@ def test_the_installers_page_says_how_good_the_plan_is_and_how_to_hold_a_camera(
                                                 'gap': None}}
     page = instructions(assessed, 'plan.png')
     scores, expected = assessed.found['scores'], assessed.found['expected']
-    assert f'seen: {100 * scores["seen"]:.1f} % (of the points, by 2 cameras)' in page
+    assert f'seen {100 * scores["seen"]:.1f} % (of the points, by 2 cameras)' in page
     assert f'{metres(expected["low"])} to {metres(expected["high"])}' in page
     assert 'No placement is better.' in page and 'made by ocp score x' in page
     assert 'long side of the camera level' in page

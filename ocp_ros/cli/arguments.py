@@ -157,9 +157,8 @@ def frame_prefix(text: str) -> str:
 
 
 def add_room(command: argparse.ArgumentParser) -> None:
-    """Add the argument ``room`` and the options for reading a scan."""
+    """Add the argument ``room``."""
     command.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
-    add_reading(command)
 
 
 def add_points(command: argparse.ArgumentParser) -> None:

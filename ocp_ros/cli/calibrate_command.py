@@ -22,6 +22,7 @@ from typing import TYPE_CHECKING
 from ocp_ros.cli.arguments import (
     add_overwrite,
     add_placement,
+    add_reading,
     add_room,
     frame_prefix,
     room_asked,
@@ -71,6 +72,7 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
                          help='before the names of frames in the launch file')
     add_overwrite(command)
+    add_reading(command)
     command.set_defaults(run=run, show=show)
 
 

@@ -30,6 +30,7 @@ from ocp_ros.cli.arguments import (
     add_frame,
     add_overwrite,
     add_points,
+    add_reading,
     add_room,
     cameras,
     count,
@@ -60,7 +61,6 @@ def add_arguments(commands: Commands) -> None:
     command = commands.add(PLAN, 'plan', 'find the best poses of cameras in a room',
                            'ocp plan room.ply --cameras 4 --model d455 --out out/plan')
     add_room(command)
-    add_points(command)
     rig = command.add_mutually_exclusive_group()
     rig.add_argument('--rig', type=find_config, help='rig file with cameras and constraints: '
                      'docs/reference/rig.md')
@@ -93,6 +93,8 @@ def add_arguments(commands: Commands) -> None:
                          help='folder for report, placement, CSV, launch file, xacro and more')
     add_frame(command)
     add_overwrite(command)
+    add_points(command)
+    add_reading(command)
     command.set_defaults(run=run, show=show)
 
 

@@ -22,6 +22,7 @@ from ocp_ros.cli.arguments import (
     add_overwrite,
     add_placement,
     add_points,
+    add_reading,
     add_room,
     room_and_placement,
 )
@@ -33,12 +34,13 @@ def add_arguments(commands: Commands) -> None:
     command = commands.add(JUDGE, 'score', 'evaluate a placement of cameras in a room',
                            'ocp score room.ply placement.yaml --rig rig.yaml --out out/hang-up')
     add_room(command)
-    add_points(command)
     add_placement(command)
     command.add_argument('--out', type=Path, metavar='DIR', help='folder for report, placement, '
                          'CSV, launch file, xacro and more')
     add_frame(command)
     add_overwrite(command)
+    add_points(command)
+    add_reading(command)
     command.set_defaults(run=run, show=show)
 
 

@@ -23,6 +23,7 @@ from ocp_ros.cli.arguments import (
     add_overwrite,
     add_placement,
     add_points,
+    add_reading,
     add_room,
     room_and_placement,
     room_asked,
@@ -37,11 +38,12 @@ def add_arguments(commands: Commands) -> None:
     command = commands.add(LOOK, 'view', 'write a 3D page of a room and a placement',
                            'ocp view room.ply placement.yaml --out out/view.html')
     add_room(command)
-    add_points(command)
     add_placement(command, nargs='?')
     command.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
     command.add_argument('--open', action='store_true', help='open the page in a browser')
     add_overwrite(command)
+    add_points(command)
+    add_reading(command)
     command.set_defaults(run=run, show=show_written)
 
 

@@ -114,7 +114,9 @@ def facts_of(found: Mapping[str, Any]) -> Facts:
     scores, broken = found['scores'], found['broken']
     doubts = [printable(note) for note in found['notes']]
     verdict = (f'{counted(len(broken), "constraint")} violated' if broken else
-               'all constraints are satisfied') + (', but the scan is doubtful' if doubts else '')
+               'all constraints are satisfied')
+    if doubts:
+        verdict += f', {"and" if broken else "but"} the scan is doubtful'
     cameras = [CameraFacts(named(added['name'], placed['mount']),
                            ', '.join(f'{value:.2f}' for value in placed['position']),
                            ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),

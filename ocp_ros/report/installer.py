@@ -71,6 +71,7 @@ def instructions(assessed: Assessment, plan: str) -> str:
         lenses='\n'.join(f'- {in_markdown(placed.camera.name)}: '
                          + '; '.join(filter(None, (lens_of(placed.camera.model), aim)))
                          for placed, aim in zip(cameras, assessed.aims)),
-        figures='; '.join(f'{label}: {value} ({remark})'
+        figures='; '.join(f'{label} {value} ({remark})'
                           for label, value, remark in facts.figures[:3]),
-        certificate=in_markdown(facts.certificate), origin=in_markdown(facts.origin))
+        certificate=f' {in_markdown(facts.certificate)}'.rstrip(),
+        origin=in_markdown(facts.origin))
