@@ -169,10 +169,10 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     asked = _rig(rig, cameras, sensor, mount)
     scene, record = _room(room, points, reading)
     planned = PlannedRig(scene, asked, task, *task.budgets(), progress)
-    judged = planned.judged(planned.placement(record, 'ocp_ros.plan'))
-    search, count = judged.found['search'], judged.found.get('count')
+    assessed = planned.judged(planned.placement(record, 'ocp_ros.plan'))
+    search, count = assessed.found['search'], assessed.found.get('count')
     return PlanResult(
-        **_scored(judged), planner=search['planner'], evaluations=search['evaluations'],
+        **_scored(assessed), planner=search['planner'], evaluations=search['evaluations'],
         seconds=search['seconds'], gap=search['certificate']['gap'],
         reached=count and count['reached'])
 
@@ -205,11 +205,11 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
     return ScoreResult(**_scored(judge(scene, placed, record, 'ocp_ros.score')))
 
 
-def _scored(judged: Assessment) -> dict[str, Any]:
+def _scored(assessed: Assessment) -> dict[str, Any]:
     """Return the fields of a ScoreResult."""
-    found, scores = judged.found, judged.found['scores']
-    return {'placement': judged.placement, 'broken': tuple(found['broken']),
-            'notes': tuple(found['notes']), 'assessment': judged,
+    found, scores = assessed.found, assessed.found['scores']
+    return {'placement': assessed.placement, 'broken': tuple(found['broken']),
+            'notes': tuple(found['notes']), 'assessment': assessed,
             **{name: scores[name] for name in ('loss', 'depth_error', 'space_coverage', 'seen')}}
 
 

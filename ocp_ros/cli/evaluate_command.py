@@ -85,10 +85,10 @@ def show(found: Found) -> None:
     """Print the pairwise results for each number of cameras."""
     from ocp_ros.report.terminal import print_table
     from rich.console import Console
-    for cameras, judged in found['cameras'].items():
-        first = next(iter(judged['pairs'])).split(',')[0]
+    for cameras, result in found['cameras'].items():
+        first = next(iter(result['pairs'])).split(',')[0]
         rows = []
-        for name, pair in sorted(judged['pairs'].items(), key=lambda item: item[1]['sum']):
+        for name, pair in sorted(result['pairs'].items(), key=lambda item: item[1]['sum']):
             low, high = pair['interval']
             compared = ('', '', '', '') if name == first else (
                 f'{pair["wins"]} of {pair["rooms"]}', f'{pair["ratio"]:.3f}',

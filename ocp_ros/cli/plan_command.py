@@ -113,9 +113,9 @@ def run(arguments: argparse.Namespace) -> Found:
         planned = PlannedRig(scene, rig, task, budget, proving, progress)
     placement = planned.placement(room, command_of(arguments.argv))
     with _kept(folder, placement) as files:
-        judged = planned.judged(placement, arguments.frame)
-        return {**judged.found, **written_to(files, judged, arguments.frame_prefix,
-                                             brief=budget.stopped)}
+        assessed = planned.judged(placement, arguments.frame)
+        return {**assessed.found, **written_to(files, assessed, arguments.frame_prefix,
+                                               brief=budget.stopped)}
 
 
 def show(found: Found) -> None:

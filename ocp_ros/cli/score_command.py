@@ -53,11 +53,11 @@ def run(arguments: argparse.Namespace) -> Found:
         claim_folder(arguments, arguments.out, WRITTEN, MARK)
     scene, placement, room = room_and_placement(arguments)
     folder = arguments.out and folder_to_write(arguments.out)
-    judged = judge(scene, placement, room, command_of(arguments.argv), arguments.frame)
+    assessed = judge(scene, placement, room, command_of(arguments.argv), arguments.frame)
     if folder is None:
-        return judged.found
+        return assessed.found
     with FileSet(folder, WRITTEN, MARK) as files:
-        return {**judged.found, **written_to(files, judged, arguments.frame_prefix)}
+        return {**assessed.found, **written_to(files, assessed, arguments.frame_prefix)}
 
 
 def show(found: Found) -> None:

@@ -88,6 +88,11 @@ class Assessment:
         """Return the positions of all cameras: (K, 3) metres, map frame."""
         return np.array([placed.position for placed in self.placement.cameras])
 
+    @property
+    def plan_positions(self) -> np.ndarray:
+        """Return the positions in a plan with wall A at the top: (K, 2) metres."""
+        return self.positions @ self.upright[:2].T
+
     @cached_property
     def counts(self) -> np.ndarray:
         """Return the number of cameras that see each point: (N,) int."""

@@ -57,7 +57,7 @@ JOINT = """    <link name="%s"/>
 """
 
 
-def written_to(files: FileSet, judged: Assessment, prefix: str = '', brief: bool = False
+def written_to(files: FileSet, assessed: Assessment, prefix: str = '', brief: bool = False
                ) -> dict[str, Any]:
     """
     Write a placement in all file formats, and its reports.
@@ -69,8 +69,8 @@ def written_to(files: FileSet, judged: Assessment, prefix: str = '', brief: bool
     """
     paths: list[str] = []
     try:
-        for path in chain(export(files.aside, judged, prefix),
-                          () if brief else reports(files.aside, judged)):
+        for path in chain(export(files.aside, assessed, prefix),
+                          () if brief else reports(files.aside, assessed)):
             paths.append(str(files.folder / path.name))
     except OSError as error:
         return {'written': paths, 'error': (
@@ -80,7 +80,7 @@ def written_to(files: FileSet, judged: Assessment, prefix: str = '', brief: bool
     return {'written': paths}
 
 
-def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]:
+def export(folder: Path, assessed: Assessment, prefix: str = '') -> Iterator[Path]:
     """
     Write a placement as files for programs and installers, and yield the path of each.
 
@@ -92,40 +92,40 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]
     :param prefix: of the names of frames.
     :raises OSError: if a file cannot be written.
     """
-    placement = judged.placement
-    source = judged.scene.source
+    placement = assessed.placement
+    source = assessed.scene.source
     for name in PLACEMENTS:
         save_placement(folder / name, placement)
         yield folder / name
     shown = placement
     link = link_between(FRAME, SCAN, source.rotation, -source.shift)
-    if not judged.data_frame.is_map:
+    if not assessed.data_frame.is_map:
         shown = placement_in(placement, source)
         link = link_between(SCAN, FRAME, source.rotation.T, source.rotation.T @ source.shift)
     links = [] if source.is_map else [link]
-    texts = {'cameras.csv': table_of(shown, judged.data_frame.scale, prefix),
+    texts = {'cameras.csv': table_of(shown, assessed.data_frame.scale, prefix),
              'cameras.launch.py': launch_of(shown, links, prefix),
              'cameras.urdf.xacro': xacro_of(shown, links, prefix),
              'cameras.rviz': rviz_of(shown),
-             'installer.md': instructions(judged, 'plan.png')}
+             'installer.md': instructions(assessed, 'plan.png')}
     for name, text in texts.items():
         write_atomically(folder / name, text)
         yield folder / name
     # The import of the drawing modules is slow, so other commands do not import them.
     from ocp_ros.report.drawing.assessment_pictures import draw_floor_plan
-    draw_floor_plan(folder / 'plan.png', judged)
+    draw_floor_plan(folder / 'plan.png', assessed)
     yield folder / 'plan.png'
 
 
-def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
+def reports(folder: Path, assessed: Assessment) -> Iterator[Path]:
     """Write the PNG sheet, the HTML page and the curve of counted cameras; yield their paths."""
     from ocp_ros.report.drawing import assessment_pictures, sheet
     from ocp_ros.report.viewer import write_view
-    yield from sheet.draw(folder, judged)
-    write_view(folder / 'report.html', judged.scene, judged)
+    yield from sheet.draw(folder, assessed)
+    write_view(folder / 'report.html', assessed.scene, assessed)
     yield folder / 'report.html'
-    if 'curve' in judged.found:
-        assessment_pictures.draw_curve(folder / 'curve.png', judged.found)
+    if 'curve' in assessed.found:
+        assessment_pictures.draw_curve(folder / 'curve.png', assessed.found)
         yield folder / 'curve.png'
 
 

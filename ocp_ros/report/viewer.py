@@ -85,20 +85,20 @@ class Paint(NamedTuple):
     ends: tuple[str, str] = ('', '')
 
 
-def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None) -> None:
+def write_view(path: str | Path, scene: Scene, assessed: Assessment | None = None) -> None:
     """
     Write a room as a self-contained HTML page.
 
     :param path: file to write; its folder is created.
-    :param judged: a placement in the room to show; None for the room alone.
+    :param assessed: a placement in the room to show; None for the room alone.
     """
     points = scene.points.astype(np.float64)
     some = some_of(len(points), SHOWN)
     groups, facing = groups_of(points[some])
     groups = [some[group] for group in groups]
-    paints = paints_of(scene, judged)
+    paints = paints_of(scene, assessed)
     layers = [Layer('ceiling', [_cloud(points[groups.pop()], '#a3aeb6')], False)]
-    layers += [layer for layer in layers_of(judged) if layer.traces] if judged else []
+    layers += [layer for layer in layers_of(assessed) if layer.traces] if assessed else []
     figure = go.Figure([_cloud(points[group], PALE_INK) for group in groups])
     numbers = []
     for layer in layers:
@@ -110,12 +110,12 @@ def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None)
     data = {'facing': facing, 'paints': [
         {'scale': paint.scale, 'values': [_bytes_of(paint.values[group]) for group in groups]}
         for paint in paints]}
-    title, subtitle = _head(scene, judged)
+    title, subtitle = _head(scene, assessed)
     write_atomically(path, fill_template(
         'viewer.html', title=escape(title), subtitle=escape(subtitle),
         paints='\n'.join(map(_paint_switch, paints, range(len(paints)))),
         layers='\n'.join(map(_layer_switch, layers, numbers)), plot=plot, data=json.dumps(data),
-        tables='' if judged is None else '\n'.join(tables_of(judged))))
+        tables='' if assessed is None else '\n'.join(tables_of(assessed))))
 
 
 def _lay_out(figure: go.Figure, scene: Scene) -> None:
@@ -148,19 +148,19 @@ def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
     return [*groups, np.setdiff1d(np.arange(len(points)), shown)], ways
 
 
-def paints_of(scene: Scene, judged: Assessment | None) -> list[Paint]:
+def paints_of(scene: Scene, assessed: Assessment | None) -> list[Paint]:
     """Return the ways to colour the points; the first one is shown first."""
     low, high = np.percentile(scene.points[:, 2], [2.0, 98.0])
     height = Paint('height', heights_of(scene.points), _scale(HEIGHTS), (),
                    tuple(f'{value + 0.0:.1f} m' for value in np.round([low, high], 1)))
-    if judged is None:
+    if assessed is None:
         return [height]
     kinds = len(COUNT_COLOURS)
-    counts = (np.minimum(judged.counts, kinds - 1) + 0.5) / kinds
-    errors = 1000.0 * judged.error_by_point
+    counts = (np.minimum(assessed.counts, kinds - 1) + 0.5) / kinds
+    errors = 1000.0 * assessed.error_by_point
     most = float(np.percentile(errors[errors > 0.0], 98.0)) if (errors > 0.0).any() else 1.0
     return [_banded('seen by how many cameras', counts, tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
-            _banded('what is missed', judged.missed.astype(float),
+            _banded('what is missed', assessed.missed.astype(float),
                     (('seen', PLAIN), ('missed', COUNT_COLOURS[0]))),
             Paint('depth error', np.sqrt(np.minimum(errors / most, 1.0)),
                   [[0.0, PLAIN], *([max(share, 0.004), colour]
@@ -180,10 +180,10 @@ def _bytes_of(shares: np.ndarray) -> str:
     return b64encode(np.rint(255.0 * shares).astype(np.uint8).tobytes()).decode()
 
 
-def layers_of(judged: Assessment) -> Iterator[Layer]:
+def layers_of(assessed: Assessment) -> Iterator[Layer]:
     """Yield layers: cameras, fields of view, ranges, the rig's zones and one more camera."""
-    placed, scene, rig = judged.placement.cameras, judged.scene, judged.objective.rig
-    yield Layer('cameras', [_cameras(judged)])
+    placed, scene, rig = assessed.placement.cameras, assessed.scene, assessed.objective.rig
+    yield Layer('cameras', [_cameras(assessed)])
     longest = float(np.linalg.norm(scene.size))
 
     def frusta(part: float) -> list[go.Scatter3d]:
@@ -199,9 +199,9 @@ def layers_of(judged: Assessment) -> Iterator[Layer]:
     zones = zones_of(rig)
     for kind, style in STYLES.items():
         yield Layer(f'{kind}s', [
-            _line(_outline(zone, scene, judged.floor), style['edgecolor'], name)
+            _line(_outline(zone, scene, assessed.floor), style['edgecolor'], name)
             for other, name, zone in zones if other == kind])
-    more = judged.found.get('one_more')
+    more = assessed.found.get('one_more')
     yield Layer('one more camera', [go.Scatter3d(
         x=[more['position'][0]], y=[more['position'][1]], z=[more['position'][2]],
         mode='markers', hovertemplate=f'one more {escape(more["sensor"])}: x %{{x:.2f}}, '
@@ -224,11 +224,11 @@ def _cloud(points: np.ndarray, colour: str) -> go.Scatter3d:
                         marker={'size': 2.8, 'color': colour, 'line': {'width': 0}})
 
 
-def _cameras(judged: Assessment) -> go.Scatter3d:
+def _cameras(assessed: Assessment) -> go.Scatter3d:
     """Return the trace of the cameras with numbers, and mounting instructions on hover."""
-    x, y, z = judged.positions.T
-    numbers = range(len(judged.positions))
-    about = [' <br>'.join(escape(part) for part in words) for words in judged.words]
+    x, y, z = assessed.positions.T
+    numbers = range(len(assessed.positions))
+    about = [' <br>'.join(escape(part) for part in words) for words in assessed.words]
     return go.Scatter3d(
         x=x, y=y, z=z, mode='markers+text', text=[f'<b>{k + 1}</b>' for k in numbers],
         textposition='top center', textfont={'size': 15, 'color': INK}, customdata=about,
@@ -266,13 +266,13 @@ def _outline(zone: Zone, scene: Scene, floor: float) -> np.ndarray:
     return chained([*rings, *posts])
 
 
-def _head(scene: Scene, judged: Assessment | None) -> tuple[str, str]:
+def _head(scene: Scene, assessed: Assessment | None) -> tuple[str, str]:
     """Return the headline and the line below it."""
-    if judged is None:
+    if assessed is None:
         size = ' x '.join(f'{edge:.1f}' for edge in scene.size)
         title, subtitle = scene.name, f'{size} m, {len(scene):,} points'
     else:
-        facts = page_facts_of(judged)
+        facts = page_facts_of(assessed)
         title, subtitle = facts.title, facts.subtitle
     return title, subtitle + (f'; {SHOWN:,} points are shown' if len(scene) > SHOWN else '')
 
@@ -295,11 +295,11 @@ def _layer_switch(layer: Layer, numbers: list[int]) -> str:
             f'{" checked" if layer.shown else ""}> {escape(layer.name)}</label>')
 
 
-def tables_of(judged: Assessment) -> Iterator[str]:
+def tables_of(assessed: Assessment) -> Iterator[str]:
     """Return the tables beside the room as HTML."""
-    facts = page_facts_of(judged)
+    facts = page_facts_of(assessed)
     yield f'<p class="{"good" if facts.satisfied else "bad"}">{escape(facts.verdict)}</p>'
-    yield from _list(judged.found['broken'])
+    yield from _list(assessed.found['broken'])
     if facts.doubts:
         yield '<p class="bad">Check first:</p>'
         yield from _list(facts.doubts)
@@ -307,7 +307,7 @@ def tables_of(judged: Assessment) -> Iterator[str]:
     yield from _paragraphs(facts.certificate)
     yield '<h2>How to mount the cameras</h2>'
     rows = []
-    for number, (words, camera) in enumerate(zip(judged.words, facts.cameras), start=1):
+    for number, (words, camera) in enumerate(zip(assessed.words, facts.cameras), start=1):
         sensor = '' if words.name.startswith(words.sensor) else f' ({words.sensor})'
         mounting = '; '.join((words.place, words.height, words.pan, words.tilt))
         rows.append((str(number), f'{words.name}{sensor}: {mounting}', words.coordinates,

@@ -93,15 +93,15 @@ LONGER_EDGE = 10.0
 LEAST_EDGE = 4.5
 
 
-def room_for(judged: Assessment) -> Room:
+def room_for(assessed: Assessment) -> Room:
     """
     Prepare the room of a placement for drawing: wall A at the top, thinned, without the ceiling.
 
     :returns: a room whose ``colours`` (M, 1) are the numbers of the scene's points.
     """
-    points = judged.scene.points.astype(np.float64)
+    points = assessed.scene.points.astype(np.float64)
     some = some_of(len(points), SHEET_POINTS)
-    return room_of(points[some] @ judged.upright.T, some[:, None])
+    return room_of(points[some] @ assessed.upright.T, some[:, None])
 
 
 def coloured(room: Room, colours: np.ndarray) -> Room:
@@ -116,30 +116,30 @@ def shaded(room: Room, colours: np.ndarray) -> Room:
     return room._replace(colours=np.clip(room.colours * dark, 0.0, 1.0))
 
 
-def count_colours(judged: Assessment) -> np.ndarray:
+def count_colours(assessed: Assessment) -> np.ndarray:
     """Return the colour of each point by the number of cameras that see it: (N, 3) RGB."""
     palette = np.array([to_rgb(colour) for colour in COUNT_COLOURS])
-    return palette[np.minimum(judged.counts, len(palette) - 1)]
+    return palette[np.minimum(assessed.counts, len(palette) - 1)]
 
 
-def draw_room_plan(axes: Axes, room: Room, judged: Assessment) -> None:
+def draw_room_plan(axes: Axes, room: Room, assessed: Assessment) -> None:
     """Draw the room from above with the walls' letters, the cameras and their ranges."""
-    colours = HEIGHTS(heights_of(judged.scene.points))[:, :3]
+    colours = HEIGHTS(heights_of(assessed.scene.points))[:, :3]
     outline = draw_discs(axes, coloured(room, 0.35 + 0.65 * colours), np.eye(3))
-    frame, heights = judged.upright[:2, :2], judged.scene.bounds[:, 2].tolist()
-    strength = min(1.0, 2.0 / np.sqrt(len(judged.placement.cameras)))
-    for number, placed in enumerate(judged.placement.cameras):
+    frame, heights = assessed.upright[:2, :2], assessed.scene.bounds[:, 2].tolist()
+    strength = min(1.0, 2.0 / np.sqrt(len(assessed.placement.cameras)))
+    for number, placed in enumerate(assessed.placement.cameras):
         colour = camera_colour(number)
         seen = reach(placed.camera.model, placed.pose, heights)
         part = Polygon(seen @ frame.T, facecolor=(*to_rgb(colour), 0.2 * strength),
                        edgecolor=(*to_rgb(colour), 0.9 * strength), linewidth=1.0, zorder=3)
         axes.add_patch(part).set_clip_path(outline)
     _hide_outside(axes, room)
-    _frame(axes, judged, 0.1, room.points[:, :2])
-    _draw_marks(axes, judged, 1.0)
+    _frame(axes, assessed, 0.1, room.points[:, :2])
+    _draw_marks(axes, assessed, 1.0)
 
 
-def _draw_marks(axes: Axes, judged: Assessment, scale: float) -> None:
+def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
     """
     Draw walls with letters and ticks, zones and cameras on a plan.
 
@@ -148,29 +148,29 @@ def _draw_marks(axes: Axes, judged: Assessment, scale: float) -> None:
 
     :param scale: size of letters and lines, in multiples of those on the sheet.
     """
-    (left, bottom), (right, top) = corners = _corners(judged)
+    (left, bottom), (right, top) = corners = _corners(assessed)
     sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
              ((right, left), (bottom, bottom)), ((left, left), (bottom, top))]
-    for wall, (x, y) in zip(judged.walls, sides):
+    for wall, (x, y) in zip(assessed.walls, sides):
         axes.plot(x, y, color=INK, linewidth=0.9, linestyle='-' if wall.stands else (0, (3, 3)),
                   zorder=4)
-    frame, places = judged.upright[:2, :2], judged.positions @ judged.upright[:2].T
-    longer = max(judged.size)
+    frame, places = assessed.upright[:2, :2], assessed.plan_positions
+    longer = max(assessed.size)
     away = LETTER_SHARE * longer
     x, y = corners.mean(axis=0)
     letters = np.array([(x, top + away), (right + away, y), (x, bottom - away), (left - away, y)])
     style = {'zorder': 5, 'path_effects': [patheffects.withStroke(linewidth=2.5 * scale,
                                                                   foreground='white')]}
-    draw_letters(axes, judged.walls, letters, 10.0 * scale, **style)
-    inner = judged.references.inner
+    draw_letters(axes, assessed.walls, letters, 10.0 * scale, **style)
+    inner = assessed.references.inner
     beside = [frame @ (wall.at + 0.5 * away * wall.outward) for wall in inner]
     draw_letters(axes, inner, apart(
         np.array(beside).reshape(-1, 2), LETTER_SPACING * scale * unit_of(axes),
         np.concatenate([letters, places])), 7.0 * scale, **style)
-    draw_zones(axes, judged.objective.rig, frame, 3.8)
-    draw_headings(axes, judged.placement, places, 0.07 * longer * frame, 1.2 * scale)
-    draw_numbers(axes, places, 7.0 * scale, float(np.prod(judged.size)), letters, always=True)
-    for axis, start, length in zip((axes.xaxis, axes.yaxis), corners[0], judged.size):
+    draw_zones(axes, assessed.objective.rig, frame, 3.8)
+    draw_headings(axes, assessed.placement, places, 0.07 * longer * frame, 1.2 * scale)
+    draw_numbers(axes, places, 7.0 * scale, float(np.prod(assessed.size)), letters, always=True)
+    for axis, start, length in zip((axes.xaxis, axes.yaxis), corners[0], assessed.size):
         ticks = _ticks(length)
         axis.set_ticks(start + ticks, [f'{tick:g}' for tick in ticks])
     axes.tick_params(colors=PALE_INK, labelsize=6.5 * scale, length=2.0, pad=1.5)
@@ -199,39 +199,38 @@ def _hide_outside(axes: Axes, room: Room) -> None:
                 interpolation='bilinear', zorder=3.5)
 
 
-def _corners(judged: Assessment) -> np.ndarray:
+def _corners(assessed: Assessment) -> np.ndarray:
     """Return the corners of walls D and C, and B and A, in the plan's frame: (2, 2) metres."""
-    top, right, bottom, left = (wall.offset for wall in judged.walls)
+    top, right, bottom, left = (wall.offset for wall in assessed.walls)
     return np.array([[-left, -bottom], [right, top]])
 
 
-def _frame(axes: Axes, judged: Assessment, margin: float, *shown: np.ndarray) -> None:
+def _frame(axes: Axes, assessed: Assessment, margin: float, *shown: np.ndarray) -> None:
     """Fit the axes to walls and cameras, and to other places (M, 2)."""
-    fit(axes, np.concatenate([judged.positions @ judged.upright[:2].T, _corners(judged), *shown]),
-        margin)
+    fit(axes, np.concatenate([assessed.plan_positions, _corners(assessed), *shown]), margin)
     axes.spines[:].set_visible(False)
 
 
-def draw_count_map(axes: Axes, room: Room, judged: Assessment) -> None:
+def draw_count_map(axes: Axes, room: Room, assessed: Assessment) -> None:
     """Draw the room from above, coloured by the number of cameras that see each point."""
-    draw_discs(axes, shaded(room, count_colours(judged)), np.eye(3), contrast=0.25)
-    _small_map(axes, room, judged)
+    draw_discs(axes, shaded(room, count_colours(assessed)), np.eye(3), contrast=0.25)
+    _small_map(axes, room, assessed)
 
 
-def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
+def draw_error_map(axes: Axes, room: Room, assessed: Assessment) -> AxesImage:
     """
     Draw a map of the depth error in millimetres for each square metre of the plan.
 
     :returns: the image, for a colour bar.
     """
-    pale = np.full((len(judged.scene), 3), 0.88)
+    pale = np.full((len(assessed.scene), 3), 0.88)
     draw_discs(axes, shaded(room, pale), np.eye(3), contrast=0.5)
-    flat = judged.scene.points.astype(np.float64) @ judged.upright[:2].T
+    flat = assessed.scene.points.astype(np.float64) @ assessed.upright[:2].T
     low, size = flat.min(axis=0), np.ptp(flat, axis=0)
     edge = float(np.clip(size.max() / ERROR_CELLS, *ERROR_CELL_LIMITS))
     shape = np.floor(size / edge).astype(int) + 1
     cell = np.ravel_multi_index(tuple(np.floor((flat - low) / edge).astype(int).T), shape)
-    sums = np.bincount(cell, judged.error_by_point, minlength=shape.prod()).reshape(shape)
+    sums = np.bincount(cell, assessed.error_by_point, minlength=shape.prod()).reshape(shape)
     density = 1000.0 * sums / edge ** 2
     most = max(float(np.percentile(density[density > 0.0], 99.0)) if density.any() else 0.0, 1.0)
     # Cells below a hundredth of the maximum stay transparent, so that the room is visible.
@@ -239,35 +238,35 @@ def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
                         norm=PowerNorm(0.5, 0.0, most), origin='lower', zorder=2,
                         extent=(low[0], low[0] + shape[0] * edge, low[1],
                                 low[1] + shape[1] * edge))
-    _small_map(axes, room, judged)
+    _small_map(axes, room, assessed)
     return image
 
 
-def _small_map(axes: Axes, room: Room, judged: Assessment) -> None:
+def _small_map(axes: Axes, room: Room, assessed: Assessment) -> None:
     """Fit the axes of a map to the room, and draw the cameras' numbers."""
     axes.set_xticks([])
     axes.set_yticks([])
-    _frame(axes, judged, 0.02, room.points[:, :2])
-    draw_numbers(axes, judged.positions @ judged.upright[:2].T, 5.0, float(np.prod(judged.size)))
+    _frame(axes, assessed, 0.02, room.points[:, :2])
+    draw_numbers(axes, assessed.plan_positions, 5.0, float(np.prod(assessed.size)))
 
 
-def draw_look(axes: Axes, room: Room, judged: Assessment, azimuth: float) -> None:
+def draw_look(axes: Axes, room: Room, assessed: Assessment, azimuth: float) -> None:
     """
     Draw the room in perspective without the front walls, coloured by the number of cameras.
 
     :param azimuth: radians, direction of the viewer in the frame of the plan: 0 is to the right.
     """
-    room = shaded(room, count_colours(judged))
+    room = shaded(room, count_colours(assessed))
     eye = eye_at(room.points, azimuth)
     part = cut_open(room, eye.view)
     outline = draw_discs(axes, part, eye.view, eye, 0.5)
     floor = float(np.percentile(room.points[:, 2], 2.0))
     longest = min(FRUSTUM_SHARE * float(np.ptp(room.points, axis=0).max()), LONGEST_FRUSTUM)
-    places = judged.positions @ judged.upright.T
+    places = assessed.positions @ assessed.upright.T
     shown = [outline.get_xy(), eye(places)]
-    for number, (placed, place) in enumerate(zip(judged.placement.cameras, places)):
+    for number, (placed, place) in enumerate(zip(assessed.placement.cameras, places)):
         model = placed.camera.model
-        cone = eye(edges(model, placed.pose, min(longest, model.max_range)) @ judged.upright.T)
+        cone = eye(edges(model, placed.pose, min(longest, model.max_range)) @ assessed.upright.T)
         shown.append(cone)
         axes.plot(*cone.T, color=camera_colour(number), linewidth=0.7, zorder=4)
         axes.plot(*eye(np.stack([place, [*place[:2], floor]])).T, color=INK, linewidth=0.6,
@@ -278,28 +277,28 @@ def draw_look(axes: Axes, room: Room, judged: Assessment, azimuth: float) -> Non
     draw_numbers(axes, eye(places), 5.0, 0.5 * float(np.prod(np.ptp(outline.get_xy(), axis=0))))
 
 
-def draw_floor_plan(path: Path, judged: Assessment) -> None:
+def draw_floor_plan(path: Path, assessed: Assessment) -> None:
     """Write the installer's plan as PNG."""
-    save_figure(floor_plan_of(judged), path, dpi=100)
+    save_figure(floor_plan_of(assessed), path, dpi=100)
 
 
-def floor_plan_of(judged: Assessment) -> Figure:
+def floor_plan_of(assessed: Assessment) -> Figure:
     """Draw the installer's plan: the room, wall A at the top, cameras and measured distances."""
-    scene = judged.scene
+    scene = assessed.scene
     low, high = scene.bounds[:, 2]
     points = scene.points[(scene.points[:, 2] > low + FLOOR_LAYER)
                           & (scene.points[:, 2] < high - CEILING_LAYER)]
-    flat = points[::max(len(points) // PLAN_POINTS, 1), :2] @ judged.upright[:2, :2].T
-    scale = LONGER_EDGE / max(judged.size)
-    figure = Figure(figsize=[max(scale * edge, LEAST_EDGE) for edge in judged.size], dpi=100,
+    flat = points[::max(len(points) // PLAN_POINTS, 1), :2] @ assessed.upright[:2, :2].T
+    scale = LONGER_EDGE / max(assessed.size)
+    figure = Figure(figsize=[max(scale * edge, LEAST_EDGE) for edge in assessed.size], dpi=100,
                     facecolor='white')
     axes = figure.add_axes((0.05, 0.08, 0.9, 0.9))
     axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
-    _frame(axes, judged, 0.1)
-    _draw_distances(axes, judged)
-    _draw_marks(axes, judged, PLAN_SCALE)
-    _draw_axes(axes, judged, 0.1 * max(judged.size))
-    explained = zone_legend(judged.objective.rig)
+    _frame(axes, assessed, 0.1)
+    _draw_distances(axes, assessed)
+    _draw_marks(axes, assessed, PLAN_SCALE)
+    _draw_axes(axes, assessed, 0.1 * max(assessed.size))
+    explained = zone_legend(assessed.objective.rig)
     if explained:
         figure.legend(explained.values(), explained.keys(), loc='lower center', frameon=False,
                       ncols=len(explained), fontsize=10, labelcolor=INK)
@@ -332,14 +331,14 @@ def draw_curve(path: Path, found: Mapping[str, Any]) -> None:
     save_figure(figure, path, dpi=100)
 
 
-def _draw_axes(axes: Axes, judged: Assessment, length: float) -> None:
+def _draw_axes(axes: Axes, assessed: Assessment, length: float) -> None:
     """Draw the coordinate axes at a corner of the room, of a length in metres."""
-    frame = judged.upright[:2, :2]
-    corner, origin = frame @ judged.corner.at, judged.frame.to_map(np.zeros(3))
+    frame = assessed.upright[:2, :2]
+    corner, origin = frame @ assessed.corner.at, assessed.frame.to_map(np.zeros(3))
     # Move the axes from the corner into the room.
-    corner = corner + 0.15 * length * np.sign(_corners(judged).mean(axis=0) - corner)
+    corner = corner + 0.15 * length * np.sign(_corners(assessed).mean(axis=0) - corner)
     for name, unit in zip('xyz', np.eye(3)):
-        way = judged.frame.to_map(unit) - origin
+        way = assessed.frame.to_map(unit) - origin
         way = frame @ way[:2] / np.linalg.norm(way)
         if np.linalg.norm(way) < 0.5:
             continue
@@ -349,13 +348,13 @@ def _draw_axes(axes: Axes, judged: Assessment, length: float) -> None:
         axes.text(x, y, name, fontsize=10, color=PALE_INK, ha='center', va='center', zorder=5)
 
 
-def _draw_distances(axes: Axes, judged: Assessment) -> None:
+def _draw_distances(axes: Axes, assessed: Assessment) -> None:
     """Draw the measured distances: dashed lines, with the numbers where these are readable."""
-    frame, longer = judged.upright[:2, :2], max(judged.size)
-    places = judged.positions[:, :2] @ frame.T
+    frame, longer = assessed.upright[:2, :2], max(assessed.size)
+    places = assessed.plan_positions
     # Places of cameras and written distances, which must not be covered.
     taken = places
-    for place, distances in zip(places, judged.references.distances):
+    for place, distances in zip(places, assessed.references.distances):
         for distance in distances:
             at = frame @ distance.at
             axes.plot(*np.stack([place, at]).T, color=INK, lw=0.8, ls=(0, (2, 2)), zorder=4)

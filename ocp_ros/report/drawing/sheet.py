@@ -72,58 +72,58 @@ CORNERS = {'C, D': -125.0, 'B, C': -55.0, 'A, B': 55.0, 'D, A': 125.0}
 Box: TypeAlias = tuple[float, float, float, float]
 
 
-def draw(folder: Path, judged: Assessment) -> Iterator[Path]:
+def draw(folder: Path, assessed: Assessment) -> Iterator[Path]:
     """
     Write the pages as PNG, A4 landscape, and yield each path: one, or two with many cameras.
 
     :param folder: it is created if it does not exist.
     """
-    for name, figure in zip(PAGES, figures_of_pages(judged)):
+    for name, figure in zip(PAGES, figures_of_pages(assessed)):
         with all_letters():
             save_figure(figure, folder / name, dpi=DOTS_PER_INCH)
         yield folder / name
 
 
-def figures_of_pages(judged: Assessment) -> Iterator[Figure]:
+def figures_of_pages(assessed: Assessment) -> Iterator[Figure]:
     """Draw the pages: pictures with the table; a long table has its own page."""
     with all_letters():
-        pages = [_pictures(judged)]
-        if len(judged.placement.cameras) > MOST_ROWS:
-            pages.append(_table_page(judged))
+        pages = [_pictures(assessed)]
+        if len(assessed.placement.cameras) > MOST_ROWS:
+            pages.append(_table_page(assessed))
     yield from pages
 
 
-def _pictures(judged: Assessment) -> Figure:
+def _pictures(assessed: Assessment) -> Figure:
     """Draw the page with the pictures."""
-    facts = page_facts_of(judged)
+    facts = page_facts_of(assessed)
     figure = _page(facts)
-    room = assessment_pictures.room_for(judged)
+    room = assessment_pictures.room_for(assessed)
     _draw_head(figure, facts)
-    many = len(judged.placement.cameras) > MOST_ROWS
-    top = TABLE_BOTTOM if many else _draw_cameras(figure, judged)
+    many = len(assessed.placement.cameras) > MOST_ROWS
+    top = TABLE_BOTTOM if many else _draw_cameras(figure, assessed)
     bottom = top + 0.58
-    slots = _slots(judged, bottom, 6.52 - bottom)
-    assessment_pictures.draw_room_plan(_titled(figure, slots.plan, 'Plan (m)'), room, judged)
+    slots = _slots(assessed, bottom, 6.52 - bottom)
+    assessment_pictures.draw_room_plan(_titled(figure, slots.plan, 'Plan (m)'), room, assessed)
     assessment_pictures.draw_count_map(
-        _titled(figure, slots.counts, 'Seen by how many cameras'), room, judged)
+        _titled(figure, slots.counts, 'Seen by how many cameras'), room, assessed)
     image = assessment_pictures.draw_error_map(
-        _titled(figure, slots.errors, 'Where the depth error is'), room, judged)
+        _titled(figure, slots.errors, 'Where the depth error is'), room, assessed)
     left, low, width, high = slots.errors
     _draw_bar(figure, image, (left + width + 0.04, low + 0.1, 0.07, high - 0.2))
     for box, (corner, azimuth) in zip(slots.looks, CORNERS.items()):
-        assessment_pictures.draw_look(_titled(figure, box, f'From corner {corner}'), room, judged,
-                                      np.deg2rad(azimuth))
-    _draw_legend(figure, bottom - 0.16, judged)
+        axes = _titled(figure, box, f'From corner {corner}')
+        assessment_pictures.draw_look(axes, room, assessed, np.deg2rad(azimuth))
+    _draw_legend(figure, bottom - 0.16, assessed)
     write(figure, (0.5 * PAGE_WIDTH, bottom - 0.36), DEPTH_ERROR, INSIDE, 6.8, PALE_INK,
           align='center')
     return figure
 
 
-def _table_page(judged: Assessment) -> Figure:
+def _table_page(assessed: Assessment) -> Figure:
     """Draw the page with the table of many cameras."""
-    figure = _page(page_facts_of(judged))
-    rows = len(judged.placement.cameras) + 1
-    _draw_cameras(figure, judged, min(ROW, (7.4 - TABLE_BOTTOM) / rows))
+    figure = _page(page_facts_of(assessed))
+    rows = len(assessed.placement.cameras) + 1
+    _draw_cameras(figure, assessed, min(ROW, (7.4 - TABLE_BOTTOM) / rows))
     return figure
 
 
@@ -148,14 +148,14 @@ class _Slots(NamedTuple):
     looks: list[Box]
 
 
-def _slots(judged: Assessment, bottom: float, high: float) -> _Slots:
+def _slots(assessed: Assessment, bottom: float, high: float) -> _Slots:
     """
     Divide a page into boxes; the width of the plan depends on the shape of the room.
 
     :param bottom: lower edge of all pictures, inches.
     :param high: total height of all pictures, inches.
     """
-    width, depth = judged.size
+    width, depth = assessed.size
     half = 0.5 * (high - TITLE)
     if width > WIDE_RATIO * depth:
         # The maps lie below the plan.
@@ -229,26 +229,26 @@ def _draw_head(figure: Figure, facts: PageFacts) -> None:
             write(figure, (left + 0.09, y), text, wide - 0.18, size, colour, bold)
 
 
-def _draw_legend(figure: Figure, y: float, judged: Assessment) -> None:
+def _draw_legend(figure: Figure, y: float, assessed: Assessment) -> None:
     """Draw the legend of all pictures in one line, ``y`` inches from the bottom."""
     entries = {'camera': Line2D([], [], color=camera_colour(0), marker='o', markersize=6,
                                 linestyle='none'),
                'field of view and range': Patch(facecolor='#cfe3f0', edgecolor='#0072b2'),
                'mostly without wall': Line2D([], [], color=INK, linewidth=0.9,
                                              linestyle=(0, (3, 3)))}
-    if all(wall.stands for wall in judged.walls):
+    if all(wall.stands for wall in assessed.walls):
         del entries['mostly without wall']
     entries |= {name: Patch(facecolor=colour)
                 for name, colour in zip(assessment_pictures.COUNT_NAMES,
                                         assessment_pictures.COUNT_COLOURS)}
-    entries |= zone_legend(judged.objective.rig)
+    entries |= zone_legend(assessed.objective.rig)
     figure.legend(entries.values(), entries.keys(), loc='center', ncols=len(entries),
                   frameon=False, labelcolor=INK,
                   fontsize=7 if len(entries) < 8 else 6.2, columnspacing=1.6, handlelength=1.4,
                   bbox_to_anchor=(0.5, y / PAGE_HEIGHT), borderpad=0.0, borderaxespad=0.0)
 
 
-def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None) -> float:
+def _draw_cameras(figure: Figure, assessed: Assessment, step: float | None = None) -> float:
     """
     Draw the installer's table at the foot of a page.
 
@@ -257,7 +257,7 @@ def _draw_cameras(figure: Figure, judged: Assessment, step: float | None = None)
     """
     rows = [['', 'camera', 'sensor', 'place', 'above floor', 'pan', 'tilt', 'x, y, z (m)',
              'error reduction']]
-    for row, camera in zip(judged.rows, page_facts_of(judged).cameras):
+    for row, camera in zip(assessed.rows, page_facts_of(assessed).cameras):
         number, name, sensor, place, height, *turns_and_coordinates = row
         rows.append([number, name, '' if name.startswith(sensor) else sensor, place,
                      height.replace(' above the floor', ''), *turns_and_coordinates,
