@@ -45,7 +45,7 @@ setup(
         share('config/train', '*.yaml'),
         share('models', '*.*'),
     ],
-    package_data={NAME: ['planning/*.json', 'report/*.html']},
+    package_data={NAME: ['report/*.json', 'report/templates/*']},
     zip_safe=True,
     install_requires=[
         'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',

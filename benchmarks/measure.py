@@ -32,7 +32,7 @@ from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.geometry.visibility import MESH
-from ocp_ros.planning.rig_planning import PlannedRig, PlanTask
+from ocp_ros.report.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rig.rig_file import Rig, rig_of

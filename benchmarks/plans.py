@@ -34,7 +34,7 @@ from benchmarks.measure import geometric, HUNG, Judge, OFF
 from benchmarks.promise import DENSE, rig_named
 import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
-from ocp_ros.planning.promise import expected
+from ocp_ros.report.findings import expected
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.splits import SETS

@@ -44,7 +44,7 @@ from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.util.files import write_atomically
 
 #: The table that the package reads.
-TABLE = results.ROOT / 'ocp_ros' / 'planning' / 'promise.json'
+TABLE = results.ROOT / 'ocp_ros' / 'report' / 'promise.json'
 #: Rigs: sensor and mount.
 RIGS = {'d455_walls': ('realsense_d455', {'on': 'walls'}),
         'd455_stands': ('realsense_d455', {'on': 'plane', 'height': 1.6}),

@@ -22,9 +22,9 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from ocp_ros.planning.assessment import Assessment, judge
-from ocp_ros.planning.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
-from ocp_ros.report.verdict_tables import as_text, show_plan, show_verdict
+from ocp_ros.report.assessment import Assessment, judge
+from ocp_ros.report.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
+from ocp_ros.report.terminal import as_text, show_score
 from ocp_ros.rig.placement_file import (
     load_placement,
     Placement,
@@ -52,8 +52,10 @@ from ocp_ros.util.yaml_files import check, Document
 
 RoomLike: TypeAlias = str | PathLike[str] | int | Scene | ArrayLike
 RigLike: TypeAlias = str | PathLike[str] | Mapping[str, Any] | Rig
-#: Quantities by which cameras are counted, and the value of ``cameras`` that asks for counting.
-BY, AUTO = ('error', 'seen', 'coverage'), 'auto'
+#: Quantities by which cameras are counted.
+COUNTED_BY = ('error', 'seen', 'coverage')
+#: The value of ``cameras`` that asks for counting.
+AUTO = 'auto'
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +103,8 @@ class ScoreResult:
         save_placement(path, self.placement)
 
     def __str__(self) -> str:
-        """Return the scores as tables and sentences."""
-        return as_text(show_verdict, self.assessment.found)
+        """Return the result as tables and sentences."""
+        return as_text(show_score, self.assessment.found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +125,6 @@ class PlanResult(ScoreResult):
     seconds: float
     gap: float | None
     reached: bool | None
-
-    def __str__(self) -> str:
-        """Return the plan as tables and sentences."""
-        return as_text(show_plan, self.assessment.found)
 
 
 def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | None = None,
@@ -171,10 +169,10 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     asked = _rig(rig, cameras, sensor, mount)
     scene, record = _room(room, points, reading)
     planned = PlannedRig(scene, asked, task, *task.budgets(), progress)
-    judged = planned.judged(planned.placement(record, 'ocp_ros.plan'))
-    search, count = judged.found['search'], judged.found.get('count')
+    assessed = planned.judged(planned.placement(record, 'ocp_ros.plan'))
+    search, count = assessed.found['search'], assessed.found.get('count')
     return PlanResult(
-        **_scored(judged), planner=search['planner'], evaluations=search['evaluations'],
+        **_scored(assessed), planner=search['planner'], evaluations=search['evaluations'],
         seconds=search['seconds'], gap=search['certificate']['gap'],
         reached=count and count['reached'])
 
@@ -207,11 +205,11 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
     return ScoreResult(**_scored(judge(scene, placed, record, 'ocp_ros.score')))
 
 
-def _scored(judged: Assessment) -> dict[str, Any]:
+def _scored(assessed: Assessment) -> dict[str, Any]:
     """Return the fields of a ScoreResult."""
-    found, scores = judged.found, judged.found['scores']
-    return {'placement': judged.placement, 'broken': tuple(found['broken']),
-            'notes': tuple(found['notes']), 'assessment': judged,
+    found, scores = assessed.found, assessed.found['scores']
+    return {'placement': assessed.placement, 'broken': tuple(found['broken']),
+            'notes': tuple(found['notes']), 'assessment': assessed,
             **{name: scores[name] for name in ('loss', 'depth_error', 'space_coverage', 'seen')}}
 
 
@@ -311,8 +309,8 @@ def _document(name: str, data: Mapping[str, Any], schema: dict[str, Any]) -> Doc
 
 def _counting(target: float, by: str, most: int) -> Counting:
     """Check the arguments of ``'auto'``, and return the criterion for enough cameras."""
-    if by not in BY:
-        raise ConfigurationError(f'by: found {by!r}; expected one of {", ".join(BY)}')
+    if by not in COUNTED_BY:
+        raise ConfigurationError(f'by: found {by!r}; expected one of {", ".join(COUNTED_BY)}')
     check_positive('target', target)
     if target > 1.0:
         raise ConfigurationError(f'target: found {target}; expected a share of at most 1')

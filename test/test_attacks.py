@@ -27,7 +27,7 @@ from benchmarks.drills.hostile_files import hostile_files, Listener, outcome_of,
 from benchmarks.drills.spoilt_files import gltf_of
 from conftest import box_room, made_room, ROOT
 import numpy as np
-from ocp_ros.planning.rig_planning import PlannedRig, PlanTask
+from ocp_ros.report.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.bags.bag_files import Bag

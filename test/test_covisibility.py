@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.api import plan, score
 from ocp_ros.geometry.packed_bits import no_bits, pack
-from ocp_ros.planning.findings import evaluate_placement
+from ocp_ros.report.findings import evaluate_placement
 from ocp_ros.rig.rig_file import Calibratable, rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget

@@ -29,12 +29,13 @@ import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planning.assessment import Assessment
-from ocp_ros.planning.camera_words import words_for
-from ocp_ros.planning.findings import scores_of
-from ocp_ros.planning.wall_references import WallReferences, walls_around
+from ocp_ros.report.assessment import judge
+from ocp_ros.report.camera_words import words_for
 from ocp_ros.report.exports import launch_of, rviz_of, table_of, xacro_of
+from ocp_ros.report.facts import metres
+from ocp_ros.report.findings import scores_of
 from ocp_ros.report.installer import instructions
+from ocp_ros.report.wall_references import WallReferences, walls_around
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of
@@ -308,11 +309,11 @@ def told(room, placed, floor):
     return words_for(placed, references.distances[0], references.sides, floor, room.source)
 
 
-def page_of(room, placement, **more):
+def page_of(room, placement):
     """Return the installer's page of a placement."""
     engine = EngineConfig(preset='fast', error_rows=32)
-    problem = Problem.of(room, placement.rig_in(room), SimulationConfig(engine=engine))
-    return instructions(Assessment(problem.objective, placement, {}, **more), 'plan.png')
+    judged = judge(room, replace(placement, engine=engine), {'sha256': ''}, 'ocp score')
+    return instructions(judged, 'plan.png')
 
 
 @pytest.mark.parametrize('angle', [0.0, 17.0, -40.0])
@@ -430,16 +431,17 @@ def test_the_page_says_what_the_middle_of_the_picture_shows_and_where_the_axes_a
 
 def test_the_installers_page_says_how_good_the_plan_is_and_how_to_hold_a_camera(mixed):
     room = Scene(box_room().points, 'hall')
-    found = {'scores': {'seen': 0.77, 'seen_by': 1},
-             'expected': {'depth_error': 2.3, 'low': 1.9, 'high': 3.1},
-             'search': {'certificate': {'sentence': 'No placement is better.'}}}
-    problem = Problem.of(room, mixed, SimulationConfig(
-        engine=EngineConfig(preset='fast', error_rows=32)))
-    placement = replace(placement_of(mixed, POSES), created={'date': '2026-11-24T10:00:00'})
-    page = instructions(Assessment(problem.objective, placement, found), 'plan.png')
-    assert 'a camera sees 77 %.' in page and 'No placement is better.' in page
-    assert '2.30 m (1.90 m to 3.10 m in nine of ten rooms)' in page
-    assert 'long side of the camera level' in page and 'Plan of 2026-11-24.' in page
+    engine = EngineConfig(preset='fast', error_rows=32)
+    assessed = judge(room, placement_of(mixed, POSES, engine=engine), {'sha256': ''},
+                     'ocp score x')
+    assessed.found['search'] = {'certificate': {'sentence': 'No placement is better.',
+                                                'gap': None}}
+    page = instructions(assessed, 'plan.png')
+    scores, expected = assessed.found['scores'], assessed.found['expected']
+    assert f'seen {100 * scores["seen"]:.1f} % (of the points, by 2 cameras)' in page
+    assert f'{metres(expected["low"])} to {metres(expected["high"])}' in page
+    assert 'No placement is better.' in page and 'made by ocp score x' in page
+    assert 'long side of the camera level' in page
     alone = placement_of(rig_of(1), np.array([[3.0, 2.0, 1.9]]))
     assert 'long side' not in page_of(room, alone)
 

@@ -443,7 +443,7 @@ def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
     def stop(*_):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr('ocp_ros.planning.rig_planning.evaluate_placement', stop)
+    monkeypatch.setattr('ocp_ros.report.assessment.evaluate_placement', stop)
     assert main(['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']) == 130
     assert capsys.readouterr().err == (
         'ocp: stopped; the placement is in out/plan/placement.yaml\n')

@@ -20,7 +20,7 @@ from conftest import BAD_ROOMS, made_room
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
-from ocp_ros.planning.findings import improvements
+from ocp_ros.report.findings import improvements
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.scene_files import load_scene, save_scene
@@ -121,9 +121,9 @@ def test_one_more_camera_helps_as_much_as_it_says(files, capsys):
 def test_what_is_printed_names_all_of_it(files, capsys):
     assert main(['score', 'room.ply', 'placement.yaml', '--rig', 'rig.yaml']) == 0
     out = ' '.join(capsys.readouterr().out.split())
-    for words in ('door (fixed)', 'depth error', 'seen by 0:', '3 or more:', 'region table:',
-                  '95.0 % required', 'violated constraints:', 'found a pitch of 80 degrees',
-                  'missed:', 'not visible from any candidate', 'helps most at ('):
+    for words in ('door (fixed)', 'depth error', 'seen by 0:', '3 or more:', 'table',
+                  '95.0 %', 'constraints violated:', 'found a pitch of 80 degrees',
+                  'missed:', 'no candidate sees', 'helps most at ('):
         assert words in out, words
     placement = '{cameras: [{sensor: realsense_d455, position: [4, 4, 1.9]}]}'
     (files / 'placement.yaml').write_text(placement)

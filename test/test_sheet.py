@@ -27,11 +27,11 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planning.assessment import judge
+from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing import assessment_pictures, figures, sheet
 from ocp_ros.report.drawing.figures import shortened, width_of
 from ocp_ros.report.drawing.plan_marks import apart
-from ocp_ros.report.key_figures import metres
+from ocp_ros.report.facts import metres
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_from, rig_of
 from ocp_ros.rooms.scene_source import room_named
@@ -74,7 +74,7 @@ def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number,
     cameras = [{'sensor': 'realsense_d455', 'count': count, **({'name': LONG} if named else {})}]
     judged = judged_in(room, rig_from(Document('rig', {'cameras': cameras})), poses)
     pages = list(sheet.figures_of_pages(judged))
-    assert len(pages) == (1 if count <= sheet.MOST else 2)
+    assert len(pages) == (1 if count <= sheet.MOST_ROWS else 2)
     for figure in pages:
         texts = texts_of(figure)
         width, height = figure.get_size_inches() * figure.dpi
@@ -134,8 +134,9 @@ def test_what_is_shown_of_a_placement_is_what_the_engine_says(rooms):
     overlap = judged.found['scores']['overlap']
     counts = np.bincount(np.minimum(judged.counts, 3), minlength=4)
     assert counts.tolist() == list(overlap.values())
-    assert judged.lost.sum() == pytest.approx(judged.found['scores']['depth_error'], rel=1e-4)
-    assert not judged.lost[~judged.missed].any()
+    error = judged.found['scores']['depth_error']
+    assert judged.error_by_point.sum() == pytest.approx(error, rel=1e-4)
+    assert not judged.error_by_point[~judged.missed].any()
 
 
 def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):

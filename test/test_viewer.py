@@ -23,7 +23,7 @@ import subprocess
 from conftest import HUNG
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.planning.assessment import judge
+from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.viewer import groups_of, layers_of, paints_of, SHOWN, write_view
 from ocp_ros.rig.placement_file import placement_of
@@ -62,10 +62,10 @@ def test_the_page_of_a_large_room_is_small_and_says_what_the_engine_says(tmp_pat
 def test_what_can_be_switched_is_what_the_rig_has():
     names = {layer.name: len(layer.traces) for layer in layers_of(judged_with(1500, **ASKED))
              if layer.traces}
-    assert names == {'cameras': 1, 'fields of view': 2, 'ranges': 2, 'regions': 1,
-                     'keep-out zones': 1, 'one more camera': 1}
+    assert names == {'cameras': 1, 'fields of view': 2, 'ranges': 2,
+                     'weighted regions': 1, 'keep-out zones': 1, 'one more camera': 1}
     plain = {layer.name for layer in layers_of(judged_with(1500)) if layer.traces}
-    assert not {'regions', 'keep-out zones'} & plain
+    assert not {'weighted regions', 'keep-out zones'} & plain
 
 
 def test_every_way_to_colour_points_has_a_share_for_each():
@@ -76,7 +76,7 @@ def test_every_way_to_colour_points_has_a_share_for_each():
         assert values.shape == (len(judged.scene),), name
         assert (values >= 0.0).all() and (values <= 1.0).all(), name
     assert np.array_equal(paints['what is missed'] > 0.5, judged.missed)
-    assert np.array_equal(paints['depth error'] > 0.0, judged.lost > 0.0)
+    assert np.array_equal(paints['depth error'] > 0.0, judged.error_by_point > 0.0)
 
 
 def test_walls_are_sorted_by_where_they_face():

@@ -33,7 +33,6 @@ from ocp_ros.report.drawing.room_drawing import (
     PALE_INK,
     room_of,
 )
-from ocp_ros.report.drawing.room_pictures import draw_ball
 
 SEEN, HIDDEN, WRONG, MISSED = '#3f8fb5', '#d5d5d0', '#c8352b', '#efa11a'
 MEANINGS = {SEEN: 'seen', HIDDEN: 'hidden, or out of range', WRONG: 'said to be seen, but hidden',
@@ -60,7 +59,7 @@ def draw_panel(axes: Axes, points: np.ndarray, camera: np.ndarray, truth: np.nda
     at = camera @ view[:2].T
     foot = np.array([*camera[:2], part.points[:, 2].min()]) @ view[:2].T
     axes.plot(*np.stack([at, foot]).T, color=INK, linewidth=1.0, linestyle=(0, (2, 2)))
-    draw_ball(axes, at, '', INK)
+    axes.plot(*at, 'o', color=INK, markersize=16, zorder=6)
     (left, low), (right, high) = outline.get_xy().min(axis=0), outline.get_xy().max(axis=0)
     axes.set(xlim=(left, right), ylim=(low, high), aspect='equal')
     axes.set_axis_off()

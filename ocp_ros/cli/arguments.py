@@ -16,9 +16,12 @@
 
 import argparse
 from collections.abc import Callable, Sequence
+import math
+from pathlib import Path
 import re
 from typing import Any, TYPE_CHECKING
 
+from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import (
     ConfigurationError,
     MAX_CAMERAS,
@@ -28,34 +31,36 @@ from ocp_ros.util.settings import (
 )
 
 if TYPE_CHECKING:
+    from ocp_ros.rig.placement_file import Placement
     from ocp_ros.scenes.scene import Scene
 
 
+def whole(low: int, high: int | None = None, what: str = 'a whole number') -> Callable[[str], int]:
+    """Return a function that reads a whole number of at least ``low``, and at most ``high``."""
+    expected = f'{low} or more' if high is None else f'{what} from {low} to {high}'
+
+    def read(text: str) -> int:
+        # A longer number is larger than any limit.
+        value = int(text) if text.isdecimal() and len(text) < 19 else -1
+        if value < low or (high is not None and value > high):
+            raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
+        return value
+    return read
+
+
+cameras = whole(1, MAX_CAMERAS, 'a number of cameras')
+room_points = whole(MIN_ROOM_POINTS, MAX_ROOM_POINTS)
+seed = whole(0, MAX_SEED)
+
+
 def count(text: str) -> int:
-    """Read a number of cameras, above 0; return 0 for ``auto``."""
+    """Read a number of cameras; return 0 for ``auto``."""
     return 0 if text == 'auto' else cameras(text)
-
-
-def cameras(text: str) -> int:
-    """Read a number of cameras."""
-    if len(text) > 9 or not text.isdecimal() or not 1 <= int(text) <= MAX_CAMERAS:
-        raise argparse.ArgumentTypeError(
-            f'found {text!r}; expected a number of cameras from 1 to {MAX_CAMERAS}')
-    return int(text)
 
 
 def seconds(text: str) -> float:
     """Read a time in seconds, above 0."""
-    return number(text, 'seconds above 0', lambda value: 0.0 < value < float('inf'))
-
-
-def room_points(text: str) -> int:
-    """Read the number of points of a room."""
-    if (len(text) > 9 or not text.isdecimal()
-            or not MIN_ROOM_POINTS <= int(text) <= MAX_ROOM_POINTS):
-        raise argparse.ArgumentTypeError(
-            f'found {text!r}; expected a whole number from {MIN_ROOM_POINTS} to {MAX_ROOM_POINTS}')
-    return int(text)
+    return number(text, 'seconds above 0', lambda value: 0.0 < value < math.inf)
 
 
 def share(text: str) -> float:
@@ -74,7 +79,7 @@ def number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
     try:
         value = float(text)
     except ValueError:
-        value = float('nan')
+        value = math.nan
     if not holds(value):
         raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
     return value
@@ -92,11 +97,7 @@ def names(text: str) -> tuple[str, ...]:
 
 def camera_counts(text: str) -> tuple[int, ...]:
     """Read numbers of cameras, separated by commas."""
-    counts = whole_numbers(text)
-    if not all(1 <= one <= MAX_CAMERAS for one in counts):
-        raise argparse.ArgumentTypeError(
-            f'found {text!r}; expected numbers of cameras from 1 to {MAX_CAMERAS}')
-    return counts
+    return tuple(cameras(part) for part in text.split(','))
 
 
 def whole_numbers(text: str) -> tuple[int, ...]:
@@ -106,23 +107,6 @@ def whole_numbers(text: str) -> tuple[int, ...]:
     except ValueError as error:
         raise argparse.ArgumentTypeError(
             f'found {text!r}; expected whole numbers with commas between') from error
-
-
-def seed(text: str) -> int:
-    """Read a seed."""
-    value = at_least(0)(text)
-    if value > MAX_SEED:
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected at most {MAX_SEED}')
-    return value
-
-
-def at_least(least: int) -> Callable[[str], int]:
-    """Return a function that reads a whole number of at least ``least``."""
-    def read(text: str) -> int:
-        if not text.isdecimal() or int(text) < least:
-            raise argparse.ArgumentTypeError(f'found {text!r}; expected {least} or more')
-        return int(text)
-    return read
 
 
 def add_units(command: argparse.ArgumentParser, what: str) -> None:
@@ -156,13 +140,12 @@ def joined(argv: Sequence[str]) -> list[str]:
 
 def add_frame(command: argparse.ArgumentParser) -> None:
     """Add the options for the frame of written files and the prefix of camera frames."""
-    command.add_argument('--frame', choices=('map', 'source'),
-                         help='frame of the written files: map (metres, z up) or source (axes and '
-                              'units of the scan); default: source for pages for installers, map '
-                              'for files for programs')
+    command.add_argument('--frame', choices=('map', 'source'), help='frame of the written files: '
+                         'map (metres, z up) or source (axes and units of the scan); default: '
+                         'source for pages for installers, map for files for programs')
     command.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
                          help='prefix of the camera frames in files for ROS 2, such as rig_a_, so '
-                              'that two rigs have different frames')
+                         'that two rigs have different frames')
 
 
 def frame_prefix(text: str) -> str:
@@ -173,37 +156,54 @@ def frame_prefix(text: str) -> str:
     return text
 
 
-def add_overwrite(command: argparse.ArgumentParser) -> None:
-    """Add the option ``--overwrite``, which allows replacing existing files."""
-    command.add_argument('--overwrite', action='store_true',
-                         help='replace existing files also outside ./out; inputs are never '
-                              'replaced')
+def add_room(command: argparse.ArgumentParser) -> None:
+    """Add the argument ``room``."""
+    command.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
 
 
 def add_points(command: argparse.ArgumentParser) -> None:
-    """Add the option ``--points``, the number of points of a room."""
+    """Add the option ``--points``, the largest number of points of a room."""
     command.add_argument('--points', type=room_points, metavar='N',
                          help='number of points of a generated room; a larger scan is thinned to '
-                              'this number; default: 60000; with a placement: its number')
+                         'this number; default: 60000; with a placement: its number')
+
+
+def add_placement(command: argparse.ArgumentParser, **options: Any) -> None:
+    """
+    Add the argument ``placement`` and the option ``--rig``.
+
+    :param options: of the argument, in addition.
+    """
+    command.add_argument('placement', type=Path, metavar='PLACEMENT',
+                         help='placement file, YAML or JSON: docs/reference/placement.md',
+                         **options)
+    command.add_argument('--rig', type=find_config, help='rig file, used instead of the one in '
+                         'the placement: docs/reference/rig.md')
+
+
+def add_overwrite(command: argparse.ArgumentParser) -> None:
+    """Add the option ``--overwrite``, which allows replacing existing files."""
+    command.add_argument('--overwrite', action='store_true', help='replace existing files also '
+                         'outside ./out; inputs are never replaced')
 
 
 def add_reading(command: argparse.ArgumentParser) -> None:
     """Add the options for reading a scan."""
     add_units(command, 'of the scan')
-    command.add_argument('--drop-nonfinite', action='store_true',
-                         help='leave out points with NaN or inf, which organised clouds contain')
-    command.add_argument('--all-rooms', action='store_true',
-                         help='keep what the scan shows of other rooms through openings')
+    command.add_argument('--drop-nonfinite', action='store_true', help='leave out points with NaN '
+                         'or inf, which organised clouds contain')
+    command.add_argument('--all-rooms', action='store_true', help='keep what the scan shows of '
+                         'other rooms through openings')
 
 
-def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
+def room_asked(arguments: argparse.Namespace, recorded: dict[str, Any]
                ) -> 'tuple[Scene, dict[str, Any]]':
     """
     Read the room that a command line names.
 
     :param arguments: with ``room``, the options for reading it, and perhaps ``points``.
-    :param known: options with which it was read before, from a placement file; options of the
-        command line replace them.
+    :param recorded: options with which it was read before, from a placement file; options of
+        the command line replace them.
     :returns: the room, and its record for placement files.
     """
     from ocp_ros.rooms.scene_source import READING, room_named
@@ -214,9 +214,25 @@ def room_asked(arguments: argparse.Namespace, known: dict[str, Any]
             f'--{next(iter(given)).replace("_", "-")}: found it with the generated room '
             f'{arguments.room}; expected a scan, since generated rooms are in metres, z up; leave '
             'it out')
-    known = {key: known[key] for key in ('points', *READING) if key in known}
+    recorded = {key: recorded[key] for key in ('points', *READING) if key in recorded}
     if (points := getattr(arguments, 'points', None)) is not None:
-        known['points'] = points
+        recorded['points'] = points
     if arguments.room.isdecimal():
-        known = {key: value for key, value in known.items() if key == 'points'}
-    return room_named(arguments.room, **{**known, **given})
+        recorded = {key: value for key, value in recorded.items() if key == 'points'}
+    return room_named(arguments.room, **{**recorded, **given})
+
+
+def room_and_placement(arguments: argparse.Namespace
+                       ) -> 'tuple[Scene, Placement, dict[str, Any]]':
+    """
+    Read the room and the placement that a command line names.
+
+    :param arguments: with ``room``, ``placement``, ``rig`` and the options for reading the room.
+    :returns: the room, the placement, and the record of the room for placement files.
+    """
+    from ocp_ros.rig.placement_file import load_placement
+    from ocp_ros.rig.rig_file import load_rig
+    rig = load_rig(arguments.rig) if arguments.rig else None
+    placement = load_placement(arguments.placement, rig)
+    scene, room = room_asked(arguments, placement.room)
+    return scene, placement, room

@@ -22,9 +22,9 @@ from typing import Any, TYPE_CHECKING
 from ocp_ros.cli.arguments import (
     add_overwrite,
     add_units,
-    at_least,
     cameras,
     names,
+    whole,
     whole_numbers,
 )
 from ocp_ros.cli.common import claim_folder, command_of, Commands, COMPARE, Found, show_written
@@ -40,41 +40,29 @@ RIG = 'rig.yaml'
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp benchmark``."""
-    compare = commands.add(
+    command = commands.add(
         COMPARE, 'benchmark', 'compare planners under equal budgets',
         'ocp benchmark --rooms my_scans --planners tdsa,cma_es --budgets 1000 --seeds 5')
-    compare.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
-                         help='smoke: two rooms, under two minutes; full: ten rooms, up to '
-                         '10,000 evaluations')
-    compare.add_argument('--rooms', type=Path, help='folder of scans, instead of generated rooms')
-    add_units(compare, 'of the scans')
-    compare.add_argument('--cameras', type=cameras, metavar='N',
-                         help='number of cameras, without a rig file; default: 4')
-    compare.add_argument('--sensor', metavar='SENSOR',
-                         help='sensor of all cameras, without a rig file, or a part of its name '
-                              'such as d455; without it omnidirectional cameras on a plane are '
-                              'compared')
-    compare.add_argument('--mount', choices=('walls', 'ceiling', 'plane', 'free'),
+    command.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
+                         help='smoke: two rooms, under two minutes; full: ten rooms, up to 10,000 '
+                         'evaluations')
+    command.add_argument('--rooms', type=Path, help='folder of scans, instead of generated rooms')
+    add_units(command, 'of the scans')
+    command.add_argument('--cameras', type=cameras, metavar='N', help='number of cameras, without '
+                         'a rig file; default: 4')
+    command.add_argument('--sensor', metavar='SENSOR', help='sensor of all cameras, without a rig '
+                         'file, or a part of its name such as d455; without it omnidirectional '
+                         'cameras on a plane are compared')
+    command.add_argument('--mount', choices=('walls', 'ceiling', 'plane', 'free'),
                          help='with --sensor: mount of all cameras; default: walls')
-    compare.add_argument('--planners', type=names,
-                         help='names with commas between; default: all')
-    compare.add_argument('--budgets', type=whole_numbers, help='numbers of evaluations, with '
-                                                               'commas between')
-    compare.add_argument('--seeds', type=int, help='runs per planner, room and budget')
-    compare.add_argument('--out', type=Path, default=Path('out/benchmark'),
+    command.add_argument('--planners', type=names, help='names with commas between; default: all')
+    command.add_argument('--budgets', type=whole_numbers, help='numbers of evaluations, with '
+                         'commas between')
+    command.add_argument('--seeds', type=int, help='runs per planner, room and budget')
+    command.add_argument('--out', type=Path, default=Path('out/benchmark'),
                          help='folder of the results; an interrupted comparison continues')
-    add_comparison(compare)
-    compare.set_defaults(run=run, show=show)
-
-
-def add_comparison(command: argparse.ArgumentParser) -> None:
-    """Add the options of all comparisons: rig file, processes, cluster and overwriting."""
-    command.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
-                                                         'cameras: docs/reference/rig.md')
-    command.add_argument('--workers', type=at_least(1),
-                         help='number of processes; default: one per core')
-    command.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
-    add_overwrite(command)
+    add_comparison(command)
+    command.set_defaults(run=run, show=show)
 
 
 def run(arguments: argparse.Namespace) -> Found:
@@ -89,6 +77,24 @@ def run(arguments: argparse.Namespace) -> Found:
     summary = compare(protocol, folder, command_of(arguments.argv), arguments.workers or 0,
                       arguments.ray).summary
     return {**summary, 'written': [*rig, *(folder / name for name in RESULTS)]}
+
+
+def show(summary: Found) -> None:
+    """Print the sums, regrets, wins and times of the largest budget and of online planners."""
+    from ocp_ros.compare.summary import budgets_of, last_runs
+    from ocp_ros.report.terminal import print_table, show_notes, WIDTH
+    from rich.console import Console
+    budget = int(budgets_of(summary)[-1])
+    runs = f'{budget:,} evaluations' if budget else 'the turns of online planners'
+    console = Console(width=WIDTH)
+    print_table(console, f'{len(summary["rooms"])} rooms, {runs}', (
+        'planner', 'delivered (m)', 'promised (m)', 'regret', 'wins', 'seconds'), [
+        (name, f'{run["sum"]:.2f}', f'{run["promised"]:.2f}',
+         '-' if run['regret'] is None else f'{run["regret"]:.2f}', str(run['wins']),
+         f'{run["seconds"]:.2f}')
+        for name, run in sorted(last_runs(summary).items(), key=lambda item: item[1]['sum'])])
+    show_notes(console, summary)
+    show_written(summary)
 
 
 def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
@@ -112,6 +118,16 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     return replace(protocol, rooms=tuple(rooms))
 
 
+def add_comparison(command: argparse.ArgumentParser) -> None:
+    """Add the options of all comparisons: rig file, processes, cluster and overwriting."""
+    command.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
+                         'cameras: docs/reference/rig.md')
+    command.add_argument('--workers', type=whole(1), help='number of processes; default: one per '
+                         'core')
+    command.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
+    add_overwrite(command)
+
+
 def check_cameras(arguments: argparse.Namespace) -> None:
     """Refuse options about cameras that contradict each other."""
     for option in ('cameras', 'sensor', 'mount'):
@@ -128,7 +144,7 @@ def check_cameras(arguments: argparse.Namespace) -> None:
 
 def _write_rig(arguments: argparse.Namespace) -> Path:
     """Write the rig of ``--sensor`` to the folder of the results, and use it as ``--rig``."""
-    from ocp_ros.planning.rig_planning import CAMERAS, MOUNT
+    from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import rig_of
     from ocp_ros.util.files import folder_to_write, write_atomically
     from ocp_ros.util.yaml_files import written
@@ -138,23 +154,3 @@ def _write_rig(arguments: argparse.Namespace) -> Path:
     write_atomically(path, written(rig.document.data, path.suffix))
     arguments.rig, arguments.cameras = path, None
     return path
-
-
-def show(summary: Found) -> None:
-    """Print the sums, regrets, wins and times of the largest budget and of online planners."""
-    from ocp_ros.compare.summary import budgets_of, last_runs
-    from ocp_ros.report.room_facts import show_notes
-    from rich.console import Console
-    from rich.table import Table
-    budget = int(budgets_of(summary)[-1])
-    named = f'{budget:,} evaluations' if budget else 'the turns of online planners'
-    table = Table('planner', 'delivered (m)', 'promised (m)', 'regret', 'wins', 'seconds',
-                  title=f'{len(summary["rooms"])} rooms, {named}')
-    for name, run in sorted(last_runs(summary).items(), key=lambda item: item[1]['sum']):
-        regret = '-' if run['regret'] is None else f'{run["regret"]:.2f}'
-        table.add_row(name, f'{run["sum"]:.2f}', f'{run["promised"]:.2f}', regret,
-                      str(run['wins']), f'{run["seconds"]:.2f}')
-    console = Console(width=100)
-    console.print(table)
-    show_notes(console, summary)
-    show_written(summary)

@@ -17,17 +17,29 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, TYPE_CHECKING
+from typing import TYPE_CHECKING
 
-from ocp_ros.cli.arguments import add_overwrite, add_reading, frame_prefix, room_asked
-from ocp_ros.cli.common import claim_folder, command_of, Commands, document, Found, JUDGE
-from ocp_ros.util.resources import find_config
+from ocp_ros.cli.arguments import (
+    add_overwrite,
+    add_placement,
+    add_reading,
+    add_room,
+    frame_prefix,
+    room_asked,
+)
+from ocp_ros.cli.common import (
+    claim_folder,
+    command_of,
+    Commands,
+    document,
+    Found,
+    JUDGE,
+    show_written,
+)
 from ocp_ros.util.settings import check_known, ConfigurationError
-from ocp_ros.util.terminal_text import printable
 
 if TYPE_CHECKING:
     import numpy as np
-    from ocp_ros.rig.placement_file import Placement
 
 #: Names of the files that are written.
 WRITTEN = ('placement.yaml', 'cameras.launch.py', 'calibration.json')
@@ -37,43 +49,41 @@ POINTS = 120_000
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp calibrate``."""
-    made = commands.add(
+    command = commands.add(
         JUDGE, 'calibrate', 'find where cameras hang by what they see',
         'ocp calibrate room.ply placement.yaml --clouds door.ply window.ply --out out/built')
-    made.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
-    made.add_argument('placement', type=Path, metavar='PLACEMENT',
-                      help='planned or measured poses of the cameras: docs/reference/placement.md')
-    seen = made.add_mutually_exclusive_group(required=True)
+    add_room(command)
+    add_placement(command)
+    seen = command.add_mutually_exclusive_group(required=True)
     seen.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
-                      help='one cloud of each camera, in metres; without CAMERA=, the name of '
-                      'the file is the name of the camera')
+                      help='one cloud of each camera, in metres; without CAMERA=, the name of the '
+                      'file is the name of the camera')
     seen.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
-    made.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
-                      help='topics of the bag; default: the topics whose names contain the names '
-                      'of the cameras, otherwise all topics in their order')
-    made.add_argument('--cloud-frame', choices=('optical', 'body'),
-                      help='frame of the clouds: optical (z forward, x right, y down) or body (x '
-                      'forward, y left, z up); default: optical for files, and the frame that '
-                      'a bag names')
-    made.add_argument('--rig', type=find_config,
-                      help='constraints, instead of those in the placement: docs/reference/rig.md')
-    made.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
-                      help='write the placement as built, a launch file of static transforms and '
-                      'the figures here')
-    made.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
-                      help='before the names of frames in the launch file')
-    add_overwrite(made)
-    add_reading(made)
-    made.set_defaults(run=run, show=show)
+    command.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
+                         help='topics of the bag; default: the topics whose names contain the '
+                         'names of the cameras, otherwise all topics in their order')
+    command.add_argument('--cloud-frame', choices=('optical', 'body'),
+                         help='frame of the clouds: optical (z forward, x right, y down) or body '
+                         '(x forward, y left, z up); default: optical for files, and the frame '
+                         'that a bag names')
+    command.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
+                         help='write the placement as built, a launch file of static transforms '
+                         'and the figures here')
+    command.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
+                         help='before the names of frames in the launch file')
+    add_overwrite(command)
+    add_reading(command)
+    command.set_defaults(run=run, show=show)
 
 
 def run(arguments: argparse.Namespace) -> Found:
     """Register each camera that has a cloud, and write its pose."""
-    from ocp_ros.registration.calibration import as_built, calibrate
+    from ocp_ros.registration.calibration import answer_of, as_built, calibrate
     from ocp_ros.registration.scan_surfaces import ScanSurfaces
-    from ocp_ros.rig.placement_file import load_placement
+    from ocp_ros.report.exports import launch_of
+    from ocp_ros.rig.placement_file import load_placement, save_placement
     from ocp_ros.rig.rig_file import load_rig
-    from ocp_ros.util.files import FileSet, folder_to_write
+    from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
     read = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
     claim_folder(arguments, arguments.out, WRITTEN, WRITTEN[-1], read)
@@ -85,17 +95,49 @@ def run(arguments: argparse.Namespace) -> Found:
     scene, _ = room_asked(arguments, {**placement.room, 'points': points})
     found, broken = calibrate(ScanSurfaces(scene), placement, clouds)
     built = as_built(placement, found, command_of(arguments.argv))
-    rows = [_row(placed, found, broken) for placed in placement.cameras]
+    rows = [answer_of(placed, found[placed.camera.name]) if placed.camera.name in found else {
+        'camera': placed.camera.name, 'refused': broken.get(placed.camera.name, 'it has no cloud')}
+        for placed in placement.cameras]
     answer: Found = {'cameras': rows,
                      'written': [str(arguments.out / name) for name in WRITTEN]}
     with FileSet(arguments.out, WRITTEN, WRITTEN[-1]) as files:
-        _write([files.aside / name for name in WRITTEN], built, answer, arguments.frame_prefix)
+        save_placement(files.aside / WRITTEN[0], built)
+        refused = [row['camera'] for row in rows if row['refused']]
+        launch = launch_of(built, (), arguments.frame_prefix, refused)
+        write_atomically(files.aside / WRITTEN[1], launch)
+        write_atomically(files.aside / WRITTEN[2], document(answer) + '\n')
     if all(row['refused'] for row in rows):
         answer['error'] = (
             f'{arguments.placement}: found no camera that could be calibrated ('
             + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
             + '); expected one at least; scan more of the room, or correct the placement')
     return answer
+
+
+def show(found: Found) -> None:
+    """Print the result of each camera."""
+    from ocp_ros.report.terminal import print_table, WIDTH
+    from rich.console import Console
+    console = Console(width=WIDTH)
+    rows = [(row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
+             ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
+             f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°',
+             f'{1000.0 * row["deviations"][0]["metres"]:.1f} mm, '
+             f'{row["deviations"][3]["degrees"]:.2f}°',
+             f'{1000.0 * row["residual"]:.1f} mm', f'{100.0 * row["overlap"]:.0f} %')
+            for row in found['cameras'] if not row['refused']]
+    if rows:
+        print_table(console, 'As built', (
+            'camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
+            'residual', 'overlap'), rows)
+    for row in found['cameras']:
+        if row.get('otherwise'):
+            console.print(f'note: {row["camera"]}: {row["otherwise"]}; correct the placement or '
+                          'the option', style='yellow', markup=False, highlight=False)
+        if row['refused']:
+            console.print(f'refused: {row["camera"]}: {row["refused"]}', style='yellow',
+                          markup=False, highlight=False)
+    show_written({'written': found['written']})
 
 
 def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str, np.ndarray]':
@@ -141,52 +183,3 @@ def _named(text: str, option: str, what: str) -> tuple[str, str]:
         raise ConfigurationError(f'{option}: found {text!r}; expected CAMERA={what}; write, for '
                                  f'example, door={what.lower()}')
     return name, value
-
-
-def _row(placed: Any, found: dict, broken: dict[str, str]) -> dict[str, Any]:
-    """Return the result of a camera as plain data."""
-    from ocp_ros.registration.calibration import answer_of
-    name = placed.camera.name
-    if name in found:
-        return answer_of(placed, found[name])
-    return {'camera': name, 'refused': broken.get(name, 'it has no cloud')}
-
-
-def _write(paths: Sequence[Path], built: 'Placement', answer: Found, prefix: str) -> None:
-    """Write the placement as built, the static transforms and the results."""
-    from ocp_ros.report.exports import launch_of
-    from ocp_ros.rig.placement_file import save_placement
-    from ocp_ros.util.files import write_atomically
-    refused = [row['camera'] for row in answer['cameras'] if row['refused']]
-    save_placement(paths[0], built)
-    write_atomically(paths[1], launch_of(built, (), prefix, refused))
-    write_atomically(paths[2], document(answer) + '\n')
-
-
-def show(found: Found) -> None:
-    """Print the result of each camera."""
-    from rich.console import Console
-    from rich.table import Table
-    console = Console(width=100)
-    table = Table('camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
-                  'residual', 'overlap', title='As built')
-    for row in found['cameras']:
-        if not row['refused']:
-            slide, turn = row['deviations'][0], row['deviations'][3]
-            table.add_row(
-                row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
-                ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
-                f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°',
-                f'{1000.0 * slide["metres"]:.1f} mm, {turn["degrees"]:.2f}°',
-                f'{1000.0 * row["residual"]:.1f} mm', f'{100.0 * row["overlap"]:.0f} %')
-    if table.row_count:
-        console.print(table)
-    for row in found['cameras']:
-        if row.get('otherwise'):
-            console.print(f'note: {row["camera"]}: {row["otherwise"]}; correct the placement or '
-                          'the option', style='yellow', markup=False, highlight=False)
-        if row['refused']:
-            console.print(f'refused: {row["camera"]}: {row["refused"]}', style='yellow',
-                          markup=False, highlight=False)
-    for path in found['written']:
-        print(f'wrote {printable(path)}')

@@ -160,7 +160,7 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
         # The reader, such as head, has closed the pipe: discard the rest of the output.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (UserError, OSError) as error:
-        return _refuse(_said_of(error), as_json)
+        return _refuse(_sentence_of(error), as_json)
     except MemoryError:
         return _refuse('memory: found less than this needs; expected enough; use fewer points, '
                        'cameras or rows, or smaller networks and buffers', as_json)
@@ -184,7 +184,7 @@ def _warn(message: Warning | str, *_: Any) -> None:
     print(f'ocp: warning: {printable(str(message))}', file=sys.stderr)
 
 
-def _said_of(error: Exception) -> str:
+def _sentence_of(error: Exception) -> str:
     """Return an error as one sentence."""
     if isinstance(error, OSError) and error.errno in FULL:
         return (f'{error.filename}: found no room to write it ({error.strerror}); expected some; '
@@ -221,9 +221,12 @@ def _plain(value: Any) -> Any:
 
 
 def show_written(found: Found) -> None:
-    """Print the names of the files that were written."""
-    for path in found['written']:
+    """Print the names of the written files, and a placement if some of its files are missing."""
+    for path in found.get('written', ()):
         print(f'wrote {printable(str(path))}')
+    if 'error' in found:
+        from ocp_ros.util.yaml_files import written
+        print(written({'cameras': found['cameras']}, '.yaml'), end='')
 
 
 def command_of(argv: Sequence[str]) -> str:

@@ -20,7 +20,7 @@ import json
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from ocp_ros.cli.arguments import add_units, at_least, camera_counts, names, whole_numbers
+from ocp_ros.cli.arguments import add_units, camera_counts, names, whole, whole_numbers
 from ocp_ros.cli.benchmark_command import add_comparison, check_cameras
 from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, LEARN, show_written
 from ocp_ros.util.resources import DEFAULT_MODEL
@@ -35,29 +35,29 @@ EVALUATION = 'evaluation.json'
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp evaluate``."""
-    judged = commands.add(LEARN, 'evaluate', 'evaluate a policy room by room',
-                          'ocp evaluate --model models/mine.safetensors --set test')
-    judged.add_argument('--model', default=DEFAULT_MODEL, help='weights: a path, or a name')
-    judged.add_argument('--planners', type=names, default=('learned', 'greedy_step'),
-                        help='names with commas between; the first is compared with the others')
-    rooms = judged.add_mutually_exclusive_group()
+    command = commands.add(LEARN, 'evaluate', 'evaluate a policy room by room',
+                           'ocp evaluate --model models/mine.safetensors --set test')
+    command.add_argument('--model', default=DEFAULT_MODEL, help='weights: a path, or a name')
+    command.add_argument('--planners', type=names, default=('learned', 'greedy_step'),
+                         help='names with commas between; the first is compared with the others')
+    rooms = command.add_mutually_exclusive_group()
     rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
                        default='fresh', help='set of generated rooms; default: fresh')
-    rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN', help='scans, instead of '
-                                                                             'generated rooms')
-    add_units(judged, 'of the scans')
-    judged.add_argument('--rotations', type=whole_numbers, default=(0,),
-                        help='rotations of the rooms in degrees, with commas between')
-    judged.add_argument('--cameras', type=camera_counts,
-                        help='numbers of cameras, with commas between; default: 4')
-    judged.add_argument('--budgets', type=whole_numbers, default=(1000,),
-                        help='evaluations of offline planners, with commas between')
-    judged.add_argument('--seeds', type=at_least(1), default=1, help='runs per planner, room and '
-                                                                     'budget')
-    judged.add_argument('--out', type=Path, default=Path('out/evaluation'),
-                        help='folder of the results; an interrupted evaluation continues')
-    add_comparison(judged)
-    judged.set_defaults(run=run, show=show, scale=0.0, up='file')
+    rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN',
+                       help='scans, instead of generated rooms')
+    add_units(command, 'of the scans')
+    command.add_argument('--rotations', type=whole_numbers, default=(0,),
+                         help='rotations of the rooms in degrees, with commas between')
+    command.add_argument('--cameras', type=camera_counts, help='numbers of cameras, with commas '
+                         'between; default: 4')
+    command.add_argument('--budgets', type=whole_numbers, default=(1000,),
+                         help='evaluations of offline planners, with commas between')
+    command.add_argument('--seeds', type=whole(1), default=1, help='runs per planner, room and '
+                         'budget')
+    command.add_argument('--out', type=Path, default=Path('out/evaluation'),
+                         help='folder of the results; an interrupted evaluation continues')
+    add_comparison(command)
+    command.set_defaults(run=run, show=show, scale=0.0, up='file')
 
 
 def run(arguments: argparse.Namespace) -> Found:
@@ -79,6 +79,24 @@ def run(arguments: argparse.Namespace) -> Found:
             arguments.ray))
     write_atomically(path, json.dumps(found, indent=1) + '\n')
     return {**found, 'written': [path]}
+
+
+def show(found: Found) -> None:
+    """Print the pairwise results for each number of cameras."""
+    from ocp_ros.report.terminal import print_table
+    from rich.console import Console
+    for cameras, result in found['cameras'].items():
+        first = next(iter(result['pairs'])).split(',')[0]
+        rows = []
+        for name, pair in sorted(result['pairs'].items(), key=lambda item: item[1]['sum']):
+            low, high = pair['interval']
+            compared = ('', '', '', '') if name == first else (
+                f'{pair["wins"]} of {pair["rooms"]}', f'{pair["ratio"]:.3f}',
+                f'{low:.3f} to {high:.3f}', '' if pair['p'] is None else f'{pair["p"]:.1e}')
+            rows.append((name, f'{pair["sum"]:.2f}', *compared))
+        print_table(Console(), f'{cameras} cameras', (
+            'planner', 'sum (m)', f'{first} better in', 'its error : theirs', '95 %', 'p'), rows)
+    show_written(found)
 
 
 def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
@@ -114,21 +132,3 @@ def _by_room(protocol: 'Protocol', comparison: 'Comparison') -> dict[str, Any]:
             for planner, budget in dict.fromkeys((row['planner'], row['budget']) for row in rows)},
         'slowest_turn': {name: run['seconds_at_most'] for name, runs in planners.items()
                          for run in runs.values() if 'seconds_at_most' in run}}
-
-
-def show(found: Found) -> None:
-    """Print the pairwise results for each number of cameras."""
-    from rich.console import Console
-    from rich.table import Table
-    for cameras, judged in found['cameras'].items():
-        first = next(iter(judged['pairs'])).split(',')[0]
-        table = Table('planner', 'sum (m)', f'{first} better in', 'its error : theirs', '95 %',
-                      'p', title=f'{cameras} cameras')
-        for name, pair in sorted(judged['pairs'].items(), key=lambda item: item[1]['sum']):
-            low, high = pair['interval']
-            compared = ('', '', '', '') if name == first else (
-                f'{pair["wins"]} of {pair["rooms"]}', f'{pair["ratio"]:.3f}',
-                f'{low:.3f} to {high:.3f}', '' if pair['p'] is None else f'{pair["p"]:.1e}')
-            table.add_row(name, f'{pair["sum"]:.2f}', *compared)
-        Console().print(table)
-    show_written(found)

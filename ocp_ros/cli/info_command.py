@@ -18,8 +18,20 @@ import argparse
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading, room_asked
+from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading, add_room, room_asked
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
+
+
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp info``."""
+    command = commands.add(LOOK, 'info', 'measure a room: size, floor, ceiling, openings, unit',
+                           'ocp info room.ply --out out/info.png')
+    add_room(command)
+    command.add_argument('--out', type=Path, default=Path('out/info.png'), help='picture to write')
+    add_overwrite(command)
+    add_points(command)
+    add_reading(command)
+    command.set_defaults(run=run, show=show)
 
 
 def run(arguments: argparse.Namespace) -> Found:
@@ -37,19 +49,7 @@ def run(arguments: argparse.Namespace) -> Found:
 
 def show(found: Found) -> None:
     """Print the measurements."""
-    from ocp_ros.report.room_facts import show_facts
+    from ocp_ros.report.terminal import show_room, WIDTH
     from rich.console import Console
-    show_facts(Console(width=100), found)
+    show_room(Console(width=WIDTH), found)
     show_written(found)
-
-
-def add_arguments(commands: Commands) -> None:
-    """Add ``ocp info``."""
-    asked = commands.add(LOOK, 'info', 'measure a room: size, floor, ceiling, openings, unit',
-                         'ocp info room.ply --out out/info.png')
-    asked.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
-    asked.add_argument('--out', type=Path, default=Path('out/info.png'), help='picture to write')
-    add_overwrite(asked)
-    add_points(asked)
-    add_reading(asked)
-    asked.set_defaults(run=run, show=show)

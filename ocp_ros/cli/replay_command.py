@@ -24,6 +24,34 @@ from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
 
 
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp replay``."""
+    command = commands.add(
+        REPLAY, 'replay', 'publish the clouds of a ROS 1 or ROS 2 bag for policy_node',
+        'ocp replay recording --list')
+    command.add_argument('bag', type=Path, metavar='BAG', help='ROS 1 bag, or folder of a ROS 2 '
+                         'bag')
+    command.add_argument('--list', action='store_true', help='show the topics and nothing else')
+    command.add_argument('--topics', nargs='+', default=(), metavar='TOPIC[:=NEW]',
+                         help='topics to publish, with new names; default: all clouds and the '
+                         'camera poses')
+    command.add_argument('--rate', type=_above_zero, default=1.0, help='speed factor')
+    command.add_argument('--loop', action='store_true', help='start again at the end')
+    command.add_argument('--start', type=_seconds, default=0.0, help='seconds to skip at the '
+                         'beginning')
+    command.add_argument('--duration', type=_above_zero, help='seconds of the bag to publish')
+    command.add_argument('--frame', action='append', default=[], metavar='[TOPIC=]FRAME',
+                         help='frame of the clouds, instead of the recorded one; may be repeated')
+    command.add_argument('--pose', action='append', default=[], metavar='X,Y,Z[,YAW,PITCH,ROLL]',
+                         help='pose of a camera in metres and degrees, once for each cloud topic; '
+                         'write --pose=-1,0,2 if the first number is negative')
+    command.add_argument('--fixed-frame', default='map', metavar='FRAME',
+                         help='frame of the poses')
+    command.add_argument('--wait', type=_seconds, default=10.0, help='seconds to wait for a '
+                         'subscriber')
+    command.set_defaults(run=run, show=show)
+
+
 def run(arguments: argparse.Namespace) -> Found:
     """Publish the clouds of a bag, or list its topics."""
     try:
@@ -38,57 +66,18 @@ def run(arguments: argparse.Namespace) -> Found:
 def show(found: Found) -> None:
     """Print the number of messages published on each topic, or the topics of the bag."""
     if 'topics' in found:
-        _show_topics(found)
+        from ocp_ros.report.terminal import print_table
+        from rich.console import Console
+        print_table(Console(), f'{found["bag"]}: {found["seconds"]:.3f} s',
+                    ('topic', 'type', 'messages', 'frames', 'published as'),
+                    [(topic['topic'], topic['type'], str(topic['messages']),
+                      ', '.join(topic['frames']), topic['published_as'] or '-')
+                     for topic in found['topics']])
         return
     for name, topic in found['published'].items():
         print(printable(f'{name} -> {topic["as"]}: {topic["messages"]} messages'))
     if found['left_out']:
         print(f'left out {found["left_out"]} messages that could not be used')
-
-
-def _show_topics(found: Found) -> None:
-    """Print a table of topics."""
-    from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-    table = Table(title=f'{escape(printable(found["bag"]))}: {found["seconds"]:.3f} s')
-    for name in ('topic', 'type', 'messages', 'frames', 'published as'):
-        table.add_column(name, justify='right' if name == 'messages' else 'left',
-                         overflow='fold')
-    for topic in found['topics']:
-        table.add_row(*(escape(printable(cell)) for cell in (
-            topic['topic'], topic['type'], str(topic['messages']), ', '.join(topic['frames']),
-            topic['published_as'] or '-')))
-    Console().print(table)
-
-
-def add_arguments(commands: Commands) -> None:
-    """Add ``ocp replay``."""
-    played = commands.add(
-        REPLAY, 'replay', 'publish the clouds of a ROS 1 or ROS 2 bag for policy_node',
-        'ocp replay recording --list')
-    played.add_argument('bag', type=Path, metavar='BAG',
-                        help='ROS 1 bag, or folder of a ROS 2 bag')
-    played.add_argument('--list', action='store_true', help='show the topics and nothing else')
-    played.add_argument('--topics', nargs='+', default=(), metavar='TOPIC[:=NEW]',
-                        help='topics to publish, with new names; default: all clouds and the '
-                             'camera poses')
-    played.add_argument('--rate', type=_above_zero, default=1.0,
-                        help='speed factor')
-    played.add_argument('--loop', action='store_true', help='start again at the end')
-    played.add_argument('--start', type=_seconds, default=0.0, help='seconds to skip at the '
-                                                                    'beginning')
-    played.add_argument('--duration', type=_above_zero, help='seconds of the bag to publish')
-    played.add_argument('--frame', action='append', default=[], metavar='[TOPIC=]FRAME',
-                        help='frame of the clouds, instead of the recorded one; may be repeated')
-    played.add_argument('--pose', action='append', default=[],
-                        metavar='X,Y,Z[,YAW,PITCH,ROLL]',
-                        help='pose of a camera in metres and degrees, once for each cloud topic; '
-                             'write --pose=-1,0,2 if the first number is negative')
-    played.add_argument('--fixed-frame', default='map', metavar='FRAME', help='frame of the poses')
-    played.add_argument('--wait', type=_seconds, default=10.0,
-                        help='seconds to wait for a subscriber')
-    played.set_defaults(run=run, show=show)
 
 
 def _seconds(text: str) -> float:

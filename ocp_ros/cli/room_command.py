@@ -26,23 +26,24 @@ from ocp_ros.util.terminal_text import printable
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp room``."""
-    room = commands.add(LOOK, 'room', 'make a room from measures',
-                        'ocp room 6 4.5 2.7 --door south 1 0.9 2.1 --box 2 1 0 4 2 0.75 '
-                        '--out out/room.yaml')
+    command = commands.add(LOOK, 'room', 'make a room from measures',
+                           'ocp room 6 4.5 2.7 --door south 1 0.9 2.1 --box 2 1 0 4 2 0.75 '
+                           '--out out/room.yaml')
     for name, axis in (('length', 'x'), ('width', 'y'), ('height', 'z')):
-        room.add_argument(name, metavar=name.upper(), help=f'metres along {axis}')
+        command.add_argument(name, metavar=name.upper(), help=f'metres along {axis}')
     openings = {'action': 'append', 'default': []}
-    room.add_argument('--door', nargs=4, metavar=('WALL', 'AT', 'WIDTH', 'HEIGHT'), **openings,
-                      help='an open door in the south (y = 0), east, north or west (x = 0) wall: '
-                      'metres along it from the corner with the lower x or y, width and height')
-    room.add_argument('--window', nargs=5, metavar=('WALL', 'AT', 'WIDTH', 'HEIGHT', 'SILL'),
-                      help='the same, and the metres from the floor to its sill', **openings)
-    room.add_argument('--box', nargs=6, metavar=('X', 'Y', 'Z', 'X2', 'Y2', 'Z2'), **openings,
-                      help='furniture: its lowest and its highest corner')
-    room.add_argument('--out', type=Path, default=Path('out/room.yaml'), metavar='FILE',
-                      help='room file to write: docs/reference/room.md')
-    add_overwrite(room)
-    room.set_defaults(run=run, show=show)
+    command.add_argument('--door', nargs=4, metavar=('WALL', 'AT', 'WIDTH', 'HEIGHT'), **openings,
+                         help='an open door in the south (y = 0), east, north or west (x = 0) '
+                         'wall: metres along it from the corner with the lower x or y, width and '
+                         'height')
+    command.add_argument('--window', nargs=5, metavar=('WALL', 'AT', 'WIDTH', 'HEIGHT', 'SILL'),
+                         help='the same, and the metres from the floor to its sill', **openings)
+    command.add_argument('--box', nargs=6, metavar=('X', 'Y', 'Z', 'X2', 'Y2', 'Z2'), **openings,
+                         help='furniture: its lowest and its highest corner')
+    command.add_argument('--out', type=Path, default=Path('out/room.yaml'), metavar='FILE',
+                         help='room file to write: docs/reference/room.md')
+    add_overwrite(command)
+    command.set_defaults(run=run, show=show)
 
 
 def run(arguments: argparse.Namespace) -> Found:

@@ -17,10 +17,35 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.cli.arguments import add_overwrite, add_reading, at_least
+from ocp_ros.cli.arguments import add_overwrite, add_reading, whole
 from ocp_ros.cli.common import claim_file, Commands, Found, LOOK, show_written
 from ocp_ros.util.files import folder_to_write
 from ocp_ros.util.terminal_text import printable
+
+
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp rooms`` and its actions."""
+    rooms = commands.add(LOOK, 'rooms', 'list, make and look at generated rooms')
+    actions = rooms.add_subparsers(title='actions', required=True, metavar='ACTION')
+    listed = commands.put(actions, 'list', 'kinds and sizes', 'ocp rooms list --count 5')
+    listed.add_argument('--first', type=whole(0), default=0, help='first seed')
+    listed.add_argument('--count', type=whole(1), default=20, help='number of rooms')
+    listed.set_defaults(run=_list_rooms, show=_show_rooms)
+    made = commands.put(actions, 'make', 'write scans and meshes as PLY',
+                        'ocp rooms make 5 17 --out rooms')
+    made.add_argument('seeds', type=whole(0), nargs='+', metavar='SEED')
+    made.add_argument('--points', type=whole(1000), default=15000, help='points of each scan')
+    made.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
+    add_overwrite(made)
+    made.set_defaults(run=_make_rooms, show=_show_made)
+    seen = commands.put(actions, 'preview', 'draw rooms cut open',
+                        'ocp rooms preview 5 room.ply --out out/rooms.png')
+    seen.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
+    seen.add_argument('--points', type=whole(1000), default=40000, help='points of each room')
+    add_reading(seen)
+    seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
+    add_overwrite(seen)
+    seen.set_defaults(run=_preview_rooms, show=show_written)
 
 
 def _list_rooms(arguments: argparse.Namespace) -> Found:
@@ -34,13 +59,12 @@ def _list_rooms(arguments: argparse.Namespace) -> Found:
 
 def _show_rooms(found: Found) -> None:
     """Print kinds and sizes of generated rooms."""
+    from ocp_ros.report.terminal import print_table
     from rich.console import Console
-    from rich.table import Table
-    table = Table('seed', 'kind', 'size (m)', 'solids')
-    for room in found['rooms']:
-        table.add_row(str(room['seed']), room['kind'].replace('_', ' '),
-                      ' x '.join(f'{edge:.1f}' for edge in room['size']), str(room['solids']))
-    Console().print(table)
+    print_table(Console(), None, ('seed', 'kind', 'size (m)', 'solids'), [
+        (str(room['seed']), room['kind'].replace('_', ' '),
+         ' x '.join(f'{edge:.1f}' for edge in room['size']), str(room['solids']))
+        for room in found['rooms']])
 
 
 def _make_rooms(arguments: argparse.Namespace) -> Found:
@@ -83,28 +107,3 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
             scenes.append((scene.name, scene))
     draw_rooms(arguments.out, scenes)
     return {'written': [arguments.out]}
-
-
-def add_arguments(commands: Commands) -> None:
-    """Add ``ocp rooms`` and its actions."""
-    rooms = commands.add(LOOK, 'rooms', 'list, make and look at generated rooms')
-    actions = rooms.add_subparsers(title='actions', required=True, metavar='ACTION')
-    listed = commands.put(actions, 'list', 'kinds and sizes', 'ocp rooms list --count 5')
-    listed.add_argument('--first', type=at_least(0), default=0, help='first seed')
-    listed.add_argument('--count', type=at_least(1), default=20, help='number of rooms')
-    listed.set_defaults(run=_list_rooms, show=_show_rooms)
-    made = commands.put(actions, 'make', 'write scans and meshes as PLY',
-                        'ocp rooms make 5 17 --out rooms')
-    made.add_argument('seeds', type=at_least(0), nargs='+', metavar='SEED')
-    made.add_argument('--points', type=at_least(1000), default=15000, help='points of each scan')
-    made.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
-    add_overwrite(made)
-    made.set_defaults(run=_make_rooms, show=_show_made)
-    seen = commands.put(actions, 'preview', 'draw rooms cut open',
-                        'ocp rooms preview 5 room.ply --out out/rooms.png')
-    seen.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
-    seen.add_argument('--points', type=at_least(1000), default=40000, help='points of each room')
-    add_reading(seen)
-    seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
-    add_overwrite(seen)
-    seen.set_defaults(run=_preview_rooms, show=show_written)

@@ -28,17 +28,17 @@ from ocp_ros.util.terminal_text import printable
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp train``."""
-    train = commands.add(
+    command = commands.add(
         LEARN, 'train', 'train a policy',
         'ocp train --config config/train/map.yaml --out out/train --model mine.safetensors')
-    train.add_argument('--config', type=find_config, required=True,
-                       help='YAML of training settings')
-    train.add_argument('--out', type=Path, required=True,
-                       help='folder of the run; an interrupted run continues')
-    train.add_argument('--model', type=Path, help='also write the best weights to this file')
-    train.add_argument('--seed', type=seed, help='random seed; replaces the one in the settings')
-    add_overwrite(train)
-    train.set_defaults(run=run, show=show)
+    command.add_argument('--config', type=find_config, required=True,
+                         help='YAML of training settings')
+    command.add_argument('--out', type=Path, required=True, help='folder of the run; an '
+                         'interrupted run continues')
+    command.add_argument('--model', type=Path, help='also write the best weights to this file')
+    command.add_argument('--seed', type=seed, help='random seed; replaces the one in the settings')
+    add_overwrite(command)
+    command.set_defaults(run=run, show=show)
 
 
 def run(arguments: argparse.Namespace) -> Found:

@@ -19,35 +19,37 @@ from pathlib import Path
 import sys
 import webbrowser
 
-from ocp_ros.cli.arguments import add_overwrite, add_points, add_reading, room_asked
+from ocp_ros.cli.arguments import (
+    add_overwrite,
+    add_placement,
+    add_points,
+    add_reading,
+    add_room,
+    room_and_placement,
+    room_asked,
+)
 from ocp_ros.cli.common import claim_file, command_of, Commands, Found, LOOK, show_written
-from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
 
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp view``."""
-    seen = commands.add(LOOK, 'view', 'write a 3D page of a room and a placement',
-                        'ocp view room.ply placement.yaml --out out/view.html')
-    seen.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
-    seen.add_argument('placement', type=Path, nargs='?', metavar='PLACEMENT',
-                      help='placement file: docs/reference/placement.md')
-    seen.add_argument('--rig', type=find_config,
-                      help='rig file, used instead of the one in the placement: '
-                      'docs/reference/rig.md')
-    seen.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
-    seen.add_argument('--open', action='store_true', help='open the page in a browser')
-    add_overwrite(seen)
-    add_points(seen)
-    add_reading(seen)
-    seen.set_defaults(run=run, show=show_written)
+    command = commands.add(LOOK, 'view', 'write a 3D page of a room and a placement',
+                           'ocp view room.ply placement.yaml --out out/view.html')
+    add_room(command)
+    add_placement(command, nargs='?')
+    command.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
+    command.add_argument('--open', action='store_true', help='open the page in a browser')
+    add_overwrite(command)
+    add_points(command)
+    add_reading(command)
+    command.set_defaults(run=run, show=show_written)
 
 
 def run(arguments: argparse.Namespace) -> Found:
     """Write the page, and open it with ``--open``."""
-    from ocp_ros.cli.placement_files import room_and_placement
-    from ocp_ros.planning.assessment import judge
+    from ocp_ros.report.assessment import judge
     from ocp_ros.report.viewer import write_view
     claim_file(arguments, arguments.out, 'a page')
     if arguments.rig and not arguments.placement:

@@ -39,6 +39,6 @@ class EngineConfig:
 
 
 #: The engine settings of plans and comparisons, for which the expected error in the room itself
-#: was measured (:mod:`ocp_ros.planning.promise`). Searches overfit the scan if depth maps are
+#: was measured (:mod:`ocp_ros.report.findings`). Searches overfit the scan if depth maps are
 #: finer than the point spacing, or use all points at once.
 PROMISING = EngineConfig(preset='fine', error_rows=64, error_folds=4)

@@ -12,4 +12,4 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Pictures of rooms and placements."""
+"""A rig planned in a room: what is found about a placement, and its pages, pictures and files."""

@@ -18,55 +18,36 @@ from collections.abc import Collection, Iterator, Sequence
 import csv
 from dataclasses import replace
 import io
+from itertools import chain
+import json
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, rotation_matrix
-from ocp_ros.planning.assessment import Assessment
+from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.installer import instructions
+from ocp_ros.report.templates import fill_template
 from ocp_ros.rig.placement_file import FRAME, numbers_of, Placement, save_placement
 from ocp_ros.scenes.source_frame import SourceFrame
-from ocp_ros.util.files import write_atomically
-import yaml
+from ocp_ros.util.files import FileSet, write_atomically
 
-#: Placement files, which can be read again, and all files that :func:`export` writes.
+#: Placement files, which can be read again.
 PLACEMENTS = ('placement.yaml', 'placement.json')
-FORMS = (*PLACEMENTS, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro', 'cameras.rviz',
-         'installer.md', 'plan.png')
+#: The file that is always written.
+MARK = 'placement.json'
+#: All files of a placement; ``curve.png`` is the one that counting cameras adds.
+WRITTEN = (*PLACEMENTS, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro', 'cameras.rviz',
+           'installer.md', 'plan.png', 'report.png', 'report_2.png', 'report.html', 'curve.png')
 #: Rotation from a camera's body frame (x forward, y left, z up) to its optical frame (z forward,
 #: x right, y down): roll, pitch, yaw in radians, REP-103.
 OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
 #: Name of the frame of the room's scan, in metres.
 SCAN = 'scan'
-COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
-           'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
-LAUNCH = '''"""Poses of the cameras, as static transforms: ros2 launch ./cameras.launch.py."""
-
-from launch import LaunchDescription
-from launch_ros.actions import Node
-
-# Parent, child, x, y, z in metres, roll, pitch, yaw in radians.
-FRAMES = [
-%s]
-OPTIONS = ('--frame-id', '--child-frame-id', '--x', '--y', '--z', '--roll', '--pitch', '--yaw')
-
-
-def generate_launch_description():
-    """Publish all frames."""
-    return LaunchDescription([
-        Node(package='tf2_ros', executable='static_transform_publisher', name=f'{frame[1]}_frame',
-             arguments=[word for pair in zip(OPTIONS, map(str, frame)) for word in pair])
-        for frame in FRAMES])
-'''
-XACRO = """<?xml version="1.0"?>
-<!-- Include this file in a robot and write <xacro:ocp_cameras parent=%s/> -->
-<robot xmlns:xacro="http://www.ros.org/wiki/xacro">
-  <xacro:macro name="ocp_cameras" params="parent">
-%s  </xacro:macro>
-</robot>
-"""
+#: Columns of ``cameras.csv``: metres and degrees.
+CSV_COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
+               'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
 JOINT = """    <link name="%s"/>
     <joint name="%s_joint" type="fixed">
       <parent link=%s/>
@@ -76,39 +57,76 @@ JOINT = """    <link name="%s"/>
 """
 
 
-def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]:
+def written_to(files: FileSet, assessed: Assessment, prefix: str = '', brief: bool = False
+               ) -> dict[str, Any]:
     """
-    Write a placement as all files of :data:`FORMS`, and yield the path of each.
+    Write a placement in all file formats, and its reports.
+
+    :param files: the files to write.
+    :param prefix: of the names of frames, so that the frames of two rigs have different names.
+    :param brief: whether to leave out the reports, which take seconds to draw.
+    :returns: ``written``; also ``error`` if some files could not be written.
+    """
+    paths: list[str] = []
+    try:
+        for path in chain(export(files.aside, assessed, prefix),
+                          () if brief else reports(files.aside, assessed)):
+            paths.append(str(files.folder / path.name))
+    except OSError as error:
+        return {'written': paths, 'error': (
+            f'--out: found {files.folder}, where not all could be written '
+            f'({error.strerror or error}); expected room for it; use what is printed, or make '
+            'room and do it again')}
+    return {'written': paths}
+
+
+def export(folder: Path, assessed: Assessment, prefix: str = '') -> Iterator[Path]:
+    """
+    Write a placement as files for programs and installers, and yield the path of each.
 
     Placement files are in the map frame, in which scores are computed, and contain the transform
     to the frame of the scan. The frame of the other files is
-    :attr:`~ocp_ros.planning.assessment.Assessment.data_frame`.
+    :attr:`~ocp_ros.report.assessment.Assessment.data_frame`.
 
     :param folder: it is created if it does not exist.
-    :param prefix: of the names of frames, so that the frames of two rigs have different names.
+    :param prefix: of the names of frames.
     :raises OSError: if a file cannot be written.
     """
-    placement, source = judged.placement, judged.scene.source
+    placement = assessed.placement
+    source = assessed.scene.source
     for name in PLACEMENTS:
         save_placement(folder / name, placement)
         yield folder / name
-    shown, link = placement, link_between(FRAME, SCAN, source.rotation, -source.shift)
-    if not judged.data_frame.is_map:
+    shown = placement
+    link = link_between(FRAME, SCAN, source.rotation, -source.shift)
+    if not assessed.data_frame.is_map:
         shown = placement_in(placement, source)
         link = link_between(SCAN, FRAME, source.rotation.T, source.rotation.T @ source.shift)
     links = [] if source.is_map else [link]
-    texts = {'cameras.csv': table_of(shown, judged.data_frame.scale, prefix),
+    texts = {'cameras.csv': table_of(shown, assessed.data_frame.scale, prefix),
              'cameras.launch.py': launch_of(shown, links, prefix),
              'cameras.urdf.xacro': xacro_of(shown, links, prefix),
              'cameras.rviz': rviz_of(shown),
-             'installer.md': instructions(judged, 'plan.png')}
+             'installer.md': instructions(assessed, 'plan.png')}
     for name, text in texts.items():
         write_atomically(folder / name, text)
         yield folder / name
     # The import of the drawing modules is slow, so other commands do not import them.
     from ocp_ros.report.drawing.assessment_pictures import draw_floor_plan
-    draw_floor_plan(folder / 'plan.png', judged)
+    draw_floor_plan(folder / 'plan.png', assessed)
     yield folder / 'plan.png'
+
+
+def reports(folder: Path, assessed: Assessment) -> Iterator[Path]:
+    """Write the PNG sheet, the HTML page and the curve of counted cameras; yield their paths."""
+    from ocp_ros.report.drawing import assessment_pictures, sheet
+    from ocp_ros.report.viewer import write_view
+    yield from sheet.draw(folder, assessed)
+    write_view(folder / 'report.html', assessed.scene, assessed)
+    yield folder / 'report.html'
+    if 'curve' in assessed.found:
+        assessment_pictures.draw_curve(folder / 'curve.png', assessed.found)
+        yield folder / 'curve.png'
 
 
 class Link(NamedTuple):
@@ -157,7 +175,7 @@ def table_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
     :param prefix: of the names of frames.
     """
     file = io.StringIO()
-    rows = csv.DictWriter(file, COLUMNS, extrasaction='ignore', lineterminator='\n')
+    rows = csv.DictWriter(file, CSV_COLUMNS, extrasaction='ignore', lineterminator='\n')
     rows.writeheader()
     for number, placed in enumerate(placement.cameras, start=1):
         rows.writerow({
@@ -198,7 +216,8 @@ def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = ''
     lines = [(link.parent, link.child, *map(float, link.position),
               *(round(angle, 9) for angle in link.angles))
              for link in (*links, *links_of(placement, prefix, without))]
-    return LAUNCH % ''.join(f'    {line!r},\n' for line in lines)
+    return fill_template('cameras.launch.py.in',
+                         frames=''.join(f'    {line!r},\n' for line in lines))
 
 
 def xacro_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '') -> str:
@@ -209,23 +228,10 @@ def xacro_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '')
         xyz, rpy = (' '.join(f'{value:.12g}' for value in values)
                     for values in (link.position, link.angles))
         joints += JOINT % (link.child, link.child, quoteattr(link.parent), link.child, xyz, rpy)
-    return XACRO % (quoteattr(placement.frame), joints)
+    return fill_template('cameras.urdf.xacro', parent=quoteattr(placement.frame), joints=joints)
 
 
 def rviz_of(placement: Placement) -> str:
     """Return an RViz configuration that shows the frames of the launch file."""
-    position = np.mean([placed.position for placed in placement.cameras], axis=0).round(2)
-    kind = 'rviz_default_plugins'
-    return yaml.safe_dump({
-        'Panels': [{'Class': 'rviz_common/Displays', 'Name': 'Displays'}],
-        'Visualization Manager': {
-            'Class': '',
-            'Displays': [
-                {'Class': f'{kind}/Grid', 'Name': 'Grid', 'Enabled': True, 'Cell Size': 1},
-                {'Class': f'{kind}/TF', 'Name': 'TF', 'Enabled': True, 'Show Names': True,
-                 'Show Axes': True, 'Show Arrows': False, 'Marker Scale': 1}],
-            'Global Options': {'Fixed Frame': placement.frame, 'Frame Rate': 30},
-            'Tools': [{'Class': f'{kind}/MoveCamera'}, {'Class': f'{kind}/Measure'}],
-            'Views': {'Current': {'Class': f'{kind}/Orbit', 'Distance': 12, 'Pitch': 0.8,
-                                  'Yaw': 4.0, 'Focal Point': dict(
-                                      zip('XYZ', position.tolist()))}}}}, sort_keys=False)
+    x, y, z = np.mean([placed.position for placed in placement.cameras], axis=0).round(2)
+    return fill_template('cameras.rviz', frame=json.dumps(placement.frame), x=x, y=y, z=z)

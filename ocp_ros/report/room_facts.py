@@ -24,18 +24,17 @@ from ocp_ros.rig.plausibility import room_notes
 from ocp_ros.rig.structure import Air, ceiling_of, floor_height
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.viewpoints import viewpoints_of
-from rich.console import Console
-from rich.table import Table
 
-#: Rows of the depth maps for openings; half the side of a point's cube, in multiples of the edge
-#: of the square that the point represents.
-ROWS, CUBE = 64, 0.75
+#: Rows of the depth maps for openings.
+DEPTH_MAP_ROWS = 64
+#: Half the side of a point's cube, in multiples of the edge of the point's square.
+CUBE_SCALE = 0.75
 #: Elevation from which on a direction counts as above or below, degrees.
-STEEP = 30.0
+STEEP_DEGREES = 30.0
 #: Directions of openings.
 SIDES = ('+x', '+y', '-x', '-y', 'above', 'below')
 #: Smallest open share of a side that is printed.
-LITTLE = 0.005
+LEAST_OPENING = 0.005
 #: Names of common units, by metres.
 UNITS = {1.0: 'metres', 0.001: 'millimetres', 0.01: 'centimetres', 0.0254: 'inches',
          0.3048: 'feet'}
@@ -76,14 +75,16 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
     if len(air.cells(float(scene.bounds[:, 2].mean()))) == 0:
         return {}
     places = viewpoints_of(scene)
-    maps = DepthError(scene.points, CUBE * scene.pitch, scene.diameter, places, ROWS)
+    maps = DepthError(scene.points, CUBE_SCALE * scene.pitch, scene.diameter, places,
+                      DEPTH_MAP_ROWS)
     rows, columns = maps.shape
     # As in cell_of, row 0 is straight down, and column 0 begins at the direction -x.
     elevation = (np.arange(rows) + 0.5) * 180.0 / rows - 90.0
     azimuth = (np.arange(columns) + 0.5) * 360.0 / columns - 180.0
     side = np.empty((rows, columns), dtype=int)
     side[:] = np.round(azimuth / 90.0).astype(int) % 4
-    side[elevation > STEEP], side[elevation < -STEEP] = SIDES.index('above'), SIDES.index('below')
+    side[elevation > STEEP_DEGREES] = SIDES.index('above')
+    side[elevation < -STEEP_DEGREES] = SIDES.index('below')
     weights = np.repeat(np.cos(np.deg2rad(elevation)), columns)
     empty = np.mean([maps.depth_map(k) >= maps.far for k in range(len(places))], axis=0)
     open_, whole = (np.bincount(side.ravel(), values, len(SIDES))
@@ -92,40 +93,26 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
             **dict(zip(SIDES, (open_ / whole).tolist()))}
 
 
-def show_facts(console: Console, found: Mapping[str, Any]) -> None:
-    """Print the facts of a room."""
+def room_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the facts of a room in words: name and value of each."""
     low, high = found['bounds']
-    ceiling, openings, source = found['ceiling'], found['openings'], found['source']
+    floor, ceiling, openings, source = (
+        found[key] for key in ('floor', 'ceiling', 'openings', 'source'))
     unit = UNITS.get(source['metres_per_unit'], f'{source["metres_per_unit"]:g} m')
-    table = Table('room', found['name'], title_justify='left')
-    table.add_row('points', f'{found["points"]:,}, median spacing {found["spacing"]:.3f} m')
-    table.add_row('size', ' x '.join(f'{edge:.2f}' for edge in found['size']) + ' m')
-    table.add_row('bounds', ', '.join(f'{axis} {first:.2f} to {last:.2f}' for axis, first, last
-                                      in zip('xyz', low, high)) + ' m')
-    # Adding 0 turns -0.0 into 0.0.
-    floor = round(found['floor'], 2) + 0.0
-    table.add_row('floor', f'z = {floor:.2f} m, {found["floor_area"]:.1f} m²')
-    table.add_row('ceiling', 'not found' if ceiling is None else
-                  f'z = {ceiling:.2f} m, {ceiling - found["floor"]:.2f} m above the floor')
-    table.add_row('openings', 'no inside was found' if not openings else (
-        f'{_percent(openings["all"])} of the view from inside meets no surface ('
-        + (', '.join(f'{side} {_percent(openings[side])}' for side in SIDES
-                     if openings[side] >= LITTLE) or 'no side is open') + ')'))
-    table.add_row('file', f'unit: {unit}; up: {source["up"]}' + (
-        f'; moved by {", ".join(f"{-value:.0f}" for value in source["shift"])} m'
-        if any(source['shift']) else ''))
-    console.print(table)
-    show_notes(console, found)
-
-
-def show_notes(console: Console, found: Mapping[str, Any]) -> None:
-    """Print corrections of the scan, and doubts about a room or a result."""
-    for remark in found.get('remarks', ()):
-        console.print(remark, markup=False, highlight=False)
-    for note in found['notes']:
-        console.print(f'note: {note}', style='yellow', markup=False, highlight=False)
-
-
-def _percent(share: float) -> str:
-    """Return a share as per cent."""
-    return f'{100.0 * share:.0f} %'
+    open_sides = ', '.join(f'{side} {100.0 * openings[side]:.0f} %' for side in SIDES
+                           if openings.get(side, 0.0) >= LEAST_OPENING)
+    return [
+        ('points', f'{found["points"]:,}, median spacing {found["spacing"]:.3f} m'),
+        ('size', ' x '.join(f'{edge:.2f}' for edge in found['size']) + ' m'),
+        ('bounds', ', '.join(f'{axis} {first:.2f} to {last:.2f}' for axis, first, last
+                             in zip('xyz', low, high)) + ' m'),
+        # Adding 0 turns -0.0 into 0.0.
+        ('floor', f'z = {round(floor, 2) + 0.0:.2f} m, {found["floor_area"]:.1f} m²'),
+        ('ceiling', 'not found' if ceiling is None else
+         f'z = {ceiling:.2f} m, {ceiling - floor:.2f} m above the floor'),
+        ('openings', 'no inside was found' if not openings else
+         f'{100.0 * openings["all"]:.0f} % of the view from inside meets no surface '
+         f'({open_sides or "no side is open"})'),
+        ('file', f'unit: {unit}; up: {source["up"]}' + (
+            f'; moved by {", ".join(f"{-value:.0f}" for value in source["shift"])} m'
+            if any(source['shift']) else ''))]

@@ -17,17 +17,15 @@
 from base64 import b64encode
 from collections.abc import Iterator, Sequence
 from html import escape
-from importlib import resources
 import json
 from pathlib import Path
-from string import Template
 from typing import Any, NamedTuple
 
 import numpy as np
-from ocp_ros.planning.assessment import Assessment
+from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
 from ocp_ros.report.drawing.frustum_drawing import chained, edges
-from ocp_ros.report.drawing.plan_marks import camera_colour, corners_of
+from ocp_ros.report.drawing.plan_marks import camera_colour, corners_of, STYLES, zones_of
 from ocp_ros.report.drawing.room_drawing import (
     HEIGHTS,
     heights_of,
@@ -36,9 +34,8 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
     some_of,
 )
-from ocp_ros.report.installer import frame_named
-from ocp_ros.report.key_figures import figures_of, percent
-from ocp_ros.report.verdict_tables import links_line
+from ocp_ros.report.facts import page_facts_of, REGION_COLUMNS
+from ocp_ros.report.templates import fill_template
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
@@ -47,12 +44,13 @@ import plotly.graph_objects as go
 #: Largest number of points on the page: more points make the rotation slow.
 SHOWN = 40000
 #: Decimals of positions in metres on the page, which limit its size.
-ROUND = 3
-#: Colour of seen points and of points without error; smallest share of a wall's votes for a side.
-PLAIN, WALL = '#dcdcd6', 0.3
+DECIMALS = 3
+#: Colour of seen points and of points without error.
+PLAIN = '#dcdcd6'
+#: Smallest share of a wall's votes for a side.
+LEAST_VOTES = 0.3
 #: Length of a drawn frustum, as a share of the room's diagonal.
-CONE = 0.12
-REGION, KEEP_OUT, MOUNTING, MORE = '#009e73', '#cc79a7', '#0072b2', '#e69f00'
+FRUSTUM_SHARE = 0.12
 
 
 class Layer(NamedTuple):
@@ -87,20 +85,20 @@ class Paint(NamedTuple):
     ends: tuple[str, str] = ('', '')
 
 
-def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None) -> None:
+def write_view(path: str | Path, scene: Scene, assessed: Assessment | None = None) -> None:
     """
     Write a room as a self-contained HTML page.
 
     :param path: file to write; its folder is created.
-    :param judged: a placement in the room to show; None for the room alone.
+    :param assessed: a placement in the room to show; None for the room alone.
     """
     points = scene.points.astype(np.float64)
     some = some_of(len(points), SHOWN)
     groups, facing = groups_of(points[some])
     groups = [some[group] for group in groups]
-    paints = paints_of(scene, judged)
+    paints = paints_of(scene, assessed)
     layers = [Layer('ceiling', [_cloud(points[groups.pop()], '#a3aeb6')], False)]
-    layers += [layer for layer in layers_of(judged) if layer.traces] if judged else []
+    layers += [layer for layer in layers_of(assessed) if layer.traces] if assessed else []
     figure = go.Figure([_cloud(points[group], PALE_INK) for group in groups])
     numbers = []
     for layer in layers:
@@ -112,13 +110,12 @@ def write_view(path: str | Path, scene: Scene, judged: Assessment | None = None)
     data = {'facing': facing, 'paints': [
         {'scale': paint.scale, 'values': [_bytes_of(paint.values[group]) for group in groups]}
         for paint in paints]}
-    title, subtitle = _head(scene, judged)
-    template = resources.files('ocp_ros.report').joinpath('viewer.html').read_text('utf-8')
-    write_atomically(path, Template(template).substitute(
-        title=escape(title), subtitle=escape(subtitle),
+    title, subtitle = _head(scene, assessed)
+    write_atomically(path, fill_template(
+        'viewer.html', title=escape(title), subtitle=escape(subtitle),
         paints='\n'.join(map(_paint_switch, paints, range(len(paints)))),
         layers='\n'.join(map(_layer_switch, layers, numbers)), plot=plot, data=json.dumps(data),
-        tables='' if judged is None else '\n'.join(tables_of(judged))))
+        tables='' if assessed is None else '\n'.join(tables_of(assessed))))
 
 
 def _lay_out(figure: go.Figure, scene: Scene) -> None:
@@ -145,27 +142,27 @@ def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
     room = room_of(points, np.arange(len(points))[:, None])
     ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
     along = room.inward[:, :2] @ np.array(ways).T
-    side = np.where(along.max(axis=1) > WALL, along.argmax(axis=1), -1)
+    side = np.where(along.max(axis=1) > LEAST_VOTES, along.argmax(axis=1), -1)
     shown = room.colours[:, 0]
     groups = [shown[side == k] for k in range(-1, 4)]
     return [*groups, np.setdiff1d(np.arange(len(points)), shown)], ways
 
 
-def paints_of(scene: Scene, judged: Assessment | None) -> list[Paint]:
+def paints_of(scene: Scene, assessed: Assessment | None) -> list[Paint]:
     """Return the ways to colour the points; the first one is shown first."""
     low, high = np.percentile(scene.points[:, 2], [2.0, 98.0])
     height = Paint('height', heights_of(scene.points), _scale(HEIGHTS), (),
                    tuple(f'{value + 0.0:.1f} m' for value in np.round([low, high], 1)))
-    if judged is None:
+    if assessed is None:
         return [height]
     kinds = len(COUNT_COLOURS)
-    counts = (np.minimum(judged.counts, kinds - 1) + 0.5) / kinds
-    lost = 1000.0 * judged.lost
-    most = float(np.percentile(lost[lost > 0.0], 98.0)) if (lost > 0.0).any() else 1.0
+    counts = (np.minimum(assessed.counts, kinds - 1) + 0.5) / kinds
+    errors = 1000.0 * assessed.error_by_point
+    most = float(np.percentile(errors[errors > 0.0], 98.0)) if (errors > 0.0).any() else 1.0
     return [_banded('seen by how many cameras', counts, tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
-            _banded('what is missed', judged.missed.astype(float),
+            _banded('what is missed', assessed.missed.astype(float),
                     (('seen', PLAIN), ('missed', COUNT_COLOURS[0]))),
-            Paint('depth error', np.sqrt(np.minimum(lost / most, 1.0)),
+            Paint('depth error', np.sqrt(np.minimum(errors / most, 1.0)),
                   [[0.0, PLAIN], *([max(share, 0.004), colour]
                                    for share, colour in _scale(ERROR_COLOURS))], (),
                   ('0', f'{most:.2g} mm or more at a point')), height]
@@ -183,36 +180,33 @@ def _bytes_of(shares: np.ndarray) -> str:
     return b64encode(np.rint(255.0 * shares).astype(np.uint8).tobytes()).decode()
 
 
-def layers_of(judged: Assessment) -> Iterator[Layer]:
+def layers_of(assessed: Assessment) -> Iterator[Layer]:
     """Yield layers: cameras, fields of view, ranges, the rig's zones and one more camera."""
-    placed, scene, rig = judged.placement.cameras, judged.scene, judged.objective.rig
-    yield Layer('cameras', [_cameras(judged)])
+    placed, scene, rig = assessed.placement.cameras, assessed.scene, assessed.objective.rig
+    yield Layer('cameras', [_cameras(assessed)])
     longest = float(np.linalg.norm(scene.size))
 
-    def cones(part: float) -> list[go.Scatter3d]:
+    def frusta(part: float) -> list[go.Scatter3d]:
         return [_line(edges(one.camera.model, one.pose, min(one.camera.model.max_range,
                                                             part * longest)),
                       camera_colour(number), f'camera {number + 1}')
                 for number, one in enumerate(placed) if not one.camera.model.omnidirectional]
-    yield Layer('fields of view', cones(CONE))
+    yield Layer('fields of view', frusta(FRUSTUM_SHARE))
     balls = [_ball(one.position, one.camera.model.max_range, camera_colour(number))
              for number, one in enumerate(placed) if one.camera.model.omnidirectional]
     # Several frusta with their full range would hide the room, so they are off at first.
-    yield Layer('ranges', [*balls, *cones(1.0)], len(balls) == len(placed))
-    for name, zones, colour in (
-            ('regions', {region.name: region.zone for region in rig.regions}, REGION),
-            ('keep-out zones',
-             {f'keep-out zone {k + 1}': zone for k, zone in enumerate(rig.keep_out)}, KEEP_OUT),
-            ('mounting zones',
-             {f'mounting zone {k + 1}': zone for k, zone in enumerate(rig.keep_in)}, MOUNTING)):
-        yield Layer(name, [_line(_outline(zone, scene, judged.floor), colour, label)
-                           for label, zone in zones.items()])
-    more = judged.found.get('one_more')
+    yield Layer('ranges', [*balls, *frusta(1.0)], len(balls) == len(placed))
+    zones = zones_of(rig)
+    for kind, style in STYLES.items():
+        yield Layer(f'{kind}s', [
+            _line(_outline(zone, scene, assessed.floor), style['edgecolor'], name)
+            for other, name, zone in zones if other == kind])
+    more = assessed.found.get('one_more')
     yield Layer('one more camera', [go.Scatter3d(
         x=[more['position'][0]], y=[more['position'][1]], z=[more['position'][2]],
         mode='markers', hovertemplate=f'one more {escape(more["sensor"])}: x %{{x:.2f}}, '
         f'y %{{y:.2f}}, z %{{z:.2f}} m, {more["gain"]:.3f} m less error<extra></extra>',
-        marker={'size': 9, 'color': MORE, 'symbol': 'diamond',
+        marker={'size': 9, 'color': '#e69f00', 'symbol': 'diamond',
                 'line': {'color': INK, 'width': 2}})] if more else [], False)
 
 
@@ -225,16 +219,16 @@ def _scale(colours: Any) -> list[list[Any]]:
 
 def _cloud(points: np.ndarray, colour: str) -> go.Scatter3d:
     """Return the trace of points (N, 3) in a colour."""
-    x, y, z = np.round(points, ROUND).astype(np.float32).T
+    x, y, z = np.round(points, DECIMALS).astype(np.float32).T
     return go.Scatter3d(x=x.copy(), y=y.copy(), z=z.copy(), mode='markers', hoverinfo='skip',
                         marker={'size': 2.8, 'color': colour, 'line': {'width': 0}})
 
 
-def _cameras(judged: Assessment) -> go.Scatter3d:
+def _cameras(assessed: Assessment) -> go.Scatter3d:
     """Return the trace of the cameras with numbers, and mounting instructions on hover."""
-    x, y, z = judged.positions.T
-    numbers = range(len(judged.positions))
-    about = [' <br>'.join(escape(part) for part in words) for words in judged.words]
+    x, y, z = assessed.positions.T
+    numbers = range(len(assessed.positions))
+    about = [' <br>'.join(escape(part) for part in words) for words in assessed.words]
     return go.Scatter3d(
         x=x, y=y, z=z, mode='markers+text', text=[f'<b>{k + 1}</b>' for k in numbers],
         textposition='top center', textfont={'size': 15, 'color': INK}, customdata=about,
@@ -246,7 +240,7 @@ def _cameras(judged: Assessment) -> go.Scatter3d:
 
 def _line(points: np.ndarray, colour: str, label: str) -> go.Scatter3d:
     """Return the trace of lines (M, 3), separated by rows of NaN."""
-    x, y, z = np.round(points, ROUND).T
+    x, y, z = np.round(points, DECIMALS).T
     return go.Scatter3d(x=x, y=y, z=z, mode='lines', line={'color': colour, 'width': 3},
                         hovertemplate=f'{escape(label)}<extra></extra>')
 
@@ -257,7 +251,7 @@ def _ball(centre: Sequence[float], radius: float, colour: str) -> go.Mesh3d:
                                      np.linspace(-np.pi / 2, np.pi / 2, 19))
     way = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
                     np.sin(elevation)], axis=-1).reshape(-1, 3)
-    x, y, z = np.round(np.asarray(centre) + radius * way, ROUND).T
+    x, y, z = np.round(np.asarray(centre) + radius * way, DECIMALS).T
     return go.Mesh3d(x=x, y=y, z=z, alphahull=0, color=colour, opacity=0.05, hoverinfo='skip')
 
 
@@ -272,13 +266,14 @@ def _outline(zone: Zone, scene: Scene, floor: float) -> np.ndarray:
     return chained([*rings, *posts])
 
 
-def _head(scene: Scene, judged: Assessment | None) -> tuple[str, str]:
+def _head(scene: Scene, assessed: Assessment | None) -> tuple[str, str]:
     """Return the headline and the line below it."""
-    if judged is None:
+    if assessed is None:
         size = ' x '.join(f'{edge:.1f}' for edge in scene.size)
         title, subtitle = scene.name, f'{size} m, {len(scene):,} points'
     else:
-        title, subtitle, *_ = figures_of(judged)
+        facts = page_facts_of(assessed)
+        title, subtitle = facts.title, facts.subtitle
     return title, subtitle + (f'; {SHOWN:,} points are shown' if len(scene) > SHOWN else '')
 
 
@@ -300,36 +295,40 @@ def _layer_switch(layer: Layer, numbers: list[int]) -> str:
             f'{" checked" if layer.shown else ""}> {escape(layer.name)}</label>')
 
 
-def tables_of(judged: Assessment) -> Iterator[str]:
+def tables_of(assessed: Assessment) -> Iterator[str]:
     """Return the tables beside the room as HTML."""
-    found, figures = judged.found, figures_of(judged)
-    yield f'<p class="{"good" if figures.kept else "bad"}">{escape(figures.verdict)}</p>'
-    if found['broken']:
-        yield '<ul>' + ''.join(f'<li>{escape(line)}</li>' for line in found['broken']) + '</ul>'
-    if figures.doubts:
-        yield '<p class="bad">Check first:</p><ul>' + ''.join(
-            f'<li>{escape(line)}</li>' for line in figures.doubts) + '</ul>'
-    yield _table(('', '', ''), figures.cards)
-    if 'search' in found:
-        yield f'<p>{escape(found["search"]["certificate"]["sentence"])}</p>'
+    facts = page_facts_of(assessed)
+    yield f'<p class="{"good" if facts.satisfied else "bad"}">{escape(facts.verdict)}</p>'
+    yield from _list(assessed.found['broken'])
+    if facts.doubts:
+        yield '<p class="bad">Check first:</p>'
+        yield from _list(facts.doubts)
+    yield _table(('', '', ''), facts.figures)
+    yield from _paragraphs(facts.certificate)
     yield '<h2>How to mount the cameras</h2>'
     rows = []
-    for number, (words, added) in enumerate(zip(judged.words, found['scores']['cameras']), 1):
+    for number, (words, camera) in enumerate(zip(assessed.words, facts.cameras), start=1):
         sensor = '' if words.name.startswith(words.sensor) else f' ({words.sensor})'
         mounting = '; '.join((words.place, words.height, words.pan, words.tilt))
         rows.append((str(number), f'{words.name}{sensor}: {mounting}', words.coordinates,
-                     f'{added["depth_error"]:.3f} m', percent(added['only'])))
+                     camera.reduction, camera.only))
     yield _table(('', 'camera', 'x, y, z', 'error reduction', 'seen by this camera only'), rows)
-    yield '<p>' + escape('Walls: ' + ', '.join(
-        wall.said for wall in judged.walls) + '; A faces +y most, then clockwise. x, y and z are '
-        + frame_named(judged) + '.') + '</p>'
-    if found['scores']['regions']:
-        yield '<h2>Regions</h2>' + _table(('region', 'seen', 'required', 'satisfied'), [
-            (region['name'], percent(region['seen']), percent(region['must_see']),
-             'yes' if region['met'] else 'no') for region in found['scores']['regions']])
-    if 'calibratable' in found['scores']:
-        yield f'<p>{escape(links_line(found["scores"]["calibratable"]))}</p>'
-    yield from (f'<p>{escape(line)}</p>' for line in figures.foot)
+    yield from _paragraphs(f'Walls: {facts.walls}; A faces +y most, then clockwise. x, y and z '
+                           f'are {facts.frame}.')
+    if facts.regions:
+        yield '<h2>Regions</h2>' + _table(REGION_COLUMNS, facts.regions)
+    yield from _paragraphs(facts.links, facts.origin, facts.meaning)
+
+
+def _paragraphs(*texts: str) -> Iterator[str]:
+    """Yield texts as paragraphs of HTML, without empty ones."""
+    return (f'<p>{escape(text)}</p>' for text in texts if text)
+
+
+def _list(texts: Sequence[str]) -> Iterator[str]:
+    """Yield a list of texts as HTML, if there are any."""
+    if texts:
+        yield '<ul>' + ''.join(f'<li>{escape(text)}</li>' for text in texts) + '</ul>'
 
 
 def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -18,7 +18,9 @@ The pictures of an assessment: plan, coverage, depth error and perspective views
 The installer's page has its own plan, which shows the distances to reference walls.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from matplotlib import patheffects
 from matplotlib.axes import Axes
@@ -27,17 +29,15 @@ from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 from matplotlib.patches import Polygon
 import numpy as np
-from ocp_ros.planning.assessment import Assessment
+from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.drawing.plan_marks import (
-    BARS,
+    apart,
     camera_colour,
     draw_headings,
-    draw_inner_letters,
     draw_letters,
     draw_numbers,
-    draw_scale_bar,
     draw_zones,
     unit_of,
     zone_legend,
@@ -55,6 +55,7 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
     some_of,
 )
+from ocp_ros.report.facts import count_sentence, SHARES
 from scipy import ndimage
 
 #: Colours of points seen by 0, 1, 2, and 3 or more cameras; they differ in hue and lightness.
@@ -63,37 +64,44 @@ COUNT_NAMES = ('seen by no camera', 'by 1', 'by 2', 'by 3 or more')
 #: Colours from small to large errors; without red and green.
 ERROR_COLOURS = LinearSegmentedColormap.from_list(
     'errors', ['#f6e8d4', '#f2b96a', '#d55e00', '#7a2c02', '#2b0f00'])
-#: Number of cells of the error map along the room's longer edge, and the smallest and largest edge
-#: of a cell, metres.
-CELLS, CELL = 48, (0.1, 0.5)
-#: Length of a drawn frustum, as a share of the room's longer edge, and its largest length, metres.
-CONE, LONGEST = 0.15, 1.2
-#: Largest number of points in a picture.
-SHOWN = 16000
-#: Inches between the centres of two letters of walls.
-LETTER = 0.17
+#: Number of cells of the error map along the room's longer edge.
+ERROR_CELLS = 48
+#: Smallest and largest edge of a cell of the error map, metres.
+ERROR_CELL_LIMITS = (0.1, 0.5)
+#: Length of a drawn frustum, as a share of the room's longer edge.
+FRUSTUM_SHARE = 0.15
+#: Largest length of a drawn frustum, metres.
+LONGEST_FRUSTUM = 1.2
+#: Largest number of points in a picture of the sheet, and in the installer's plan.
+SHEET_POINTS = 16_000
+PLAN_POINTS = 12_000
+#: Inches between the centres of two letters of walls on the sheet.
+LETTER_SPACING = 0.17
 #: Edge of the cells that separate inside and outside of a room, metres.
-FINE = 0.1
-#: For the installer's plan: metres above the floor and below the ceiling that are left out, and
-#: number of points.
-LOW, HIGH, PLAN_SHOWN = 0.15, 0.4, 12000
-#: Font sizes of the cameras' numbers, of the letters of sides, and of inner walls, points.
-NUMBERS, LETTERS, INNER = 12.0, 20.0, 13.0
-#: Smallest length of a line whose distance is written beside it, in margins of the plan.
-MEASURED = 3.0
-#: Longer edge of the plan, and smallest length of the shorter edge, inches.
-LONG, SHORT = 10.0, 4.5
+INSIDE_CELL = 0.1
+#: Metres above the floor and below the ceiling that the installer's plan leaves out.
+FLOOR_LAYER = 0.15
+CEILING_LAYER = 0.4
+#: Size of letters and lines in the installer's plan, in multiples of those on the sheet.
+PLAN_SCALE = 1.7
+#: Distance of the walls' letters from their walls, as a share of the room's longer edge.
+LETTER_SHARE = 0.055
+#: Smallest length of a line whose distance is written beside it, as a share of that edge.
+MEASURED_SHARE = 0.15
+#: Longer edge of the installer's plan, and smallest length of its shorter edge, inches.
+LONGER_EDGE = 10.0
+LEAST_EDGE = 4.5
 
 
-def room_for(judged: Assessment) -> Room:
+def room_for(assessed: Assessment) -> Room:
     """
     Prepare the room of a placement for drawing: wall A at the top, thinned, without the ceiling.
 
     :returns: a room whose ``colours`` (M, 1) are the numbers of the scene's points.
     """
-    points = judged.scene.points.astype(np.float64)
-    some = some_of(len(points), SHOWN)
-    return room_of(points[some] @ judged.upright.T, some[:, None])
+    points = assessed.scene.points.astype(np.float64)
+    some = some_of(len(points), SHEET_POINTS)
+    return room_of(points[some] @ assessed.upright.T, some[:, None])
 
 
 def coloured(room: Room, colours: np.ndarray) -> Room:
@@ -108,132 +116,121 @@ def shaded(room: Room, colours: np.ndarray) -> Room:
     return room._replace(colours=np.clip(room.colours * dark, 0.0, 1.0))
 
 
-def count_colours(judged: Assessment) -> np.ndarray:
+def count_colours(assessed: Assessment) -> np.ndarray:
     """Return the colour of each point by the number of cameras that see it: (N, 3) RGB."""
     palette = np.array([to_rgb(colour) for colour in COUNT_COLOURS])
-    return palette[np.minimum(judged.counts, len(palette) - 1)]
+    return palette[np.minimum(assessed.counts, len(palette) - 1)]
 
 
-def draw_room_plan(axes: Axes, room: Room, judged: Assessment) -> None:
+def draw_room_plan(axes: Axes, room: Room, assessed: Assessment) -> None:
     """Draw the room from above with the walls' letters, the cameras and their ranges."""
-    colours = HEIGHTS(heights_of(judged.scene.points))[:, :3]
+    colours = HEIGHTS(heights_of(assessed.scene.points))[:, :3]
     outline = draw_discs(axes, coloured(room, 0.35 + 0.65 * colours), np.eye(3))
-    frame, heights = judged.upright[:2, :2], judged.scene.bounds[:, 2].tolist()
-    strength = min(1.0, 2.0 / np.sqrt(len(judged.placement.cameras)))
-    for number, placed in enumerate(judged.placement.cameras):
+    frame, heights = assessed.upright[:2, :2], assessed.scene.bounds[:, 2].tolist()
+    strength = min(1.0, 2.0 / np.sqrt(len(assessed.placement.cameras)))
+    for number, placed in enumerate(assessed.placement.cameras):
         colour = camera_colour(number)
         seen = reach(placed.camera.model, placed.pose, heights)
         part = Polygon(seen @ frame.T, facecolor=(*to_rgb(colour), 0.2 * strength),
                        edgecolor=(*to_rgb(colour), 0.9 * strength), linewidth=1.0, zorder=3)
         axes.add_patch(part).set_clip_path(outline)
     _hide_outside(axes, room)
-    draw_zones(axes, judged.objective.rig, frame, 3.8)
-    _frame(axes, room, judged, 0.1)
-    letters = _draw_walls(axes, judged)
-    places = judged.positions @ judged.upright[:2].T
-    longer = max(wall.length for wall in judged.walls)
-    draw_headings(axes, judged.placement, places, 0.07 * longer * frame, 1.2)
-    draw_numbers(axes, places, 7.0, _area(judged), letters, always=True)
-    for axis, start, wall in zip((axes.xaxis, axes.yaxis), _corners(judged)[0], judged.walls):
-        ticks = _ticks(wall.length)
+    _frame(axes, assessed, 0.1, room.points[:, :2])
+    _draw_marks(axes, assessed, 1.0)
+
+
+def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
+    """
+    Draw walls with letters and ticks, zones and cameras on a plan.
+
+    A side of the room that is mostly no wall is dashed. Letters of inner walls are moved away from
+    cameras and other letters.
+
+    :param scale: size of letters and lines, in multiples of those on the sheet.
+    """
+    (left, bottom), (right, top) = corners = _corners(assessed)
+    sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
+             ((right, left), (bottom, bottom)), ((left, left), (bottom, top))]
+    for wall, (x, y) in zip(assessed.walls, sides):
+        axes.plot(x, y, color=INK, linewidth=0.9, linestyle='-' if wall.stands else (0, (3, 3)),
+                  zorder=4)
+    frame, places = assessed.upright[:2, :2], assessed.plan_positions
+    longer = max(assessed.size)
+    away = LETTER_SHARE * longer
+    x, y = corners.mean(axis=0)
+    letters = np.array([(x, top + away), (right + away, y), (x, bottom - away), (left - away, y)])
+    style = {'zorder': 5, 'path_effects': [patheffects.withStroke(linewidth=2.5 * scale,
+                                                                  foreground='white')]}
+    draw_letters(axes, assessed.walls, letters, 10.0 * scale, **style)
+    inner = assessed.references.inner
+    beside = [frame @ (wall.at + 0.5 * away * wall.outward) for wall in inner]
+    draw_letters(axes, inner, apart(
+        np.array(beside).reshape(-1, 2), LETTER_SPACING * scale * unit_of(axes),
+        np.concatenate([letters, places])), 7.0 * scale, **style)
+    draw_zones(axes, assessed.objective.rig, frame, 3.8)
+    draw_headings(axes, assessed.placement, places, 0.07 * longer * frame, 1.2 * scale)
+    draw_numbers(axes, places, 7.0 * scale, float(np.prod(assessed.size)), letters, always=True)
+    for axis, start, length in zip((axes.xaxis, axes.yaxis), corners[0], assessed.size):
+        ticks = _ticks(length)
         axis.set_ticks(start + ticks, [f'{tick:g}' for tick in ticks])
-    axes.tick_params(colors=PALE_INK, labelsize=6.5, length=2.0, pad=1.5)
+    axes.tick_params(colors=PALE_INK, labelsize=6.5 * scale, length=2.0, pad=1.5)
 
 
 def _ticks(length: float) -> np.ndarray:
     """Return about five round distances up to a length, metres."""
-    step = BARS[min(np.searchsorted(BARS, length / 6.0), len(BARS) - 1)]
+    steps = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
+    step = steps[min(np.searchsorted(steps, length / 6.0), len(steps) - 1)]
     return np.arange(0.0, length + 1e-6, step)
 
 
 def _hide_outside(axes: Axes, room: Room) -> None:
     """Cover the area outside the room with white, for example outside an L-shaped room."""
     flat = room.points[:, :2]
-    low = flat.min(axis=0) - 4 * FINE
-    cells = np.floor((flat - low) / FINE).astype(int)
+    low = flat.min(axis=0) - 4 * INSIDE_CELL
+    cells = np.floor((flat - low) / INSIDE_CELL).astype(int)
     inside = np.zeros(cells.max(axis=0) + 5, dtype=bool)
     inside[tuple(cells.T)] = True
     ball = ndimage.iterate_structure(ndimage.generate_binary_structure(2, 1), 4)
     inside = ndimage.binary_fill_holes(ndimage.binary_closing(inside, ball))
     cover = np.ones((*inside.T.shape, 4))
     cover[..., 3] = 1.0 - np.minimum(ndimage.gaussian_filter(1.6 * inside.T, 0.7), 1.0)
-    high = low + FINE * np.array(inside.shape)
+    high = low + INSIDE_CELL * np.array(inside.shape)
     axes.imshow(cover, extent=(low[0], high[0], low[1], high[1]), origin='lower',
                 interpolation='bilinear', zorder=3.5)
 
 
-def _draw_walls(axes: Axes, judged: Assessment) -> np.ndarray:
-    """
-    Draw the rectangle around the room and its letters; a side that is mostly no wall is dashed.
-
-    :returns: (4, 2) places of its letters. Letters of inner walls are moved away from cameras.
-    """
-    (left, bottom), (right, top) = _corners(judged)
-    sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
-             ((right, left), (bottom, bottom)), ((left, left), (bottom, top))]
-    for wall, (x, y) in zip(judged.walls, sides):
-        axes.plot(x, y, color=INK, linewidth=0.9, linestyle='-' if wall.stands else (0, (3, 3)),
-                  zorder=4)
-    away = 0.055 * max(right - left, top - bottom)
-    places, least = judged.positions @ judged.upright[:2].T, LETTER * unit_of(axes)
-    letters = _around(judged, away)
-    draw_letters(axes, judged.walls, letters, 10, zorder=5, path_effects=_halo(2.5))
-    draw_inner_letters(
-        axes, judged.references.inner, judged.upright[:2, :2], 0.5 * away, least,
-        np.concatenate([letters, places]), 7, zorder=5, path_effects=_halo(2.0))
-    return letters
-
-
-def _halo(width: float) -> list[patheffects.AbstractPathEffect]:
-    """Return the path effect of a white outline around letters, of a width in points."""
-    return [patheffects.withStroke(linewidth=width, foreground='white')]
-
-
-def _corners(judged: Assessment) -> np.ndarray:
+def _corners(assessed: Assessment) -> np.ndarray:
     """Return the corners of walls D and C, and B and A, in the plan's frame: (2, 2) metres."""
-    top, right, bottom, left = (wall.offset for wall in judged.walls)
+    top, right, bottom, left = (wall.offset for wall in assessed.walls)
     return np.array([[-left, -bottom], [right, top]])
 
 
-def _around(judged: Assessment, away: float) -> np.ndarray:
-    """Return places ``away`` metres outside the centres of walls A to D in the plan: (4, 2)."""
-    (left, bottom), (right, top) = corners = _corners(judged)
-    x, y = corners.mean(axis=0)
-    return np.array([(x, top + away), (right + away, y), (x, bottom - away), (left - away, y)])
-
-
-def _area(judged: Assessment) -> float:
-    """Return the area of the rectangle around the room, square metres."""
-    return judged.walls[0].length * judged.walls[1].length
-
-
-def _frame(axes: Axes, room: Room, judged: Assessment, margin: float) -> None:
-    """Fit the axes to the room, its walls and cameras."""
-    fit(axes, np.concatenate([judged.positions @ judged.upright[:2].T, room.points[:, :2],
-                              _corners(judged)]), margin)
+def _frame(axes: Axes, assessed: Assessment, margin: float, *shown: np.ndarray) -> None:
+    """Fit the axes to walls and cameras, and to other places (M, 2)."""
+    fit(axes, np.concatenate([assessed.plan_positions, _corners(assessed), *shown]), margin)
     axes.spines[:].set_visible(False)
 
 
-def draw_count_map(axes: Axes, room: Room, judged: Assessment) -> None:
+def draw_count_map(axes: Axes, room: Room, assessed: Assessment) -> None:
     """Draw the room from above, coloured by the number of cameras that see each point."""
-    draw_discs(axes, shaded(room, count_colours(judged)), np.eye(3), contrast=0.25)
-    _small_map(axes, room, judged)
+    draw_discs(axes, shaded(room, count_colours(assessed)), np.eye(3), contrast=0.25)
+    _small_map(axes, room, assessed)
 
 
-def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
+def draw_error_map(axes: Axes, room: Room, assessed: Assessment) -> AxesImage:
     """
     Draw a map of the depth error in millimetres for each square metre of the plan.
 
     :returns: the image, for a colour bar.
     """
-    pale = np.full((len(judged.scene), 3), 0.88)
+    pale = np.full((len(assessed.scene), 3), 0.88)
     draw_discs(axes, shaded(room, pale), np.eye(3), contrast=0.5)
-    flat = judged.scene.points.astype(np.float64) @ judged.upright[:2].T
+    flat = assessed.scene.points.astype(np.float64) @ assessed.upright[:2].T
     low, size = flat.min(axis=0), np.ptp(flat, axis=0)
-    edge = float(np.clip(size.max() / CELLS, *CELL))
+    edge = float(np.clip(size.max() / ERROR_CELLS, *ERROR_CELL_LIMITS))
     shape = np.floor(size / edge).astype(int) + 1
     cell = np.ravel_multi_index(tuple(np.floor((flat - low) / edge).astype(int).T), shape)
-    sums = np.bincount(cell, judged.lost, minlength=shape.prod()).reshape(shape)
+    sums = np.bincount(cell, assessed.error_by_point, minlength=shape.prod()).reshape(shape)
     density = 1000.0 * sums / edge ** 2
     most = max(float(np.percentile(density[density > 0.0], 99.0)) if density.any() else 0.0, 1.0)
     # Cells below a hundredth of the maximum stay transparent, so that the room is visible.
@@ -241,35 +238,35 @@ def draw_error_map(axes: Axes, room: Room, judged: Assessment) -> AxesImage:
                         norm=PowerNorm(0.5, 0.0, most), origin='lower', zorder=2,
                         extent=(low[0], low[0] + shape[0] * edge, low[1],
                                 low[1] + shape[1] * edge))
-    _small_map(axes, room, judged)
+    _small_map(axes, room, assessed)
     return image
 
 
-def _small_map(axes: Axes, room: Room, judged: Assessment) -> None:
+def _small_map(axes: Axes, room: Room, assessed: Assessment) -> None:
     """Fit the axes of a map to the room, and draw the cameras' numbers."""
     axes.set_xticks([])
     axes.set_yticks([])
-    _frame(axes, room, judged, 0.02)
-    draw_numbers(axes, judged.positions @ judged.upright[:2].T, 5.0, _area(judged))
+    _frame(axes, assessed, 0.02, room.points[:, :2])
+    draw_numbers(axes, assessed.plan_positions, 5.0, float(np.prod(assessed.size)))
 
 
-def draw_look(axes: Axes, room: Room, judged: Assessment, azimuth: float) -> None:
+def draw_look(axes: Axes, room: Room, assessed: Assessment, azimuth: float) -> None:
     """
     Draw the room in perspective without the front walls, coloured by the number of cameras.
 
     :param azimuth: radians, direction of the viewer in the frame of the plan: 0 is to the right.
     """
-    room = shaded(room, count_colours(judged))
+    room = shaded(room, count_colours(assessed))
     eye = eye_at(room.points, azimuth)
     part = cut_open(room, eye.view)
     outline = draw_discs(axes, part, eye.view, eye, 0.5)
     floor = float(np.percentile(room.points[:, 2], 2.0))
-    long = min(CONE * float(np.ptp(room.points, axis=0).max()), LONGEST)
-    places = judged.positions @ judged.upright.T
+    longest = min(FRUSTUM_SHARE * float(np.ptp(room.points, axis=0).max()), LONGEST_FRUSTUM)
+    places = assessed.positions @ assessed.upright.T
     shown = [outline.get_xy(), eye(places)]
-    for number, (placed, place) in enumerate(zip(judged.placement.cameras, places)):
+    for number, (placed, place) in enumerate(zip(assessed.placement.cameras, places)):
         model = placed.camera.model
-        cone = eye(edges(model, placed.pose, min(long, model.max_range)) @ judged.upright.T)
+        cone = eye(edges(model, placed.pose, min(longest, model.max_range)) @ assessed.upright.T)
         shown.append(cone)
         axes.plot(*cone.T, color=camera_colour(number), linewidth=0.7, zorder=4)
         axes.plot(*eye(np.stack([place, [*place[:2], floor]])).T, color=INK, linewidth=0.6,
@@ -280,89 +277,93 @@ def draw_look(axes: Axes, room: Room, judged: Assessment, azimuth: float) -> Non
     draw_numbers(axes, eye(places), 5.0, 0.5 * float(np.prod(np.ptp(outline.get_xy(), axis=0))))
 
 
-def draw_floor_plan(path: Path, judged: Assessment) -> None:
+def draw_floor_plan(path: Path, assessed: Assessment) -> None:
     """Write the installer's plan as PNG."""
-    save_figure(floor_plan_of(judged), path, dpi=100)
+    save_figure(floor_plan_of(assessed), path, dpi=100)
 
 
-def floor_plan_of(judged: Assessment) -> Figure:
+def floor_plan_of(assessed: Assessment) -> Figure:
     """Draw the installer's plan: the room, wall A at the top, cameras and measured distances."""
-    scene, frame = judged.scene, judged.upright[:2, :2]
+    scene = assessed.scene
     low, high = scene.bounds[:, 2]
-    points = scene.points[(scene.points[:, 2] > low + LOW) & (scene.points[:, 2] < high - HIGH)]
-    flat = points[::max(len(points) // PLAN_SHOWN, 1), :2] @ frame.T
-    (left, bottom), (right, top) = corners = _corners(judged)
-    figure = Figure(figsize=_inches(right - left, top - bottom), dpi=100, facecolor='white')
-    axes = figure.add_axes((0.05, 0.05, 0.9, 0.9), aspect='equal')
-    axes.set_axis_off()
+    points = scene.points[(scene.points[:, 2] > low + FLOOR_LAYER)
+                          & (scene.points[:, 2] < high - CEILING_LAYER)]
+    flat = points[::max(len(points) // PLAN_POINTS, 1), :2] @ assessed.upright[:2, :2].T
+    scale = LONGER_EDGE / max(assessed.size)
+    figure = Figure(figsize=[max(scale * edge, LEAST_EDGE) for edge in assessed.size], dpi=100,
+                    facecolor='white')
+    axes = figure.add_axes((0.05, 0.08, 0.9, 0.9))
     axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
-    axes.plot([right, right, left, left, right], [top, bottom, bottom, top, top], color=INK,
-              lw=1.0)
-    margin = 0.05 * max(wall.length for wall in judged.walls)
-    letters = _around(judged, margin)
-    draw_letters(axes, judged.walls, letters, LETTERS)
-    places = judged.positions[:, :2] @ frame.T
-    _draw_distances(axes, judged, places, frame, margin)
-    shown = np.concatenate([places, corners])
-    low, high = shown.min(axis=0) - 2.0 * margin, shown.max(axis=0) + 2.0 * margin
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-    draw_zones(axes, judged.objective.rig, frame, 1.5)
-    explained = zone_legend(judged.objective.rig)
+    _frame(axes, assessed, 0.1)
+    _draw_distances(axes, assessed)
+    _draw_marks(axes, assessed, PLAN_SCALE)
+    _draw_axes(axes, assessed, 0.1 * max(assessed.size))
+    explained = zone_legend(assessed.objective.rig)
     if explained:
         figure.legend(explained.values(), explained.keys(), loc='lower center', frameon=False,
                       ncols=len(explained), fontsize=10, labelcolor=INK)
-    draw_headings(axes, judged.placement, places, 2.0 * margin * frame, 2.0)
-    draw_numbers(axes, places, NUMBERS, _area(judged), letters, always=True)
-    draw_scale_bar(axes, 10.0)
-    _draw_axes(axes, judged, frame, 2.0 * margin)
     return figure
 
 
-def _draw_axes(axes: Axes, judged: Assessment, frame: np.ndarray, length: float) -> None:
+def draw_curve(path: Path, found: Mapping[str, Any]) -> None:
+    """
+    Draw shares and depth error against the number of cameras as PNG.
+
+    :param found: with the data of counted cameras, ``curve`` and ``count``.
+    """
+    rows, count = found['curve'], found['count']
+    figure = Figure(figsize=(7.0, 4.5), dpi=100, facecolor='white')
+    axes = figure.add_subplot()
+    cameras = [row['cameras'] for row in rows]
+    for (name, (_, label)), style in zip(SHARES.items(), ('o-', 's--', '^:')):
+        axes.plot(cameras, [100.0 * row[f'share_{name}'] for row in rows], style,
+                  color=INK if name == count['by'] else PALE_INK, label=label)
+    axes.axhline(100.0 * count['target'], color=INK, lw=0.8, ls=':')
+    axes.set(xlabel='cameras', ylabel='per cent', xticks=cameras, ylim=(0.0, 102.0))
+    error = axes.twinx()
+    error.plot(cameras, [row['depth_error'] for row in rows], 'x-', color='tab:red',
+               label='depth error')
+    error.set_ylim(bottom=0.0)
+    error.set_ylabel('depth error (m)', color='tab:red')
+    axes.legend(loc='center right', fontsize=8)
+    axes.set_title(count_sentence(count), fontsize=9)
+    figure.tight_layout()
+    save_figure(figure, path, dpi=100)
+
+
+def _draw_axes(axes: Axes, assessed: Assessment, length: float) -> None:
     """Draw the coordinate axes at a corner of the room, of a length in metres."""
-    corner, origin = frame @ judged.corner.at, judged.frame.to_map(np.zeros(3))
+    frame = assessed.upright[:2, :2]
+    corner, origin = frame @ assessed.corner.at, assessed.frame.to_map(np.zeros(3))
     # Move the axes from the corner into the room.
-    corner = corner + 0.15 * length * np.sign(_corners(judged).mean(axis=0) - corner)
+    corner = corner + 0.15 * length * np.sign(_corners(assessed).mean(axis=0) - corner)
     for name, unit in zip('xyz', np.eye(3)):
-        way = judged.frame.to_map(unit) - origin
+        way = assessed.frame.to_map(unit) - origin
         way = frame @ way[:2] / np.linalg.norm(way)
         if np.linalg.norm(way) < 0.5:
             continue
-        end = corner + length * way
-        axes.annotate('', end, corner, zorder=5, arrowprops={
+        axes.annotate('', corner + length * way, corner, zorder=5, arrowprops={
             'arrowstyle': '-|>', 'color': PALE_INK, 'lw': 1.5, 'shrinkA': 0.0, 'shrinkB': 0.0})
         x, y = corner + 1.15 * length * way
-        axes.text(x, y, name, fontsize=10, color=PALE_INK, ha='center',
-                  va='center', zorder=5)
+        axes.text(x, y, name, fontsize=10, color=PALE_INK, ha='center', va='center', zorder=5)
 
 
-def _inches(width: float, depth: float) -> tuple[float, float]:
-    """Return width and height in inches of a picture of a room, whose size is in metres."""
-    scale = LONG / max(width, depth)
-    return max(scale * width, SHORT), max(scale * depth, SHORT)
-
-
-def _write_distance(axes: Axes, middle: np.ndarray, way: np.ndarray, away: float) -> None:
-    """Write a distance along its line."""
-    turn = np.rad2deg(np.arctan2(way[1], way[0]))
-    axes.text(middle[0], middle[1], f'{100.0 * away:.0f} cm', fontsize=8, color=INK,
-              ha='center', va='center', rotation=(turn + 90.0) % 180.0 - 90.0,
-              bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0}, zorder=3.0)
-
-
-def _draw_distances(axes: Axes, judged: Assessment, places: np.ndarray, frame: np.ndarray,
-                    margin: float) -> None:
-    """Draw the measured distances, and the letters of walls inside the room."""
+def _draw_distances(axes: Axes, assessed: Assessment) -> None:
+    """Draw the measured distances: dashed lines, with the numbers where these are readable."""
+    frame, longer = assessed.upright[:2, :2], max(assessed.size)
+    places = assessed.plan_positions
     # Places of cameras and written distances, which must not be covered.
     taken = places
-    for place, distances in zip(places, judged.references.distances):
+    for place, distances in zip(places, assessed.references.distances):
         for distance in distances:
             at = frame @ distance.at
-            axes.plot(*np.stack([place, at]).T, color=INK, lw=0.8, ls=(0, (2, 2)))
+            axes.plot(*np.stack([place, at]).T, color=INK, lw=0.8, ls=(0, (2, 2)), zorder=4)
             middle = 0.4 * place + 0.6 * at
-            free = np.linalg.norm(taken - middle, axis=1).min() > 1.5 * margin
-            if free and np.linalg.norm(at - place) > MEASURED * margin:
-                _write_distance(axes, middle, at - place, distance.away)
+            free = np.linalg.norm(taken - middle, axis=1).min() > 0.5 * MEASURED_SHARE * longer
+            if free and np.linalg.norm(at - place) > MEASURED_SHARE * longer:
+                turn = np.rad2deg(np.arctan2(*(at - place)[::-1]))
+                axes.text(middle[0], middle[1], f'{100.0 * distance.away:.0f} cm', fontsize=8,
+                          color=INK, ha='center', va='center', zorder=4.5,
+                          rotation=(turn + 90.0) % 180.0 - 90.0,
+                          bbox={'facecolor': 'white', 'edgecolor': 'none', 'pad': 1.0})
                 taken = np.vstack([taken, middle])
-    draw_inner_letters(axes, judged.references.inner, frame, 0.4 * margin, 0.6 * margin, places,
-                       INNER)

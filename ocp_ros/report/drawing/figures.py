@@ -38,10 +38,10 @@ FALLBACKS = ('Noto Sans CJK JP', 'Noto Sans CJK SC', 'Noto Sans CJK KR', 'Source
              'WenQuanYi Micro Hei', 'WenQuanYi Zen Hei', 'Droid Sans Fallback', 'IPAGothic',
              'NanumGothic', 'Hiragino Sans', 'PingFang SC', 'Apple SD Gothic Neo',
              'Microsoft YaHei', 'Yu Gothic', 'Malgun Gothic', 'Arial Unicode MS')
-#: Points in an inch.
-POINTS = 72.0
-#: Gap between two columns, inches, and smallest readable font size, points.
-GAP, SMALLEST = 0.14, 5.2
+#: Gap between two columns, inches.
+COLUMN_GAP = 0.14
+#: Smallest readable font size, points.
+LEAST_FONT_SIZE = 5.2
 
 
 def save_figure(figure: Figure, path: str | Path, **options: Any) -> None:
@@ -75,9 +75,9 @@ def all_letters() -> Iterator[None]:
 
 @lru_cache(maxsize=10000)
 def width_of(text: str, size: float, bold: bool = False) -> float:
-    """Return the width of a text, inches, at a font size in points."""
+    """Return the width of a text, inches, at a font size in points: 72 are an inch."""
     font = FontProperties(weight='bold' if bold else 'normal', size=size)
-    return text_to_path.get_text_width_height_descent(text, font, False)[0] / POINTS
+    return text_to_path.get_text_width_height_descent(text, font, False)[0] / 72.0
 
 
 def in_one_line(text: str) -> str:
@@ -108,8 +108,8 @@ def write(figure: Figure, place: tuple[float, float], text: str, width: float, s
     """
     x, y = place / figure.get_size_inches()
     whole = in_one_line(text)
-    while size > SMALLEST and width_of(whole, size, bold) > width:
-        size = max(size - 0.2, SMALLEST)
+    while size > LEAST_FONT_SIZE and width_of(whole, size, bold) > width:
+        size = max(size - 0.2, LEAST_FONT_SIZE)
     figure.text(x, y, shortened(text, width, size, bold), fontsize=size, color=colour,
                 fontweight='bold' if bold else 'normal', va='center', ha=align)
 
@@ -125,13 +125,13 @@ def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Seq
     :param colours: of the first cell of each row except the head.
     """
     left, bottom, width, height = box
-    room = width - GAP * (len(rows[0]) - 1)
+    room = width - COLUMN_GAP * (len(rows[0]) - 1)
 
     def widths(size: float) -> list[float]:
         return [max(width_of(row[k], size, n == 0 or k == 0) for n, row in enumerate(rows))
                 for k in range(len(rows[0]))]
-    while sum(widths(size)) > room and size > SMALLEST:
-        size = max(size - 0.2, SMALLEST)
+    while sum(widths(size)) > room and size > LEAST_FONT_SIZE:
+        size = max(size - 0.2, LEAST_FONT_SIZE)
     columns = widths(size)
     if sum(columns) > room:
         # Limit the columns to a common largest width at which all fit.
@@ -140,14 +140,12 @@ def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Seq
     else:
         # Distribute the remaining width among the columns.
         columns = [one + (room - sum(columns)) / len(columns) for one in columns]
-    figure_width, figure_height = figure.get_size_inches()
     step = height / len(rows)
     for n, row in enumerate(rows):
         at, y = left, bottom + height - (n + 0.5) * step
         for k, (cell, wide) in enumerate(zip(row, columns)):
             colour = PALE_INK if n == 0 else colours[n - 1] if k == 0 else INK
             write(figure, (at, y), cell, wide, size, colour, n == 0 or k == 0)
-            at += wide + GAP
-        level = (y - 0.5 * step) / figure_height
-        figure.add_artist(Line2D([left / figure_width, (left + width) / figure_width],
-                                 [level, level], color='#c9ced3', linewidth=0.3 if n else 0.8))
+            at += wide + COLUMN_GAP
+        figure.add_artist(Line2D([left, left + width], [y - 0.5 * step] * 2, color='#c9ced3',
+                                 linewidth=0.3 if n else 0.8, transform=figure.dpi_scale_trans))

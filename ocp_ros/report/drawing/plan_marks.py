@@ -21,8 +21,8 @@ from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch, Polygon
 import numpy as np
-from ocp_ros.planning.wall_references import InnerWall, ReferenceWall
 from ocp_ros.report.drawing.room_drawing import INK
+from ocp_ros.report.wall_references import InnerWall, ReferenceWall
 from ocp_ros.rig.placement_file import Placement
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.zones import Zone
@@ -31,13 +31,12 @@ from ocp_ros.rig.zones import Zone
 CAMERA_COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#332288', '#f0e442',
                   '#8c6d31')
 #: Distance between the centres of two numbers, inches for each point of font size.
-APART = 0.032
-#: Smallest readable font size of numbers, points, and largest share of a room's picture that
-#: numbers may cover.
-LEAST, HIDDEN = 4.5, 0.35
-#: Possible lengths of a scale bar, and distances between two ticks, metres.
-BARS = (0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0)
-NONE = np.empty((0, 2))
+NUMBER_SPACING = 0.032
+#: Smallest readable font size of numbers, points.
+LEAST_FONT_SIZE = 4.5
+#: Largest share of a room's picture that numbers may cover.
+LARGEST_COVER = 0.35
+NO_PLACES = np.empty((0, 2))
 #: Edge colour, hatching and line style of each kind of zone.
 STYLES = {
     'must-see region': {'edgecolor': '#00664d', 'hatch': '//', 'linestyle': '-'},
@@ -72,7 +71,7 @@ def apart(places: np.ndarray, least: float, taken: np.ndarray, rounds: int = 100
 
 
 def draw_numbers(axes: Axes, places: np.ndarray, size: float, area: float,
-                 taken: np.ndarray = NONE, always: bool = False) -> None:
+                 taken: np.ndarray = NO_PLACES, always: bool = False) -> None:
     """
     Draw cameras (K, 2) as dots with numbers; numbers that would overlap are moved to the side.
 
@@ -85,13 +84,13 @@ def draw_numbers(axes: Axes, places: np.ndarray, size: float, area: float,
     :param always: draw numbers even if they cover too much.
     """
     unit = unit_of(axes)
-    size = min(size, float(np.sqrt(HIDDEN * area / len(places))) / unit / APART)
-    if size < LEAST and not always:
+    size = min(size, float(np.sqrt(LARGEST_COVER * area / len(places))) / unit / NUMBER_SPACING)
+    if size < LEAST_FONT_SIZE and not always:
         for number, place in enumerate(places):
             _draw_dot(axes, place, camera_colour(number))
         return
-    size = max(size, LEAST)
-    least = APART * size * unit
+    size = max(size, LEAST_FONT_SIZE)
+    least = NUMBER_SPACING * size * unit
     for number, (place, label) in enumerate(zip(places, apart(places, least, taken))):
         colour = camera_colour(number)
         if np.linalg.norm(label - place) > 0.2 * least:
@@ -135,23 +134,6 @@ def draw_headings(axes: Axes, placement: Placement, places: np.ndarray, frame: n
                                       'lw': width, 'shrinkA': 0.0, 'shrinkB': 0.0})
 
 
-def draw_scale_bar(axes: Axes, size: float) -> None:
-    """
-    Draw a scale bar below the lower left corner of a plan in metres.
-
-    :param size: of the letters, points.
-    """
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    longest = 0.25 * max(right - left, top - bottom)
-    length = max((one for one in BARS if one <= longest), default=BARS[0])
-    x, y = left + 0.01 * (right - left), bottom + 0.012 * (top - bottom)
-    axes.plot([x, x, x, x + length, x + length, x + length],
-              [y, y + 0.012 * (top - bottom), y, y, y + 0.012 * (top - bottom), y],
-              color=INK, linewidth=1.0, zorder=8, clip_on=False, solid_capstyle='butt')
-    axes.text(x + 1.06 * length, y, f'{length:g} m', fontsize=size, color=INK, va='center',
-              zorder=8)
-
-
 def dark(colour: str) -> tuple[float, float, float]:
     """Return a colour, darkened if needed so that white letters on it are readable."""
     rgb = np.array(to_rgb(colour))
@@ -173,23 +155,6 @@ def draw_letters(axes: Axes, walls: Sequence[ReferenceWall | InnerWall], places:
                   va='center', **style)
 
 
-def draw_inner_letters(axes: Axes, walls: Sequence[InnerWall], frame: np.ndarray, away: float,
-                       least: float, taken: np.ndarray, size: float, **style: Any) -> None:
-    """
-    Write letters beside walls inside the room.
-
-    :param frame: (2, 2) rotation from the map frame to that of the picture.
-    :param away: metres, from a wall to its letter.
-    :param least: metres, between two letters.
-    :param taken: (L, 2) places of other marks.
-    :param size: of the letters, points.
-    :param style: other properties of the texts.
-    """
-    beside = [frame @ (wall.at + away * wall.outward) for wall in walls]
-    places = apart(np.array(beside).reshape(-1, 2), least, taken)
-    draw_letters(axes, walls, places, size, **style)
-
-
 def corners_of(zone: Zone) -> np.ndarray:
     """Return the corners of a zone seen from above: (P, 2) metres, map frame."""
     if zone.polygon is not None:
@@ -198,11 +163,13 @@ def corners_of(zone: Zone) -> np.ndarray:
     return np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
 
 
-def zones_of(rig: Rig) -> list[tuple[str, Zone]]:
-    """Return the kind of each zone of a rig, a key of :data:`STYLES`, and the zone."""
-    return [*(('must-see region' if region.must_see else 'weighted region', region.zone)
-              for region in rig.regions), *(('keep-out zone', zone) for zone in rig.keep_out),
-            *(('mounting zone', zone) for zone in rig.keep_in)]
+def zones_of(rig: Rig) -> list[tuple[str, str, Zone]]:
+    """Return each zone of a rig: its kind, which is a key of :data:`STYLES`, name and shape."""
+    return [*(('must-see region' if region.must_see else 'weighted region', region.name,
+               region.zone) for region in rig.regions),
+            *((kind, f'{kind} {number}', zone)
+              for kind, zones in (('keep-out zone', rig.keep_out), ('mounting zone', rig.keep_in))
+              for number, zone in enumerate(zones, start=1))]
 
 
 def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
@@ -212,7 +179,7 @@ def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
     :param frame: (2, 2) rotation from the map frame to that of the plan.
     :param level: drawing order (zorder).
     """
-    for kind, zone in zones_of(rig):
+    for kind, _, zone in zones_of(rig):
         axes.add_patch(Polygon(corners_of(zone) @ frame.T, facecolor='none', linewidth=1.2,
                                zorder=level, label=kind, **STYLES[kind]))
 
@@ -220,4 +187,4 @@ def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
 def zone_legend(rig: Rig) -> dict[str, Patch]:
     """Return the legend entries of the kinds of zones that a rig has."""
     return {kind: Patch(facecolor='none', **STYLES[kind])
-            for kind in dict.fromkeys(kind for kind, _ in zones_of(rig))}
+            for kind in dict.fromkeys(kind for kind, *_ in zones_of(rig))}

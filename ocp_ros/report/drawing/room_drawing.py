@@ -25,7 +25,8 @@ from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.scenes.scene import PLANE_NEIGHBOURS
 from scipy.spatial import cKDTree, ConvexHull
 
-INK, PALE_INK = '#1c2530', '#66707c'
+INK = '#1c2530'
+PALE_INK = '#66707c'
 #: Lightness decreases evenly with height, so that walls are dark in the plan.
 HEIGHTS = LinearSegmentedColormap.from_list(
     'heights', ['#e6e4dc', '#c9cfd1', '#a3aeb6', '#748593', '#4a5b6b', '#2a3644'])

@@ -23,11 +23,10 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
-from matplotlib.offsetbox import AnnotationBbox, OffsetImage
 from matplotlib.patches import Circle, Patch, Polygon
 import numpy as np
 from ocp_ros.report.drawing.figures import save_figure
-from ocp_ros.report.drawing.plan_marks import camera_colour
+from ocp_ros.report.drawing.plan_marks import camera_colour, draw_numbers
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
     fit,
@@ -105,53 +104,21 @@ def coloured(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
     return colours
 
 
-def _disc_grid(size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return x, y (up) and the distance from the centre on a square around the unit disc."""
-    x, y = np.meshgrid(np.linspace(-1.0, 1.0, size), np.linspace(1.0, -1.0, size))
-    return x, y, np.hypot(x, y)
-
-
-def _draw_range(axes: Axes, centre: np.ndarray, max_range: float, colour: str, strength: float,
-                clip: Polygon) -> None:
-    """Draw the range of a camera as a disc: transparent inside, coloured towards its rim."""
-    r = _disc_grid(256)[2]
-    image = np.full((*r.shape, 4), (*to_rgb(colour), 0.0))
-    image[..., 3] = np.where(r < 1.0, 0.22 * strength * r ** 8, 0.0)
-    (x, y), m = centre, max_range
-    axes.imshow(image, extent=(x - m, x + m, y - m, y + m), zorder=2).set_clip_path(clip)
-    rim = Circle((x, y), m, fill=False, edgecolor=colour, linewidth=1.2, zorder=2,
-                 alpha=0.4 + 0.3 * strength)
-    axes.add_patch(rim).set_clip_path(clip)
-
-
-def draw_ball(axes: Axes, at: np.ndarray, label: str, colour: str) -> None:
-    """Draw a camera as a shiny ball with a label."""
-    x, y, r = _disc_grid(64)
-    light = np.clip(1.0 - np.hypot(x + 0.35, y - 0.4) / 1.5, 0.0, 1.0)[..., None]
-    base = np.array(to_rgb(colour))
-    shaded = base * (0.45 + 0.65 * light) + np.clip(light - 0.6, 0.0, 1.0) * 1.4 * (1.0 - base)
-    alpha = np.clip((1.0 - r) * 16.0, 0.0, 1.0)[..., None]
-    image = OffsetImage(np.concatenate([np.clip(shaded, 0.0, 1.0), alpha], 2), zoom=0.44)
-    axes.add_artist(AnnotationBbox(image, at, frameon=False, pad=0.0, zorder=6))
-    axes.text(at[0], at[1], label, color='white', fontsize=11, fontweight='bold', ha='center',
-              va='center_baseline', zorder=7,
-              path_effects=[patheffects.withStroke(linewidth=2.2, foreground=INK)])
-
-
 def _draw_cameras(axes: Axes, paths: np.ndarray, max_range: float, clip: Polygon) -> None:
     """Draw ranges, paths (T, K, 2), starts and final positions, and fit the axes to them."""
-    # With many cameras the discs are paler, so that the room stays visible.
+    fit(axes, np.concatenate([clip.get_xy(), *paths]), 0.03)
+    # With many cameras the ranges are paler, so that the room stays visible.
     strength = min(1.0, 2.0 / np.sqrt(paths.shape[1]))
     casing = [patheffects.withStroke(linewidth=4.5, foreground='white')]
     for k in range(paths.shape[1]):
         colour, path = camera_colour(k), paths[:, k]
-        _draw_range(axes, path[-1], max_range, colour, strength, clip)
+        axes.add_patch(Circle(path[-1], max_range, fill=False, edgecolor=colour, linewidth=1.5,
+                              alpha=0.4 + 0.4 * strength, zorder=2)).set_clip_path(clip)
         if len(path) > 1:
             axes.plot(*path.T, color=colour, linewidth=2.4, zorder=4, path_effects=casing)
             axes.plot(*path[0], 'o', markersize=7, markerfacecolor='white', markeredgewidth=2.0,
                       markeredgecolor=colour, zorder=5)
-        draw_ball(axes, path[-1], str(k + 1), colour)
-    fit(axes, np.concatenate([clip.get_xy(), *paths]), 0.03)
+    draw_numbers(axes, paths[-1], 11.0, float(np.prod(np.ptp(clip.get_xy(), axis=0))), always=True)
 
 
 def draw_plan(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:

@@ -14,7 +14,6 @@
 
 """Assessment of a placement in a room: the data that reports show, each computed once."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -23,9 +22,9 @@ import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import MESH
-from ocp_ros.planning.camera_words import aim_of, Words, words_for
-from ocp_ros.planning.findings import evaluate_placement, scores_of
-from ocp_ros.planning.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
+from ocp_ros.report.camera_words import aim_of, named, Words, words_for
+from ocp_ros.report.findings import evaluate_placement, scores_of
+from ocp_ros.report.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
 from ocp_ros.rig.placement_file import created_by, data_of, Placement
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene
@@ -34,10 +33,8 @@ from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 
-#: Scores that differ by at most this are the same.
-SAME = 1e-6
-#: Column heads of the installer's table, without the one of the camera's number.
-COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z')
+#: Largest difference between equal objective values.
+LOSS_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +51,22 @@ class Assessment:
 
     objective: Objective
     placement: Placement
-    found: Mapping[str, Any]
+    found: dict[str, Any]
     frame_asked: str | None = None
+
+    @classmethod
+    def of(cls, problem: Problem, placement: Placement, frame: str | None = None,
+           **more: Any) -> 'Assessment':
+        """
+        Evaluate a placement that has its rig and the record of its room.
+
+        :param problem: the rig in the room.
+        :param frame: requested frame of files, ``'map'`` or ``'source'``.
+        :param more: other data to report.
+        """
+        found = {'room': placement.room, 'cameras': data_of(placement)['cameras'],
+                 **evaluate_placement(problem, placement.poses), **more}
+        return cls(problem.objective, replace(placement, scores=found['scores']), found, frame)
 
     @property
     def frame(self) -> SourceFrame:
@@ -77,6 +88,11 @@ class Assessment:
         """Return the positions of all cameras: (K, 3) metres, map frame."""
         return np.array([placed.position for placed in self.placement.cameras])
 
+    @property
+    def plan_positions(self) -> np.ndarray:
+        """Return the positions in a plan with wall A at the top: (K, 2) metres."""
+        return self.positions @ self.upright[:2].T
+
     @cached_property
     def counts(self) -> np.ndarray:
         """Return the number of cameras that see each point: (N,) int."""
@@ -90,12 +106,12 @@ class Assessment:
         return self.counts < self.objective.rig.seen_by
 
     @cached_property
-    def lost(self) -> np.ndarray:
+    def error_by_point(self) -> np.ndarray:
         """Return the part of the depth error at each point: (N,) metres; the sum is the error."""
-        simulator, lost = self.objective.simulator, np.empty(len(self.scene))
+        errors = np.empty(len(self.scene))
         seen = self.objective.evaluate(self.placement.poses).seen
-        lost[seen.order] = simulator.depth_error.error_by_point(seen.bits)
-        return lost
+        errors[seen.order] = self.objective.simulator.depth_error.error_by_point(seen.bits)
+        return errors
 
     @cached_property
     def references(self) -> WallReferences:
@@ -106,6 +122,11 @@ class Assessment:
     def walls(self) -> list[ReferenceWall]:
         """Return the sides of the rectangle around the room, A to D."""
         return self.references.sides
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Return the lengths of walls A and B, metres."""
+        return self.walls[0].length, self.walls[1].length
 
     @cached_property
     def floor(self) -> float:
@@ -132,8 +153,7 @@ class Assessment:
     @property
     def rows(self) -> list[list[str]]:
         """Return the rows of the installer's table: number of a camera, then :data:`COLUMNS`."""
-        return [[str(number), f'{words.name} (fixed)' if placed.mount == 'fixed' else words.name,
-                 *words[1:]]
+        return [[str(number), named(words.name, placed.mount), *words[1:]]
                 for number, (placed, words) in enumerate(
                     zip(self.placement.cameras, self.words), start=1)]
 
@@ -158,21 +178,20 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     :raises ConfigurationError: if the placement's rig cannot be used in this room.
     """
     rig = placement.rig_in(scene)
-    engine, notes = placement.engine, []
+    engine = placement.engine
+    notes = []
     if engine.preset == MESH and scene.mesh is None:
         engine = replace(engine, preset=PROMISING.preset)
         notes = [f'the placement was planned by rays cast at a mesh, and {scene.name} is none; '
                  f'the scores are those of the preset {engine.preset}']
     problem = Problem.of(scene, rig, SimulationConfig(engine=engine))
-    found = {'room': room, 'cameras': data_of(placement)['cameras'],
-             **evaluate_placement(problem, placement.poses)}
-    scores = found['scores']
-    if (planned := placement.planned_poses) is not None:
-        found['planned'] = scores_of(problem.objective, problem.look(planned))
-    found['notes'] += [*notes, *_notes(placement, room, scores)]
     created = created_by(command, placement.created.get('planner', ''))
-    return Assessment(problem.objective, replace(
-        placement, rig=rig, room=room, scores=scores, created=created), found, frame)
+    assessed = Assessment.of(problem, replace(placement, rig=rig, room=room, created=created),
+                             frame)
+    if (planned := placement.planned_poses) is not None:
+        assessed.found['planned'] = scores_of(problem.objective, problem.look(planned))
+    assessed.found['notes'] += [*notes, *_notes(placement, room, assessed.found['scores'])]
+    return assessed
 
 
 def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -> list[str]:
@@ -181,7 +200,7 @@ def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -
     if placement.room.get('sha256') not in (None, room['sha256']):
         return ['the file was made for another scan; the scores in the file are not those of '
                 'this scan']
-    if isinstance(before, float) and abs(before - scores['loss']) > SAME:
+    if isinstance(before, float) and abs(before - scores['loss']) > LOSS_TOLERANCE:
         return [f'the file has the objective value {before:.6f}; found {scores["loss"]:.6f}: '
                 'rig, points or engine are not those that it was scored with']
     return []

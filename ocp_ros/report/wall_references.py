@@ -28,28 +28,44 @@ import numpy as np
 from ocp_ros.rig.structure import standing_of, STEEP
 from ocp_ros.scenes.scene import Scene
 
-#: Percentage of points that may lie outside the room, seen through doors and windows; thickness of
-#: a wall's points, metres; largest distance of a wall from the edge of the scan, metres.
-STRAY, SHEET, INSIDE = 0.3, 0.1, 1.5
-#: Number of histogram bins of wall directions in 90 degrees, and largest angle between the points'
-#: normals and the direction of their wall, degrees.
-BINS, TURNED = 90, 5.0
-#: Length of the parts of a side, metres, and smallest share of parts with points for a wall.
-PART, STANDS = 0.25, 0.3
-#: Metres: largest distance of a reference wall; half the width of the strip that is searched for
-#: it; largest gap between its end and the line of measurement; largest distance of a camera's
-#: front behind it, by the noise of the scan.
-FAR, STRIP, BESIDE, BEHIND = 15.0, 0.5, 0.05, 0.03
+#: Percentage of points that may lie outside the room, seen through doors and windows.
+STRAY_PERCENT = 0.3
+#: Thickness of a wall's points, metres.
+SHEET = 0.1
+#: Largest distance of a wall from the edge of the scan, metres.
+LARGEST_INSET = 1.5
+#: Number of histogram bins of wall directions in 90 degrees.
+DIRECTION_BINS = 90
+#: Largest angle between the points' normals and the direction of their wall, degrees.
+NORMAL_TOLERANCE_DEGREES = 5.0
+#: Length of the parts of a side, metres.
+PART_LENGTH = 0.25
+#: Smallest share of parts with points for a wall.
+LEAST_WALL_SHARE = 0.3
+#: Largest distance of a reference wall, metres.
+LONGEST_DISTANCE = 15.0
+#: Half the width of the strip in which a reference wall is searched, metres.
+STRIP = 0.5
+#: Largest gap between the end of a wall and the line of measurement, metres.
+END_TOLERANCE = 0.05
+#: Largest distance of a camera's front behind its wall, by the noise of the scan, metres.
+BEHIND_TOLERANCE = 0.03
 #: A surface below a camera is the reference if it is nearer than the wall at the camera's height
 #: by more than this, metres: it is reached by a plumb line.
-NEARER = 1.0
-#: Smallest area in that strip, square metres, and smallest number of points of a wall; and the
-#: height above and below a camera in which these are counted, metres: the beam of a level laser
-#: does not meet beams or cupboards at other heights.
-PIECE, FEWEST, LEVEL = 0.15, 3, 0.3
-#: Smallest cosine between the normals of a wall and the direction to it, and between the normals
-#: of the same wall; largest unevenness of a wall, metres.
-FACING, ALIKE, UNEVEN = 0.94, 0.98, 0.15
+PLUMB_GAIN = 1.0
+#: Smallest area of a wall in the strip, square metres.
+LEAST_WALL_AREA = 0.15
+#: Smallest number of points of a wall in the strip.
+LEAST_WALL_POINTS = 3
+#: Height above and below a camera in which points of a wall count, metres: the beam of a level
+#: laser does not meet beams or cupboards at other heights.
+LEVEL = 0.3
+#: Smallest cosine between the normals of a wall and the direction to it.
+FACING_COSINE = 0.94
+#: Smallest cosine between the normals of parts of the same wall.
+SAME_WALL_COSINE = 0.98
+#: Largest unevenness of a wall, metres.
+UNEVENNESS = 0.15
 
 
 class ReferenceWall(NamedTuple):
@@ -70,10 +86,10 @@ class ReferenceWall(NamedTuple):
     stands: bool
 
     @property
-    def said(self) -> str:
+    def description(self) -> str:
         """Return the letter and the length, with a remark if most of the side is no wall."""
         return f'{self.letter} {self.length:.2f} m' + (
-            '' if self.stands else f' (less than {100.0 * STANDS:.0f} % of it is wall)')
+            '' if self.stands else f' (less than {100.0 * LEAST_WALL_SHARE:.0f} % of it is wall)')
 
 
 class Corner(NamedTuple):
@@ -107,11 +123,11 @@ def walls_around(scene: Scene) -> list[ReferenceWall]:
     upright = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
     normals, areas = scene.normals_or_estimate[upright], scene.pitch[upright] ** 2
     turn = np.deg2rad(_direction(normals, areas))
-    ahead, right = (np.array([-np.sin(turn), np.cos(turn)]),
-                    np.array([np.cos(turn), np.sin(turn)]))
+    ahead = np.array([-np.sin(turn), np.cos(turn)])
+    right = np.array([np.cos(turn), np.sin(turn)])
     flat = scene.points[:, :2].astype(np.float64)
     outwards = [ahead, right, -ahead, -right]
-    edges = [np.percentile(flat @ outward, 100.0 - STRAY) for outward in outwards]
+    edges = [np.percentile(flat @ outward, 100.0 - STRAY_PERCENT) for outward in outwards]
     spans = [edges[1] + edges[3], edges[0] + edges[2]] * 2
     sides = [_side(flat[upright], outward, edge, span)
              for outward, edge, span in zip(outwards, edges, spans)]
@@ -124,10 +140,11 @@ def walls_around(scene: Scene) -> list[ReferenceWall]:
 def _direction(normals: np.ndarray, areas: np.ndarray) -> float:
     """Return the rotation of walls with normals (M, 3) to the axes: degrees from -45 to 45."""
     angles = np.rad2deg(np.arctan2(normals[:, 1], normals[:, 0])) % 90.0
-    counts, _ = np.histogram(angles, BINS, (0.0, 90.0), weights=areas)
-    found = (np.argmax(counts + np.roll(counts, 1) + np.roll(counts, -1)) + 0.5) * 90.0 / BINS
+    counts, _ = np.histogram(angles, DIRECTION_BINS, (0.0, 90.0), weights=areas)
+    best = np.argmax(counts + np.roll(counts, 1) + np.roll(counts, -1))
+    found = (best + 0.5) * 90.0 / DIRECTION_BINS
     off = (angles - found + 45.0) % 90.0 - 45.0
-    near = np.abs(off) <= TURNED
+    near = np.abs(off) <= NORMAL_TOLERANCE_DEGREES
     if near.any():
         found += np.average(off[near], weights=areas[near])
     return float((found + 45.0) % 90.0 - 45.0)
@@ -144,10 +161,10 @@ def _side(upright: np.ndarray, outward: np.ndarray, edge: float, span: float
     :returns: the offset of the wall, metres, and True; or the edge and False without a wall.
     """
     out = upright @ outward
-    parts = np.floor(upright @ [-outward[1], outward[0]] / PART)
-    for offset in np.arange(edge + SHEET, edge - INSIDE, -0.5 * SHEET):
+    parts = np.floor(upright @ [-outward[1], outward[0]] / PART_LENGTH)
+    for offset in np.arange(edge + SHEET, edge - LARGEST_INSET, -0.5 * SHEET):
         near = np.abs(out - offset) <= 0.5 * SHEET
-        if len(np.unique(parts[near])) >= STANDS * span / PART:
+        if len(np.unique(parts[near])) >= LEAST_WALL_SHARE * span / PART_LENGTH:
             # The points of the wall may extend farther inwards than this step.
             return float(np.median(out[np.abs(out - np.median(out[near])) <= 0.5 * SHEET])), True
     return float(edge), False
@@ -170,11 +187,11 @@ class InnerWall(NamedTuple):
     at: np.ndarray
     top: float
 
-    def said(self, sides: Sequence[ReferenceWall], floor: float) -> str:
+    def description(self, sides: Sequence[ReferenceWall], floor: float) -> str:
         """Return its position relative to the sides of a room and its height, in words."""
         top = f'{self.letter} (up to {100.0 * (self.top - floor):.0f} cm high'
         along = max(sides, key=lambda side: float(side.outward @ self.outward))
-        if float(along.outward @ self.outward) < ALIKE:
+        if float(along.outward @ self.outward) < SAME_WALL_COSINE:
             return f'{top}, at an angle)'
         away = 100.0 * (along.offset - along.outward @ self.at)
         return f'{top}, parallel to wall {along.letter} and {away:.0f} cm from it)'
@@ -211,19 +228,21 @@ class WallReferences:
         self.sides = walls_around(scene)
         self.inner: list[InnerWall] = []
         self._surface = standing_of(scene)
-        self._least = max(FEWEST, int(PIECE / float(np.median(scene.pitch)) ** 2))
+        self._least_points = max(
+            LEAST_WALL_POINTS, int(LEAST_WALL_AREA / float(np.median(scene.pitch)) ** 2))
         self.distances = [self._around(np.asarray(position)) for position in positions]
 
     def _around(self, position: np.ndarray) -> list[Distance]:
         """Measure from the wall of a camera's mount, or a near one, and a perpendicular one."""
         contact = self._surface.at(position[None])
-        ahead, hung = self.sides[0].outward, []
+        ahead = self.sides[0].outward
+        mounted_on = []
         if contact.on[0]:
             ahead = -contact.normals[0, :2]
-            hung = [(float(contact.distances[0]), ahead)]
+            mounted_on = [(float(contact.distances[0]), ahead)]
         across = self._either(position, np.array([ahead[1], -ahead[0]]))
         nearest = [min(walls, key=itemgetter(0))
-                   for walls in (hung or self._either(position, ahead), across) if walls]
+                   for walls in (mounted_on or self._either(position, ahead), across) if walls]
         return [self._distance(position, *one) for one in sorted(nearest, key=itemgetter(0))]
 
     def _either(self, position: np.ndarray, way: np.ndarray) -> list[tuple[float, np.ndarray]]:
@@ -237,7 +256,7 @@ class WallReferences:
         for outward in (way, -way):
             level, under = (self._away(position, outward, *band) for band in (
                 (-LEVEL, LEVEL), (-np.inf, LEVEL)))
-            if level is None or under is not None and under < level - NEARER:
+            if level is None or under is not None and under < level - PLUMB_GAIN:
                 level = under if under is not None else self._away(
                     position, outward, -np.inf, np.inf)
             if level is not None:
@@ -262,27 +281,27 @@ class WallReferences:
         ways = self._surface.points[:, :2] - position[:2]
         above = self._surface.points[:, 2] - position[2]
         level = (low <= above) & (above <= high)
-        facing = level & (np.abs(self._surface.normals[:, :2] @ outward) >= FACING)
+        facing = level & (np.abs(self._surface.normals[:, :2] @ outward) >= FACING_COSINE)
         aside, away = ways @ [-outward[1], outward[0]], ways @ outward
-        strip = np.flatnonzero(facing & (np.abs(aside) <= STRIP) & (away >= -BEHIND)
-                               & (away <= FAR + SHEET))
+        strip = np.flatnonzero(facing & (np.abs(aside) <= STRIP) & (away >= -BEHIND_TOLERANCE)
+                               & (away <= LONGEST_DISTANCE + SHEET))
         strip = strip[np.argsort(away[strip], kind='stable')]
         aside, away = aside[strip], away[strip]
         ends = np.searchsorted(away, away + SHEET, side='right')
-        for first in np.flatnonzero(ends - np.arange(len(away)) >= self._least):
+        for first in np.flatnonzero(ends - np.arange(len(away)) >= self._least_points):
             sheet = slice(first, ends[first])
             # Skip a wall that ends beside the line of measurement.
-            if aside[sheet].min() <= BESIDE and aside[sheet].max() >= -BESIDE:
+            if aside[sheet].min() <= END_TOLERANCE and aside[sheet].max() >= -END_TOLERANCE:
                 found = float(np.median(away[sheet]))
-                return found if found <= FAR else None
+                return found if found <= LONGEST_DISTANCE else None
         return None
 
     def _wall(self, outward: np.ndarray, at: np.ndarray) -> ReferenceWall | InnerWall:
         """Return the wall at a place; add a new one with the next letter if there is none."""
         known: list[ReferenceWall | InnerWall] = [*self.sides, *self.inner]
         for wall in known:
-            if (abs(float(wall.outward @ outward)) >= ALIKE
-                    and abs(wall.offset - wall.outward @ at) <= UNEVEN):
+            if (abs(float(wall.outward @ outward)) >= SAME_WALL_COSINE
+                    and abs(wall.offset - wall.outward @ at) <= UNEVENNESS):
                 return wall
         letter = letter_of(len(self.sides) + len(self.inner))
         away = np.linalg.norm(self._surface.points[:, :2] - at, axis=1)

@@ -12,4 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Plan a rig in a room and assess its placement: the functions that commands call."""
+"""Templates of the written files: texts in which ``$names`` are replaced."""
+
+from importlib import resources
+from string import Template
+from typing import Any
+
+
+def fill_template(name: str, **values: Any) -> str:
+    """Return the text of a file in this folder with its ``$names`` replaced."""
+    template = resources.files(__package__).joinpath(name).read_text('utf-8')
+    return Template(template).substitute(values)

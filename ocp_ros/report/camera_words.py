@@ -24,23 +24,29 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
-from ocp_ros.planning.wall_references import Distance, FAR, ReferenceWall
-from ocp_ros.rig.placement_file import Placed
+from ocp_ros.report.wall_references import Distance, LONGEST_DISTANCE, ReferenceWall
+from ocp_ros.rig.placement_file import FIXED, Placed
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
 
-#: Degrees: a smaller angle counts as 0 (straight, level, upright); beyond this pitch a camera
-#: looks straight down or up.
-STRAIGHT, DOWN = 0.5, 85.0
-#: Smallest distance of the point that a camera is aimed at, metres; largest distance of this point
-#: from the optical axis, metres; largest height that counts as on the floor, centimetres.
-NEAREST, ASIDE, ON_FLOOR = 0.3, 0.08, 5.0
+#: A smaller angle counts as 0: straight, level, upright.
+STRAIGHT_DEGREES = 0.5
+#: Beyond this pitch a camera looks straight down or up.
+VERTICAL_DEGREES = 85.0
+#: Smallest distance of the point at the centre of a camera's picture, metres.
+LEAST_AIM_DISTANCE = 0.3
+#: Largest distance of this point from the optical axis, metres.
+AIM_TOLERANCE = 0.08
+#: Largest height that counts as on the floor, centimetres.
+ON_FLOOR_CM = 5.0
 #: Decimals of coordinates in metres.
 DECIMALS = 3
+#: Column heads of the installer's table for the fields of :class:`Words`.
+COLUMNS = ('camera', 'sensor', 'place', 'height', 'pan', 'tilt', 'x, y, z')
 
 
 class Words(NamedTuple):
-    """Mounting instructions for one camera."""
+    """Mounting instructions for one camera, in the order of :data:`COLUMNS`."""
 
     name: str
     sensor: str
@@ -68,11 +74,12 @@ def words_for(placed: Placed, distances: Sequence[Distance], sides: Sequence[Ref
 
 def _place(distances: Sequence[Distance]) -> str:
     """Return the distances to near walls in words, or that there is none."""
-    told = [f'{100.0 * one.away:.0f} cm {"beyond" if one.beyond else "from"} wall {one.letter}'
-            for one in distances]
-    if len(told) < 2:
-        told.append(f'no {"other " * len(told)}wall within {FAR:.0f} m: use x, y, z')
-    return ', '.join(told)
+    words = [f'{100.0 * one.away:.0f} cm {"beyond" if one.beyond else "from"} wall {one.letter}'
+             for one in distances]
+    if len(words) < 2:
+        other = 'other ' * len(words)
+        words.append(f'no {other}wall within {LONGEST_DISTANCE:.0f} m: use x, y, z')
+    return ', '.join(words)
 
 
 def aim_of(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor: float) -> str:
@@ -87,21 +94,27 @@ def aim_of(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor: 
     if placed.camera.model.omnidirectional:
         return ''
     ahead = rotation_matrix(*placed.pose[3:])[:, 0]
-    ways = scene.points - placed.pose[:3]
-    along = ways @ ahead
-    aside = np.linalg.norm(ways - along[:, None] * ahead, axis=1)
-    near = np.flatnonzero((along > NEAREST) & (aside <= np.maximum(scene.pitch, ASIDE)))
+    offsets = scene.points - placed.pose[:3]
+    along = offsets @ ahead
+    aside = np.linalg.norm(offsets - along[:, None] * ahead, axis=1)
+    near = np.flatnonzero((along > LEAST_AIM_DISTANCE)
+                          & (aside <= np.maximum(scene.pitch, AIM_TOLERANCE)))
     if len(near) == 0:
         return ''
     # Among the points on the first surface, take the one nearest to the optical axis.
-    near = near[along[near] <= along[near].min() + NEAREST]
+    near = near[along[near] <= along[near].min() + LEAST_AIM_DISTANCE]
     at = placed.pose[:3] + along[near[np.argmin(aside[near])]] * ahead
     above = 100.0 * (at[2] - floor)
-    height = 'on the floor' if abs(above) < ON_FLOOR else f'{above:.0f} cm above the floor'
+    height = 'on the floor' if abs(above) < ON_FLOOR_CM else f'{above:.0f} cm above the floor'
     away = [abs(wall.offset - wall.outward @ at[:2]) for wall in sides]
     nearest = [min(pair, key=away.__getitem__) for pair in ((0, 2), (1, 3))]
     return ', '.join([height, *(f'{100.0 * away[side]:.0f} cm from wall {sides[side].letter}'
                                 for side in sorted(nearest, key=away.__getitem__))])
+
+
+def named(name: str, mount: str) -> str:
+    """Return the name of a camera, with a remark if it is mounted already."""
+    return f'{name} (fixed)' if mount == FIXED else name
 
 
 def lens_of(model: CameraModel) -> str:
@@ -126,14 +139,14 @@ def _pan(placed: Placed, walls: Sequence[ReferenceWall]) -> str:
         return 'any heading'
     yaw, pitch, _ = placed.angles
     # If a camera looks straight up or down, the pan is the direction of the top of the picture.
-    turn = np.deg2rad(yaw + (180.0 if pitch < -DOWN else 0.0))
+    turn = np.deg2rad(yaw + (180.0 if pitch < -VERTICAL_DEGREES else 0.0))
     ahead = np.array([np.cos(turn), np.sin(turn)])
     wall = max(walls, key=lambda wall: wall.outward @ ahead)
     left = np.rad2deg(np.arctan2(wall.outward[0] * ahead[1] - wall.outward[1] * ahead[0],
                                  wall.outward @ ahead))
-    facing = f'top of the picture to wall {wall.letter}' if abs(pitch) > DOWN else (
+    facing = f'top of the picture to wall {wall.letter}' if abs(pitch) > VERTICAL_DEGREES else (
         f'face wall {wall.letter} squarely')
-    if abs(left) < STRAIGHT:
+    if abs(left) < STRAIGHT_DEGREES:
         return facing
     return f'{facing}, then turn {_degrees(left)} to the {"left" if left > 0 else "right"}'
 
@@ -148,9 +161,9 @@ def _tilt(placed: Placed) -> str:
     _, pitch, roll = placed.angles
     if placed.camera.model.omnidirectional:
         return 'upright'
-    tilt = 'level' if abs(pitch) < STRAIGHT else (
+    tilt = 'level' if abs(pitch) < STRAIGHT_DEGREES else (
         f'{_degrees(pitch)} {"down" if pitch > 0 else "up"}')
-    if abs(roll) >= STRAIGHT:
+    if abs(roll) >= STRAIGHT_DEGREES:
         side = 'clockwise' if roll > 0 else 'anticlockwise'
         tilt += f', rolled {_degrees(roll)} {side} seen from behind'
     return tilt

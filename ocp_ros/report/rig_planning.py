@@ -15,31 +15,35 @@
 """Plan a rig in a room: the search, the proof, and the assessment of the result."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from math import ceil
 from typing import Any, NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
-from ocp_ros.planning.assessment import Assessment, COLUMNS
-from ocp_ros.planning.findings import evaluate_placement
-from ocp_ros.rig.placement_file import created_by, data_of, Placement, placement_of
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.camera_words import COLUMNS
+from ocp_ros.rig.placement_file import created_by, Placement, placement_of
 from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
+from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
 from ocp_ros.simulation.ray_visibility import with_rays
 
-#: Default number of cameras, and default seconds of search: for a given number of cameras, and for
-#: each number if the number is chosen.
-CAMERAS, SECONDS, SECONDS_EACH = 4, 60.0, 15.0
+#: Default number of cameras.
+CAMERAS = 4
+#: Default seconds of search for a given number of cameras.
+SECONDS = 60.0
+#: Default seconds of search for each number of cameras, if the number is chosen.
+SECONDS_EACH = 15.0
 #: Default mount: cameras cannot be mounted in mid-air.
 MOUNT = 'walls'
 #: Share of the seconds for the proof.
-PROVING = 0.25
+PROOF_SHARE = 0.25
 #: Smallest reported optimality gap, per cent.
-LEAST_PERCENT = 0.1
+LEAST_GAP_PERCENT = 0.1
 
 
 class Counting(NamedTuple):
@@ -89,7 +93,7 @@ class PlanTask:
         if seconds is None or self.planner == RIG_SEARCH:
             # The search of ``RIG_SEARCH`` includes the proof.
             return Budget(seconds, self.evaluations), seconds
-        return Budget((1.0 - PROVING) * seconds, self.evaluations), PROVING * seconds
+        return Budget((1.0 - PROOF_SHARE) * seconds, self.evaluations), PROOF_SHARE * seconds
 
 
 class PlannedRig:
@@ -109,7 +113,8 @@ class PlannedRig:
 
     def __init__(self, scene: Scene, rig: Rig, task: PlanTask, budget: Budget,
                  proving: float | None = None, progress: Progress | None = None) -> None:
-        self.task, self.budget = task, budget
+        self.task = task
+        self.budget = budget
         # A mesh gives the exact occlusion of its points by ray casting.
         exact = scene.mesh is not None and scene.mesh.exact
         self.engine = with_rays(PROMISING, scene) if exact else PROMISING
@@ -150,16 +155,13 @@ class PlannedRig:
         :param placement: from :meth:`placement`.
         :param frame: requested frame of files, ``'map'`` or ``'source'``.
         """
-        problem = self.planner.problem(self.best.rig)
-        found = {'room': placement.room, 'cameras': data_of(placement)['cameras'],
-                 **evaluate_placement(problem, placement.poses), 'search': self._search()}
-        if self.task.counting is not None:
-            found |= {'curve': rows_of_curve(self.plans), 'count': self._count()}
-        judged = Assessment(problem.objective, replace(placement, scores=found['scores']), found,
-                            frame)
-        found['installer'] = [dict(zip(['number', *COLUMNS], row)) | {'aim': aim}
-                              for row, aim in zip(judged.rows, judged.aims)]
-        return judged
+        counted = {} if self.task.counting is None else {
+            'curve': rows_of_curve(self.plans), 'count': self._count()}
+        assessed = Assessment.of(self.planner.problem(self.best.rig), placement, frame,
+                                 search=self._search(), **counted)
+        assessed.found['installer'] = [dict(zip(['number', *COLUMNS], row)) | {'aim': aim}
+                                       for row, aim in zip(assessed.rows, assessed.aims)]
+        return assessed
 
     def _count(self) -> dict[str, Any]:
         """Return the number of cameras that reaches the target, and the last that does not."""
@@ -180,26 +182,26 @@ class PlannedRig:
                            'best': float(random.min()) if len(random) else None},
                 'everywhere': {'loss': plan.union_bound.loss,
                                'depth_error': plan.union_bound.depth_error},
-                'certificate': certificate_data(plan)}
+                'certificate': certificate_data(plan.certificate, plan.uncertain)}
 
 
-def certificate_data(plan: RigPlan) -> dict[str, Any]:
+def certificate_data(proof: Certificate | None, uncertain: str = '') -> dict[str, Any]:
     """
-    Return the certificate of a plan as plain data.
+    Return a certificate as plain data.
 
+    :param uncertain: reason why there is none.
     :returns: ``sentence``, and the values in it; ``gap`` is None without a certificate.
     """
-    known = plan.certificate
-    if known is None:
-        return {'sentence': f'The optimality gap is unknown: {plan.uncertain}.', 'gap': None}
-    apart = f'{known.step:.2g} m' + (f' and {known.turn:g} degrees' if known.turn else '')
-    gained = (f'; moving off this grid gained {100.0 * known.moved:.1f} %'
-              if known.moved >= LEAST_PERCENT / 100.0 else '')
-    return {'sentence': f'No placement on {known.candidates:,} candidate poses ({apart} apart, '
+    if proof is None:
+        return {'sentence': f'The optimality gap is unknown: {uncertain}.', 'gap': None}
+    spacing = f'{proof.step:.2g} m' + (f' and {proof.turn:g} degrees' if proof.turn else '')
+    gain = (f'; moving off this grid gained {100.0 * proof.moved:.1f} %'
+            if proof.moved >= LEAST_GAP_PERCENT / 100.0 else '')
+    return {'sentence': f'No placement on {proof.candidates:,} candidate poses ({spacing} apart, '
                         f'closer around the cameras) is better by more than '
-                        f'{max(gap_percent(known.gap), LEAST_PERCENT):.1f} %{gained} (computed on '
-                        f'depth maps of {known.rows} rows).',
-            'gap': known.gap, 'moved': known.moved, **asdict(known)}
+                        f'{gap_percent(proof.gap):.1f} %{gain} (computed '
+                        f'on depth maps of {proof.rows} rows).',
+            'gap': proof.gap, 'moved': proof.moved, **asdict(proof)}
 
 
 def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
@@ -213,4 +215,4 @@ def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
 
 def gap_percent(gap: float) -> float:
     """Return a gap in per cent, rounded up to tenths, so that it remains an upper limit."""
-    return ceil(1000.0 * gap - 0.01) / 10.0
+    return max(ceil(1000.0 * gap - 0.01) / 10.0, LEAST_GAP_PERCENT)

@@ -1,0 +1,300 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""
+The facts of a placement in words: every number with its unit and rounding, and every sentence.
+
+The terminal, the HTML page, the PNG sheet and the installer's page arrange these texts.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+import re
+import shlex
+from typing import Any, NamedTuple
+
+from ocp_ros.report.assessment import Assessment
+from ocp_ros.report.camera_words import named
+from ocp_ros.report.rig_planning import gap_percent
+from ocp_ros.rig.placement_file import ANGLES
+from ocp_ros.search.registry import OBSERVED, planner_names
+from ocp_ros.util.terminal_text import printable
+
+#: Folders before a file name, in a word of a command line.
+FOLDERS = re.compile(r'(?<![^=])[^=]*/(?=[^/])')
+REGION_COLUMNS = ('region', 'seen', 'required', 'satisfied')
+#: Denominator of each share of a number of cameras: as a column head, and in a sentence.
+SHARES = {'seen': ('of visible points', 'points that can be seen'),
+          'coverage': ('of reachable space', 'space that can be covered'),
+          'error': ('of error reduction', 'possible error reduction')}
+
+
+class Figure(NamedTuple):
+    """A key figure: its name, its value with the unit, and a remark."""
+
+    label: str
+    value: str
+    remark: str
+
+
+class CameraFacts(NamedTuple):
+    """A camera: name, position, angles in degrees, and what the rig loses without this camera."""
+
+    name: str
+    position: str
+    angles: str
+    reduction: str
+    only: str
+
+
+@dataclass(frozen=True)
+class Facts:
+    """
+    Facts of a placement in words.
+
+    :ivar verdict: whether all constraints are satisfied, and whether the scan is doubtful.
+    :ivar satisfied: whether all constraints are satisfied and there are no doubts.
+    :ivar doubts: possible errors of the room or the file, a sentence each.
+    :ivar figures: the key figures.
+    :ivar cameras: one for each camera.
+    :ivar regions: the cells of :data:`REGION_COLUMNS` for each region.
+    :ivar links: pairs of cameras that can be calibrated to each other; '' if not required.
+    :ivar certificate: a sentence on the optimality gap; '' if the placement was not planned.
+    """
+
+    verdict: str
+    satisfied: bool
+    doubts: list[str]
+    figures: list[Figure]
+    cameras: list[CameraFacts]
+    regions: list[tuple[str, ...]]
+    links: str
+    certificate: str
+
+
+@dataclass(frozen=True)
+class PageFacts(Facts):
+    """
+    Facts of a placement with its room, for pages.
+
+    :ivar title: name of the room and number of cameras.
+    :ivar subtitle: size of the room, number of points and sensors.
+    :ivar origin: planner, command, date and version of the placement.
+    :ivar meaning: corrections of the scan, and the definition of distances.
+    :ivar frame: unit and frame of the coordinates.
+    :ivar walls: letter and length of each side of the room.
+    """
+
+    title: str
+    subtitle: str
+    origin: str
+    meaning: str
+    frame: str
+    walls: str
+
+
+def facts_of(found: Mapping[str, Any]) -> Facts:
+    """
+    Return the facts of a placement.
+
+    :param found: plain data of ``ocp score --json`` or ``ocp plan --json``.
+    """
+    scores, broken = found['scores'], found['broken']
+    doubts = [printable(note) for note in found['notes']]
+    verdict = (f'{counted(len(broken), "constraint")} violated' if broken else
+               'all constraints are satisfied')
+    if doubts:
+        verdict += f', {"and" if broken else "but"} the scan is doubtful'
+    cameras = [CameraFacts(named(added['name'], placed['mount']),
+                           ', '.join(f'{value:.2f}' for value in placed['position']),
+                           ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
+                           f'{added["depth_error"]:.3f} m', percent(added['only']))
+               for placed, added in zip(found['cameras'], scores['cameras'])]
+    regions = [(region['name'], f'{percent(region["seen"])} of its {region["of"]}',
+                percent(region['must_see']), 'yes' if region['met'] else 'no')
+               for region in scores['regions']]
+    certificate = found['search']['certificate']['sentence'] if 'search' in found else ''
+    links = links_line(scores['calibratable']) if 'calibratable' in scores else ''
+    return Facts(verdict, not (broken or doubts), doubts, _figures(found), cameras, regions,
+                 links, certificate)
+
+
+def page_facts_of(assessed: Assessment) -> PageFacts:
+    """Return the facts of a placement with its room."""
+    scene, frame = assessed.scene, assessed.frame
+    cameras, created = assessed.placement.cameras, assessed.placement.created
+    sensors = Counter(placed.camera.sensor or 'own sensor' for placed in cameras)
+    width, depth = assessed.size
+    origin = '; '.join(filter(None, [
+        f'found by the planner {created["planner"]}' if 'planner' in created else '',
+        f'made by {without_folders(created["command"])}' if 'command' in created else '',
+        created.get('date', ''),
+        f'ocp_ros {created["version"]}' if 'version' in created else '']))
+    return PageFacts(
+        **vars(facts_of(assessed.found)),
+        title=f'{scene.name}: {counted(len(cameras), "camera")}',
+        subtitle=f'{width:.1f} x {depth:.1f} x {scene.size[2]:.1f} m, {len(scene):,} points; '
+        + ', '.join(f'{count} x {sensor.replace("_", " ")}' for sensor, count in sensors.items()),
+        origin=printable(origin), meaning=printable('; '.join([
+            *scene.remarks, 'distances are perpendicular to the walls, to the centre of the front '
+            'of a camera'])),
+        frame=f'metres in the frame of the {"scan" if scene.source.is_map else "map"}'
+        if frame.is_map else 'in the axes and units of the scan' + (
+            '' if frame.scale == 1.0 else f', {frame.scale:g} m each'),
+        walls=', '.join(wall.description for wall in assessed.walls))
+
+
+def score_figures(scores: Mapping[str, Any], expected: Mapping[str, float]) -> list[Figure]:
+    """
+    Return the key figures that scores give.
+
+    :param scores: from :func:`~ocp_ros.report.findings.scores_of`.
+    :param expected: from :func:`~ocp_ros.report.findings.expected`.
+    """
+    by = 'a camera' if scores['seen_by'] == 1 else f'{scores["seen_by"]} cameras'
+    twice = sum(count for cameras, count in scores['overlap'].items() if cameras not in '01')
+    return [
+        Figure('depth error', metres(scores['depth_error']),
+               f'{metres(scores["depth_error_of_nothing"])} without cameras'),
+        Figure('expected (9 of 10 rooms)', metres(expected['depth_error']),
+               f'{metres(expected["low"])} to {metres(expected["high"])}'),
+        Figure('seen', percent(scores['seen']), f'of the points, by {by}'),
+        Figure('seen twice', percent(twice / scores['points']), 'by two cameras or more'),
+        Figure('space coverage', f'{scores["space_coverage"]:.1f} m³',
+               f'of {scores["volume"]:.1f} m³ in all')]
+
+
+def _figures(found: Mapping[str, Any]) -> list[Figure]:
+    """Return all key figures of a placement."""
+    scores, missed = found['scores'], found['missed']
+    figures = [*score_figures(scores, found['expected']),
+               Figure('missed', percent(missed['share']),
+                      f'no candidate sees {percent(missed["hopeless"])}')]
+    if regions := scores['regions']:
+        worst = min(regions, key=lambda region: region['seen'] - region['must_see'])
+        figures.append(Figure(
+            'regions', f'{sum(region["met"] for region in regions)} of {len(regions)} met',
+            f'{worst["name"]}: {percent(worst["seen"])} seen'))
+    if links := scores.get('calibratable'):
+        groups = len(links['groups'])
+        figures.append(Figure('overlap', 'connected' if groups == 1 else f'{groups} groups',
+                              f'pairs share {percent(links["overlap"])} or more'))
+    proof = found['search']['certificate'] if 'search' in found else {'gap': None}
+    if proof['gap'] is not None:
+        figures.append(Figure('better by at most', f'{gap_percent(proof["gap"]):.1f} %',
+                              f'on {proof["candidates"]:,} candidate poses'))
+    if more := found['one_more']:
+        place = ', '.join(f'{value:.1f}' for value in more['position'])
+        figures.append(Figure('one more camera', f'-{metres(max(more["gain"], 0.0))}',
+                              f'depth error, at {place}'))
+    return figures
+
+
+def links_line(links: Mapping[str, Any]) -> str:
+    """
+    Return the pairs of cameras that can be calibrated to each other.
+
+    :param links: the key ``calibratable`` of the scores.
+    """
+    pairs = ', '.join(f'{" and ".join(pair["cameras"])} {percent(pair["overlap"])}'
+                      for pair in links['pairs'] if pair['linked'])
+    return (f'calibratable: overlaps of {percent(links["overlap"])} or more under at most '
+            f'{links["angle"]:.0f} degrees: {pairs or "none"}')
+
+
+def details_of(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what the key figures summarise: counts, comparison, missed places, suggestion."""
+    scores, more, planned = found['scores'], found['one_more'], found.get('planned')
+    yield 'seen by ' + ', '.join(f'{cameras}: {percent(count / scores["points"])}'
+                                 for cameras, count in scores['overlap'].items())
+    for place in found['missed']['places']:
+        low, high = (', '.join(f'{value:.2f}' for value in place[end]) for end in ('low', 'high'))
+        yield f'missed: {percent(place["share"])} from ({low}) to ({high})'
+    if more is None:
+        yield 'one more camera: there is no feasible pose for it'
+    else:
+        at = ', '.join(f'{value:.2f}' for value in more['position'])
+        yield (f'one more {more["sensor"]} helps most at ({at}), yaw {more["yaw"]:.0f}, pitch '
+               f'{more["pitch"]:.0f}: depth error {metres(more["depth_error"])}')
+    if planned:
+        yield (f'as planned: depth error {metres(planned["depth_error"])}, space coverage '
+               f'{planned["space_coverage"]:.1f} m³, {percent(planned["seen"])} of the points '
+               f'seen, objective value {planned["loss"]:.4f}; the other figures are as built')
+
+
+def quality_of(found: Mapping[str, Any]) -> Iterator[str]:
+    """Yield the objective value, its comparison with others, its bounds and the certificate."""
+    if 'search' not in found:
+        yield f'objective value {found["scores"]["loss"]:.4f}'
+        return
+    search = found['search']
+    loss, random, bound = search['loss'], search['random'], search['everywhere']['loss']
+    kind = 'turns' if search['planner'] in planner_names(OBSERVED) else 'placements'
+    yield (f'{search["planner"]}: {search["evaluations"]:,} {kind} in {search["seconds"]:.1f} s'
+           + ('; stopped by Ctrl-C' if search['stopped'] else ''))
+    yield f'objective value {loss:.4f}' + _other_searches(search['searches'])
+    if random['placements']:
+        yield (f'{random["placements"]} random feasible placements: median '
+               f'{random["median"]:.4f}, best {random["best"]:.4f}')
+    yield (f'lower bound {bound:.4f}: the objective value with a camera at each of the '
+           f'{search["candidates"]:,} candidates')
+    if loss > 0.0:
+        yield (f'{percent(min(bound / loss, 1.0))} of the objective value is not visible from any '
+               'candidate')
+    yield search['certificate']['sentence']
+
+
+def count_sentence(count: Mapping[str, Any]) -> str:
+    """Return the number of cameras that reaches the target, without claiming a proof."""
+    target = f'{percent(count["target"])} of the {SHARES[count["by"]][1]}'
+    cameras, fewer = counted(count['cameras'], 'camera'), count.get('fewer')
+    if not count['reached']:
+        return f'{cameras}, the largest number planned, did not reach {target} in this search'
+    return f'{cameras} reach{"es" * (count["cameras"] == 1)} {target}' + (
+        f'; {fewer} did not in this search' if fewer else '')
+
+
+def without_folders(command: str) -> str:
+    """Return a command with file names without their folders."""
+    try:
+        parts = shlex.split(command)
+    except ValueError:
+        return FOLDERS.sub('', command)
+    return shlex.join(FOLDERS.sub('', part) for part in parts)
+
+
+def counted(count: int, thing: str) -> str:
+    """Return a number of things, with an s for several."""
+    return f'{count} {thing}{"s" * (count != 1)}'
+
+
+def metres(length: float) -> str:
+    """Return a length in metres as text, with fewer decimals for larger lengths."""
+    return f'{length:.{3 if length < 1.0 else 2 if length < 10.0 else 1}f} m'
+
+
+def percent(share: float) -> str:
+    """Return a share as per cent."""
+    return f'{100.0 * share:.1f} %'
+
+
+def _other_searches(losses: list[float]) -> str:
+    """Return the results of the other searches in words."""
+    if len(losses) == 1:
+        return ' (one search)'
+    best, second, *_ = losses
+    apart = f'{percent((second - best) / best)} more' if best > 0.0 else f'{second:.4f}'
+    return (f'; of {len(losses)} searches the second best ended at {apart}, the worst at '
+            f'{losses[-1]:.4f}')

@@ -1,0 +1,102 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Facts of placements and rooms as tables and sentences on a terminal."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+import io
+from typing import Any
+
+from ocp_ros.report.camera_words import COLUMNS
+from ocp_ros.report.facts import (
+    count_sentence,
+    details_of,
+    facts_of,
+    metres,
+    percent,
+    quality_of,
+    REGION_COLUMNS,
+    SHARES,
+)
+from ocp_ros.report.room_facts import room_rows
+from ocp_ros.util.terminal_text import printable
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+#: Width of the output, characters.
+WIDTH = 100
+CAMERA_COLUMNS = ('camera', 'position (m)', 'yaw, pitch, roll', 'error reduction',
+                  'seen by this camera only')
+#: Columns of the installer's table; the key figures name the sensors.
+MOUNTING_COLUMNS = [name for name in COLUMNS if name != 'sensor']
+
+
+def as_text(show: Callable[[Console, Mapping[str, Any]], None], found: Mapping[str, Any]) -> str:
+    """Return the output of a function such as :func:`show_score` as plain text."""
+    text = io.StringIO()
+    show(Console(width=WIDTH, file=text, force_terminal=False, color_system=None), found)
+    return '\n'.join(line.rstrip() for line in text.getvalue().splitlines())
+
+
+def print_table(console: Console, title: str | None, columns: Sequence[str],
+                rows: Iterable[Sequence[str]]) -> None:
+    """Print a table; its columns have no heads if all their names are empty."""
+    table = Table(title=title and escape(printable(title)), show_header=any(columns))
+    for name in columns:
+        table.add_column(escape(printable(name)), no_wrap=name == 'camera', overflow='fold')
+    for row in rows:
+        table.add_row(*(escape(printable(cell)) for cell in row))
+    console.print(table)
+
+
+def show_score(console: Console, found: Mapping[str, Any]) -> None:
+    """Print what was found about a placement: the data of ``ocp score --json``."""
+    facts = facts_of(found)
+    print_table(console, 'Cameras', CAMERA_COLUMNS, facts.cameras)
+    print_table(console, 'Key figures', ('', '', ''), facts.figures)
+    if facts.regions:
+        print_table(console, 'Regions', REGION_COLUMNS, facts.regions)
+    for line in filter(None, [*details_of(found), facts.links]):
+        console.print(line)
+    console.print(facts.verdict + (':' if found['broken'] else ''))
+    for sentence in found['broken']:
+        console.print(f'  {sentence}', style='red', markup=False, highlight=False)
+    show_notes(console, found)
+    if 'installer' in found:
+        print_table(console, 'How to mount the cameras', ('', *MOUNTING_COLUMNS), [
+            (row['number'], *(row[name] for name in MOUNTING_COLUMNS))
+            for row in found['installer']])
+    for line in quality_of(found):
+        console.print(line, highlight=False)
+    if 'curve' in found:
+        print_table(console, 'Number of cameras', (
+            'cameras', 'objective value', 'depth error', *(head for head, _ in SHARES.values())), [
+            (str(row['cameras']), f'{row["loss"]:.4f}', metres(row['depth_error']),
+             *(percent(row[f'share_{name}']) for name in SHARES)) for row in found['curve']])
+        console.print(count_sentence(found['count']), highlight=False)
+
+
+def show_room(console: Console, found: Mapping[str, Any]) -> None:
+    """Print the facts of a room: the data of ``ocp info --json``."""
+    print_table(console, None, ('room', found['name']), room_rows(found))
+    show_notes(console, found)
+
+
+def show_notes(console: Console, found: Mapping[str, Any]) -> None:
+    """Print corrections of the scan, and doubts about a room or a result."""
+    for remark in found.get('remarks', ()):
+        console.print(remark, markup=False, highlight=False)
+    for note in found['notes']:
+        console.print(f'note: {note}', style='yellow', markup=False, highlight=False)
