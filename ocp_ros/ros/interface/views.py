@@ -52,7 +52,7 @@ class RigView:
                  ) -> None:
         self.models = models
         self._header = Header()
-        self._poses = []
+        self._poses: list[Pose] = []
         self._way: list[np.ndarray] = []
         self._views = [OnDemand(node, MarkerArray, topic, self._markers)]
         for camera in range(cameras):
@@ -108,7 +108,7 @@ class CloudView:
     def __init__(self, node: Node, coverage: str, error: str, judge: Callable[[], PointMaps | None]
                  ) -> None:
         self._judge = judge
-        self._maps = None
+        self._maps: PointMaps | None = None
         self._header = Header()
         self._views = [OnDemand(node, PointCloud2, coverage, self._coverage),
                        OnDemand(node, PointCloud2, error, self._error)]
