@@ -294,6 +294,11 @@ class Probe:
         return found()[-1]
 
 
+def status_of(node):
+    """Return the values that a node publishes with its diagnostics."""
+    return node._status()[2]
+
+
 @pytest.fixture
 def probe(graph):
     """Return a node that publishes and records."""
