@@ -192,16 +192,6 @@ def test_a_full_disk_leaves_no_files_of_two_placements(files, capsys):
     assert contents(files / 'out').keys() == whole.keys()
 
 
-def test_a_full_disk_is_said_to_be_so(files, capsys):
-    command = ['view', 'room.ply', '--out', 'page.html', '--overwrite']
-    assert cli.main(command) == 0
-    before = (files / 'page.html').read_bytes()
-    capsys.readouterr()
-    with full_disk():
-        assert 'File too large' in refused(capsys, *command)
-    assert (files / 'page.html').read_bytes() == before
-
-
 class Elements(HTMLParser):
     """Collects what a page is made of."""
 

@@ -138,7 +138,7 @@ def test_poses_are_rounded_to_what_can_be_mounted(mixed):
     assert np.abs(np.rad2deg(np.sin(turn))).max() <= 0.6e-3
     assert placement.cameras[1].angles[0] == pytest.approx(np.rad2deg(3.5) - 360.0, abs=1e-3)
     assert placement.cameras[0].position == (2.0, 2.0, 1.9)
-    with pytest.raises(ValueError, match='poses: found 2; expected 3, one for each'):
+    with pytest.raises(ValueError, match='poses: found 2'):
         placement_of(mixed, POSES[:2])
     level = placement_of(rig_of(2), POSES[:2, :3])
     assert level.poses.shape == (2, 6) and not level.poses[:, 3:].any()
