@@ -17,7 +17,7 @@
 from dataclasses import replace
 import json
 
-from conftest import Here, random_checkpoint, refused
+from conftest import Here, random_checkpoint
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -160,5 +160,6 @@ def test_ocp_train_writes_a_model_that_runs(tmp_path, capsys, room):
     ('sac: {gamma: 1.5}', 'sac.gamma')])
 def test_ocp_tells_what_is_wrong_in_one_line(tmp_path, capsys, text, words):
     (tmp_path / 'c.yaml').write_text(text)
-    line = refused(capsys, 'train', '--config', tmp_path / 'c.yaml', '--out', tmp_path / 'run')
-    assert words in line and 'c.yaml' in line
+    code = main(['train', '--config', str(tmp_path / 'c.yaml'), '--out', str(tmp_path / 'run')])
+    error = capsys.readouterr().err
+    assert code == 2 and words in error and 'c.yaml' in error and error.count('\n') == 1
