@@ -250,6 +250,14 @@ def frames(message):
         rotation_of(one.transform.rotation, 'a frame')) for one in message.transforms}
 
 
+def test_a_frame_is_where_its_camera_is():
+    pose = Pose(np.array([1.0, -2.0, 0.5]), rotation_matrix(0.7, -0.3, 0.2) @ OPTICAL_TO_BODY)
+    made = transform(Header(frame_id='/map'), 'camera_3', pose)
+    assert (made.header.frame_id, made.child_frame_id) == ('map', 'camera_3')
+    np.testing.assert_allclose(rotation_of(made.transform.rotation, ''), pose.rotation, atol=1e-9)
+    assert made.transform.translation.y == -2.0
+
+
 def test_a_simulation_publishes_the_frames_of_its_cameras(tf, graph):
     sim = graph.add(SimNode, **SMALL, rig__cameras=2, resend_period=0.05)
     found, fixed = frames(tf.last('/tf')), frames(tf.last('/tf_static'))
