@@ -19,6 +19,7 @@ from dataclasses import replace
 import faulthandler
 from functools import cache
 from importlib.util import find_spec
+import json
 import os
 from pathlib import Path
 import re
@@ -294,6 +295,11 @@ class Probe:
         return found()[-1]
 
 
+def status_of(node):
+    """Return the values that a node publishes with its diagnostics."""
+    return node._status()[2]
+
+
 @pytest.fixture
 def probe(graph):
     """Return a node that publishes and records."""
@@ -412,13 +418,32 @@ def blank_report(folder, judged):
 
 
 @contextmanager
-def refused_in_one_sentence(place, remedy):
+def refused_in_one_sentence(place, remedy=''):
     """Expect an error of a single sentence that begins with a place and has a remedy."""
     with pytest.raises(ConfigurationError) as caught:
         yield
     message = str(caught.value)
     assert '\n' not in message and message.startswith(place), message
     assert remedy in message and 'found' in message and 'expected' in message, message
+
+
+def refused(capsys, *arguments):
+    """Return the only line that a command of ``ocp`` is refused with: it prints nothing else."""
+    from ocp_ros.cli.main import main
+    assert main([*map(str, arguments)]) == 2
+    out, err = capsys.readouterr()
+    assert out == '' and err.startswith('ocp: ') and err.count('\n') == 1, err
+    assert 'Traceback' not in err and 'found' in err and 'expected' in err, err
+    return err
+
+
+def printed(capsys, *arguments):
+    """Return what a command of ``ocp`` prints as JSON, and nothing else."""
+    from ocp_ros.cli.main import main
+    assert main([*map(str, arguments), '--json']) == 0
+    out, err = capsys.readouterr()
+    assert err == ''
+    return json.loads(out)
 
 
 def scan():

@@ -12,10 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What a scan shows of other rooms through a door is left out; parts of one room are not."""
+"""What a scan shows through a door or in a mirror is left out; parts of one room are not."""
 
 from itertools import pairwise
 
+from conftest import around_z, box_sides
 import numpy as np
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene_files import scene_of, SceneWarning
@@ -54,9 +55,7 @@ def rooms(*spans, door=(1.5, 2.4), lintel=2.05, depth=4.5):
 
 def turned(points, degrees):
     """Return points turned about the vertical."""
-    angle = np.deg2rad(degrees)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    return np.hstack([points[:, :2] @ turn.T, points[:, 2:]])
+    return np.hstack([points[:, :2] @ around_z(degrees).T, points[:, 2:]])
 
 
 @pytest.mark.parametrize('wall, degrees', [(0.1, 0.0), (0.15, 30.0), (0.3, 77.0)])
@@ -115,3 +114,53 @@ def test_passages_beams_and_buildings_stay_whole(points):
 def test_a_generated_room_is_one(seed):
     room = generate_room(seed, 20_000)
     assert len(scene_of(room.points)) > 0.99 * len(room)
+
+
+#: Where a scanner stands before a mirror.
+SCANNER = np.array([2.0, 1.8, 1.5])
+
+
+def in_mirror(places):
+    """Return which places at the wall x = 0 are those of the mirror."""
+    return (np.abs(places[:, 1] - 1.8) < 0.8) & (np.abs(places[:, 2] - 1.3) < 0.9)
+
+
+def with_mirror(seed, hung):
+    """Return a scan of a room with a mirror so far before a wall, and how many points are real."""
+    room = generate_room(seed, 15_000).points.astype(np.float64)
+    ghosts = room * [-1.0, 1.0, 1.0] + [2.0 * hung, 0.0, 0.0]
+    ways = ghosts - SCANNER
+    crossing = SCANNER + ways * ((hung - SCANNER[0]) / ways[:, 0])[:, None]
+    ghosts = ghosts[in_mirror(crossing) & (ghosts[:, 0] < -0.05)]
+    room = room[~(in_mirror(room) & (room[:, 0] < 0.1))]
+    points = np.concatenate([room, ghosts])
+    return points + np.random.default_rng(seed).normal(0.0, 0.005, points.shape), len(room)
+
+
+@pytest.mark.parametrize('seed, hung, degrees', [(1, 0.0, 0.0), (8, 0.04, 35.0), (12, 0.02, 80.0)])
+def test_what_a_mirror_shows_is_left_out_and_named(seed, hung, degrees):
+    points, real = with_mirror(seed, hung)
+    assert len(points) - real > 300
+    with pytest.warns(SceneWarning, match='mirror the room'):
+        scene = scene_of(turned(points, degrees))
+    assert abs(len(scene) - real) < 0.02 * real
+
+
+def test_a_second_room_is_kept_even_where_it_is_the_same_the_other_way_round():
+    room = generate_room(8, 12_000).points.astype(np.float64)
+    other = room * [-1.0, 1.0, 1.0] - [0.15, 0.0, 0.0]
+    assert len(scene_of(np.concatenate([room, other]), all_rooms=True)) > 23_500
+    # Halls of two parts, and a floor that a door shows.
+    hall = [box_sides(np.array(size), np.array(middle), 0.2) for size, middle in (
+        ([20.0, 12.0, 2.8], [10.0, 6.0, 1.4]), ([10.0, 10.0, 2.8], [25.0, 5.0, 1.4]))]
+    between = [(abs(part[:, 0] - 20.0) < 0.05) & (part[:, 1] < 10.0) for part in hall]
+    floor = np.random.default_rng(0).uniform((-2.5, 1.5, 0.0), (0.0, 2.4, 0.01), (600, 3))
+    for points in (np.concatenate([part[~wall] for part, wall in zip(hall, between)]),
+                   np.concatenate([box_sides(np.array([6.0, 5.0, 2.6]),
+                                             np.array([3.0, 2.5, 1.3]), 0.08), floor])):
+        # The floor behind the door is another room's; the hall is one without being asked.
+        whole = scene_of(points, all_rooms=points[:, 0].min() < -1.0)
+        assert len(whole) > 0.99 * len(np.unique(points.astype('f4'), axis=0))
+    for seed in (2, 5, 1026):
+        alone = generate_room(seed, 8000)
+        assert len(scene_of(alone.points)) > 0.999 * len(alone)

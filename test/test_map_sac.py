@@ -14,7 +14,7 @@
 
 """Soft actor-critic on the map actor's network: in one process, and over what nodes tell."""
 
-from conftest import assert_same
+from conftest import assert_same, batch
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.online.observation_map import BOX, CELLS, NUMBERS, OF_OTHERS, OF_ROOM
@@ -71,10 +71,9 @@ def made_up(seed, side=10):
     return found
 
 
-def batch(*seeds):
-    """Return such observations as one batch."""
-    made = [made_up(seed) for seed in seeds]
-    return {name: torch.from_numpy(np.stack([one[name] for one in made])) for name in made[0]}
+def one_of(observed):
+    """Return an observation as a batch of one, of arrays."""
+    return {name: value[None] for name, value in observed.items()}
 
 
 def network(seed=0):
@@ -135,7 +134,7 @@ def test_a_camera_goes_where_the_map_is_low_among_what_is_free():
 
 
 def test_the_critics_begin_as_the_value_map_and_the_policy_as_its_softmax(model):
-    seen = batch(0, 1)
+    seen = batch(made_up(0), made_up(1))
     with torch.no_grad():
         values = valued(network(), seen)
         cells = torch.tensor([30 * CELLS + 31, 33 * CELLS + 29])
@@ -164,8 +163,7 @@ def test_a_batch_is_turned_whole_with_its_actions(model):
         before['choices'][:] = 0
         before['choices'].flat[cell] = 1
         place = action_of(torch.tensor([cell])).numpy()
-        buffer.add(*({name: value[None] for name, value in one.items()}
-                     for one in (before, after)), place[None], np.array([float(seed)]),
+        buffer.add(one_of(before), one_of(after), place[None], np.array([float(seed)]),
                    np.array([False]), [{}])
     rewards = set()
     for _ in range(20):
@@ -181,7 +179,7 @@ def test_a_batch_is_turned_whole_with_its_actions(model):
 def test_maps_of_a_batch_are_used_as_far(model):
     buffer = model.replay_buffer
     for seed, side in enumerate([10, 10, 34, 34, 34]):
-        made = {name: value[None] for name, value in made_up(seed, side).items()}
+        made = one_of(made_up(seed, side))
         buffer.add(made, made, np.zeros((1, 1, 2)), np.zeros(1), np.array([False]), [{}])
     for _ in range(20):
         sides = buffer.sample(6).next_observations['room'][:, BOX].amax(dim=2).gt(0).sum(dim=1)
@@ -191,14 +189,14 @@ def test_maps_of_a_batch_are_used_as_far(model):
 def test_what_is_rewarded_is_learned(model):
     """Half of the cells pay: soft actor-critic goes there though the map said nothing of it."""
     rng = np.random.default_rng(0)
-    made = {name: value[None] for name, value in made_up(3).items()}
+    made = one_of(made_up(3))
     for _ in range(64):
         cell = int(rng.choice(np.flatnonzero(made['choices'])))
         pays = made['room'][0, 0].flat[cell] > 128
         place = action_of(torch.tensor([cell])).numpy()[None]
         model.replay_buffer.add(made, made, place, np.array([float(pays)]), np.array([True]),
                                 [{}])
-    seen = {name: torch.from_numpy(value) for name, value in made.items()}
+    seen = batch(made_up(3))
     good = (seen['room'][:, 0] > 128).flatten(1)
 
     def paid():
@@ -216,7 +214,7 @@ def test_a_policy_is_drawn_back_to_the_value_map_it_began_with():
     near = NearValueMap(AGENT, first.state_dict(), torch.device('cpu'))
     model = make_sac(SAC, AGENT, seed=0)
     load_actor(model, Checkpoint(AGENT, first.state_dict()))
-    seen = {name: torch.from_numpy(value)[None] for name, value in made_up(3).items()}
+    seen = batch(made_up(3))
     assert near.loss_of(model.actor, seen).item() == pytest.approx(0.0, abs=1e-6)
     load_actor(model, Checkpoint(AGENT, network(1).state_dict()))
     before = near.loss_of(model.actor, seen)
@@ -234,24 +232,19 @@ def test_a_policy_is_drawn_back_to_the_value_map_it_began_with():
                for name, value in first.state_dict().items())
 
 
-def test_the_environment_is_one(env):
-    check_env(env, warn=False)
-
-
 def test_an_episode_pays_what_its_turns_pay(env):
+    check_env(env, warn=False)
     found, _ = env.reset(seed=3)
-    rewards, ends, rng, length = [], [], np.random.default_rng(0), 0
-    while not ends or not ends[-1]:
+    rewards, rng, truncated = [], np.random.default_rng(0), False
+    while not truncated:
         assert env.observation_space.contains(found)
         cell = torch.tensor([int(rng.choice(np.flatnonzero(found['choices'])))])
         found, reward, terminated, truncated, info = env.step(action_of(cell).numpy())
         rewards.append(reward)
-        ends.append(truncated)
-        length += 1
         assert not terminated
-    assert info['step'] == TURNS and length > TURNS
+    assert info['step'] == TURNS and len(rewards) > TURNS
     assert sum(reward != 0.0 for reward in rewards) <= TURNS
-    # Whoever goes where nobody may goes to the nearest place where one may.
+    # A camera that is sent outside goes to the nearest place where it may be.
     found, _ = env.reset(seed=3)
     env.step(np.full((1, 2), 5.0, np.float32))
 

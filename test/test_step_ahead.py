@@ -30,6 +30,14 @@ import pytest
 RIG = rig_of(2, 'realsense_d455', mount={'on': 'plane', 'height': 1.9})
 
 
+def begun(room, planner=Lookahead, max_turn=0.5):
+    """Return the steps of an episode, and the episode."""
+    config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
+    episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
+    online = planner(np.random.default_rng(0), 0.5, 4.0, 0.1)
+    return OnlineStep(online, Limits(0.5, max_turn, 0.1), RIG), episode
+
+
 def steps(room, turns, reflects, monkeypatch):
     """Play an episode: commands, and at which turns somebody waited for something."""
     config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5),
@@ -84,44 +92,35 @@ def test_in_few_turns_each_step_is_of_what_is_newest(room, monkeypatch):
 
 
 def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):
-    step = OnlineStep(Lookahead(np.random.default_rng(0), 0.5, 4.0, 0.1), Limits(0.5, 0.5, 0.1),
-                      RIG)
-    config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
-    episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
+    step, episode = begun(room)
     state = state_of(episode)
     step(episode.observed_cloud, state, 0, MIN_PIPELINED_TURNS)
     step.plan_ahead()
     step.reset()
     looked = []
     monkeypatch.setattr(step.constraints.filter, '_look', lambda *given: looked.append(given))
-    step(episode.observed_cloud, beside(state), 0, MIN_PIPELINED_TURNS)
+    # The same cameras, a little beside where they were.
+    beside = state._replace(placement=state.placement + [0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
+    step(episode.observed_cloud, beside, 0, MIN_PIPELINED_TURNS)
     assert looked
 
 
-def beside(state):
-    """Return the same cameras a little beside where they were."""
-    placement = state.placement.copy()
-    placement[:, 0] += 0.05
-    return state._replace(placement=placement)
+class Staying(Lookahead):
+    """Stays, and does not say where it goes."""
+
+    targets = None
+
+    def move(self, cloud, positions, turn, turns):
+        """Stay."""
+        return np.zeros((len(positions), 2))
+
+    def plan_ahead(self):
+        """Plan nothing."""
 
 
 @pytest.mark.parametrize('max_turn', [0.0, 0.3])
 def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
-    class Staying(Lookahead):
-        """Stays, and says nothing of where it goes."""
-
-        targets = None
-
-        def move(self, cloud, positions, turn, turns):
-            return np.zeros((len(positions), 2))
-
-        def plan_ahead(self):
-            pass
-
-    config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
-    episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
-    step = OnlineStep(Staying(np.random.default_rng(0), 0.5, 4.0, 0.1),
-                      Limits(0.5, max_turn, 0.1), RIG)
+    step, episode = begun(room, Staying, max_turn)
     state = state_of(episode)
     for turn in range(3):
         command = step(episode.observed_cloud, state, turn, MIN_PIPELINED_TURNS)
@@ -132,23 +131,19 @@ def test_a_planner_that_says_no_targets_is_thought_about_too(room, max_turn):
 
 def test_thinking_ends_when_the_next_step_has_waited(room):
     """What was found so far holds, and the step after is taken as ever."""
-    config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
-    episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(3))
     asked = []
 
     def played(patience):
         """Take two steps; whoever waits for the second interrupts after so many questions."""
-        step = OnlineStep(Lookahead(np.random.default_rng(0), 0.5, 4.0, 0.1),
-                          Limits(0.5, 0.5, 0.1), RIG)
+        step, episode = begun(room)
         asked.clear()
 
         def interrupted():
             asked.append(1)
             return len(asked) > patience
 
-        state = state_of(episode)
         for turn in (30, 31):
-            command = step(episode.observed_cloud, state, turn, 40)
+            command = step(episode.observed_cloud, state_of(episode), turn, 40)
             step.plan_ahead(interrupted)
         return command.placement, len(asked)
 

