@@ -22,6 +22,7 @@ from importlib.util import find_spec
 import os
 from pathlib import Path
 import re
+import subprocess
 import sys
 import time
 
@@ -225,6 +226,16 @@ class Graph:
             rclpy.shutdown(context=self.context)
 
 
+def status(node):
+    """Return what a node publishes on ``/diagnostics``: its level, message and values."""
+    return node._status()
+
+
+def counted(node, name):
+    """Return a value that a node publishes on ``/diagnostics``."""
+    return status(node)[2][name]
+
+
 @pytest.fixture
 def graph(domain, monkeypatch):
     """Return a graph of nodes of its own, which know each other at once."""
@@ -261,6 +272,14 @@ class Probe:
         """Return the latest message of a topic, waiting for the first."""
         self.graph.until(lambda: self.received[topic])
         return self.received[topic][-1]
+
+    def call(self, kind, name, **fields):
+        """Call a service and return its answer."""
+        client = self.node.create_client(kind, name)
+        self.graph.until(client.service_is_ready)
+        answer = client.call_async(kind.Request(**fields))
+        self.graph.until(answer.done)
+        return answer.result()
 
     def start_policy(self, **parameters):
         """Start a policy_node whose turns this node sends, and whose commands it hears."""
@@ -339,6 +358,13 @@ def small():
                             ('EPISODES', 1), ('MAPS', 2), ('CHOICES', 3), ('TURNS', 3)):
             patch.setattr(value_states, name, value)
         yield
+
+
+def run_python(code, *arguments, **variables):
+    """Run code in a process of its own that imports this checkout; return how it ended."""
+    return subprocess.run(
+        [sys.executable, '-c', code, *map(str, arguments)], text=True, capture_output=True,
+        timeout=HUNG, env={**os.environ, 'PYTHONPATH': str(ROOT), **variables})
 
 
 def rows_for(protocol, task):

@@ -15,7 +15,7 @@
 """Where cameras look: within limits, for what all of them see together, and at what is unseen."""
 
 from conftest import box_room, flat_clouds
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
@@ -43,17 +43,13 @@ headings = st.tuples(angles, st.floats(-1.57, 1.57), st.floats(-3.0, 3.0)).map(n
 
 
 @given(headings)
+@example(np.array([0.7, -np.pi / 2, 0.0]))
+@example(np.array([0.7, np.pi / 2, 0.0]))
 def test_a_heading_is_what_its_rotation_was_made_of(heading):
     rotation = rotation_matrix(*heading)
     found = heading_of(rotation)
     np.testing.assert_allclose(rotation_matrix(*found), rotation, atol=1e-6)
     np.testing.assert_allclose(found[1:], heading[1:], atol=1e-5)
-
-
-@pytest.mark.parametrize('pitch', [-np.pi / 2, np.pi / 2])
-def test_a_camera_that_looks_straight_down_has_a_heading(pitch):
-    rotation = rotation_matrix(0.7, pitch, 0.0)
-    np.testing.assert_allclose(heading_of(rotation), [0.7, pitch, 0.0], atol=1e-9)
 
 
 @given(headings, headings)
@@ -65,11 +61,11 @@ def test_an_angle_between_rotations_is_that_of_the_rotation_between_them(one, ot
 
 @given(headings, headings, st.floats(0.0, 4.0))
 def test_no_camera_is_turned_farther_than_it_may_be(now, goal, reach):
-    now, goal = now * [1.0, 1.0, 1.0], goal * [1.0, 1.0, 0.0] + [0.0, 0.0, now[2]]
+    goal = goal * [1.0, 1.0, 0.0] + [0.0, 0.0, now[2]]
     found = turned_towards(now[None], goal[None], reach)[0]
     assert angle_between(rotation_matrix(*now), rotation_matrix(*found)) <= reach + 1e-6
-    assert found[2] == now[2] and min(now[1], goal[1]) - 1e-9 <= found[1] <= (
-        max(now[1], goal[1]) + 1e-9)
+    assert found[2] == now[2]
+    assert min(now[1], goal[1]) - 1e-9 <= found[1] <= max(now[1], goal[1]) + 1e-9
     before, after = way_between(now, goal), way_between(found, goal)
     assert np.linalg.norm(after) == pytest.approx(
         max(np.linalg.norm(before) - reach, 0.0), abs=1e-6)
@@ -197,12 +193,11 @@ def test_a_goal_is_nearly_the_best_beside_what_a_camera_in_place_sees():
 
 @given(st.integers(0, 10), st.floats(0.0, 1.0), headings)
 @budget(max_examples=10, deadline=None)
-def test_goals_are_within_reach_before_the_turns_are_used_up(turn, max_turn, heading):
-    room, now = box_room(), heading * [1.0, 1.0, 1.0]
-    now[1] = np.clip(now[1], *PITCH)
+def test_goals_are_within_reach_before_the_turns_are_used_up(turn, max_turn, now):
+    now = np.array([now[0], np.clip(now[1], *PITCH), now[2]])
     aim, at = HeadingPlanner((MODEL,), 1, PITCH, MARGIN), np.array([[3.0, 2.0, 1.9]])
     rig_state = RigState(np.hstack([at, now[None]]), (MODEL,), 1, PITCH)
-    found = aim(room.points, rig_state, at, max_turn, turn, 11)
+    found = aim(box_room().points, rig_state, at, max_turn, turn, 11)
     assert np.linalg.norm(way_between(now, found[0])) <= max_turn + 1e-9
     assert PITCH[0] - 1e-9 <= found[0, 1] <= PITCH[1] + 1e-9
     assert np.linalg.norm(way_between(now, aim._headings[0])) <= (11 - turn) * max_turn + 1e-9
@@ -210,12 +205,10 @@ def test_goals_are_within_reach_before_the_turns_are_used_up(turn, max_turn, hea
 
 @pytest.mark.parametrize('cloud', ['one wall', 'one wall askew', 'one point'])
 def test_where_there_is_no_room_to_judge_cameras_sweep_to_the_left(cloud):
-    points = flat_clouds()[cloud].astype(np.float32)
-    aim, at = HeadingPlanner((MODEL, ALL_AROUND), 2, PITCH, MARGIN), np.array([[1.0, 1.0,
-                                                                                1.9]] * 2)
-    now = np.array([[3.0, -0.1, 0.0], [1.0, 0.0,
-                                       0.0]])
-    found = aim(points, RigState(np.hstack([at, now]), (MODEL, ALL_AROUND), 2, PITCH), at, 0.4, 0,
-                9)
+    points, models = flat_clouds()[cloud].astype(np.float32), (MODEL, ALL_AROUND)
+    at = np.array([[1.0, 1.0, 1.9]] * 2)
+    now = np.array([[3.0, -0.1, 0.0], [1.0, 0.0, 0.0]])
+    state = RigState(np.hstack([at, now]), models, 2, PITCH)
+    found = HeadingPlanner(models, 2, PITCH, MARGIN)(points, state, at, 0.4, 0, 9)
     assert 0.3 < way_between(now[0], found[0])[0] <= 0.4 and found[0, 1] > -0.1
     np.testing.assert_array_equal(found[1], now[1])

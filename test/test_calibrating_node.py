@@ -15,6 +15,7 @@
 """``policy_node`` with a scan: where live cameras hang, on real DDS, and bags of what they see."""
 
 from benchmarks.calibration_bench import cast
+from conftest import counted, status
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
@@ -77,47 +78,39 @@ def policy(graph, tmp_path):
 
 def test_the_service_says_where_a_camera_hangs_while_turns_go_on(graph, policy, probe, tmp_path):
     node = policy()
-    client = probe.node.create_client(Trigger, '/policy_node/calibrate')
-    graph.until(client.service_is_ready)
-    early = client.call_async(Trigger.Request())
-    graph.until(early.done)
+    # Called before anything has been seen, it ends nothing.
+    probe.call(Trigger, '/policy_node/calibrate')
     graph.until(lambda: node._live._rig is not None and node._live._newest)
-    answer = client.call_async(Trigger.Request())
-    graph.until(answer.done)
-    assert answer.result().success, answer.result().message
-    line, wrote = answer.result().message.splitlines()
-    assert abs(float(line.split()[1]) - np.linalg.norm(AWAY)) < 0.005 and 'expected within' in line
+    answer = probe.call(Trigger, '/policy_node/calibrate')
+    assert answer.success, answer.message
+    line, wrote = answer.message.splitlines()
+    assert abs(float(line.split()[1]) - np.linalg.norm(AWAY)) < 0.005
     built = load_placement(tmp_path / 'placement_as_built.yaml')
-    assert wrote == f'wrote {tmp_path / "placement_as_built.yaml"}'
+    assert str(tmp_path / 'placement_as_built.yaml') in wrote
     assert np.linalg.norm(np.array(built.cameras[0].position) - TRUE[:3]) < 0.01
-    before = node._counts['turns_answered']
-    graph.until(lambda: node._counts['turns_answered'] > before)
+    before = counted(node, 'turns_answered')
+    graph.until(lambda: counted(node, 'turns_answered') > before)
 
 
 def test_a_camera_that_drifts_is_a_warning(graph, policy):
     node = policy(drift_seconds=0.5)
-    graph.until(lambda: node._calibrator.checks)
-    level, message, values = node._status()
+    graph.until(lambda: counted(node, 'drift_checks'))
+    level, message, _ = status(node)
     assert level == diagnostics.WARN and 'camera_0 hangs 0.0' in message
-    assert values['drift_checks'] >= 1
 
 
-def test_a_scan_that_is_not_there_is_refused(graph, tmp_path):
-    with pytest.raises(ConfigurationError, match='scan: found no file'):
-        graph.add(PolicyNode, planner='lookahead', cloud_topics='a',
-                  scan=str(tmp_path / 'none.ply'))
-    with pytest.raises(ConfigurationError, match='scan: found one without cloud_topics'):
-        graph.add(PolicyNode, planner='lookahead', scan='room.ply')
+@pytest.mark.parametrize('live', [{'cloud_topics': 'a'}, {}])
+def test_a_scan_that_is_not_there_or_not_for_live_cameras_is_refused(graph, live):
+    with pytest.raises(ConfigurationError, match='scan: .*' + ('' if live else 'cloud_topics')):
+        graph.add(PolicyNode, planner='lookahead', scan='none.ply', **live)
 
 
 def test_a_broken_scan_ends_nothing(graph, policy, probe, tmp_path):
     node = policy()
     (tmp_path / 'room.ply').write_text('no scan')
-    client = probe.node.create_client(Trigger, '/policy_node/calibrate')
     graph.until(lambda: node._live._rig is not None and node._live._newest)
-    answer = client.call_async(Trigger.Request())
-    graph.until(answer.done)
-    assert not answer.result().success and 'room.ply: found' in answer.result().message
+    answer = probe.call(Trigger, '/policy_node/calibrate')
+    assert not answer.success and 'room.ply' in answer.message
 
 
 @pytest.mark.parametrize(('topics_there', 'found'), [
@@ -128,5 +121,5 @@ def test_topics_are_those_of_cameras_by_name_or_in_order(topics_there, found):
 
 
 def test_topics_that_may_be_anybodys_are_refused():
-    with pytest.raises(ConfigurationError, match='found 3 topics of clouds .* for 2 cameras'):
+    with pytest.raises(ConfigurationError, match='3 topics .* 2 cameras'):
         topics_of_cameras('a.bag', ['door', 'shelf'], ['/a', '/b', '/c'])

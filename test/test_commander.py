@@ -14,6 +14,7 @@
 
 """Several policies on one topic: one commands, the others hold and say so."""
 
+from conftest import counted, SMALL, status
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.ros.interface import qos, topics
@@ -30,31 +31,30 @@ from ocp_ros.ros.sim_node import SimNode
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
-SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
-         'engine__coverage_cell': 0.5, 'resend_period': 0.05, 'auto_reset': True}
+SIM = {**SMALL, 'resend_period': 0.05, 'auto_reset': True}
 
 
 def held(node):
     """Return whether a policy says that it holds."""
-    level, words, _ = node._status()
-    return level == diagnostics.WARN and 'expected one policy, so this one holds' in words
+    level, words, _ = status(node)
+    return level == diagnostics.WARN and 'this one holds' in words
 
 
 def test_the_second_policy_holds_and_takes_over_when_the_first_ends(graph, capfd):
-    sim = graph.add(SimNode, **SMALL)
+    sim = graph.add(SimNode, **SIM)
     first = graph.add(PolicyNode)
-    graph.until(lambda: first._counts['turns_answered'] >= 1)
+    graph.until(lambda: counted(first, 'turns_answered') >= 1)
     second = graph.add(PolicyNode)
     graph.until(lambda: held(second))
-    assert 'found publishers of /camera_commands: /policy_node;' in second._status()[1]
-    assert first._status()[0] == diagnostics.OK
-    answered = first._counts['turns_answered']
-    graph.until(lambda: first._counts['turns_answered'] >= answered + 3)
-    assert second._counts['turns_answered'] == 0
-    assert 'so this one holds; end the others' in capfd.readouterr().err
+    assert '/camera_commands: /policy_node;' in status(second)[1]
+    assert status(first)[0] == diagnostics.OK
+    answered = counted(first, 'turns_answered')
+    graph.until(lambda: counted(first, 'turns_answered') >= answered + 3)
+    assert counted(second, 'turns_answered') == 0
+    assert 'this one holds' in capfd.readouterr().err
     graph.remove(first)
-    graph.until(lambda: second._counts['turns_answered'] >= 2)
-    assert sim._counts['refused_commands'] == 0 and not held(second)
+    graph.until(lambda: counted(second, 'turns_answered') >= 2)
+    assert counted(sim, 'refused_commands') == 0 and not held(second)
 
 
 def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
@@ -74,29 +74,28 @@ def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
     for stamp in range(10, 15):
         send(stamp)
         graph.until(lambda at=stamp: second._live._turns._heard.get('points') == at)
-    assert not second._counts['turns_answered'] and not probe.received[topics.CAMERA_COMMANDS]
+    assert not counted(second, 'turns_answered') and not probe.received[topics.CAMERA_COMMANDS]
     # What it has seen while it waited is long ago when it takes over.
     graph.until(lambda: not second._live._turns.due())
     graph.remove(first)
     graph.until(lambda: not second._waits())
     send(1000)
-    graph.until(lambda: second._counts['turns_answered'] == 1)
+    graph.until(lambda: counted(second, 'turns_answered') == 1)
     command = probe.last(topics.CAMERA_COMMANDS)
     assert len(command.poses) == 2 and stamp_to_ns(command.header.stamp) == 1000
 
 
 def test_a_policy_that_has_commanded_goes_on_beside_another_publisher(graph, probe):
-    graph.add(SimNode, **SMALL)
+    graph.add(SimNode, **SIM)
     policy = graph.add(PolicyNode)
-    graph.until(lambda: policy._counts['turns_answered'] >= 1)
+    graph.until(lambda: counted(policy, 'turns_answered') >= 1)
     other = probe.node.create_publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
-    graph.until(lambda: policy._status()[0] == diagnostics.WARN)
-    assert ('found publishers of /camera_commands: /policy_node, /probe; expected one policy; '
-            'end the others') in policy._status()[1]
-    answered = policy._counts['turns_answered']
-    graph.until(lambda: policy._counts['turns_answered'] >= answered + 3)
+    graph.until(lambda: status(policy)[0] == diagnostics.WARN)
+    assert '/camera_commands: /policy_node, /probe;' in status(policy)[1] and not held(policy)
+    answered = counted(policy, 'turns_answered')
+    graph.until(lambda: counted(policy, 'turns_answered') >= answered + 3)
     probe.node.destroy_publisher(other)
-    graph.until(lambda: policy._status()[0] == diagnostics.OK)
+    graph.until(lambda: status(policy)[0] == diagnostics.OK)
 
 
 def test_of_several_that_begin_at_once_one_commands(graph, monkeypatch):
@@ -110,14 +109,13 @@ def test_of_several_that_begin_at_once_one_commands(graph, monkeypatch):
 
 
 def test_two_simulations_on_the_same_topics_are_noticed(graph, probe, capfd):
-    sim, policy = graph.add(SimNode, **SMALL), graph.add(PolicyNode)
+    sim, policy = graph.add(SimNode, **SIM), graph.add(PolicyNode)
     graph.until(lambda: policy.count_publishers('/observation') == 1)
-    assert (sim._status()[0], policy._status()[0]) == (diagnostics.OK, diagnostics.OK)
+    assert (status(sim)[0], status(policy)[0]) == (diagnostics.OK, diagnostics.OK)
     other = probe.node.create_publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
     for node in (sim, policy):
-        graph.until(lambda one=node: one._status()[0] == diagnostics.WARN)
-        assert ('found publishers of observation: /probe, /sim_node; expected one simulation'
-                in node._status()[1])
-    assert 'give each its own namespace' in capfd.readouterr().err
+        graph.until(lambda one=node: status(one)[0] == diagnostics.WARN)
+        assert 'observation: /probe, /sim_node;' in status(node)[1]
+    assert 'namespace' in capfd.readouterr().err
     probe.node.destroy_publisher(other)
-    graph.until(lambda: policy._status()[0] == diagnostics.OK)
+    graph.until(lambda: status(policy)[0] == diagnostics.OK)

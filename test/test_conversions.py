@@ -101,22 +101,22 @@ def test_a_cloud_whose_numbers_lie_is_refused_or_read_and_never_more(layout, dat
         assert found.nbytes <= 3 * len(message.data) + 12
 
 
-F4, F8, U1, U2, U4 = 'f4', 'f8', 'u1', 'u2', 'u4'
 DATATYPES = {'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'u1': PointField.UINT8,
              'u2': PointField.UINT16, 'u4': PointField.UINT32}
-XYZ = {'x': (F4, 0), 'y': (F4, 4), 'z': (F4, 8)}
+XYZ = {'x': ('f4', 0), 'y': ('f4', 4), 'z': ('f4', 8)}
 #: What drivers document: fields with type and offset, point_step, rows and columns.
 DRIVERS = {
-    'RealSense': ({**XYZ, 'rgb': (F4, 16)}, 20, 48, 64),
-    'RealSense, padded': ({**XYZ, 'rgb': (F4, 16)}, 32, 48, 64),
-    'Azure Kinect': ({**XYZ, 'rgb': (F4, 16)}, 32, 60, 80),
-    'ZED': ({**XYZ, 'rgb': (F4, 12)}, 16, 36, 64),
-    'Velodyne': ({**XYZ, 'intensity': (F4, 12), 'ring': (U2, 16), 'time': (F4, 18)}, 22, 1, 999),
-    'Ouster': ({**XYZ, 'intensity': (F4, 16), 't': (U4, 20), 'reflectivity': (U2, 24),
-                'ring': (U2, 26), 'ambient': (U2, 28), 'range': (U4, 32)}, 48, 16, 64),
-    'Livox': ({**XYZ, 'intensity': (F4, 12), 'tag': (U1, 16), 'line': (U1, 17),
-               'timestamp': (F8, 18)}, 26, 1, 777),
-    'float64': ({'x': (F8, 0), 'y': (F8, 8), 'z': (F8, 16)}, 24, 1, 100),
+    'RealSense': ({**XYZ, 'rgb': ('f4', 16)}, 20, 48, 64),
+    'RealSense, padded': ({**XYZ, 'rgb': ('f4', 16)}, 32, 48, 64),
+    'Azure Kinect': ({**XYZ, 'rgb': ('f4', 16)}, 32, 60, 80),
+    'ZED': ({**XYZ, 'rgb': ('f4', 12)}, 16, 36, 64),
+    'Velodyne': ({**XYZ, 'intensity': ('f4', 12), 'ring': ('u2', 16), 'time': ('f4', 18)},
+                 22, 1, 999),
+    'Ouster': ({**XYZ, 'intensity': ('f4', 16), 't': ('u4', 20), 'reflectivity': ('u2', 24),
+                'ring': ('u2', 26), 'ambient': ('u2', 28), 'range': ('u4', 32)}, 48, 16, 64),
+    'Livox': ({**XYZ, 'intensity': ('f4', 12), 'tag': ('u1', 16), 'line': ('u1', 17),
+               'timestamp': ('f8', 18)}, 26, 1, 777),
+    'float64': ({'x': ('f8', 0), 'y': ('f8', 8), 'z': ('f8', 16)}, 24, 1, 100),
 }
 
 
@@ -155,54 +155,33 @@ def test_a_row_step_that_the_bytes_contradict_has_nothing_to_say(wrong):
     np.testing.assert_array_equal(msg_to_cloud(message), points[np.isfinite(points).all(axis=1)])
 
 
-def _fields_twice(cloud):
-    cloud.fields = [*cloud.fields, cloud.fields[1]]
+def test_what_is_sent_comes_back():
+    positions = np.random.default_rng(0).normal(size=(4, 3))
+    message = positions_to_msg(positions, Header(stamp=ns_to_stamp(1_795_000_000_123_456_789)))
+    np.testing.assert_array_equal(msg_to_positions(message, 4), positions)
+    assert stamp_to_ns(message.header.stamp) == 1_795_000_000_123_456_789
+    assert message.header.stamp == Time(sec=1_795_000_000, nanosec=123_456_789)
+    assert all(pose.orientation.w == 1.0 for pose in message.poses)
+    for count in (0, 50):
+        points = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+        np.testing.assert_array_equal(msg_to_cloud(cloud_to_msg(points, Header())), points)
+    assert msg_to_bytes(bytes_to_msg(bytes(range(256)))) == bytes(range(256))
 
 
-def _without_fields(cloud):
-    cloud.fields = []
+@pytest.mark.parametrize('xyzw', [(0, 0, 0, 0), (0, 0, 0, np.nan), (np.inf, 0, 0, 1),
+                                  (1e-9, 0, 0, 0)])
+def test_a_quaternion_without_a_direction_is_refused(xyzw):
+    message = positions_to_msg(np.zeros((2, 3)), Header())
+    message.poses[1].orientation = Quaternion(**dict(zip('xyzw', map(float, xyzw))))
+    with pytest.raises(MessageError, match='camera 1'):
+        msg_to_poses(message)
 
 
-def _short(cloud):
-    cloud.data = cloud.data[:-1]
-
-
-def _long(cloud):
-    cloud.data = cloud.data + array('B', [0])
-
-
-def _without_data(cloud):
-    cloud.data = array('B')
-
-
-def _overflowing(cloud):
-    cloud.width = cloud.height = 65536
-
-
-def _of_no_step(cloud):
-    cloud.point_step = cloud.row_step = 0
-
-
-def _far_offset(cloud):
-    cloud.fields[2].offset = 2 ** 32 - 1
-
-
-def _row_step_of_less(cloud):
-    cloud.row_step, cloud.data = cloud.row_step - 1, cloud.data[:-cloud.height]
-
-
-def _of_two_numbers(cloud):
-    cloud.fields[0].count = 2
-
-
-@pytest.mark.parametrize('spoil', [
-    _fields_twice, _without_fields, _short, _long, _without_data, _overflowing, _of_no_step,
-    _far_offset, _row_step_of_less, _of_two_numbers])
-def test_what_is_known_to_kill_others_is_refused(spoil):
-    _, message = of_driver('Azure Kinect')
-    spoil(message)
-    with pytest.raises(MessageError, match='cloud: found .*; expected'):
-        msg_to_cloud(message)
+@pytest.mark.parametrize('cameras', [0, 65])
+def test_a_number_of_cameras_out_of_bounds_is_refused(cameras):
+    for read in (msg_to_poses, msg_to_positions):
+        with pytest.raises(MessageError, match=f'{cameras} cameras'):
+            read(PoseArray(poses=[Pose()] * cameras))
 
 
 @pytest.mark.parametrize(('height', 'width', 'data'), [
@@ -251,22 +230,6 @@ def test_spoilt_messages_are_refused_or_read_and_nothing_else():
     assert (outcomes > 20).all(), outcomes
 
 
-@given(count=st.integers(0, 50), seed=st.integers(0, 99))
-@budget(max_examples=20, deadline=None)
-def test_a_cloud_comes_back(count, seed):
-    points = np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32)
-    np.testing.assert_array_equal(msg_to_cloud(cloud_to_msg(points, Header())), points)
-
-
-def test_positions_and_stamps_come_back():
-    positions = np.random.default_rng(0).normal(size=(4, 3))
-    message = positions_to_msg(positions, Header(stamp=ns_to_stamp(1_795_000_000_123_456_789)))
-    np.testing.assert_array_equal(msg_to_positions(message, 4), positions)
-    assert stamp_to_ns(message.header.stamp) == 1_795_000_000_123_456_789
-    assert message.header.stamp == Time(sec=1_795_000_000, nanosec=123_456_789)
-    assert all(pose.orientation.w == 1.0 for pose in message.poses)
-
-
 def test_headings_come_back_as_rotations():
     headings = np.random.default_rng(0).uniform(-1.5, 1.5, (4, 3))
     message = positions_to_msg(np.zeros((4, 3)), Header(), headings)
@@ -276,36 +239,16 @@ def test_headings_come_back_as_rotations():
         np.testing.assert_allclose(pose.rotation, rotation_matrix(*heading), atol=2e-3)
 
 
-@pytest.mark.parametrize('xyzw', [(0, 0, 0, 0), (0, 0, 0, np.nan), (np.inf, 0, 0, 1),
-                                  (1e-9, 0, 0, 0)])
-def test_a_quaternion_that_says_nothing_is_refused(xyzw):
-    message = positions_to_msg(np.zeros((2, 3)), Header())
-    message.poses[1].orientation = Quaternion(**dict(zip('xyzw', map(float, xyzw))))
-    with pytest.raises(MessageError, match='poses: camera 1: found the quaternion .*; expected'):
-        msg_to_poses(message)
-    with pytest.raises(MessageError, match='poses: found 65 cameras; expected .* at most 64'):
-        msg_to_positions(PoseArray(poses=[Pose()] * 65))
-    with pytest.raises(MessageError, match='poses: found 0 cameras; expected at least 1'):
-        msg_to_poses(PoseArray())
-
-
-def test_named_numbers_come_back_and_lies_are_refused():
-    message = fields_to_msg({'a': 1.5, 'b': -2.0})
-    assert msg_to_fields(message, ('a', 'b')) == {'a': 1.5, 'b': -2.0}
-    with pytest.raises(MessageError, match='found nothing as c'):
-        msg_to_fields(message, ('c',))
-    with pytest.raises(MessageError, match='found nan as a'):
-        msg_to_fields(fields_to_msg({'a': float('nan')}), ('a',))
-    short = Float64MultiArray(data=[1.0])
-    with pytest.raises(MessageError, match='found 0 labels for 1 numbers'):
-        msg_to_fields(short, ())
-    short.layout.dim = [MultiArrayDimension(label='a,b')]
-    with pytest.raises(MessageError, match='found 2 labels for 1 numbers'):
-        msg_to_fields(short, ())
-
-
-def test_blobs_come_back():
-    assert msg_to_bytes(bytes_to_msg(bytes(range(256)))) == bytes(range(256))
+@pytest.mark.parametrize(('labels', 'numbers', 'names', 'words'), [
+    ('a,b', [1.5, -2.0], 'c', 'found nothing as c'), ('a', [np.nan], 'a', 'found nan as a'),
+    (None, [1.0], '', '0 labels for 1'), ('a,b', [1.0], '', '2 labels for 1')])
+def test_named_numbers_come_back_and_lies_are_refused(labels, numbers, names, words):
+    assert msg_to_fields(fields_to_msg({'a': 1.5, 'b': -2.0}), ('a', 'b')) == {'a': 1.5, 'b': -2.0}
+    message = Float64MultiArray(data=numbers)
+    if labels:
+        message.layout.dim = [MultiArrayDimension(label=labels)]
+    with pytest.raises(MessageError, match=words):
+        msg_to_fields(message, tuple(names))
 
 
 def test_an_error_quotes_no_more_of_a_message_than_a_log_can_take():

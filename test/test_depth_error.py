@@ -37,11 +37,6 @@ ROUNDING = 1e-5
 seeds = st.integers(0, 2 ** 32 - 1)
 
 
-def test_viewpoints_are_where_the_paper_puts_them():
-    found = five_viewpoints(np.array([[0, 0], [0, 12], [6, 0], [6, 12]]), 1.5)
-    assert found.tolist() == [[3, 6, 1.5], [1, 2, 1.5], [1, 10, 1.5], [5, 2, 1.5], [5, 10, 1.5]]
-
-
 @pytest.fixture(scope='module')
 def small():
     """Return a small room and its depth error at a low resolution."""
@@ -55,31 +50,22 @@ def half_sides(scene):
     return SHARE * np.minimum(scene.spacing, LARGEST_CUBE * np.median(scene.spacing))
 
 
+def drawn(scene, seed, *shares):
+    """Return which points are seen, for shares of them: (N,) bool each."""
+    rng = np.random.default_rng(seed)
+    return [rng.random(len(scene)) < share for share in shares]
+
+
 @given(seed=seeds, share=st.floats(0.0, 1.0))
 @budget(max_examples=8, deadline=None)
-def test_depth_error_agrees_with_its_twin(small, seed, share):
+def test_depth_error_agrees_with_its_twins(small, seed, share):
     scene, error = small
-    seen = np.random.default_rng(seed).random(len(scene)) < share
-    expected = twins.depth_error(scene.points, half_sides(scene), error.viewpoints, error.far,
-                                 24, seen)
-    assert error(pack(seen)) == pytest.approx(expected, rel=2e-3, abs=2e-3)
-
-
-def test_where_the_error_is_agrees_with_its_twin(small):
-    scene, error = small
-    seen = np.random.default_rng(1).random(len(scene)) < 0.4
-    expected = twins.depth_error_by_point(scene.points, half_sides(scene), error.viewpoints,
-                                          error.far, 24, seen)
-    found = error.error_by_point(pack(seen))
-    assert np.abs(found - expected).sum() <= 2e-3 * expected.sum()
-
-
-@given(seed=seeds, share=st.floats(0.0, 1.0))
-@budget(max_examples=10, deadline=None)
-def test_all_of_the_error_is_somewhere_and_none_where_points_are_seen(small, seed, share):
-    scene, error = small
-    seen = np.random.default_rng(seed).random(len(scene)) < share
-    found = error.error_by_point(pack(seen))
+    seen, = drawn(scene, seed, share)
+    engine = scene.points, half_sides(scene), error.viewpoints, error.far, 24, seen
+    assert error(pack(seen)) == pytest.approx(twins.depth_error(*engine), rel=2e-3, abs=2e-3)
+    expected, found = twins.depth_error_by_point(*engine), error.error_by_point(pack(seen))
+    assert np.abs(found - expected).sum() <= 2e-3 * expected.sum() + ROUNDING
+    # All of the error is somewhere, and none where points are seen.
     assert found.sum() == pytest.approx(error(pack(seen)), rel=1e-4, abs=ROUNDING)
     assert (found >= 0.0).all() and not found[seen].any()
 
@@ -88,22 +74,26 @@ def test_all_of_the_error_is_somewhere_and_none_where_points_are_seen(small, see
 @budget(max_examples=30, deadline=None)
 def test_depth_error_falls_or_stays_when_more_is_seen(small, seed, share):
     scene, error = small
-    rng = np.random.default_rng(seed)
-    some = rng.random(len(scene)) < share
-    more = some | (rng.random(len(scene)) < 0.2)
-    assert 0.0 <= error(pack(more)) <= error(pack(some)) + ROUNDING
+    some, others = drawn(scene, seed, share, 0.2)
+    assert 0.0 <= error(pack(some | others)) <= error(pack(some)) + ROUNDING
     assert error(pack(some)) <= error.worst + ROUNDING
+    assert error(pack(np.ones(len(scene), dtype=bool))) == 0.0
+    assert error.worst == error(no_bits(len(scene))) > 1.0
 
 
 @given(seed=seeds, share=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
 @budget(max_examples=8, deadline=None)
 def test_what_is_settled_may_be_left_out(small, seed, share, more):
     scene, error = small
-    rng = np.random.default_rng(seed)
-    seen, *views = (pack(rng.random(len(scene)) < part) for part in (share, more, 0.1, 0.0))
+    seen, *views = map(pack, drawn(scene, seed, share, more, 0.1, 0.0))
     expected = [error(seen | view) for view in views]
     given_seen = error.given(seen)
     assert [given_seen(view) for view in views] == pytest.approx(expected, abs=ROUNDING)
+
+
+def test_viewpoints_are_where_the_paper_puts_them():
+    found = five_viewpoints(np.array([[0, 0], [0, 12], [6, 0], [6, 12]]), 1.5)
+    assert found.tolist() == [[3, 6, 1.5], [1, 2, 1.5], [1, 10, 1.5], [5, 2, 1.5], [5, 10, 1.5]]
 
 
 def test_depth_maps_agree_with_ray_casting():
@@ -116,13 +106,6 @@ def test_depth_maps_agree_with_ray_casting():
     # Cubes reach a little beyond what they stand for; holes would cost metres.
     assert sum(off) < 0.8
     assert (engine.depth_map(0) == np.float32(engine.far)).mean() < 0.03
-
-
-def test_depth_error_is_zero_when_all_is_seen(small):
-    scene, error = small
-    assert error(pack(np.ones(len(scene), dtype=bool))) == 0.0
-    assert error.worst == error(no_bits(len(scene))) > 1.0
-    assert error.depth_map(0).shape == (24, 48)
 
 
 @pytest.mark.parametrize('quarters', [1, 2, 3])

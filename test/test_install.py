@@ -17,6 +17,7 @@
 import os
 from pathlib import Path
 import shutil
+import signal
 import site
 import subprocess
 import sys
@@ -96,8 +97,9 @@ def test_commands_of_the_wheel_find_what_comes_with_it(installed, elsewhere):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize('name', ['sim_node', 'policy_node', 'trainer_node'])
-def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name):
+@pytest.mark.parametrize(('name', 'how'), [
+    ('sim_node', signal.SIGINT), ('policy_node', signal.SIGTERM), ('trainer_node', signal.SIGHUP)])
+def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name, how):
     environment = {key: value for key, value in os.environ.items()
                    if not key.startswith(('FASTRTPS', 'ROS_AUTOMATIC'))}
     log = elsewhere / 'log'
@@ -112,8 +114,9 @@ def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name):
                 node.wait(timeout=0.1)
             except subprocess.TimeoutExpired:
                 continue
-        node.terminate()
+        node.send_signal(how)
         assert node.wait(timeout=HUNG) == 0, log.read_text()
+        assert 'Traceback' not in log.read_text()
     finally:
         node.kill()
         node.wait()

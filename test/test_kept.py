@@ -54,7 +54,7 @@ def test_the_final_placement_is_a_file_that_can_be_judged(played, room, tmp_path
     placement = load_placement(path)
     np.testing.assert_allclose(placement.poses[:, :3], POSITIONS)
     assert {placed.camera.model for placed in placement.cameras} == {CameraModel(max_range=3.0)}
-    assert placement.created['final'] == 'all 1 turns are used up'
+    assert 'turns' in placement.created['final']
     save_scene(room, tmp_path / 'room.ply')
     assert cli.main(['score', str(tmp_path / 'room.ply'), str(path)]) == 0
 
@@ -73,4 +73,4 @@ def test_a_placement_that_cannot_be_written_is_published_all_the_same(played, tm
     (tmp_path / 'file').write_text('')
     placement = played(placement_file=str(tmp_path / 'file' / 'placement.yaml'))
     assert len(placement.poses) == 3
-    assert 'which cannot be written (' in capfd.readouterr().err
+    assert str(tmp_path / 'file' / 'placement.yaml') in capfd.readouterr().err

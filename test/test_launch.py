@@ -22,6 +22,14 @@ import launch_stand_in
 import pytest
 
 
+def description_of(name):
+    """Return the launch description of a launch file."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / 'launch' / f'{name}.launch.py')
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.generate_launch_description()
+
+
 @pytest.mark.parametrize(('name', 'given', 'nodes'), [
     ('demo', {}, 3), ('train', {}, 3), ('train', {'envs': '8'}, 17), ('live', {}, 2)])
 def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
@@ -31,13 +39,9 @@ def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
     from launch_ros.actions import Node
     monkeypatch.setattr('ament_index_python.packages.get_package_share_directory',
                         lambda package: str(ROOT))
-    path = ROOT / 'launch' / f'{name}.launch.py'
-    spec = importlib.util.spec_from_file_location(name, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
     context, started = LaunchContext(), []
     context.launch_configurations.update(given)
-    for entity in module.generate_launch_description().entities:
+    for entity in description_of(name).entities:
         if isinstance(entity, Node):
             started.append(entity)
         elif isinstance(entity, OpaqueFunction):
@@ -51,26 +55,22 @@ def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
 def launched(monkeypatch):
     """Return what executes a launch file by a stand-in for ROS's launch system."""
     launch_stand_in.install(monkeypatch)
-
-    def run(name, **given):
-        path = ROOT / 'launch' / f'{name}.launch.py'
-        spec = importlib.util.spec_from_file_location(name, path)
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        return launch_stand_in.started(module.generate_launch_description(), **given)
-    return run
+    return lambda name, **given: launch_stand_in.started(description_of(name), **given)
 
 
 def test_what_is_not_given_is_as_the_parameter_file_has_it(launched):
-    [(executable, namespace, parameters)] = launched('live')
-    assert (executable, namespace) == ('policy_node', '')
-    assert parameters == [str(ROOT / 'config' / 'live.yaml'), {}]
+    assert launched('live') == [('policy_node', '', [str(ROOT / 'config' / 'live.yaml'), {}])]
     [(_, namespace, parameters)] = launched(
         'live', params_file='mine.yaml', namespace='rig_a', turns='12', max_range='6.0',
         manual='true', use_sim_time='true')
     assert namespace == 'rig_a' and parameters == [
         'mine.yaml', {'turns': 12, 'max_range': 6.0, 'manual': True, 'use_sim_time': True}]
     assert [node for node, _, _ in launched('live', rviz='true')] == ['rviz2', 'policy_node']
+    nodes = launched('train', envs='3', seed='5')
+    assert [node for node, _, _ in nodes].count('sim_node') == 3 and len(nodes) == 7
+    assert {namespace for _, namespace, _ in nodes} == {None, 'env_0', 'env_1', 'env_2'}
+    assert [entries[-1]['scene.seed'] for node, _, entries in nodes
+            if node == 'sim_node'] == [5, 6, 7]
 
 
 def test_the_demo_runs_the_planner_that_is_named(launched):
@@ -85,14 +85,6 @@ def test_the_demo_runs_the_planner_that_is_named(launched):
         assert parameters[-1] == {'rig_file': 'rig.yaml', 'use_sim_time': True}
     assert [node for node, _, _ in launched('demo', rviz='true')] == [
         'rviz2', 'sim_node', 'policy_node']
-
-
-def test_training_has_as_many_pairs_as_asked_for(launched):
-    nodes = launched('train', envs='3', seed='5')
-    assert [node for node, _, _ in nodes].count('sim_node') == 3 and len(nodes) == 7
-    assert {namespace for _, namespace, _ in nodes} == {None, 'env_0', 'env_1', 'env_2'}
-    assert [entries[-1]['scene.seed'] for node, _, entries in nodes
-            if node == 'sim_node'] == [5, 6, 7]
 
 
 def test_the_arguments_for_live_cameras_are_parameters():

@@ -14,6 +14,7 @@
 
 """Managed nodes send nothing before they are active, and can be put away and brought back."""
 
+from conftest import SMALL, status
 from geometry_msgs.msg import PoseArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -25,7 +26,7 @@ from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_srvs.srv import Trigger
 
-SIM = {'scene__points': 2000, 'engine__preset': 'fast', 'resend_period': 0.1}
+SIM = {**SMALL, 'resend_period': 0.1}
 CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP, SHUTDOWN = (
     Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE,
     Transition.TRANSITION_DEACTIVATE, Transition.TRANSITION_CLEANUP,
@@ -38,20 +39,12 @@ def manager(graph, probe):
     probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
     probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
 
-    def call(kind, service, request):
-        client = probe.node.create_client(kind, service)
-        graph.until(client.service_is_ready)
-        answer = client.call_async(request)
-        graph.until(answer.done)
-        return answer.result()
-
     def change(name, transition):
-        request = ChangeState.Request(transition=Transition(id=transition))
-        return call(ChangeState, f'{name}/change_state', request).success
+        return probe.call(ChangeState, f'{name}/change_state',
+                          transition=Transition(id=transition)).success
 
-    probe.call, probe.change = call, change
-    probe.state = lambda name: call(
-        GetState, f'{name}/get_state', GetState.Request()).current_state.label
+    probe.change = change
+    probe.state = lambda name: probe.call(GetState, f'{name}/get_state').current_state.label
     return probe
 
 
@@ -59,13 +52,6 @@ def hears(manager, topic, times=3):
     """Wait until so many more messages have come."""
     count = len(manager.received[topic])
     manager.graph.until(lambda: len(manager.received[topic]) >= count + times)
-
-
-def test_nodes_that_start_themselves_are_active(graph, manager):
-    graph.add(SimNode, **SIM)
-    graph.add(PolicyNode, planner='lookahead', turns=100)
-    hears(manager, topics.CAMERA_COMMANDS)
-    assert manager.state('sim_node') == manager.state('policy_node') == 'active'
 
 
 def test_nothing_is_commanded_before_somebody_says_so(graph, manager):
@@ -76,7 +62,7 @@ def test_nothing_is_commanded_before_somebody_says_so(graph, manager):
     assert manager.node.count_publishers(topics.CAMERA_COMMANDS) == 0
     assert manager.change('policy_node', CONFIGURE)
     hears(manager, topics.OBSERVATION, 5)
-    assert not manager.received[topics.CAMERA_COMMANDS] and policy._status()[1] == 'inactive'
+    assert not manager.received[topics.CAMERA_COMMANDS] and status(policy)[1] == 'inactive'
     # A node that commands nothing keeps no other one from it.
     assert manager.node.count_publishers(topics.CAMERA_COMMANDS) == 0
     assert manager.change('policy_node', ACTIVATE)
@@ -87,6 +73,7 @@ def test_a_node_is_put_away_and_brought_back(graph, manager):
     sim = graph.add(SimNode, **SIM)
     policy = graph.add(PolicyNode, planner='lookahead', turns=100)
     hears(manager, topics.CAMERA_COMMANDS)
+    assert manager.state('sim_node') == manager.state('policy_node') == 'active'
     assert manager.change('policy_node', DEACTIVATE)
 
     def quiet():
@@ -99,9 +86,8 @@ def test_a_node_is_put_away_and_brought_back(graph, manager):
     assert manager.node.count_publishers(topics.CAMERA_COMMANDS) == 0
     assert manager.change('policy_node', CLEANUP)
     assert not policy.configured
-    assert {one.topic_name for one in policy.publishers} & {'/camera_commands', '/placement'} \
-        == set()
-    # What is read once can be changed now.
+    assert not {one.topic_name for one in policy.publishers} & {'/camera_commands', '/placement'}
+    # Parameters that are read once can be changed now.
     assert policy.set_parameters([Parameter('seed', value=7)])[0].successful
     assert manager.change('policy_node', CONFIGURE) and manager.change('policy_node', ACTIVATE)
     assert policy.config.seed == 7
@@ -111,7 +97,7 @@ def test_a_node_is_put_away_and_brought_back(graph, manager):
     for _ in range(20):
         graph.executor.spin_once(timeout_sec=0.02)
     assert sim.episode.turn.step == step
-    assert not manager.call(Trigger, 'sim_node/reset', Trigger.Request()).success
+    assert not manager.call(Trigger, 'sim_node/reset').success
     assert manager.change('sim_node', ACTIVATE)
     graph.until(lambda: sim.episode.turn.step > step)
     assert manager.change('sim_node', SHUTDOWN) and manager.state('sim_node') == 'finalized'
@@ -122,30 +108,10 @@ def test_a_transition_that_cannot_be_ends_no_node(graph, manager, capfd):
     for transition in (ACTIVATE, CLEANUP, 77):
         assert not manager.change('policy_node', transition)
     assert manager.state('policy_node') == 'active'
-    assert 'found the transition 77 while the node is active; expected one of' in \
-        capfd.readouterr().err
-
-
-def test_a_node_that_cannot_be_configured_says_why_and_tries_again(graph, manager, capfd):
-    policy = graph.add(PolicyNode, model='nowhere', autostart=False)
-    assert not manager.change('policy_node', CONFIGURE)
-    assert "no file 'nowhere'" in capfd.readouterr().err
-    assert manager.state('policy_node') == 'unconfigured'
-    assert policy.set_parameters([Parameter('planner', value='lookahead')])[0].successful
-    assert manager.change('policy_node', CONFIGURE) and manager.change('policy_node', ACTIVATE)
-
-
-def test_a_node_that_has_started_itself_says_later_why_it_cannot_be_configured(
-        graph, manager, capfd):
-    policy = graph.add(PolicyNode, planner='lookahead')
-    assert manager.change('policy_node', DEACTIVATE) and manager.change('policy_node', CLEANUP)
-    assert policy.set_parameters([Parameter('planner', value='learned'),
-                                  Parameter('model', value='nowhere')])[0].successful
-    assert not manager.change('policy_node', CONFIGURE)
-    assert "no file 'nowhere'" in capfd.readouterr().err
+    assert 'transition 77' in capfd.readouterr().err
 
 
 def test_a_policy_of_a_simulation_is_not_what_begins_anew(graph, manager):
     graph.add(PolicyNode, planner='lookahead')
-    answer = manager.call(Trigger, 'policy_node/reset', Trigger.Request())
-    assert not answer.success and 'call ~/reset of sim_node' in answer.message
+    answer = manager.call(Trigger, 'policy_node/reset')
+    assert not answer.success and 'sim_node' in answer.message
