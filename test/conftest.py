@@ -405,6 +405,13 @@ def box_room(width=6.0, depth=4.0, height=2.8):
     return Scene(box_sides(size, size / 2.0).astype(np.float32), 'box')
 
 
+def panel(x, across, upwards):
+    """Return points (N, 3) of a panel at x without thickness: its lowest and highest y and z."""
+    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(*across, 0.05),
+                                                 np.arange(*upwards, 0.05)))
+    return np.column_stack([np.full(y.size, x), y, z]).astype(np.float32)
+
+
 def l_shaped(pitch=0.1):
     """Return the floor, ceiling and walls of 6 x 4 m without the corner beyond 3 and 2 m."""
     from ocp_ros.scenes.scene import Scene

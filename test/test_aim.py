@@ -12,7 +12,9 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where cameras look: within limits, for what all of them see together, and at what is unseen."""
+"""Where cameras look: within limits, for what all of them see; and what moves shall bring."""
+
+import re
 
 from conftest import box_room, flat_clouds
 from hypothesis import example, given
@@ -22,12 +24,15 @@ import numpy as np
 from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import count_bits
+from ocp_ros.online.expected_gain import ExpectedGain
 from ocp_ros.online.heading_planner import HeadingPlanner
 from ocp_ros.online.partial_map import PartialMap
 from ocp_ros.online.rig_state import directions, RigState
 from ocp_ros.rig.motion import turned_towards, way_between
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
@@ -212,3 +217,40 @@ def test_where_there_is_no_room_to_judge_cameras_sweep_to_the_left(cloud):
     found = HeadingPlanner(models, 2, PITCH, MARGIN)(points, state, at, 0.4, 0, 9)
     assert 0.3 < way_between(now[0], found[0])[0] <= 0.4 and found[0, 1] > -0.1
     np.testing.assert_array_equal(found[1], now[1])
+
+
+RANGE = 4.0
+
+
+@pytest.fixture(scope='module')
+def seen_room():
+    """Return a room that has been seen whole."""
+    return generate_room(3, 8000).points
+
+
+def state_at(seen_room, *shares):
+    """Return cameras at shares of the way from corner to corner, 1.5 m high."""
+    low, high = seen_room.min(axis=0)[:2] + 0.4, seen_room.max(axis=0)[:2] - 0.4
+    rows = np.zeros((len(shares), 6))
+    rows[:, :2], rows[:, 2] = low + np.array(shares)[:, None] * (high - low), 1.5
+    return RigState(rows, (CameraModel(0.0, RANGE),) * len(shares), len(shares))
+
+
+def test_there_and_back_again(seen_room):
+    crowded, spread = state_at(seen_room, 0.01, 0.03), state_at(seen_room, 0.2, 0.8)
+    there = ExpectedGain.of(seen_room, crowded, spread.placement, RANGE)
+    back = ExpectedGain.of(seen_room, spread, crowded.placement, RANGE)
+    assert there.after < there.before
+    # The rectangle of what was seen is closed by where the cameras look from.
+    assert (back.before, back.after) == pytest.approx((there.after, there.before), rel=0.05)
+
+
+def test_cameras_that_stay_change_nothing_and_words_have_the_numbers(seen_room):
+    state = state_at(seen_room, 0.3, 0.7)
+    gain = ExpectedGain.of(seen_room, state, state.placement, RANGE)
+    assert gain.before == gain.after and f'{gain.before:.2f}' in str(gain)
+    with pytest.raises(SceneError):
+        ExpectedGain.of(seen_room[:3], state, state.placement, RANGE)
+    text = str(ExpectedGain(2.0, 1.5))
+    assert re.findall(r'\d+(?:\.\d+)?', text) == ['2.00', '1.50', '25']
+    assert '3.00' in str(ExpectedGain(3.0, 3.5)) and '3.50' not in str(ExpectedGain(3.0, 3.5))

@@ -34,6 +34,7 @@ from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     moved_to,
+    msg_to_cloud,
     msg_to_poses,
     msg_to_positions,
     ns_to_stamp,
@@ -96,49 +97,6 @@ def test_cameras_without_a_rig_file_stay_turned_as_they_are(robot):
     robot.send(1, poses)
     assert [pose.orientation for pose in robot.command(1).poses] == [
         pose.orientation for pose in poses.poses]
-
-
-class Loop:
-    """A simulation and a policy that play an episode, and what they said."""
-
-    def __init__(self, graph, probe, rig_file, **parameters):
-        for topic in (topics.CAMERA_COMMANDS, topics.CAMERA_POSES):
-            probe.listen(PoseArray, topic, qos.LOOP)
-        probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
-        self.sim = graph.add(SimNode, seed=3, scene__seed=8, rig__tilt=0.3, episode__turns=10,
-                             resend_period=0.2, **SMALL)
-        self.first = self.sim.episode.turn
-        self.policy = graph.add(PolicyNode, turns=10, rig_file=rig_file(), **parameters)
-        self.placement = probe.last(topics.PLACEMENT)
-        self.error = self.sim.episode.turn.depth_error
-        self.steps = []
-        poses = {stamp_to_ns(message.header.stamp): message
-                 for message in probe.received[topics.CAMERA_POSES]}
-        for command in probe.received[topics.CAMERA_COMMANDS]:
-            before = poses.get(stamp_to_ns(command.header.stamp))
-            if before is not None:
-                self.steps.append((msg_to_poses(before), msg_to_poses(command)))
-        graph.remove(self.sim)
-        graph.remove(self.policy)
-
-
-@pytest.mark.system
-def test_a_simulated_rig_that_is_turned_ends_better_and_within_the_limits(graph, probe, rig_file):
-    still, turned = (Loop(graph, probe, rig_file, max_turn=most) for most in (0.0, 0.4))
-    assert turned.first.depth_error == still.first.depth_error
-    assert turned.error < 0.98 * still.error
-    for loop, most in ((still, 0.0), (turned, 0.4)):
-        assert len(loop.steps) >= 8
-        for before, after in loop.steps:
-            for now, goal in zip(before, after, strict=True):
-                assert np.linalg.norm(goal.position - now.position) <= 0.5 + 1e-6
-                assert angle_between(now.rotation, goal.rotation) <= most + 1e-6
-                pitch = heading_of(goal.rotation)[1]
-                assert LIMITS[0] - 1e-6 <= pitch <= LIMITS[1] + 1e-6
-    # The placement has the directions that the simulation judged.
-    found = np.array([heading_of(pose.rotation) for pose in msg_to_poses(turned.placement)])
-    np.testing.assert_allclose(found, turned.sim.episode.turn.headings, atol=1e-9)
-    assert np.abs(found[:, 0] - turned.first.headings[:, 0]).max() > 0.4
 
 
 @pytest.fixture
@@ -232,39 +190,13 @@ def sim(graph, probe):
         return probe.sim, deepcopy(probe.last(topics.CAMERA_POSES))
 
     def play(message):
-        stamp = probe.sim._stamp
+        message.header = probe.last(topics.CAMERA_POSES).header
         probe.commands.publish(message)
-        graph.until(lambda: probe.sim._stamp != stamp)
+        graph.until(lambda: probe.last(topics.CAMERA_POSES).header != message.header)
         return probe.sim.episode.turn
 
     probe.start, probe.play = start, play
     return probe
-
-
-def test_a_simulation_turns_cameras_and_shows_what_they_then_see(sim):
-    node, poses = sim.start(rig__sensors='realsense_d455, omnidirectional', rig__cameras=2)
-    before = node.episode.turn
-    headings = np.array([[2.0, 0.4, 0.1], [1.0, 0.0, 0.0]])
-    turn = sim.play(positions_to_msg(before.positions, poses.header, headings))
-    np.testing.assert_allclose(turn.headings[0], headings[0], atol=1e-9)
-    np.testing.assert_array_equal(turn.headings[1], before.headings[1])
-    simulator = node.simulator
-    expected = simulator.evaluate(np.hstack([turn.positions, headings]))
-    assert turn.depth_error == expected.depth_error != before.depth_error
-    view = Subset(simulator.look(np.append(turn.positions[0], headings[0]), 0).seen,
-                  simulator.visibility.order)
-    assert (node.episode.observed.mask | ~view.mask).all()
-    # The next turn's poses tell it.
-    sim.graph.until(lambda: stamp_to_ns(
-        sim.last(topics.CAMERA_POSES).header.stamp) == node._stamp)
-    found = msg_to_poses(sim.last(topics.CAMERA_POSES))
-    np.testing.assert_allclose(found[0].rotation, rotation_matrix(*headings[0]), atol=1e-9)
-
-
-def test_a_command_that_turns_nobody_changes_no_bit(sim):
-    node, poses = sim.start(rig__tilt=0.3)
-    before = node.episode.turn
-    np.testing.assert_array_equal(sim.play(poses).headings, before.headings)
 
 
 @pytest.mark.parametrize('xyzw', [(0.0, 0.0, 0.0, 0.0), (0.0, float('nan'), 0.0, 1.0)])
@@ -339,6 +271,7 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
     # Both look the same way.
     first = episode.move(np.zeros((2, 2)), np.tile([0.5, 0.3, 0.0], (2, 1)))
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+    probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
     rig = graph.add(lambda **kwargs: TurnedRig(episode, **kwargs))
     policy = graph.add(
         PolicyNode, cloud_topics='points_0,points_1', turns=12, max_range=6.0,
@@ -351,7 +284,7 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
                                episode.turn.headings, atol=1e-9)
     assert np.abs(episode.turn.headings - first.headings).max() > 0.5
     # What was fused is where it is, whatever frame it came in and however that was turned.
-    away, _ = cKDTree(room.points).query(policy._live._fused.points)
+    away, _ = cKDTree(room.points).query(msg_to_cloud(probe.last(topics.OBSERVATION)))
     assert away.max() < 1e-4
     # Once the placement is final, no camera is turned any more.
     turned = len(rig.trail)
@@ -365,3 +298,59 @@ def test_cameras_that_are_turned_do_not_stand_still(probe):
     assert finality.still == 0
     finality.moved(0.0, 0.0, config)
     assert finality.still == 1
+
+
+@pytest.mark.system
+@pytest.mark.parametrize('max_turn', [0.0, 0.4])
+def test_a_simulated_rig_ends_better_where_it_turns_and_stays_within_the_limits(
+        graph, probe, rig_file, max_turn):
+    for topic in (topics.CAMERA_COMMANDS, topics.CAMERA_POSES):
+        probe.listen(PoseArray, topic, qos.LOOP)
+    probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+    sim = graph.add(SimNode, seed=3, scene__seed=8, rig__tilt=0.3, episode__turns=10,
+                    resend_period=0.2, **SMALL)
+    first = sim.episode.turn
+    graph.add(PolicyNode, turns=10, rig_file=rig_file(), max_turn=max_turn)
+    found = np.array([heading_of(pose.rotation)
+                      for pose in msg_to_poses(probe.last(topics.PLACEMENT))])
+    # The placement has the directions that the simulation judged.
+    np.testing.assert_allclose(found, sim.episode.turn.headings, atol=1e-9)
+    poses = {stamp_to_ns(message.header.stamp): message
+             for message in probe.received[topics.CAMERA_POSES]}
+    steps = [(poses[stamp_to_ns(command.header.stamp)], command)
+             for command in probe.received[topics.CAMERA_COMMANDS]
+             if stamp_to_ns(command.header.stamp) in poses]
+    assert len(steps) >= 8
+    for step in steps:
+        for now, goal in zip(*map(msg_to_poses, step), strict=True):
+            assert np.linalg.norm(goal.position - now.position) <= 0.5 + 1e-6
+            assert angle_between(now.rotation, goal.rotation) <= max_turn + 1e-6
+            pitch = heading_of(goal.rotation)[1]
+            assert LIMITS[0] - 1e-6 <= pitch <= LIMITS[1] + 1e-6
+    turned = max(angle_between(rotation_matrix(*one), rotation_matrix(*other))
+                 for one, other in zip(found, first.headings))
+    assert turned > 0.4 if max_turn else turned < 1e-6
+    # With the directions of the beginning, the placement is worse.
+    still = sim.simulator.evaluate(np.hstack([sim.episode.turn.positions, first.headings]))
+    assert not max_turn or sim.episode.turn.depth_error < 0.98 * still.depth_error
+
+
+def test_a_simulation_turns_cameras_as_commanded_and_shows_what_they_then_see(sim):
+    node, poses = sim.start(rig__sensors='realsense_d455, omnidirectional', rig__cameras=2,
+                            rig__tilt=0.3)
+    before = node.episode.turn
+    # A command that turns no camera changes no bit.
+    np.testing.assert_array_equal(sim.play(poses).headings, before.headings)
+    headings = np.array([[2.0, 0.4, 0.1], [1.0, 0.0, 0.0]])
+    turn = sim.play(positions_to_msg(before.positions, Header(), headings))
+    np.testing.assert_allclose(turn.headings[0], headings[0], atol=1e-9)
+    np.testing.assert_array_equal(turn.headings[1], before.headings[1])
+    simulator = node.simulator
+    expected = simulator.evaluate(np.hstack([turn.positions, headings]))
+    assert turn.depth_error == expected.depth_error != before.depth_error
+    view = Subset(simulator.look(np.append(turn.positions[0], headings[0]), 0).seen,
+                  simulator.visibility.order)
+    assert (node.episode.observed.mask | ~view.mask).all()
+    # The poses of the next turn have them.
+    found = msg_to_poses(sim.last(topics.CAMERA_POSES))
+    np.testing.assert_allclose(found[0].rotation, rotation_matrix(*headings[0]), atol=1e-9)

@@ -98,7 +98,7 @@ def test_candidates_obey_whatever_is_asked(rooms, spacing, keep_clear, low, most
     assert allowed.broken(poses[:1]) == [] and allowed.broken(poses[-1:]) == []
 
 
-def test_the_floor_is_a_layer_and_not_the_highest_point(rooms):
+def test_the_floor_is_a_layer_and_not_the_lowest_point(rooms):
     assert floor_height(rooms['box']) == 0.0
     stray = np.random.default_rng(0).uniform([0, 0, -0.9], [6, 4, 0.7], (400, 3))
     for name, floor in (('office', 0.0), ('low', -5.0)):

@@ -51,12 +51,6 @@ def room():
     return generate_room(7, 8000)
 
 
-def test_the_share_is_of_the_camera_that_sees_fewer():
-    found = covisibility(POINTS, [view(2.0, 0, 50), view(3.0, 40, 60)], Calibratable(0.4, np.pi))
-    assert found.shares[0, 1] == pytest.approx(10 / 20) and found.linked(0, 1)
-    assert found.missing == 0.0 and found.groups == [[0, 1]]
-
-
 def test_what_is_seen_under_a_wide_angle_is_not_shared():
     """Two cameras opposite each other see one strip between them, from two sides."""
     views = [view(0.0, 0, 100), view(9.9, 0, 100)]
@@ -78,11 +72,11 @@ def test_a_chain_connects_and_a_gap_says_how_much_is_missing():
     apart = covisibility(POINTS, [*chain[:2], view(5.0, 65, 100)], asked)
     assert apart.missing == pytest.approx(0.5 * (1.0 - 5 / 35 / 0.25))
     assert apart.groups == [[0, 1], [2]]
-
-
-def test_cameras_in_place_are_linked_and_one_camera_needs_no_other():
+    # The share is that of the camera that sees fewer points.
+    found = covisibility(POINTS, [view(2.0, 0, 50), view(3.0, 40, 60)], asked)
+    assert found.shares[0, 1] == pytest.approx(10 / 20) and found.linked(0, 1)
+    # Two cameras in place are linked, and a single camera needs no other.
     views = [view(1.0, 0, 40), view(2.0, 20, 40), view(5.0, 60, 100)]
-    asked = Calibratable(0.3, 3.0)
     assert covisibility(POINTS, views, asked).groups == [[0, 1], [2]]
     assert covisibility(POINTS, views, asked, fixed=2).missing == 0.0
     assert covisibility(POINTS, views[:1], asked).missing == 0.0

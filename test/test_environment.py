@@ -158,31 +158,43 @@ def test_where_nothing_is_seen_the_cameras_are_all_that_is_known(room):
     np.testing.assert_allclose(observation['bounds'][0], observation['camera_positions'].min(0))
 
 
-@given(seed=seeds)
-@budget(max_examples=15, deadline=None)
-def test_what_was_observed_stays_observed(simulator, seed):
-    rng = np.random.default_rng(seed)
-    episode = Episode(PlaneProblem(simulator), rng)
-    for _ in range(4):
-        before = episode.observed
-        episode.move(rng.uniform(-1, 1, (4, 2)))
-        assert episode.observed >= before
-        assert len(episode.observed_cloud) == len(episode.observed)
-
-
 @given(seed=seeds, scale=st.floats(0.0, 100.0))
-@budget(max_examples=25, deadline=None)
-def test_cameras_never_move_too_far_nor_leave_the_room(simulator, seed, scale):
+@budget(max_examples=30, deadline=None)
+def test_cameras_stay_in_the_room_and_what_was_observed_stays_observed(simulator, seed, scale):
     rng = np.random.default_rng(seed)
     episode = Episode(PlaneProblem(simulator), rng)
     low, high = simulator.scene.bounds
-    for _ in range(3):
-        before = episode.turn.positions
+    for _ in range(4):
+        before, observed = episode.turn.positions, episode.observed
         turn = episode.move(scale * rng.normal(size=(4, 2)))
+        assert episode.observed >= observed
+        assert len(episode.observed_cloud) == len(episode.observed)
         assert np.linalg.norm(turn.positions - before, axis=1).max() <= 0.5 + 1e-9
         assert (turn.positions >= low + [0.1, 0.1, 0.0] - 1e-9).all()
         assert (turn.positions <= high - [0.1, 0.1, 0.0] + 1e-9).all()
         assert (turn.positions[:, 2] == simulator.height).all()
+
+
+@given(seed=seeds)
+@budget(max_examples=15, deadline=None)
+def test_one_camera_more_never_sees_less_and_a_moved_one_costs_one_view(simulator, seed):
+    positions = np.random.default_rng(seed).uniform(*simulator.scene.bounds, (4, 3))
+    fewer, more = simulator.evaluate(positions[:2]), simulator.evaluate(positions[:3])
+    assert more.seen >= fewer.seen
+    assert more.space_coverage >= fewer.space_coverage
+    assert more.depth_error <= fewer.depth_error + 1e-5
+    views = [simulator.look(position) for position in positions[:3]]
+    judged = simulator.judge(views)
+    assert np.array_equal(judged.seen.bits, more.seen.bits) and judged[1:] == more[1:]
+    views[1] = simulator.look(positions[3])
+    moved = simulator.judge(views)
+    assert moved[1:] == simulator.evaluate(positions[[0, 3, 2]])[1:]
+
+
+def test_a_move_out_of_the_bounding_box_is_penalised(simulator):
+    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
+    penalties = [episode.move(np.tile([0.5, 0.0], (4, 1))).terms.penalty for _ in range(12)]
+    assert penalties[0] == 0.0 and penalties[-1] == 1.0
 
 
 def test_cameras_start_near_the_centre_at_their_height_above_the_floor(room):
@@ -195,13 +207,6 @@ def test_cameras_start_near_the_centre_at_their_height_above_the_floor(room):
     offsets = np.linalg.norm((starts - sunken.bounds.mean(axis=0))[:, :2], axis=1)
     assert 0.3 < offsets.max() <= 0.5
     np.testing.assert_allclose(starts[:, 2], sunken.bounds[0, 2] + 1.9)
-
-
-def test_leaving_the_bounding_box_is_penalised_and_prevented(simulator):
-    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
-    penalties = [episode.move(np.tile([0.5, 0.0], (4, 1))).terms.penalty for _ in range(12)]
-    assert penalties[0] == 0.0 and penalties[-1] == 1.0
-    assert episode.turn.positions[:, 0].max() <= simulator.scene.bounds[1, 0] - 0.1 + 1e-9
 
 
 def test_cameras_are_turned_with_a_move_and_stay_so(room):
@@ -220,29 +225,6 @@ def test_cameras_are_turned_with_a_move_and_stay_so(room):
         np.testing.assert_array_equal(now.headings, headings)
     assert found.depth_error != simulator.evaluate(
         np.hstack([turn.positions, before])).depth_error
-
-
-@given(seed=seeds)
-@budget(max_examples=15, deadline=None)
-def test_one_camera_more_never_sees_less(simulator, seed):
-    low, high = simulator.scene.bounds
-    positions = np.random.default_rng(seed).uniform(low, high, (3, 3))
-    fewer, more = simulator.evaluate(positions[:2]), simulator.evaluate(positions)
-    assert more.seen >= fewer.seen
-    assert more.space_coverage >= fewer.space_coverage
-    assert more.depth_error <= fewer.depth_error + 1e-5
-
-
-@given(seed=seeds)
-@budget(max_examples=10, deadline=None)
-def test_one_moved_camera_costs_one_view_and_gives_the_same_judgement(simulator, seed):
-    positions = np.random.default_rng(seed).uniform(*simulator.scene.bounds, (4, 3))
-    views = [simulator.look(position) for position in positions[:3]]
-    judged, whole = simulator.judge(views), simulator.evaluate(positions[:3])
-    assert np.array_equal(judged.seen.bits, whole.seen.bits) and judged[1:] == whole[1:]
-    views[1] = simulator.look(positions[3])
-    moved = simulator.judge(views)
-    assert moved[1:] == simulator.evaluate(positions[[0, 3, 2]])[1:]
 
 
 def test_each_camera_of_a_mixed_rig_sees_with_its_own_model(room):

@@ -14,7 +14,7 @@
 
 """Commands are held to a rig file, whatever the planner and the turns are."""
 
-from conftest import box_room, box_sides
+from conftest import box_room, box_sides, panel
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
@@ -138,20 +138,13 @@ def test_what_was_prepared_is_as_good_as_what_is_known(mount, monkeypatch):
     assert empty.held and 'all cameras stay' in empty.held[0]
 
 
-def panel_at(x, low, high):
-    """Return the points (N, 3) of a panel across a room, from one height to another."""
-    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(1.0, 3.0, 0.05),
-                                                 np.arange(low, high, 0.05)))
-    return np.column_stack([np.full(y.size, x), y, z]).astype(np.float32)
-
-
 def test_what_has_just_been_seen_is_in_the_way_or_allows_a_move():
     rig, room = rig_of(1, 'omnidirectional', mount=MOUNTS[0], keep_clear=0.3), box_room().points
     position, target = np.array([[2.0, 2.0, 1.9]]), np.array([[2.4, 2.0, 1.9]])
     guard = ConstraintFilter(rig, MARGIN)
     for known, seen, free in (
             (room, room, True), (room[room[:, 0] < 2.2], room, True),
-            (room, np.concatenate([room, panel_at(2.6, 1.0, 2.4)]), False)):
+            (room, np.concatenate([room, panel(2.6, (1.0, 3.0), (1.0, 2.4))]), False)):
         guard.prepare(known, position)
         found, held = guard(seen, position, target, 0.5)
         assert np.array_equal(found, target) == free
@@ -240,6 +233,6 @@ def test_a_camera_that_sees_no_floor_below_goes_where_it_looks_through_free_spac
     assert abs(np.arctan2(*(aside - positions)[0, 1::-1])) < 0.5 * model.horizontal_fov
     unseen, held = guard(cloud, positions, positions + [-0.3, 0.4, 0.0], 0.5)
     assert held and np.array_equal(unseen, positions)
-    before = np.concatenate([cloud[cloud[:, 0] < 2.2], panel_at(2.2, 0.5, 2.5)])
+    before = np.concatenate([cloud[cloud[:, 0] < 2.2], panel(2.2, (1.0, 3.0), (0.5, 2.5))])
     near, _ = guard(before, positions, positions + [1.5, 0.0, 0.0], 1.5, state=state)
     assert near[0, 0] <= 2.2 - rig.keep_clear
