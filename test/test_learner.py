@@ -154,7 +154,7 @@ def test_a_turn_that_something_else_made_is_no_transition(change, found):
     assembler.add_positions(2, np.array(change.get('positions', np.zeros((2, 3)))))
     assert len(assembler.add_reward(Reward(
         1, 2, change.get('step', 1), 0.0, change.get('shares', (0.0, 0.0)), False))) == found
-    assert (assembler.assembled, assembler.inconsistent) == (found, found == 0)
+    assert (assembler.assembled, assembler.inconsistent) == ((1, 0) if found else (0, 1))
 
 
 @pytest.mark.system
