@@ -344,42 +344,6 @@ def test_noise_of_poses_neither_stops_turns_nor_moves_what_was_decided(live, noi
     assert counted(policy, 'late_turns') == 0
 
 
-def on_their_way(live):
-    """Start a rig and a policy, and return both with the cameras half of a way behind them."""
-    rig, policy = live.start(turns=50)
-    live.wait_for_turns(2)
-    rig.obeys = False
-    live.wait_for_turns(counted(policy, 'turns_answered'))
-    live.graph.until(lambda: not policy._live._turns.standing)
-    rig.episode.move(0.5 * (rig.target - rig.positions)[:, :2])
-    stamp = rig.stamp
-    live.graph.until(lambda: rig.stamp > stamp + S // 4)
-    return rig, policy
-
-
-def test_who_is_deactivated_leaves_cameras_where_they_are(live):
-    rig, policy = on_their_way(live)
-    here = rig.positions.copy()
-    assert policy.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
-    live.graph.until(lambda: np.allclose(rig.target, here, atol=1e-6))
-
-
-def test_a_pause_stops_cameras_where_they_are(live):
-    rig, policy = on_their_way(live)
-    here, stamp = rig.positions.copy(), rig.stamp
-    assert live.call(SetBool, 'policy_node/pause', data=True).success
-    live.graph.until(lambda: np.allclose(rig.target, here, atol=1e-6))
-    count = len(rig.commands)
-    live.graph.until(lambda: rig.stamp > stamp + 2 * S)
-    assert len(rig.commands) == count and status(policy)[1] == 'paused'
-    assert live.call(SetBool, 'policy_node/pause', data=False).success
-    turns = counted(policy, 'turns_answered')
-    live.graph.until(lambda: not np.allclose(rig.target, here, atol=1e-6))
-    rig.obeys = True
-    rig.go()
-    live.wait_for_turns(turns + 1)
-
-
 def test_a_new_placement_begins_without_a_restart(live):
     rig, policy = live.start(turns=3)
     live.graph.until(lambda: status(policy)[1] == 'placement is final')
@@ -437,3 +401,32 @@ def test_clouds_that_come_while_the_node_is_busy_are_dropped_but_the_newest(grap
             room.points, Header(stamp=ns_to_stamp(stamp), frame_id='map')))
     graph.until(lambda: heard and heard[-1] == 40)
     assert len(heard) < 40
+
+
+@pytest.mark.parametrize('how', ['pause', 'deactivation'])
+def test_cameras_on_their_way_stop_where_they_are_and_go_on_later(live, how):
+    rig, policy = live.start(turns=50)
+    live.wait_for_turns(2)
+    rig.obeys = False
+    live.wait_for_turns(counted(policy, 'turns_answered'))
+    live.graph.until(lambda: not policy._live._turns.standing)
+    # Half of the way is behind them.
+    rig.episode.move(0.5 * (rig.target - rig.positions)[:, :2])
+    stamp, here = rig.stamp, rig.positions.copy()
+    live.graph.until(lambda: rig.stamp > stamp + S // 4)
+    if how == 'pause':
+        assert live.call(SetBool, 'policy_node/pause', data=True).success
+    else:
+        assert policy.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    live.graph.until(lambda: np.allclose(rig.target, here, atol=1e-6))
+    commands, turns = len(rig.commands), counted(policy, 'turns_answered')
+    live.graph.until(lambda: rig.stamp > stamp + 2 * S)
+    assert len(rig.commands) == commands and status(policy)[1] in ('paused', 'inactive')
+    if how == 'pause':
+        assert live.call(SetBool, 'policy_node/pause', data=False).success
+    else:
+        assert policy.trigger_activate() == TransitionCallbackReturn.SUCCESS
+    live.graph.until(lambda: not np.allclose(rig.target, here, atol=1e-6))
+    rig.obeys = True
+    rig.go()
+    live.wait_for_turns(turns + 1)
