@@ -24,6 +24,7 @@ from ocp_ros.registration.alignment import matched, Matches, Patches, Poses, Sur
 from ocp_ros.registration.calibration import as_built, calibrate
 from ocp_ros.registration.camera_registration import (
     _behind,
+    _shifted,
     checked,
     MOST_BEHIND,
     register,
@@ -162,6 +163,14 @@ def test_a_near_pose_that_fits_as_well_is_named(nearer, named):
     pose, model = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0])), CameraModel(0.1, 6.0)
     view = LiveView((seen - pose.position) @ pose.rotation, model)
     assert ('another pose' in checked(surfaces, view, pose, model).refused) == named
+
+
+def test_a_pose_beside_the_best_one_is_left(scan):
+    true = Pose.of(TRUE)
+    view = LiveView(seen_by(true), MODEL)
+    beside = Pose(true.position + [0.05, 0.0, 0.0], true.rotation)
+    away, turn = errors(_shifted(scan.in_view(true, MODEL), view.patches, beside)[0], true)
+    assert away < 0.005 and turn < 0.3
 
 
 @pytest.mark.parametrize('find', [register, checked])
