@@ -23,6 +23,7 @@ import json
 import os
 from pathlib import Path
 import re
+import subprocess
 import sys
 import time
 
@@ -226,6 +227,16 @@ class Graph:
             rclpy.shutdown(context=self.context)
 
 
+def status(node):
+    """Return what a node publishes on ``/diagnostics``: its level, message and values."""
+    return node._status()
+
+
+def counted(node, name):
+    """Return a value that a node publishes on ``/diagnostics``."""
+    return status(node)[2][name]
+
+
 @pytest.fixture
 def graph(domain, monkeypatch):
     """Return a graph of nodes of its own, which know each other at once."""
@@ -262,6 +273,14 @@ class Probe:
         """Return the latest message of a topic, waiting for the first."""
         self.graph.until(lambda: self.received[topic])
         return self.received[topic][-1]
+
+    def call(self, kind, name, **fields):
+        """Call a service and return its answer."""
+        client = self.node.create_client(kind, name)
+        self.graph.until(client.service_is_ready)
+        answer = client.call_async(kind.Request(**fields))
+        self.graph.until(answer.done)
+        return answer.result()
 
     def start_policy(self, **parameters):
         """Start a policy_node whose turns this node sends, and whose commands it hears."""
@@ -347,6 +366,13 @@ def small():
         yield
 
 
+def run_python(code, *arguments, **variables):
+    """Run code in a process of its own that imports this checkout; return how it ended."""
+    return subprocess.run(
+        [sys.executable, '-c', code, *map(str, arguments)], text=True, capture_output=True,
+        timeout=HUNG, env={**os.environ, 'PYTHONPATH': str(ROOT), **variables})
+
+
 def rows_for(protocol, task):
     """Return made-up rows of a task of a comparison, as if it had been run."""
     return [{'room': task.room, 'rotation': task.rotation, 'planner': task.planner,
@@ -383,6 +409,13 @@ def box_room(width=6.0, depth=4.0, height=2.8):
     from ocp_ros.scenes.scene import Scene
     size = np.array([width, depth, height])
     return Scene(box_sides(size, size / 2.0).astype(np.float32), 'box')
+
+
+def panel(x, across, upwards):
+    """Return points (N, 3) of a panel at x without thickness: its lowest and highest y and z."""
+    y, z = (axis.ravel() for axis in np.meshgrid(np.arange(*across, 0.05),
+                                                 np.arange(*upwards, 0.05)))
+    return np.column_stack([np.full(y.size, x), y, z]).astype(np.float32)
 
 
 def l_shaped(pitch=0.1):

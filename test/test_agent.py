@@ -12,22 +12,28 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The agents that read the observed cloud: observation cache, networks, policy."""
+"""The agents that read the observed cloud: observations, networks, policy, weights in files."""
 
 from dataclasses import replace
+import json
 
 from conftest import assert_same, batch, made_room, observation, random_checkpoint, ROOT
+from hypothesis import given
+from hypothesis import settings as budget
+from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, MAP, PAPER
+from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.cloud_observation import encode, MAX_OTHERS
-from ocp_ros.policy.networks import Actor, ExtractionUnit, Extractor
+from ocp_ros.policy.networks import ExtractionUnit, Extractor
 from ocp_ros.policy.policy import Policy
 from ocp_ros.policy.sampling import ball_query, farthest_points
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.training.augmentation import SYMMETRIES, turn_observation
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.run_folder import read_config
+from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 import torch
@@ -40,12 +46,6 @@ AGENT = AgentConfig(CLOUD, points=128, keys_1=16, group_1=8, radius_1=2.0, keys_
 def cloud():
     """Return the points of a room that is longer than cameras see."""
     return made_room(8, 3000).points
-
-
-def seeded_actor(agent, seed=0):
-    """Return a network with random weights."""
-    torch.manual_seed(seed)
-    return Actor(agent)
 
 
 def turn_of(cloud, positions, agent=AGENT, max_range=2.0):
@@ -61,13 +61,12 @@ def corners(cloud):
 
 def test_the_observation_cache_is_what_the_units_compute_on(small_agent, cloud):
     agent = replace(small_agent, inputs=PAPER)
-    places = np.array(corners(cloud))
-    encoded = encode(cloud, places, agent)
+    encoded = encode(cloud, np.array(corners(cloud)), agent)
     points, keys = encoded['points'], encoded['keys_1']
     assert np.array_equal(keys, farthest_points(points, agent.keys_1))
     assert np.array_equal(encoded['groups_1'], ball_query(
         points, keys, agent.radius_1 / agent.length_scale, agent.group_1))
-    assert_same(encoded, encode(cloud, places, agent))
+    assert_same(encoded, encode(cloud, np.array(corners(cloud)), agent))
 
 
 def test_an_extraction_unit_is_a_shared_perceptron_and_a_maximum():
@@ -206,20 +205,104 @@ def test_the_network_of_the_paper_reads_cloud_box_and_all_cameras(small_agent):
     torch.testing.assert_close(features[0, -15:-12], encoded['half_size'][0])
 
 
-def test_one_head_tells_cameras_in_one_place_apart(small_agent, cloud):
+def test_one_head_serves_one_number_of_cameras_and_tells_them_apart(small_agent, cloud):
     """Two cameras that read the same get moves of their own; a head of each cannot do this."""
-    agent = replace(small_agent, inputs=PAPER, cameras=2)
-    one, other = Policy(random_checkpoint(agent)).act(cloud, np.array([[1.0, 0.5, 1.9]] * 2))
+    policy = Policy(random_checkpoint(replace(small_agent, inputs=PAPER, cameras=2)))
+    one, other = policy.act(cloud, np.array([[1.0, 0.5, 1.9]] * 2))
     assert np.abs(one - other).max() > 1e-3
-
-
-def test_one_head_serves_one_number_of_cameras(small_agent, cloud):
-    agent = replace(small_agent, inputs=PAPER, cameras=2)
-    with pytest.raises(ConfigurationError, match='found weights for 2 cameras, and 3 cameras'):
-        Policy(random_checkpoint(agent)).act(cloud, np.zeros((3, 3)))
+    with pytest.raises(ConfigurationError, match='2 cameras.* 3 cameras'):
+        policy.act(cloud, np.zeros((3, 3)))
 
 
 def test_settings_that_are_never_read_are_refused():
     AgentConfig(MAP, headings=8)
-    with pytest.raises(ConfigurationError, match="headings: found 8 with agent.inputs 'cloud'"):
+    with pytest.raises(ConfigurationError, match='headings: found 8'):
         replace(AGENT, headings=8)
+
+
+def test_a_checkpoint_comes_back_as_it_went(small_agent, tmp_path):
+    before = random_checkpoint(small_agent, updates=7, run='r', provenance={'seed': 3})
+    before.save(tmp_path / 'm.safetensors')
+    after = Checkpoint.load(tmp_path / 'm.safetensors')
+    assert (after.config, after.updates, after.run, after.provenance) == (
+        small_agent, 7, 'r', {'seed': 3})
+    assert all(torch.equal(after.weights[name], value) for name, value in before.weights.items())
+    assert '"updates": 7' in (tmp_path / 'm.json').read_text()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ['m.json', 'm.safetensors']
+
+
+@given(data=st.data())
+@budget(max_examples=60, deadline=None)
+def test_a_damaged_blob_is_refused_and_nothing_else_happens(small_agent, data):
+    blob = bytearray(random_checkpoint(small_agent, updates=1).to_bytes())
+    if data.draw(st.booleans()):
+        blob = blob[:data.draw(st.integers(0, len(blob) - 1))]
+    else:
+        header = int.from_bytes(blob[:8], 'little') + 8
+        blob[data.draw(st.integers(0, header - 1))] ^= data.draw(st.integers(1, 255))
+    try:
+        found = Checkpoint.from_bytes(bytes(blob))
+    except CheckpointError as error:
+        assert 'found' in str(error) and 'expected' in str(error)
+    else:
+        # A digit of the provenance, of the count or of a radius may have changed unnoticed.
+        assert all(torch.isfinite(value).all() for value in found.weights.values())
+
+
+@pytest.mark.parametrize(('name', 'value'), [
+    ('updates', 'Infinity'), ('updates', 'NaN'), ('updates', '"many"'), ('updates', '[1]'),
+    ('updates', '-1'), ('updates', '1' + 300 * '0'), ('run', f'"{"x" * 101}"'),
+    ('run', 'null'), ('provenance', '7'), ('config', '[]'), ('format', 'null'),
+    ('config', '{"points": 1e999}'), ('config', '{"hidden": 4096}'),
+    ('provenance', '[' * 5000 + ']' * 5000)])
+def test_a_card_with_odd_values_is_refused_and_nothing_else_happens(small_agent, name, value):
+    blob = random_checkpoint(small_agent).to_bytes()
+    body = 8 + int.from_bytes(blob[:8], 'little')
+    header = json.loads(blob[8:body])
+    card = json.loads(header['__metadata__'][KEY])
+    parts = [f'"{key}": {value if key == name else json.dumps(item)}'
+             for key, item in card.items()]
+    header['__metadata__'][KEY] = '{' + ', '.join(parts) + '}'
+    text = json.dumps(header).encode()
+    try:
+        found = Checkpoint.from_bytes(len(text).to_bytes(8, 'little') + text + blob[body:])
+    except CheckpointError as error:
+        assert 'found' in str(error) and 'expected' in str(error)
+    else:
+        assert (name, found.run) == ('run', 'None')
+
+
+@pytest.mark.parametrize(('bias', 'words'), [
+    (None, 'missing .*mu.bias'), (torch.zeros(5), 'mu.bias .*float32'),
+    *((torch.full((2,), wrong), 'mu.bias') for wrong in (torch.nan, -torch.inf, 3e38, -1e5))])
+def test_weights_of_another_network_are_refused(small_agent, bias, words):
+    weights = {**random_checkpoint(small_agent).weights, 'mu.bias': bias}
+    if bias is None:
+        del weights['mu.bias']
+    with pytest.raises(CheckpointError, match=words):
+        Checkpoint(small_agent, weights)
+
+
+def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
+    write_atomically(tmp_path / 'f', b'old')
+
+    def fail(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr('os.replace', fail)
+    with pytest.raises(KeyboardInterrupt):
+        write_atomically(tmp_path / 'f', b'new')
+    assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [('f', b'old')]
+
+
+def test_the_shipped_model_has_its_card_and_a_missing_one_is_named():
+    checkpoint = Checkpoint.load(find_model('map'))
+    test = checkpoint.provenance['test']
+    assert checkpoint.config == AgentConfig(headings=8)
+    assert test['policy']['depth_error_end'] < test['random_moves']['depth_error_end']
+    assert {'seed', 'date', 'interactions', 'training', 'seconds', 'curve'} <= (
+        checkpoint.provenance.keys())
+    with pytest.raises(CheckpointError, match='none.safetensors'):
+        Checkpoint.load('none.safetensors')
+    with pytest.raises(FileNotFoundError, match="'none'.*'map'"):
+        find_model('none')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The comparison of planners: one protocol, results that are kept, sums that can be checked."""
+"""Comparisons of planners: ``ocp benchmark`` with one protocol, ``ocp evaluate`` room by room."""
 
 from dataclasses import replace
 import json
@@ -33,7 +33,7 @@ from ocp_ros.compare.protocol import (
     rooms_in,
     run_task,
 )
-from ocp_ros.compare.summary import interval, ranks, summarise
+from ocp_ros.compare.summary import interval, LOG_OFFSET_M, pairs, ranks, summarise
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig
@@ -56,6 +56,10 @@ SMALL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'
                  seeds=2, points=3000, judged_points=4000, truths=2, truth_budget=300,
                  simulation=SimulationConfig(
                      engine=EngineConfig(error_rows=32, coverage_cell=0.5, error_folds=2)))
+D455 = """
+cameras: [{sensor: realsense_d455, count: 2}]
+mount: {on: walls, height: [1.6, 2.2]}
+"""
 
 
 def test_no_test_room_is_a_training_room():
@@ -76,12 +80,12 @@ def test_a_turned_room_is_the_room_turned():
 
 
 def test_a_folder_of_scans_is_a_set_of_rooms(tmp_path):
-    with pytest.raises(SceneError, match='found no scans; expected files of .*ply'):
+    with pytest.raises(SceneError, match='found no scans'):
         rooms_in(tmp_path)
     np.save(tmp_path / 'b.npy', generate_room(1, 2000).points)
     (tmp_path / 'notes.md').write_text('nothing')
     (tmp_path / 'notes.txt').write_text('scanned on monday')
-    with pytest.raises(SceneError, match='notes.txt: found .*convert this file first, or move'):
+    with pytest.raises(SceneError, match='notes.txt'):
         rooms_in(tmp_path)
     (tmp_path / 'notes.txt').unlink()
     assert [name[-5:] for name in rooms_in(tmp_path)] == ['b.npy']
@@ -119,14 +123,10 @@ def test_an_online_planner_plays_an_episode_with_every_seed():
 
 
 @pytest.mark.parametrize(('changes', 'words'), [
-    ({'planners': ('tdsa', 'magic')}, "planners: found 'magic'; expected some of"),
-    ({'rooms': ()}, 'found 0 rooms'), ({'budgets': (0,)}, r'budgets \[0\]'),
-    ({'seeds': 0}, '0 seeds; expected at least one'),
-    ({'scale': -1.0}, 'scale=-1.0 and .*expected a number of 0 or more'),
-    ({'up': 'w'}, "up='w'; expected .* one of"),
-    ({'budgets': (5, 5)}, r'budgets: found \[5, 5\]; expected each once'),
-    ({'simulation': SimulationConfig(rig=RigConfig(sensors='kinect_v2'))},
-     "rig.sensors: found 'kinect_v2'; expected omnidirectional")])
+    ({'planners': ('tdsa', 'magic')}, 'planners: .*magic'), ({'rooms': ()}, 'rooms'),
+    ({'budgets': (0,)}, r'budgets \[0\]'), ({'budgets': (5, 5)}, r'budgets: .*\[5, 5\]'),
+    ({'seeds': 0}, 'seeds'), ({'scale': -1.0}, 'scale=-1.0'), ({'up': 'w'}, "up='w'"),
+    ({'simulation': SimulationConfig(rig=RigConfig(sensors='kinect_v2'))}, 'rig.sensors')])
 def test_what_cannot_be_compared_is_refused(changes, words):
     with pytest.raises(ConfigurationError, match=words):
         replace(SMALL, **changes)
@@ -151,12 +151,26 @@ def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
     assert played == [*REFERENCES, 'random', 'annealing']
     assert len(rows) == RANDOM_PLACEMENTS + 2 + 1 + 4 + 4
     assert done == [RANDOM_PLACEMENT, RAY_SEARCH, None, PROVED_OPTIMUM, 'random', 'annealing']
-    with pytest.raises(ConfigurationError, match='record of another comparison'):
+    with pytest.raises(ConfigurationError, match='another comparison'):
         comparison.play(replace(SMALL, seeds=1), tmp_path, 1)
-    # The same name, but others than those that have played.
+    # A model of the same name with other weights.
     monkeypatch.setattr(comparison, 'find_model', lambda name: tmp_path / 'protocol.json')
-    with pytest.raises(ConfigurationError, match='expected the .* weights and version'):
+    with pytest.raises(ConfigurationError, match='weights'):
         comparison.play(SMALL, tmp_path, 1)
+
+
+def test_a_room_of_which_nothing_is_missed_is_noted_and_has_no_ratios():
+    rows = rows_of({'one': {('easy', 0): [0.07], ('b', 0): [4.0]},
+                    'other': {('easy', 0): [2.5], ('b', 0): [4.0]}})
+    for row in rows:
+        if row['planner'] == RAY_SEARCH and row['room'] == 'easy':
+            row['depth_error'] = 0.07
+    note, = summarise(rows)['notes']
+    assert note.startswith('easy: ')
+    summary = summarise([{**row, 'depth_error': 0.0, 'promised': 0.0} for row in rows])
+    assert summary['planners']['one']['100']['regret'] is None
+    assert summary['rooms']['easy']['share'] is None
+    json.dumps(summary, allow_nan=False)
 
 
 def rows_of(errors, budget=100, truth=()):
@@ -196,15 +210,6 @@ def test_the_summary_is_what_its_words_say():
     assert good['interval'][0] <= 6.0 <= good['interval'][1] and good['seeds'] == 2
 
 
-def test_a_room_of_which_nothing_is_missed_is_noted():
-    rows = rows_of({'one': {('easy', 0): [0.07], ('b', 0): [4.0]},
-                    'other': {('easy', 0): [2.5], ('b', 0): [4.0]}})
-    summary = summarise([{**row, 'depth_error': 0.07} if row['planner'] == RAY_SEARCH
-                         and row['room'] == 'easy' else row for row in rows])
-    note, = summary['notes']
-    assert note.startswith('easy: found that the best known leaves 0.070 m')
-
-
 def test_intervals_and_ranks_tell_planners_apart():
     rng = np.random.default_rng(0)
     low, high = interval(np.full(10, 2.0))
@@ -235,17 +240,22 @@ def test_the_command_compares_and_writes_results(tmp_path, capsys):
     lines = (tmp_path / 'out' / 'results.csv').read_text().splitlines()
     assert len(lines) == 1 + RANDOM_PLACEMENTS + 3 + 1 + 4 + 1
     printed = capsys.readouterr().out
-    assert 'greedy_error' in printed and f'wrote {tmp_path / "out" / "results.csv"}' in printed
-    assert write_report([str(tmp_path / 'out'), '--out', str(tmp_path / 'report')]) == 0
-    text = (tmp_path / 'report' / 'README.md').read_text()
-    assert 'ms per turn (median)' in text and '| greedy error |' in text
-    assert summary['command'] in text
-    html = (tmp_path / 'report' / 'placements.html').read_text()
-    assert 'small: greedy_error, depth error' in html and 'src="http' not in html
-    for picture in ('rooms.png', 'anytime.png', 'placements.png'):
-        assert (tmp_path / 'report' / picture).stat().st_size > 10000
-    assert cli.main([*arguments[:4], 'magic', *arguments[5:]]) == 2
-    assert "planners: found 'magic'" in capsys.readouterr().err
+    assert 'greedy_error' in printed and str(tmp_path / 'out' / 'results.csv') in printed
+
+
+@pytest.mark.parametrize(('arguments', 'words'), [
+    (['--rig', 'rig.yaml', '--cameras', '3'], '--cameras: found 3 with --rig'),
+    (['--rig', 'rig.yaml', '--sensor', 'd455'], '--sensor: found d455 with --rig'),
+    (['--mount', 'walls'], '--mount: found walls without --sensor'),
+    (['--sensor', 'd4'], 'd4'), (['--scale', '0.001'], '--rooms'),
+    (['--planners', 'magic'], 'magic'), (['--out', 'rig.yaml'], '--out'),
+    (['--workers', '0'], '--workers'), (['--workers', '²'], '--workers'),
+    (['--budgets', 'many'], '--budgets')])
+def test_options_that_cannot_be_are_refused(tmp_path, monkeypatch, capsys, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'rig.yaml').write_text(D455)
+    assert cli.main(['benchmark', *arguments, '--json']) == 2
+    assert words in json.loads(capsys.readouterr().out)['error']
 
 
 def test_another_scan_under_the_same_name_is_another_room(tmp_path):
@@ -257,68 +267,25 @@ def test_another_scan_under_the_same_name_is_another_room(tmp_path):
     assert comparison.name_of(task) != before
 
 
-def test_rooms_that_are_seen_completely_have_no_ratios():
-    summary = summarise([{**row, 'depth_error': 0.0, 'promised': 0.0} for row in rows_of(
-        {'one': {('a', 0): [0.0]}, 'other': {('a', 0): [0.0]}})])
-    assert summary['planners']['one']['100']['regret'] is None
-    assert summary['rooms']['a']['share'] is None
-    json.dumps(summary, allow_nan=False)
-
-
-def test_units_of_scans_need_scans(capsys):
-    assert cli.main(['benchmark', '--scale', '0.001']) == 2
-    assert '--scale and --up: found no --rooms; expected a folder' in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(('arguments', 'words'), [
-    (['--rig', 'rig.yaml', '--cameras', '3'], '--cameras: found 3 with --rig; expected one'),
-    (['--rig', 'rig.yaml', '--sensor', 'd455'], '--sensor: found d455 with --rig; expected one'),
-    (['--mount', 'walls'], '--mount: found walls without --sensor; expected both'),
-    (['--sensor', 'd4'], "sensor: found 'd4', which")])
-def test_options_about_cameras_may_not_contradict(tmp_path, monkeypatch, capsys, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / 'rig.yaml').write_text(D455)
-    assert cli.main(['benchmark', *arguments]) == 2
-    assert words in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(('arguments', 'expected'), [
-    ([], (4, '')), (['--cameras', '2'], (2, '')),
-    (['--cameras', '3', '--sensor', 'd455'], (3, 'out/benchmark/rig.yaml'))])
-def test_cameras_and_sensor_say_what_is_compared(tmp_path, monkeypatch, arguments, expected):
+@pytest.mark.parametrize(('arguments', 'cameras', 'path'), [
+    ([], 4, ''), (['--cameras', '2'], 2, ''),
+    (['--cameras', '3', '--sensor', 'd455'], 3, 'out/benchmark/rig.yaml')])
+def test_cameras_and_sensor_say_what_is_compared(tmp_path, monkeypatch, arguments, cameras, path):
     monkeypatch.chdir(tmp_path)
     asked = []
 
     def stop(protocol, *_):
-        asked.append(protocol)
+        asked.append(protocol.simulation)
         raise ConfigurationError('enough')
 
     monkeypatch.setattr(comparison, 'compare', stop)
     assert cli.main(['benchmark', *arguments]) == 2
-    count, path = expected
-    simulation = asked[0].simulation
-    assert simulation.rig_file == path
+    assert asked[0].rig_file == path
     if path:
         rig = load_rig(path)
-        assert len(rig.cameras) == count and rig.mount.on == 'walls'
+        assert len(rig.cameras) == cameras and rig.mount.on == 'walls'
     else:
-        assert simulation.rig.cameras == count
-
-
-@pytest.mark.parametrize(('arguments', 'words'), [
-    (['--workers', '0'], "found '0'; expected 1 or more"),
-    (['--workers', '²'], "found '²'; expected 1 or more"),
-    (['--budgets', 'many'], "found 'many'; expected whole numbers")])
-def test_numbers_that_are_none_are_refused(capsys, arguments, words):
-    with pytest.raises(SystemExit) as end:
-        cli.main(['benchmark', *arguments])
-    assert end.value.code == 2 and words in capsys.readouterr().err
-
-
-def test_results_do_not_go_into_a_file(tmp_path, capsys):
-    (tmp_path / 'taken').write_text('')
-    assert cli.main(['benchmark', '--out', str(tmp_path / 'taken')]) == 2
-    assert 'taken, where nothing can be written (it is a file)' in capsys.readouterr().err
+        assert asked[0].rig.cameras == cameras
 
 
 # Two nodes are a dozen processes to start, on however few cores.
@@ -338,12 +305,6 @@ def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):
         [row['placement'] for row in here]
 
 
-D455 = """
-cameras: [{sensor: realsense_d455, count: 2}]
-mount: {on: walls, height: [1.6, 2.2]}
-"""
-
-
 @pytest.mark.system
 def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
     (tmp_path / 'rig.yaml').write_text(D455)
@@ -353,24 +314,92 @@ def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
                '100', '--seeds', '1', '--workers', '1', '--out', str(tmp_path / 'out')]
     assert cli.main(command) == 0, capsys.readouterr().err
     rows = json.loads((tmp_path / 'out' / 'results.json').read_text())
-    assert {row['planner'] for row in rows} == {
-        RANDOM_PLACEMENT, RAY_SEARCH, 'rig_search', 'random', 'lookahead'}
-    assert all(np.shape(row['placement']) == (2, 6) for row in rows)
     errors = {row['planner']: row['depth_error'] for row in rows}
-    chance = [row['depth_error'] for row in rows if row['planner'] == RANDOM_PLACEMENT]
-    assert errors['rig_search'] < np.median(chance)
-    least = next(row['lower_bound'] for row in rows if row['planner'] == RANDOM_PLACEMENT)
-    assert all(least <= row['exact'] + 1e-9 for row in rows if row['planner'] == RANDOM_PLACEMENT)
+    assert set(errors) == {RANDOM_PLACEMENT, RAY_SEARCH, 'rig_search', 'random', 'lookahead'}
+    assert all(np.shape(row['placement']) == (2, 6) for row in rows)
+    control = [row for row in rows if row['planner'] == RANDOM_PLACEMENT]
+    assert errors['rig_search'] < np.median([row['depth_error'] for row in control])
+    assert all(control[0]['lower_bound'] <= row['exact'] + 1e-9 for row in control)
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert (summary['rig'], summary['cameras']) == ('rig.yaml', 2)
     assert write_report([str(tmp_path / 'out')]) == 0
     written = (tmp_path / 'out' / 'README.md').read_text()
-    assert '2 cameras of the rig file `rig.yaml`' in written and '| rig search | ' in written
+    assert 'rig.yaml' in written and '| rig search | ' in written
     assert 'anytime.png' not in written and (tmp_path / 'out' / 'rooms.png').exists()
 
 
 def test_no_planner_of_rigs_plans_on_a_plane(room):
     problem = PlaneProblem(Simulator(room, SimulationConfig(engine=EngineConfig('fast'))))
     for planner, budget in (('rig_search', Budget(evaluations=10)), ('tdsa', Budget(seconds=1.0))):
-        with pytest.raises(ConfigurationError, match=f'--planner {planner}: found it for cameras'):
+        with pytest.raises(ConfigurationError, match=f'--planner {planner}'):
             plan(problem, budget, planner)
+
+
+def rows_by_room(errors):
+    """Return rows of planners from their errors by room: {(planner, budget): (R,)}."""
+    return [{'planner': planner, 'budget': budget, 'room': str(room), 'rotation': 0.0, 'seed': 0,
+             'depth_error': float(error)}
+            for (planner, budget), values in errors.items() for room, error in enumerate(values)]
+
+
+def test_pairs_say_who_is_better_and_whether_it_is_chance():
+    rng = np.random.default_rng(0)
+    hard = rng.lognormal(0.0, 2.0, 40)
+    found = pairs(rows_by_room({
+        ('mine', 0): 0.8 * hard, ('worse', 0): hard, ('same', 0): 0.8 * hard,
+        ('noise', 0): 0.8 * hard * rng.lognormal(0.0, 0.3, 40),
+        (RANDOM_PLACEMENT, 1): hard}), 'mine')
+    assert set(found) == {'mine', 'worse', 'same', 'noise'}
+    worse = found['worse']
+    assert worse['wins'] == worse['rooms'] == 40 and worse['p'] < 1e-6
+    expected = np.exp(np.mean(np.log(0.8 * hard + LOG_OFFSET_M) - np.log(hard + LOG_OFFSET_M)))
+    assert worse['ratio'] == pytest.approx(expected) and 0.79 < worse['ratio'] < 0.9
+    low, high = worse['interval']
+    assert low <= worse['ratio'] <= high < 1.0
+    assert found['same']['p'] is None and found['same']['ratio'] == 1.0
+    low, high = found['noise']['interval']
+    assert low < 1.0 < high and found['noise']['p'] > 0.05
+    assert found['worse']['sum'] == pytest.approx(hard.sum())
+    # Planners with several budgets are named by them.
+    found = pairs(rows_by_room({('mine', 0): [1.0, 2.0], ('tdsa', 100): [2.0, 1.0],
+                                ('tdsa', 1000): [1.0, 1.0]}), 'mine')
+    assert set(found) == {'mine', 'tdsa, 100', 'tdsa, 1,000'}
+    assert found['tdsa, 100']['wins'] == 1 and found['tdsa, 100']['p'] is None
+
+
+@pytest.mark.system
+def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
+    scans = []
+    for seed in (8, 9):
+        save_scene(generate_room(seed, 1500), tmp_path / f'{seed}.ply')
+        scans.append(str(tmp_path / f'{seed}.ply'))
+    command = ['evaluate', '--planners', 'greedy_step,greedy_coverage', '--budgets', '20',
+               '--cameras', '1,2', '--workers', '1', '--out', str(tmp_path / 'out'), '--rooms']
+    assert cli.main([*command, *scans]) == 0
+    found = json.loads((tmp_path / 'out' / 'evaluation.json').read_text())
+    assert set(found['cameras']) == {'1', '2'} and found['model'] == 'map'
+    for judged in found['cameras'].values():
+        assert set(judged['pairs']) == {'greedy_step', 'greedy_coverage'}
+        assert set(judged['rooms']['greedy_step, 0']) == {'8', '9'}
+        assert 0.0 < judged['slowest_turn']['greedy_step'] < 60.0
+    one, two = (found['cameras'][count]['pairs']['greedy_step']['sum'] for count in '12')
+    assert two < one
+    assert '1 cameras' in capsys.readouterr().out
+
+
+@pytest.mark.system
+def test_evaluate_takes_a_rig_file_and_weights(tmp_path, capsys):
+    rig, scan = tmp_path / 'rig.yaml', tmp_path / '8.ply'
+    rig.write_text('cameras: [{sensor: realsense_d455}]\nmount: {on: ceiling}\n')
+    save_scene(generate_room(8, 1500), scan)
+    command = ['evaluate', '--rig', str(rig), '--workers', '1', '--budgets', '5', '--out',
+               str(tmp_path / 'out'), '--rooms', str(scan), '--planners']
+    assert cli.main([*command, 'greedy_step,random']) == 0
+    found = json.loads((tmp_path / 'out' / 'evaluation.json').read_text())
+    assert set(found['cameras']) == {'1'}
+    assert set(found['cameras']['1']['pairs']) == {'greedy_step', 'random'}
+    assert cli.main([*command, 'random', '--cameras', '2']) == 2
+    assert '--cameras' in capsys.readouterr().err
+    again = [*command, 'learned', '--model', 'nowhere', '--out', str(tmp_path / 'other')]
+    assert cli.main(again) == 2
+    assert 'nowhere' in capsys.readouterr().err

@@ -30,7 +30,7 @@ from ocp_ros.registration.camera_registration import (
     register,
 )
 from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.pose_certainty import axis_words, certainty
+from ocp_ros.registration.pose_certainty import certainty
 from ocp_ros.registration.scan_surfaces import inward_sign, ScanSurfaces
 from ocp_ros.rig.placement_file import load_placement, placement_of
 from ocp_ros.rig.rig_file import rig_of
@@ -115,18 +115,22 @@ def plane(across, size=8.0, count=160):
     return np.column_stack([x, across + rng.normal(0.0, 1e-3, x.size), z])
 
 
+def cloud_of(depth, top=0.6):
+    """Return the points of a depth image that reaches to slopes of 0.8 aside and some up."""
+    rows, columns = depth.shape
+    y, z = np.meshgrid(np.linspace(-0.8, 0.8, columns), np.linspace(-top, top, rows))
+    return np.stack([depth, y * depth, z * depth], axis=-1).reshape(-1, 3)
+
+
 def test_a_bare_wall_holds_three_directions_and_says_which_not():
     # A far corner makes a room of it; the camera does not see that.
     corner = np.random.default_rng(0).normal([9.0, -6.0, 0.0], 0.2, (300, 3))
     surfaces = ScanSurfaces(Scene(np.concatenate([plane(3.0), corner]).astype(np.float32)))
     pose = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0]))
     depth = 3.0 + np.random.default_rng(1).normal(0.0, 2e-3, (60, 80))
-    y, z = np.meshgrid(np.linspace(-0.8, 0.8, 80), np.linspace(-0.5, 0.5, 60))
-    live = (np.stack([np.ones_like(y), y, z], axis=-1) * depth[..., None]).reshape(-1, 3)
-    found = checked(surfaces, LiveView(live, MODEL), pose, MODEL)
-    assert 'can slide along the x direction' in found.refused
-    assert 'can slide along the vertical' in found.refused
-    assert 'can turn about the y direction' in found.refused
+    found = checked(surfaces, LiveView(cloud_of(depth, 0.5), MODEL), pose, MODEL)
+    for loose in ('slide along the x', 'slide along the vertical', 'turn about the y'):
+        assert loose in found.refused
     assert len(found.certainty.loose) == 3
     assert found.pose.position[1] == pytest.approx(0.0, abs=0.01)
 
@@ -134,9 +138,7 @@ def test_a_bare_wall_holds_three_directions_and_says_which_not():
 def test_noise_along_the_rays_is_averaged():
     noise = 0.017
     depth = 3.0 + np.random.default_rng(1).normal(0.0, noise, (240, 320))
-    y, z = np.meshgrid(np.linspace(-0.8, 0.8, 320), np.linspace(-0.6, 0.6, 240))
-    rays = np.stack([np.ones_like(y), y, z], axis=-1)
-    patches = LiveView((rays * depth[..., None]).reshape(-1, 3), MODEL).patches
+    patches = LiveView(cloud_of(depth), MODEL).patches
     # Voxels of 7 cm leave 10 mm: they part the slab into layers.
     assert patches.points[:, 0].std() < 0.4 * noise
     assert patches.points[:, 0].mean() == pytest.approx(3.0, abs=1e-3)
@@ -146,17 +148,8 @@ def test_noise_along_the_rays_is_averaged():
 def test_what_stands_behind_each_other_is_not_averaged():
     y, z = np.meshgrid(np.linspace(-0.8, 0.8, 320), np.linspace(-0.6, 0.6, 240))
     depth = np.where(np.abs(y + 0.1 * z) < 0.2, 1.5, 3.0)
-    points = np.stack([depth, y * depth, z * depth], axis=-1).reshape(-1, 3)
-    patches = LiveView(points, MODEL).patches
+    patches = LiveView(cloud_of(depth), MODEL).patches
     assert np.isin(patches.points[:, 0].round(6), (1.5, 3.0)).all()
-
-
-def test_a_pose_beside_the_best_one_is_left(scan):
-    true = Pose.of(TRUE)
-    view = LiveView(seen_by(true), MODEL)
-    beside = Pose(true.position + [0.05, 0.0, 0.0], true.rotation)
-    away, turn = errors(_best_shift(scan.in_view(true, MODEL), view.patches, beside)[0], true)
-    assert away < 0.005 and turn < 0.3
 
 
 @pytest.mark.parametrize(('nearer', 'named'), [(1.0, False), (0.97, True)])
@@ -169,10 +162,25 @@ def test_a_near_pose_that_fits_as_well_is_named(nearer, named):
     seen = np.concatenate([wall, floor, right * [nearer, 1.0, 1.0], right * [-nearer, 1.0, 1.0]])
     pose, model = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0])), CameraModel(0.1, 6.0)
     view = LiveView((seen - pose.position) @ pose.rotation, model)
-    found, rival = _best_shift(surfaces.in_view(pose, model), view.patches, pose)
-    assert (rival is not None) == named
-    if named:
-        assert 0.02 < np.linalg.norm(rival.position - found.position) < 0.07
+    assert ('another pose' in checked(surfaces, view, pose, model).refused) == named
+
+
+def test_a_pose_beside_the_best_one_is_left(scan):
+    true = Pose.of(TRUE)
+    view = LiveView(seen_by(true), MODEL)
+    beside = Pose(true.position + [0.05, 0.0, 0.0], true.rotation)
+    away, turn = errors(_best_shift(scan.in_view(true, MODEL), view.patches, beside)[0], true)
+    assert away < 0.005 and turn < 0.3
+
+
+@pytest.mark.parametrize('find', [register, checked])
+def test_a_cloud_of_another_room_and_a_camera_outside_of_the_scan_are_refused(scan, find):
+    pose = Pose.of(TRUE)
+    other = cast(MeshRays(mesh_of(plan_of(505))), pose, SENSOR, np.random.default_rng(0))
+    assert find(scan, LiveView(other, MODEL), pose, MODEL).refused
+    outside = Pose.of(TRUE + [100.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+    found = find(scan, LiveView(seen_by(pose), MODEL), outside, MODEL)
+    assert found.refused and found.overlap == 0.0 and len(found.certainty.loose) == 6
 
 
 def test_points_behind_a_scanned_surface_are_held_against_a_pose(scan):
@@ -208,23 +216,8 @@ def test_a_scan_that_is_bent_makes_a_pose_less_certain():
     assert found[1] > 3.0 * found[0]
 
 
-def test_a_cloud_of_another_room_is_refused(scan):
-    other = MeshRays(mesh_of(plan_of(505)))
-    pose = Pose.of(TRUE)
-    points = cast(other, pose, SENSOR, np.random.default_rng(0))
-    assert register(scan, LiveView(points, MODEL), pose, MODEL).refused
-
-
-@pytest.mark.parametrize('find', [register, checked])
-def test_a_camera_that_is_planned_outside_of_the_scan_is_refused(scan, find):
-    outside = Pose.of(TRUE + [100.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-    found = find(scan, LiveView(seen_by(Pose.of(TRUE)), MODEL), outside, MODEL)
-    assert found.refused == 'the scan explains 0 % of what it sees, 35 % are needed'
-    assert len(found.certainty.loose) == 6
-
-
 def test_a_covered_camera_is_refused():
-    with pytest.raises(SceneError, match='found 0 of 2 points between 0.6 and 6 m'):
+    with pytest.raises(SceneError, match='0 of 2 points'):
         LiveView(np.array([[0.0, 0.0, 0.0], [np.nan] * 3, [99.0, 0.0, 0.0]]), MODEL, 'door')
 
 
@@ -252,14 +245,6 @@ def test_normals_are_trusted_where_outer_surfaces_look_inside():
     assert inward_sign(Scene(points, normals=mixed)) == 0.0
 
 
-@pytest.mark.parametrize(('axis', 'words'), [
-    ([1.0, 0.0, 0.0], 'the x direction'), ([0.0, -1.0, 0.05], 'the y direction'),
-    ([0.0, 0.0, -1.0], 'the vertical'), ([0.7, 0.7, 0.0], 'the level line at 45 degrees from x'),
-    ([-0.6, 0.0, -0.8], 'the line 0.60, 0.00, 0.80')])
-def test_directions_have_names(axis, words):
-    assert axis_words(np.array(axis)) == words
-
-
 @pytest.fixture
 def files(room, tmp_path, monkeypatch):
     """Write the room, a placement that is off, and what two of three cameras see."""
@@ -279,14 +264,16 @@ def files(room, tmp_path, monkeypatch):
 
 
 def test_the_placement_as_built_is_written_and_scored(files, capsys):
-    assert main(['calibrate', 'room.ply', 'placement.yaml', '--clouds', 'door.npy',
+    assert main(['score', 'room.ply', 'placement.yaml', '--out', 'planned']) == 0
+    capsys.readouterr()
+    assert main(['calibrate', 'room.ply', 'planned/placement.yaml', '--clouds', 'door.npy',
                  'window=other.npy', '--json']) == 0
     found = json.loads(capsys.readouterr().out)
     door, window, shelf = found['cameras']
     assert door['refused'] == '' and len(door['deviations']) == 6
     assert np.linalg.norm(door['position'] - TRUE[:3]) < 0.01
     assert door['moved_metres'] == pytest.approx(0.2, abs=0.01)
-    assert 'found 0 of 200 points' in window['refused'] and shelf['refused'] == 'it has no cloud'
+    assert '0 of 200 points' in window['refused'] and 'no cloud' in shelf['refused']
     planned, built = (load_placement(name) for name in ('placement.yaml',
                                                         'out/built/placement.yaml'))
     assert built.cameras[0].position == tuple(door['position'])
@@ -298,32 +285,22 @@ def test_the_placement_as_built_is_written_and_scored(files, capsys):
     scores = json.loads(capsys.readouterr().out)
     assert scores['planned']['loss'] != scores['scores']['loss']
     assert main(['score', 'room.ply', 'out/built/placement.yaml']) == 0
-    assert 'as planned: depth error' in capsys.readouterr().out
-
-
-def test_scores_of_the_plan_are_not_taken_for_those_of_what_was_built(files, capsys):
-    assert main(['score', 'room.ply', 'placement.yaml', '--out', 'planned']) == 0
-    assert main(['calibrate', 'room.ply', 'planned/placement.yaml', '--clouds', 'door.npy']) == 0
-    capsys.readouterr()
-    assert main(['score', 'room.ply', 'out/built/placement.yaml']) == 0
     out = capsys.readouterr().out
-    assert 'as planned' in out and 'the file has the objective value' not in out
+    # The scores of the plan are not taken for those of what was built.
+    assert 'as planned: depth error' in out and 'the file has' not in out
 
 
 def test_where_no_camera_is_found_the_command_fails(files, capsys):
     assert main(['calibrate', 'room.ply', 'placement.yaml', '--clouds', 'door=other.npy']) == 2
     out, err = capsys.readouterr()
-    assert 'refused: shelf: it has no cloud' in out
-    assert 'found no camera that could be calibrated' in err and err.count('\n') == 1
+    assert 'shelf' in out and 'no camera' in err and err.count('\n') == 1
 
 
 @pytest.mark.parametrize(('arguments', 'words'), [
-    (['--clouds', 'other.npy'], '--clouds, cameras: found'),
-    (['--clouds', 'door.npy', 'door=other.npy'], 'found two files of door'),
-    (['--clouds', 'door=none.ply'], 'none.ply: found no such file'),
-    (['--clouds', 'door.npy', '--topics', 'door=/a'], '--topics: found it without --bag'),
-    (['--bag', 'none.bag'], 'none.bag: found nothing there'),
-    (['--bag', 'none.bag', '--topics', '/a'], "--topics: found '/a'; expected CAMERA=TOPIC")])
+    (['--clouds', 'other.npy'], '--clouds'), (['--clouds', 'door.npy', 'door=other.npy'], 'door'),
+    (['--clouds', 'door=none.ply'], 'none.ply'),
+    (['--clouds', 'door.npy', '--topics', 'door=/a'], '--topics'),
+    (['--bag', 'none.bag'], 'none.bag'), (['--bag', 'none.bag', '--topics', '/a'], '--topics')])
 def test_what_cannot_be_read_is_refused_in_one_sentence(files, capsys, arguments, words):
     if '--bag' in arguments:
         pytest.importorskip('rclpy', reason='bags are read with ROS 2 (rclpy)')

@@ -24,48 +24,38 @@ import pytest
 import yaml
 
 
-def test_what_is_left_out_keeps_its_default():
-    config = from_nested(SimulationConfig, {'rig': {'cameras': 2}})
-    assert config.rig.cameras == 2
-    assert config.rig.max_range == SimulationConfig().rig.max_range
-
-
 @pytest.mark.parametrize('cls', [SimulationConfig, TrainingConfig])
-def test_nested_form_comes_back(cls):
-    assert from_nested(cls, to_nested(cls())) == cls()
-
-
-@pytest.mark.parametrize(('values', 'words'), [
-    ({'rig.camera': 2}, "unknown name 'rig.camera'; did you mean 'rig.cameras'"),
-    ({'zzz': 2}, "unknown name 'zzz'; expected one of"),
-    ({'rig.cameras': 0}, 'rig.cameras: found 0; expected 1 to 64'),
-    ({'rig.cameras': '4'}, "rig.cameras: found '4' \\(str\\); expected int"),
-    ({'rig.cameras': True}, 'rig.cameras: found True'),
-    ({'rig.height': float('nan')}, 'rig.height: found nan; expected 0'),
-    ({'rig.min_range': 5.0}, 'rig.min_range: found 5.0 m with rig.max_range 4.0 m'),
-    ({'rig.sensors': 'realsense_d436'}, "rig.sensors: .*did you mean 'realsense_d435'"),
-    ({'rig.sensors': 'kinect_v2,kinect_v2'}, 'found 2 sensors for rig.cameras 4; expected one'),
-    ({'rig.sensors': ''}, "rig.sensors: found the unknown name ''; expected one of"),
-    ({'reward.kind': 'papr'}, "reward.kind: found 'papr'; expected one of"),
-])
-def test_a_bad_setting_is_named_with_what_was_expected(values, words):
-    with pytest.raises(ConfigurationError, match=words):
-        from_flat(SimulationConfig, values)
-
-
-def test_whole_numbers_are_welcome_where_yaml_forgot_the_point():
+def test_nested_form_comes_back_and_what_is_left_out_keeps_its_default(cls):
+    assert from_nested(cls, to_nested(cls())) == cls() == from_nested(cls, {})
+    # Whole numbers are accepted as floats.
     assert from_flat(SimulationConfig, {'rig.max_range': 5}).rig.max_range == 5.0
 
 
-def test_something_else_than_a_mapping_is_refused(tmp_path):
-    (tmp_path / 'c.yaml').write_text('- 1\n- 2\n')
-    with pytest.raises(ConfigurationError, match='c.yaml: found list; expected a mapping'):
-        read_config(tmp_path / 'c.yaml')
+@pytest.mark.parametrize(('cls', 'values', 'words'), [
+    (SimulationConfig, {'rig': {'camera': 2}}, "'rig.camera'.*'rig.cameras'"),
+    (SimulationConfig, {'zzz': 2}, "'zzz'"),
+    (SimulationConfig, {'rig': {'cameras': 0}}, 'rig.cameras: found 0.* 1 to 64'),
+    (SimulationConfig, {'rig': {'cameras': '4'}}, "rig.cameras: found '4'.*int"),
+    (SimulationConfig, {'rig': {'cameras': True}}, 'rig.cameras: found True'),
+    (SimulationConfig, {'rig': {'height': float('nan')}}, 'rig.height: found nan'),
+    (SimulationConfig, {'rig': {'min_range': 5.0}}, 'rig.min_range.*rig.max_range'),
+    (SimulationConfig, {'rig': {'sensors': 'realsense_d436'}}, "rig.sensors.*'realsense_d435'"),
+    (SimulationConfig, {'rig': {'sensors': 'kinect_v2,kinect_v2'}}, '2 sensors.*rig.cameras 4'),
+    (SimulationConfig, {'rig': {'sensors': ''}}, 'rig.sensors'),
+    (SimulationConfig, {'reward': {'kind': 'papr'}}, "reward.kind: found 'papr'"),
+    (TrainingConfig, {'fewest_cameras': 5}, 'fewest_cameras.*simulation.rig.cameras'),
+    (TrainingConfig, {'agent': {'inputs': 'cloud'}}, 'interactions'),
+    (TrainingConfig, {'agent': {'inputs': 'paper'}, 'fewest_cameras': 2}, 'agent.cameras')])
+def test_a_bad_setting_is_named_with_what_was_expected(cls, values, words):
+    with pytest.raises(ConfigurationError, match=words):
+        from_nested(cls, values)
 
 
-def test_yaml_that_is_none_is_refused_in_one_line(tmp_path):
-    (tmp_path / 'c.yaml').write_text('a: [1, 2\nb: }')
-    with pytest.raises(ConfigurationError, match='c.yaml: line 2: found no valid YAML') as caught:
+@pytest.mark.parametrize(('text', 'words'), [
+    ('- 1\n- 2\n', 'c.yaml: found list'), ('a: [1, 2\nb: }', 'c.yaml: line 2')])
+def test_a_file_without_a_mapping_is_refused_in_one_line(tmp_path, text, words):
+    (tmp_path / 'c.yaml').write_text(text)
+    with pytest.raises(ConfigurationError, match=words) as caught:
         read_config(tmp_path / 'c.yaml')
     assert '\n' not in str(caught.value)
 
@@ -76,16 +66,6 @@ def test_every_setting_has_a_default_in_its_own_range():
         low = item.metadata['low']
         assert low is None or low <= item.default <= item.metadata['high'], name
         assert len(item.metadata['description']) > 5
-
-
-@pytest.mark.parametrize(('values', 'words'), [
-    ({'fewest_cameras': 5}, 'fewest_cameras: found 5 with simulation.rig.cameras 4'),
-    ({'agent': {'inputs': 'cloud'}}, 'interactions: found 0 and no dense values'),
-    ({'agent': {'inputs': 'paper'}, 'fewest_cameras': 2},
-     'agent.cameras: found weights for 4 cameras, and 2 cameras')])
-def test_settings_of_a_run_that_contradict_each_other_are_refused(values, words):
-    with pytest.raises(ConfigurationError, match=words):
-        from_nested(TrainingConfig, values)
 
 
 @pytest.mark.parametrize('path', sorted((ROOT / 'config' / 'train').glob('*.yaml')),

@@ -16,7 +16,7 @@
 
 from dataclasses import replace
 
-from conftest import box_room, box_sides, l_shaped, made_room
+from conftest import box_room, box_sides, l_shaped, made_room, MOUNTS
 from hypothesis import given, settings, strategies
 import numpy as np
 from ocp_ros.rig.feasible_region import FeasibleRegion
@@ -28,10 +28,7 @@ from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 
-MOUNTS = {
-    'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
-    'rods': {'on': 'ceiling', 'height': 2.0}, 'walls': {'on': 'walls', 'height': [1.7, 2.3]},
-    'wall at a height': {'on': 'walls', 'height': 2.0}, 'free': {'on': 'free', 'height': [1, 2.2]}}
+ALL_MOUNTS = {**MOUNTS, 'wall at a height': {'on': 'walls', 'height': 2.0}}
 D455 = SENSORS['realsense_d455'].model
 
 
@@ -59,7 +56,7 @@ def furnished():
 
 def allowed_of(scene, mount='free', sensor='d455', cameras=1, **more):
     """Return the constraints of a rig."""
-    return FeasibleRegion(scene, rig_of(cameras, sensor, mount=MOUNTS[mount], **more))
+    return FeasibleRegion(scene, rig_of(cameras, sensor, mount=ALL_MOUNTS[mount], **more))
 
 
 def level(*position, yaw=0.0, pitch=0.0):
@@ -67,7 +64,7 @@ def level(*position, yaw=0.0, pitch=0.0):
     return np.array([[*position, *np.deg2rad([yaw, pitch, 0.0])]])
 
 
-@pytest.mark.parametrize('mount', MOUNTS)
+@pytest.mark.parametrize('mount', ALL_MOUNTS)
 @pytest.mark.parametrize('room', ['box', 'L', 'office', 'turned', 'low'])
 @pytest.mark.parametrize('sensor', ['d455', 'omnidirectional', 'vlp16'])
 def test_every_candidate_is_allowed_and_breaks_nothing(rooms, room, mount, sensor):
@@ -81,14 +78,14 @@ def test_every_candidate_is_allowed_and_breaks_nothing(rooms, room, mount, senso
     places = np.unique(poses[:, :3], axis=0)
     assert len(places) == len(poses) if sensor != 'd455' else 2 * len(places) < len(poses)
     above = places[:, 2] - (-5.0 if room == 'low' else 0.0)
-    low, high = np.broadcast_to(MOUNTS[mount].get('height', [2.0, 3.0]), 2)
+    low, high = np.broadcast_to(ALL_MOUNTS[mount].get('height', [2.0, 3.0]), 2)
     assert (above > low - 0.02).all() and (above < high + 0.02).all()
 
 
 @settings(deadline=None, max_examples=30)
 @given(spacing=strategies.floats(0.0, 2.0), keep_clear=strategies.floats(0.0, 0.5),
        low=strategies.floats(-20.0, 60.0), most=strategies.integers(1, 200),
-       mount=strategies.sampled_from(sorted(MOUNTS)), number=strategies.integers(0, 4))
+       mount=strategies.sampled_from(sorted(ALL_MOUNTS)), number=strategies.integers(0, 4))
 def test_candidates_obey_whatever_is_asked(rooms, spacing, keep_clear, low, most, mount, number):
     room = list(rooms.values())[number]
     middle = room.bounds.mean(axis=0)
@@ -114,7 +111,7 @@ def test_the_floor_is_a_layer_and_not_the_lowest_point(rooms):
 
 
 def test_candidates_reach_all_over_the_room(rooms):
-    for mount in MOUNTS:
+    for mount in ALL_MOUNTS:
         poses = allowed_of(rooms['L'], mount, 'omnidirectional').candidates(D455, 1000)
         places = np.unique(poses[:, :2], axis=0)
         for corner in ([0, 0], [6, 0], [6, 2], [3, 4], [0, 4]):
@@ -134,43 +131,37 @@ def test_cameras_on_walls_look_into_the_room(rooms):
 
 
 @pytest.mark.parametrize(('mount', 'pose', 'words'), [
-    ('plane', level(3, 2, 1.9), []),
-    ('plane', level(3, 2, 1.7), ['1.70 m above the floor; expected 1.90 m (mount.height); raise']),
-    ('plane', level(0.1, 2, 1.9), ['0.10 m to the nearest surface; expected at least 0.20 m '
-                                   '(keep_clear); move it away']),
-    ('plane', level(7, 2, 1.9), ['(7.00, 2.00, 1.90), which is not above floor that box shows; '
-                                 'expected a position in the room and not in furniture; move it']),
-    ('plane', level(3, 2, 1.9, pitch=80), ['a pitch of 80 degrees; expected 0 to 60 (pitch); '
-                                           'tilt it']),
-    ('plane', level(3, 2, 1.9, pitch=-5), ['a pitch of -5 degrees']),
+    ('plane', level(3, 2, 1.9), []), ('plane', level(3, 2, 1.7), ['mount.height']),
+    ('plane', level(0.1, 2, 1.9), ['keep_clear']),
+    ('plane', level(7, 2, 1.9), ['not above floor']),
+    ('plane', level(3, 2, 1.9, pitch=80), ['(pitch)']),
+    ('plane', level(3, 2, 1.9, pitch=-5), ['(pitch)']),
     ('ceiling', level(3, 2, 2.7), []), ('ceiling', level(3, 2, 2.6), []),
-    ('ceiling', level(3, 2, 2.3), ['no ceiling within 0.25 m (mount.on); expected one that box']),
-    ('ceiling', level(0.1, 2, 2.7), ['0.10 m to the nearest surface']),
-    ('rods', level(3, 2, 2.0), []),
-    ('rods', level(3, 2, 2.2), ['2.20 m above the floor; expected 2.00 m']),
+    ('ceiling', level(3, 2, 2.3), ['mount.on']), ('ceiling', level(0.1, 2, 2.7), ['keep_clear']),
+    ('rods', level(3, 2, 2.0), []), ('rods', level(3, 2, 2.2), ['mount.height']),
     ('walls', level(0.1, 2, 2.0), []), ('walls', level(3, 3.85, 2.0), []),
-    ('walls', level(0.6, 2, 2.0), ['no wall within 0.25 m (mount.on)']),
+    ('walls', level(0.6, 2, 2.0), ['mount.on']),
     ('walls', level(-0.1, 2, 2.0), ['not above floor']),
-    ('walls', level(0.1, 0.1, 2.0), ['0.10 m to the nearest surface']),
-    ('walls', level(0.1, 2, 2.5), ['2.50 m above the floor; expected 1.70 to 2.30 m']),
-    ('free', level(3, 2, 0.1), ['0.10 m to the nearest surface', '0.10 m above the floor']),
-    ('free', level(3, 2, 3.5), ['not above floor', '3.50 m above the floor'])])
+    ('walls', level(0.1, 0.1, 2.0), ['keep_clear']),
+    ('walls', level(0.1, 2, 2.5), ['mount.height']),
+    ('free', level(3, 2, 0.1), ['keep_clear', 'mount.height']),
+    ('free', level(3, 2, 3.5), ['not above floor', 'mount.height'])])
 def test_each_broken_constraint_is_named(rooms, mount, pose, words):
     allowed = allowed_of(rooms['box'], mount, pitch=[0, 60])
     found = allowed.broken(pose)
     assert len(found) == len(words), found
     for sentence, part in zip(found, words):
-        assert sentence.startswith('realsense_d455: found ') and part in sentence, sentence
+        assert sentence.startswith('realsense_d455: ') and part in sentence, sentence
     assert allowed.allowed(pose, D455)[0] == (not words)
 
 
 def test_the_surface_a_camera_hangs_on_may_be_near_and_no_other(rooms):
     near = level(3, 3.9, 2.0)
     assert allowed_of(rooms['box'], 'walls', keep_clear=0.5).broken(near) == []
-    assert 'nearest surface' in allowed_of(rooms['box'], 'free', keep_clear=0.5).broken(near)[0]
+    assert 'keep_clear' in allowed_of(rooms['box'], 'free', keep_clear=0.5).broken(near)[0]
     # The neighbouring wall, 0.3 m away, is another surface.
-    corner = allowed_of(rooms['box'], 'walls', keep_clear=0.5).broken(level(0.3, 3.9, 2.0))
-    assert len(corner) == 1 and '0.30 m to the nearest surface' in corner[0]
+    corner, = allowed_of(rooms['box'], 'walls', keep_clear=0.5).broken(level(0.3, 3.9, 2.0))
+    assert '0.30 m' in corner and 'keep_clear' in corner
 
 
 def test_next_to_a_wall_a_camera_is_not_faulted_but_a_search_stays_away(rooms):
@@ -195,10 +186,10 @@ def test_a_sloping_ceiling_is_one_surface():
 def test_a_place_inside_a_cabinet_is_not_in_the_air(furnished):
     allowed = allowed_of(furnished)
     corner, middle = level(0.6, 0.4, 1.2), level(3.6, 2.0, 1.2)
-    assert 'not above floor that furnished shows' in allowed.broken(corner)[0]
-    assert 'inside furniture or behind it' in allowed.broken(middle)[0]
-    above = allowed.broken(level(3.6, 2.0, 2.45))
-    assert len(above) == 1 and '2.45 m above the floor' in above[0]
+    assert 'not above floor' in allowed.broken(corner)[0]
+    assert 'furniture' in allowed.broken(middle)[0]
+    above, = allowed.broken(level(3.6, 2.0, 2.45))
+    assert 'mount.height' in above
     assert allowed.broken(level(2.0, 1.5, 1.2)) == []
     places = allowed.candidates(D455, 4000)[:, :3]
     for low in ([0.0, 0.0, 0.0], [3.0, 1.6, 0.0]):
@@ -235,11 +226,10 @@ def test_zones_keep_cameras_out(rooms):
     places = allowed.candidates(D455, 500)[:, :3]
     assert (places[:, 0] > -1.5).all() and len(places) > 50
     inside = allowed.broken(level(-2.0, -36.0, allowed.floor + 1.9))
-    assert 'found a position in keep-out zone 1; expected one outside; move it out' in (
-        ' '.join(inside))
+    assert 'keep-out zone 1' in ' '.join(inside)
 
 
-@pytest.mark.parametrize('mount', MOUNTS)
+@pytest.mark.parametrize('mount', ALL_MOUNTS)
 def test_mounting_zones_hold_cameras(rooms, mount):
     rail = {'box': [[0.5, 0.09, 1.85], [5.5, 0.25, 2.75]]}
     allowed = allowed_of(rooms['box'], mount, keep_in=[rail], keep_clear=0.0)
@@ -247,10 +237,10 @@ def test_mounting_zones_hold_cameras(rooms, mount):
     places = np.unique(allowed.candidates(D455, 3000)[:, :3], axis=0)
     assert len(places) > 10 and ((places >= low) & (places <= high)).all()
     drawn = np.random.default_rng(0).uniform(0.0, (6.0, 4.0, 2.8), (50, 3))
-    # Whoever is sent elsewhere goes to the nearest place in the zone, where there is floor.
+    # Positions are moved to the nearest place in the zone, where there is floor.
     there = allowed.allowed(np.hstack([allowed.onto_mount(drawn), np.zeros_like(drawn)]))
     assert there.mean() > 0.9
-    assert 'm outside of the keep_in zones' in ' '.join(allowed.broken(level(3.0, 2.0, 2.0)))
+    assert 'keep_in' in ' '.join(allowed.broken(level(3.0, 2.0, 2.0)))
 
 
 def test_cameras_keep_apart_from_each_other_and_from_those_in_place(rooms):
@@ -258,72 +248,60 @@ def test_cameras_keep_apart_from_each_other_and_from_those_in_place(rooms):
         {'sensor': 'kinect_v2', 'position': [3.0, 2.0, 1.9], 'name': 'door'}])
     poses = np.concatenate([level(3.5, 2.0, 1.9), level(3.5, 2.5, 1.9)])
     found = allowed.broken(poses)
-    assert found == [
-        'realsense_d455_1: found 0.50 m to door; expected at least 0.60 m (spacing); move one of '
-        'the two',
-        'realsense_d455_2: found 0.50 m to realsense_d455_1; expected at least 0.60 m (spacing); '
-        'move one of the two']
+    assert len(found) == 2 and all('0.50 m' in line and 'spacing' in line for line in found)
+    assert 'realsense_d455_1: ' in found[0] and 'to door' in found[0]
+    assert 'realsense_d455_2: ' in found[1] and 'to realsense_d455_1' in found[1]
     assert allowed.allowed(poses, D455).tolist() == [False, True]
     away = np.linalg.norm(allowed.candidates(D455, 500)[:, :3] - [3.0, 2.0, 1.9], axis=1)
     assert away.min() >= 0.6
 
 
-def test_who_sees_all_around_may_be_turned_as_it_likes(rooms):
+def test_an_omnidirectional_camera_may_have_any_orientation(rooms):
     allowed = allowed_of(rooms['box'], 'plane', 'omnidirectional', pitch=[20, 30])
     assert allowed.broken(level(3, 2, 1.9, pitch=80)) == []
     assert allowed.broken(level(3, 2, 1.9)[:, :3]) == []
     assert not allowed.allowed(level(3, 2, 1.9, pitch=80))[0]
 
 
-@pytest.mark.parametrize(('mount', 'more', 'words'), [
-    ({'on': 'plane', 'height': 3.0}, {}, r'mount.height: found 3 m; expected less than the 2.80 m '
-     'that box is high; lower it'),
-    ({'on': 'plane'}, {'keep_clear': 5.0}, 'mount: found no feasible pose in box'),
-    ({'on': 'plane'}, {'fixed': [{'sensor': 'kinect_v2', 'position': [30, 2, 2]}]},
-     r'fixed\[0\]: found a camera at \(30.00, 2.00, 2.00\), outside box; .*; correct its')])
-def test_a_rig_that_does_not_go_with_the_room_is_refused(rooms, mount, more, words):
-    with pytest.raises(ConfigurationError, match=words):
-        FeasibleRegion(rooms['box'], rig_of(1, 'd455', mount=mount, **more)).candidates(D455, 10)
-
-
-def test_a_scan_without_a_ceiling_offers_none(rooms):
+@pytest.mark.parametrize(('highest', 'mount', 'more', 'words'), [
+    (2.8, {'on': 'plane', 'height': 3.0}, {}, 'mount.height'),
+    (2.8, {'on': 'plane'}, {'keep_clear': 5.0}, 'mount: .*box'),
+    (2.8, {'on': 'plane'}, {'fixed': [{'sensor': 'kinect_v2', 'position': [30, 2, 2]}]},
+     r'fixed\[0\]: .*30.00'),
+    (1.0, {'on': 'ceiling'}, {}, 'ceiling'), (0.05, {'on': 'walls'}, {}, 'walls')])
+def test_a_rig_that_does_not_go_with_the_room_is_refused(rooms, highest, mount, more, words):
     points = rooms['box'].points
-    for mount, kept in (('ceiling', points[:, 2] < 1.0), ('walls', points[:, 2] < 0.05)):
-        room = Scene(np.concatenate([points[kept], [[3.0, 2.0, 2.8]] * 1]), 'open')
-        with pytest.raises(ConfigurationError, match=f'found {mount}, of which open shows none'):
-            FeasibleRegion(room, rig_of(1, mount={'on': mount}))
+    # One stray point makes each room equally high.
+    kept = np.concatenate([points[points[:, 2] <= highest], [[3.0, 2.0, 2.8]]])
+    with pytest.raises(ConfigurationError, match=words):
+        FeasibleRegion(Scene(kept, 'box'), rig_of(1, 'd455', mount=mount, **more)).candidates(
+            D455, 10)
 
 
 def test_poses_of_another_shape_are_refused(rooms):
     allowed = allowed_of(rooms['box'], 'plane')
     for poses in (np.zeros((2, 4)), np.zeros(6), np.full((1, 6), np.nan)):
-        with pytest.raises(ValueError, match=r'poses: found shape .*; expected \(M, 6\)'):
+        with pytest.raises(ValueError, match='poses: found shape'):
             allowed.broken(poses)
-    with pytest.raises(ValueError, match='poses: found 2 cameras; expected at most 1'):
-        allowed.broken(np.zeros((2, 6)))
 
 
 def test_the_rolls_of_a_mount_are_candidates_and_no_others_are_allowed(rooms):
-    allowed = allowed_of(rooms['box'], 'walls', roll=[0, 90])
-    poses = allowed.candidates(D455, 600)
-    assert set(np.rad2deg(poses[:, 5]).round(6)) == {0.0, 90.0} and allowed.allowed(poses).all()
+    for rolls in ([0, 90], [90]):
+        allowed = allowed_of(rooms['box'], 'walls', roll=rolls)
+        poses = allowed.candidates(D455, 600)
+        assert allowed.allowed(poses).all()
+        assert set(np.rad2deg(poses[:, 5]).round(6)) == set(rolls)
     tilted = poses[:1].copy()
     tilted[0, 5] = np.deg2rad(45.0)
-    assert not allowed.allowed(tilted).any()
-    assert 'found a roll of 45 degrees; expected 0 or 90 (roll)' in allowed.broken(tilted)[0]
-    # Brackets are turned by hand, and a rig that does not speak of rolls has none to keep.
+    assert not allowed.allowed(tilted).any() and '(roll)' in allowed.broken(tilted)[0]
+    # Brackets are turned by hand, and a rig file without a roll demands none.
     tilted[0, 5] = np.deg2rad(83.0)
     assert allowed.allowed(tilted).all()
     assert allowed_of(rooms['box'], 'walls').allowed(tilted).all()
 
 
-def test_a_mount_for_portrait_alone_has_no_other_candidates(rooms):
-    allowed = allowed_of(rooms['box'], 'ceiling', roll=[90])
-    assert set(np.rad2deg(allowed.candidates(D455, 200)[:, 5]).round(6)) == {90.0}
-
-
 def test_each_camera_of_a_mixed_rig_has_its_own_pitch(rooms):
-    rig = rig_of(1, 'd455', mount=MOUNTS['plane'], pitch=[0, 30])
+    rig = rig_of(1, 'd455', mount=ALL_MOUNTS['plane'], pitch=[0, 30])
     other = replace(rig, cameras=(rig.cameras[0], rig_of(1).cameras[0]))
     poses = np.concatenate([level(2, 2, 1.9, pitch=20), level(4, 2, 1.9, pitch=70)])
     allowed = FeasibleRegion(rooms['box'], other)

@@ -12,18 +12,30 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Messages to arrays and back, for any layout of a cloud."""
+"""Messages to arrays and back; messages that lie are refused, and nodes outlive them."""
 
 from array import array
+from functools import partial
 
-from benchmarks.drills.malformed import spoilt_cloud, spoilt_fields, spoilt_poses
+from benchmarks.drills.fuzz_targets import (
+    BATCH,
+    Fuzzer,
+    FuzzError,
+    LiveTarget,
+    PolicyTarget,
+    SimTarget,
+)
+from benchmarks.drills.fuzz_trainer import TrainerTarget
+from benchmarks.drills.malformed import known_lies, spoilt_cloud, spoilt_fields, spoilt_poses
 from builtin_interfaces.msg import Time
+from conftest import counted, random_checkpoint, SMALL
 from geometry_msgs.msg import Pose, PoseArray, Quaternion
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     bytes_to_msg,
     cloud_to_msg,
@@ -39,41 +51,48 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.ros.sim_node import SimNode
+from ocp_ros.ros.trainer_node import TrainerNode
 import pytest
 from sensor_msgs.msg import PointCloud2, PointField
-from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension
+from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
+
+DATATYPES = {'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'u1': PointField.UINT8,
+             'u2': PointField.UINT16, 'u4': PointField.UINT32}
+
+
+def packed(points, layout, step, shape, order='<', pad=0):
+    """Return a cloud of points (N, 3) in rows and columns, its fields at some offsets."""
+    raw = np.random.default_rng(0).integers(
+        0, 256, (shape[0], step * shape[1] + pad), dtype=np.uint8)
+    for k, name in enumerate('xyz' if len(points) else ''):
+        kind, offset = layout[name]
+        np.ndarray(shape, order + kind, raw, offset, (raw.shape[1], step))[...] = (
+            points[:, k].reshape(shape))
+    message = PointCloud2(
+        height=shape[0], width=shape[1], point_step=step, row_step=raw.shape[1],
+        is_bigendian=order == '>', is_dense=False,
+        fields=[PointField(name=name, offset=offset, datatype=DATATYPES[kind], count=1)
+                for name, (kind, offset) in layout.items()])
+    message.data = array('B', raw.tobytes())
+    return message
 
 
 @st.composite
 def layouts(draw):
     """Draw a cloud, and the same cloud packed in some layout."""
-    height, width = draw(st.integers(1, 4)), draw(st.integers(0, 9))
+    shape = draw(st.integers(1, 4)), draw(st.integers(0, 9))
     rng = np.random.default_rng(draw(st.integers(0, 2 ** 32 - 1)))
-    points = rng.normal(size=(height * width, 3)).astype(np.float32)
+    points = rng.normal(size=(shape[0] * shape[1], 3)).astype(np.float32)
     points[rng.random(len(points)) < draw(st.floats(0.0, 0.6))] = np.nan
-    big, kind = draw(st.booleans()), draw(st.sampled_from(['f4', 'f8']))
-    size = int(kind[1])
-    gaps = [draw(st.integers(0, 9)) for _ in range(4)]
-    names = draw(st.permutations('xyz'))
-    offsets, at = {}, 0
-    for name, gap in zip(names, gaps, strict=False):
-        at += gap
-        offsets[name] = at
-        at += size
-    step, pad = at + gaps[3], draw(st.integers(0, 13))
-    row_step = step * width + pad
-    raw = np.full((height, row_step), 0xAB, np.uint8)
-    record = np.dtype({'names': list('xyz'), 'formats': [('>' if big else '<') + kind] * 3,
-                       'offsets': [offsets[a] for a in 'xyz'], 'itemsize': step})
-    grid = np.ndarray((height, width), record, raw, strides=(row_step, step)) if width else None
-    for k, name in enumerate('xyz' if width else ''):
-        grid[name] = points[:, k].reshape(height, width)
-    datatype = PointField.FLOAT32 if size == 4 else PointField.FLOAT64
-    message = PointCloud2(
-        height=height, width=width, point_step=step, row_step=row_step, is_bigendian=big,
-        fields=[PointField(name=n, offset=offsets[n], datatype=datatype, count=1) for n in names])
-    message.data = raw.tobytes()
-    return points, message
+    kind, layout, at = draw(st.sampled_from(['f4', 'f8'])), {}, 0
+    for name in draw(st.permutations('xyz')):
+        at += draw(st.integers(0, 9))
+        layout[name] = kind, at
+        at += int(kind[1])
+    return points, packed(points, layout, at + draw(st.integers(0, 9)), shape,
+                          draw(st.sampled_from('<>')), draw(st.integers(0, 13)))
 
 
 @given(layout=layouts())
@@ -101,43 +120,29 @@ def test_a_cloud_whose_numbers_lie_is_refused_or_read_and_never_more(layout, dat
         assert found.nbytes <= 3 * len(message.data) + 12
 
 
-F4, F8, U1, U2, U4 = 'f4', 'f8', 'u1', 'u2', 'u4'
-DATATYPES = {'f4': PointField.FLOAT32, 'f8': PointField.FLOAT64, 'u1': PointField.UINT8,
-             'u2': PointField.UINT16, 'u4': PointField.UINT32}
-XYZ = {'x': (F4, 0), 'y': (F4, 4), 'z': (F4, 8)}
+XYZ = {'x': ('f4', 0), 'y': ('f4', 4), 'z': ('f4', 8)}
 #: What drivers document: fields with type and offset, point_step, rows and columns.
 DRIVERS = {
-    'RealSense': ({**XYZ, 'rgb': (F4, 16)}, 20, 48, 64),
-    'RealSense, padded': ({**XYZ, 'rgb': (F4, 16)}, 32, 48, 64),
-    'Azure Kinect': ({**XYZ, 'rgb': (F4, 16)}, 32, 60, 80),
-    'ZED': ({**XYZ, 'rgb': (F4, 12)}, 16, 36, 64),
-    'Velodyne': ({**XYZ, 'intensity': (F4, 12), 'ring': (U2, 16), 'time': (F4, 18)}, 22, 1, 999),
-    'Ouster': ({**XYZ, 'intensity': (F4, 16), 't': (U4, 20), 'reflectivity': (U2, 24),
-                'ring': (U2, 26), 'ambient': (U2, 28), 'range': (U4, 32)}, 48, 16, 64),
-    'Livox': ({**XYZ, 'intensity': (F4, 12), 'tag': (U1, 16), 'line': (U1, 17),
-               'timestamp': (F8, 18)}, 26, 1, 777),
-    'float64': ({'x': (F8, 0), 'y': (F8, 8), 'z': (F8, 16)}, 24, 1, 100),
+    'RealSense': ({**XYZ, 'rgb': ('f4', 16)}, 20, 48, 64),
+    'RealSense, padded': ({**XYZ, 'rgb': ('f4', 16)}, 32, 48, 64),
+    'Azure Kinect': ({**XYZ, 'rgb': ('f4', 16)}, 32, 60, 80),
+    'ZED': ({**XYZ, 'rgb': ('f4', 12)}, 16, 36, 64),
+    'Velodyne': ({**XYZ, 'intensity': ('f4', 12), 'ring': ('u2', 16), 'time': ('f4', 18)},
+                 22, 1, 999),
+    'Ouster': ({**XYZ, 'intensity': ('f4', 16), 't': ('u4', 20), 'reflectivity': ('u2', 24),
+                'ring': ('u2', 26), 'ambient': ('u2', 28), 'range': ('u4', 32)}, 48, 16, 64),
+    'Livox': ({**XYZ, 'intensity': ('f4', 12), 'tag': ('u1', 16), 'line': ('u1', 17),
+               'timestamp': ('f8', 18)}, 26, 1, 777),
+    'float64': ({'x': ('f8', 0), 'y': ('f8', 8), 'z': ('f8', 16)}, 24, 1, 100),
 }
 
 
 def of_driver(driver, order='<', pad=0):
     """Return what a driver sends, and the points in it with its "no return" among them."""
-    layout, step, height, width = DRIVERS[driver]
-    rng = np.random.default_rng(0)
-    points = rng.normal(size=(height * width, 3)).astype(np.float32)
+    layout, step, *shape = DRIVERS[driver]
+    points = np.random.default_rng(0).normal(size=(np.prod(shape), 3)).astype(np.float32)
     points[::7], points[3::11, 2], points[5::13] = np.nan, np.inf, 0.0
-    raw = rng.integers(0, 256, (height, step * width + pad), dtype=np.uint8)
-    for k, name in enumerate('xyz'):
-        kind, offset = layout[name]
-        np.ndarray((height, width), order + kind, raw, offset, (raw.shape[1], step))[...] = (
-            points[:, k].reshape(height, width))
-    message = PointCloud2(
-        height=height, width=width, point_step=step, row_step=raw.shape[1],
-        is_bigendian=order == '>', is_dense=False,
-        fields=[PointField(name=name, offset=offset, datatype=DATATYPES[kind], count=1)
-                for name, (kind, offset) in layout.items()])
-    message.data = array('B', raw.tobytes())
-    return points, message
+    return points, packed(points, layout, step, tuple(shape), order, pad)
 
 
 @pytest.mark.parametrize('driver', DRIVERS)
@@ -145,6 +150,13 @@ def of_driver(driver, order='<', pad=0):
 def test_clouds_of_known_drivers_are_read(driver, order, pad):
     points, message = of_driver(driver, order, pad)
     np.testing.assert_array_equal(msg_to_cloud(message), points[np.isfinite(points).all(axis=1)])
+
+
+def test_what_is_known_to_kill_others_is_refused(room):
+    for good in (of_driver('Azure Kinect')[1], cloud_to_msg(room.points, Header())):
+        for cloud in known_lies(good):
+            with pytest.raises(MessageError, match='cloud: found .*; expected'):
+                msg_to_cloud(cloud)
 
 
 @pytest.mark.parametrize('wrong', [0, 32 * 60 * 80, 3, 2 ** 32 - 1])
@@ -155,54 +167,33 @@ def test_a_row_step_that_the_bytes_contradict_has_nothing_to_say(wrong):
     np.testing.assert_array_equal(msg_to_cloud(message), points[np.isfinite(points).all(axis=1)])
 
 
-def _fields_twice(cloud):
-    cloud.fields = [*cloud.fields, cloud.fields[1]]
+def test_what_is_sent_comes_back():
+    positions = np.random.default_rng(0).normal(size=(4, 3))
+    message = positions_to_msg(positions, Header(stamp=ns_to_stamp(1_795_000_000_123_456_789)))
+    np.testing.assert_array_equal(msg_to_positions(message, 4), positions)
+    assert stamp_to_ns(message.header.stamp) == 1_795_000_000_123_456_789
+    assert message.header.stamp == Time(sec=1_795_000_000, nanosec=123_456_789)
+    assert all(pose.orientation.w == 1.0 for pose in message.poses)
+    for count in (0, 50):
+        points = np.random.default_rng(0).normal(size=(count, 3)).astype(np.float32)
+        np.testing.assert_array_equal(msg_to_cloud(cloud_to_msg(points, Header())), points)
+    assert msg_to_bytes(bytes_to_msg(bytes(range(256)))) == bytes(range(256))
 
 
-def _without_fields(cloud):
-    cloud.fields = []
+@pytest.mark.parametrize('xyzw', [(0, 0, 0, 0), (0, 0, 0, np.nan), (np.inf, 0, 0, 1),
+                                  (1e-9, 0, 0, 0)])
+def test_a_quaternion_without_a_direction_is_refused(xyzw):
+    message = positions_to_msg(np.zeros((2, 3)), Header())
+    message.poses[1].orientation = Quaternion(**dict(zip('xyzw', map(float, xyzw))))
+    with pytest.raises(MessageError, match='camera 1'):
+        msg_to_poses(message)
 
 
-def _short(cloud):
-    cloud.data = cloud.data[:-1]
-
-
-def _long(cloud):
-    cloud.data = cloud.data + array('B', [0])
-
-
-def _without_data(cloud):
-    cloud.data = array('B')
-
-
-def _overflowing(cloud):
-    cloud.width = cloud.height = 65536
-
-
-def _of_no_step(cloud):
-    cloud.point_step = cloud.row_step = 0
-
-
-def _far_offset(cloud):
-    cloud.fields[2].offset = 2 ** 32 - 1
-
-
-def _row_step_of_less(cloud):
-    cloud.row_step, cloud.data = cloud.row_step - 1, cloud.data[:-cloud.height]
-
-
-def _of_two_numbers(cloud):
-    cloud.fields[0].count = 2
-
-
-@pytest.mark.parametrize('spoil', [
-    _fields_twice, _without_fields, _short, _long, _without_data, _overflowing, _of_no_step,
-    _far_offset, _row_step_of_less, _of_two_numbers])
-def test_what_is_known_to_kill_others_is_refused(spoil):
-    _, message = of_driver('Azure Kinect')
-    spoil(message)
-    with pytest.raises(MessageError, match='cloud: found .*; expected'):
-        msg_to_cloud(message)
+@pytest.mark.parametrize('cameras', [0, 65])
+def test_a_number_of_cameras_out_of_bounds_is_refused(cameras):
+    for read in (msg_to_poses, msg_to_positions):
+        with pytest.raises(MessageError, match=f'{cameras} cameras'):
+            read(PoseArray(poses=[Pose()] * cameras))
 
 
 @pytest.mark.parametrize(('height', 'width', 'data'), [
@@ -251,22 +242,6 @@ def test_spoilt_messages_are_refused_or_read_and_nothing_else():
     assert (outcomes > 20).all(), outcomes
 
 
-@given(count=st.integers(0, 50), seed=st.integers(0, 99))
-@budget(max_examples=20, deadline=None)
-def test_a_cloud_comes_back(count, seed):
-    points = np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32)
-    np.testing.assert_array_equal(msg_to_cloud(cloud_to_msg(points, Header())), points)
-
-
-def test_positions_and_stamps_come_back():
-    positions = np.random.default_rng(0).normal(size=(4, 3))
-    message = positions_to_msg(positions, Header(stamp=ns_to_stamp(1_795_000_000_123_456_789)))
-    np.testing.assert_array_equal(msg_to_positions(message, 4), positions)
-    assert stamp_to_ns(message.header.stamp) == 1_795_000_000_123_456_789
-    assert message.header.stamp == Time(sec=1_795_000_000, nanosec=123_456_789)
-    assert all(pose.orientation.w == 1.0 for pose in message.poses)
-
-
 def test_headings_come_back_as_rotations():
     headings = np.random.default_rng(0).uniform(-1.5, 1.5, (4, 3))
     message = positions_to_msg(np.zeros((4, 3)), Header(), headings)
@@ -276,36 +251,16 @@ def test_headings_come_back_as_rotations():
         np.testing.assert_allclose(pose.rotation, rotation_matrix(*heading), atol=2e-3)
 
 
-@pytest.mark.parametrize('xyzw', [(0, 0, 0, 0), (0, 0, 0, np.nan), (np.inf, 0, 0, 1),
-                                  (1e-9, 0, 0, 0)])
-def test_a_quaternion_that_says_nothing_is_refused(xyzw):
-    message = positions_to_msg(np.zeros((2, 3)), Header())
-    message.poses[1].orientation = Quaternion(**dict(zip('xyzw', map(float, xyzw))))
-    with pytest.raises(MessageError, match='poses: camera 1: found the quaternion .*; expected'):
-        msg_to_poses(message)
-    with pytest.raises(MessageError, match='poses: found 65 cameras; expected .* at most 64'):
-        msg_to_positions(PoseArray(poses=[Pose()] * 65))
-    with pytest.raises(MessageError, match='poses: found 0 cameras; expected at least 1'):
-        msg_to_poses(PoseArray())
-
-
-def test_named_numbers_come_back_and_lies_are_refused():
-    message = fields_to_msg({'a': 1.5, 'b': -2.0})
-    assert msg_to_fields(message, ('a', 'b')) == {'a': 1.5, 'b': -2.0}
-    with pytest.raises(MessageError, match='found nothing as c'):
-        msg_to_fields(message, ('c',))
-    with pytest.raises(MessageError, match='found nan as a'):
-        msg_to_fields(fields_to_msg({'a': float('nan')}), ('a',))
-    short = Float64MultiArray(data=[1.0])
-    with pytest.raises(MessageError, match='found 0 labels for 1 numbers'):
-        msg_to_fields(short, ())
-    short.layout.dim = [MultiArrayDimension(label='a,b')]
-    with pytest.raises(MessageError, match='found 2 labels for 1 numbers'):
-        msg_to_fields(short, ())
-
-
-def test_blobs_come_back():
-    assert msg_to_bytes(bytes_to_msg(bytes(range(256)))) == bytes(range(256))
+@pytest.mark.parametrize(('labels', 'numbers', 'names', 'words'), [
+    ('a,b', [1.5, -2.0], 'c', 'found nothing as c'), ('a', [np.nan], 'a', 'found nan as a'),
+    (None, [1.0], '', '0 labels for 1'), ('a,b', [1.0], '', '2 labels for 1')])
+def test_named_numbers_come_back_and_lies_are_refused(labels, numbers, names, words):
+    assert msg_to_fields(fields_to_msg({'a': 1.5, 'b': -2.0}), ('a', 'b')) == {'a': 1.5, 'b': -2.0}
+    message = Float64MultiArray(data=numbers)
+    if labels:
+        message.layout.dim = [MultiArrayDimension(label=labels)]
+    with pytest.raises(MessageError, match=words):
+        msg_to_fields(message, tuple(names))
 
 
 def test_an_error_quotes_no_more_of_a_message_than_a_log_can_take():
@@ -314,3 +269,81 @@ def test_an_error_quotes_no_more_of_a_message_than_a_log_can_take():
         msg_to_cloud(cloud)
     assert len(shortened(caught.value)) < 700
     assert shortened(MessageError('cloud: found nothing')) == 'cloud: found nothing'
+
+
+FUZZED_SIM = {**SMALL, 'rig__cameras': 3, 'auto_reset': True}
+
+
+@pytest.fixture
+def fuzzer(graph, probe, tmp_path, small_agent):
+    """Return what sends lies; the weights are random."""
+    made = random_checkpoint(small_agent, updates=5, run='a')
+    made.save(tmp_path / 'm.safetensors')
+    fuzzer = Fuzzer(probe.node, lambda predicate, what: graph.until(predicate), 0, made)
+    fuzzer.model = str(tmp_path / 'm.safetensors')
+    return fuzzer
+
+
+def test_a_policy_and_its_trainer_outlive_lies(graph, fuzzer, tmp_path):
+    policy = graph.add(partial(PolicyNode, namespace='turns'), planner='learned', turns=100000,
+                       model=fuzzer.model, convergence_distance=0.0)
+    trainer = graph.add(partial(TrainerNode, namespace='turns'), folder=str(tmp_path / 'run'))
+    target = PolicyTarget(fuzzer, '/turns')
+    for number in range(12):
+        target.batch(again=number % 3 > 0)
+    assert fuzzer.sent == 12 * (3 * BATCH + 1) and fuzzer.answered == 12
+    assert counted(policy, 'refused_messages') > 12 * BATCH / 2
+    assert counted(policy, 'weights_refused') > 6
+    assert trainer.sources['/turns'].counts['refused'] > 12 * BATCH / 2
+    assert trainer.sources['/turns'].counts['transitions'] == 0
+
+
+def test_a_trainer_goes_on_learning_whatever_it_is_told(graph, fuzzer, tmp_path, small_agent):
+    agent = {f'agent__{name}': value for name, value in vars(small_agent).items()}
+    trainer = graph.add(partial(TrainerNode, namespace='learn'), folder=str(tmp_path / 'run'),
+                        sac__learning_starts=4, sac__batch_size=8, sac__buffer_size=100,
+                        sac__device='cpu', **agent)
+    target = TrainerTarget(fuzzer, '/learn')
+    for _ in range(4):
+        target.batch()
+    assert trainer.sources['/learn'].counts['refused'] > 10
+    graph.until(lambda: trainer.learner.updates >= 4)
+    assert trainer.learner.failure is None
+
+
+def test_live_cameras_outlive_lies(graph, fuzzer):
+    policy = graph.add(partial(PolicyNode, namespace='live'), cloud_topics='a,b', turns=100000,
+                       cloud_timeout=0.3, arrival_timeout=0.5)
+    target = LiveTarget(fuzzer, '/live', ['a', 'b'])
+    for _ in range(4):
+        target.batch()
+    assert fuzzer.answered == 4 and counted(policy, 'turns_answered') >= 4
+
+
+def test_a_simulation_outlives_lies(graph, fuzzer):
+    sim = graph.add(partial(SimNode, namespace='sim'), **FUZZED_SIM)
+    target = SimTarget(fuzzer, '/sim')
+    for _ in range(12):
+        target.batch()
+    assert fuzzer.answered == 12 and counted(sim, 'refused_commands') > 4
+
+
+def test_a_cloud_of_millions_of_points_is_answered(graph, fuzzer, probe):
+    graph.add(partial(PolicyNode, namespace='turns'), planner='learned', model=fuzzer.model)
+    # Somebody hears experiences, without a trainer.
+    probe.listen(UInt8MultiArray, f'/turns/{topics.EXPERIENCE}', 10)
+    target = PolicyTarget(fuzzer, '/turns')
+    assert target.ping(np.tile(fuzzer._cloud, (3400, 1))) > 0.0
+
+
+def test_a_command_out_of_bounds_is_noticed(fuzzer):
+    box = np.array([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    fuzzer.check(np.array([[0.5, 1.0, 9.0]]), box, 'command')
+    for wrong in ([0.5, 1.1, 0.5], [np.nan, 0.5, 0.5], [-0.1, 0.5, 0.5]):
+        with pytest.raises(FuzzError, match='command: found'):
+            fuzzer.check(np.array([wrong]), box, 'command')
+    # Who was outside may be so still, but no farther.
+    before = np.array([[2.0, 0.5, 0.5]])
+    fuzzer.check(np.array([[1.5, 0.5, 0.5]]), box, 'command', before)
+    with pytest.raises(FuzzError):
+        fuzzer.check(np.array([[2.1, 0.5, 0.5]]), box, 'command', before)

@@ -23,13 +23,9 @@ import sys
 from conftest import HUNG, ROOT
 import numpy as np
 from ocp_ros.demo import demo, train_demo
-from ocp_ros.demo.node_processes import NodeProcess
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.rooms.generator import generate_room
 import pytest
-
-WASHITSU = ROOT.parent / 'shared' / 'data' / 'rooms' / 'washitsu.ply'
-READY = {'sim_node': 'cameras', 'policy_node': 'weights', 'trainer_node': 'updates so far'}
 
 
 def check(out, turns, cameras):
@@ -56,20 +52,13 @@ def test_the_demo_places_cameras_in_the_default_room(tmp_path, capsys):
 
 
 @pytest.mark.system
-@pytest.mark.skipif(not WASHITSU.exists(), reason='the real scans are not beside the project')
-def test_the_demo_takes_a_scan_and_any_number_of_cameras(tmp_path):
-    assert demo.main(['--out', str(tmp_path), '--room', str(WASHITSU), '--cameras', '2']) == 0
-    assert check(tmp_path, 30, 2)['room'] == 'washitsu.ply'
-
-
-@pytest.mark.system
 def test_a_scan_in_millimetres_in_an_awkward_path_is_scaled(tmp_path):
     path = tmp_path / 'my room #1: final.npy'
     np.save(path, 1000.0 * generate_room(1, 3000).points)
-    arguments = ['--out', str(tmp_path), '--room', str(path), '--turns', '2']
+    arguments = ['--out', str(tmp_path), '--room', str(path), '--turns', '2', '--cameras', '2']
     assert demo.main(arguments) == 2
     assert demo.main([*arguments, '--scale', '0.001']) == 0
-    result = check(tmp_path, 2, 4)
+    result = check(tmp_path, 2, 2)
     assert result['room'] == path.name
     assert result['config']['sim_node']['scene']['scale'] == 0.001
     assert result['config']['policy_node']['turns'] == 2
@@ -101,28 +90,9 @@ def test_an_interrupted_demo_leaves_no_node_behind(tmp_path, how):
 
 
 @pytest.mark.system
-def test_an_impatient_interrupt_loses_nothing_that_was_learned(domain, tmp_path):
-    node = NodeProcess('trainer_node', domain, tmp_path / 'log', {'folder': tmp_path / 'run'})
-    while READY['trainer_node'] not in node.log.read_text():
-        node.check()
-        try:
-            node.process.wait(timeout=0.1)
-        except subprocess.TimeoutExpired:
-            continue
-    for _ in range(3):
-        node.interrupt()
-        try:
-            node.process.wait(timeout=0.02)
-        except subprocess.TimeoutExpired:
-            continue
-    assert node.wait() == 0, node.log.read_text()
-
-
-@pytest.mark.system
 @pytest.mark.parametrize(('arguments', 'words'), [
-    (['--room', 'nowhere.ply'], 'nowhere.ply: found no such file'),
-    (['--cameras', '0'], 'rig.cameras'),
-    (['--height', '9.0'], 'lower rig.height')])
+    (['--room', 'nowhere.ply'], 'nowhere.ply'), (['--cameras', '0'], 'rig.cameras'),
+    (['--height', '9.0'], 'rig.height')])
 def test_bad_input_gets_a_reason_and_code_2(tmp_path, capsys, arguments, words):
     assert demo.main(['--out', str(tmp_path), *arguments]) == 2
     assert words in capsys.readouterr().err
@@ -134,8 +104,7 @@ def test_a_place_where_nothing_can_be_written_is_named(tmp_path, capsys, program
     for out in (tmp_path / 'taken', tmp_path / 'taken' / 'out'):
         assert program.main(['--out', str(out)]) == 2
         error = capsys.readouterr().err
-        assert f'--out: found {out}, where nothing can be written' in error
-        assert error.count('\n') == 1
+        assert f'--out: found {out}' in error and error.count('\n') == 1
 
 
 @pytest.mark.system
@@ -150,50 +119,23 @@ def test_trained_weights_arrive_in_every_policy(tmp_path):
     assert result['inconsistent'] == 0 and result['transitions'] > 0
 
 
-@pytest.mark.system
-@pytest.mark.parametrize('how', [signal.SIGTERM, signal.SIGHUP])
-def test_nodes_end_with_0_when_they_are_told_to(domain, tmp_path, how):
-    parameters = {'trainer_node': {'folder': tmp_path / 'run'}}
-    nodes = {name: NodeProcess(name, domain, tmp_path / name, parameters.get(name, {}))
-             for name in READY}
-    try:
-        for name, node in nodes.items():
-            while READY[name] not in node.log.read_text():
-                node.check()
-                try:
-                    node.process.wait(timeout=0.1)
-                except subprocess.TimeoutExpired:
-                    continue
-        for node in nodes.values():
-            node.process.send_signal(how)
-        for node in nodes.values():
-            assert node.process.wait(timeout=HUNG) == 0, node.log.read_text()
-    finally:
-        for node in nodes.values():
-            node.interrupt()
-            node.wait()
-    for node in nodes.values():
-        assert 'Traceback' not in node.log.read_text()
-
-
 def test_a_bad_parameter_ends_a_node_with_one_sentence(domain):
     done = subprocess.run(
         [sys.executable, '-m', 'ocp_ros.ros.policy_node', '--ros-args', '-p', 'turnz:=3'],
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}, capture_output=True, text=True,
         timeout=HUNG, check=False)
     assert done.returncode == 2
-    assert "unknown name 'turnz'; did you mean 'turns'" in done.stderr
-    assert 'Traceback' not in done.stderr
+    assert "'turnz'; did you mean 'turns'" in done.stderr and 'Traceback' not in done.stderr
 
 
 @pytest.mark.system
-def test_nodes_that_end_all_at_once_or_beside_a_killed_one_end_with_0(tmp_path):
+def test_nodes_that_end_in_any_way_end_with_0(tmp_path):
     command = [sys.executable, '-m', 'benchmarks.drills.endings', '--endings', '3', '--kinds',
-               'together,bereaved', '--jobs', '1', '--busy', '0', '--out',
+               'together,terminated,impatient,bereaved', '--jobs', '1', '--busy', '0', '--out',
                str(tmp_path / 'endings')]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     found = json.loads((tmp_path / 'endings' / 'endings.json').read_text())
     assert {kind: one['codes'] for kind, one in found['kinds'].items()} == {
-        'together': {'0': 3}, 'bereaved': {'0': 4}}
+        'together': {'0': 3}, 'terminated': {'0': 3}, 'impatient': {'0': 3}, 'bereaved': {'0': 4}}
     assert found['faults'] == []

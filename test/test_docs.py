@@ -18,8 +18,18 @@ import ast
 import re
 import shlex
 
+from benchmarks.docs.sensor_table import rows
 from conftest import made_room, ROOT
+from ocp_ros.cli import main as cli
+from ocp_ros.rig import schemas
+from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene_files import save_scene
+from ocp_ros.search.registry import OBSERVED, planner_names, SCORES
 import pytest
+
+DOCS = ROOT / 'docs'
 
 
 def test_every_parameter_is_on_its_page_as_it_is():
@@ -30,22 +40,51 @@ def test_every_parameter_is_on_its_page_as_it_is():
         assert (FOLDER / f'parameters_{node}.md').read_text() == page(node, cls)
 
 
-def test_every_sensor_is_in_the_tables_as_it_is():
-    from benchmarks.docs.sensor_table import rows
-    found = [line for line in (ROOT / 'docs' / 'reference' / 'sensors.md').read_text().splitlines()
-             if line.startswith('| `')]
+def test_every_sensor_and_planner_is_in_its_table():
     # Where they differ, python -m benchmarks.docs.sensor_table prints what belongs there.
-    assert found == rows()
+    text = (DOCS / 'reference' / 'sensors.md').read_text()
+    assert [line for line in text.splitlines() if line.startswith('| `')] == rows()
+    text = (DOCS / 'reference' / 'planners.md').read_text()
+    assert re.findall(r'^\| `(\w+)` \|', text, re.M) == [*planner_names(SCORES, OBSERVED)]
 
 
 def test_every_topic_and_field_is_documented():
     pytest.importorskip('rclpy', reason='topics need ROS 2 (rclpy)')
     from ocp_ros.ros.interface import topics
-    text = (ROOT / 'docs' / 'reference' / 'topics.md').read_text()
+    text = (DOCS / 'reference' / 'topics.md').read_text()
     names = [value for name, value in vars(topics).items() if name.isupper()]
     for name in [n for n in names if isinstance(n, str)] + [
             *topics.REWARD_FIELDS, *topics.TRAINING_FIELDS]:
         assert f'`{name}`' in text, name
+
+
+def test_the_examples_of_files_can_be_read_and_all_their_keys_are_explained(tmp_path):
+    path = tmp_path / 'example.yaml'
+    path.write_text(yaml_example('docs/reference/rig.md', 'cameras:'))
+    rig = load_rig(path)
+    assert set(rig.document.data) == set(schemas.RIG['properties'])
+    assert len(rig.all_cameras) == 5
+    path.write_text(yaml_example('docs/reference/placement.md', 'cameras:'))
+    assert load_placement(path).poses.shape == (2, 6)
+    rig_page, page = ((DOCS / 'reference' / f'{name}.md').read_text()
+                      for name in ('rig', 'placement'))
+    for text, parts in ((rig_page, 'RIG CAMERA FIXED KEEP_OUT REGION'),
+                        (page + rig_page, 'PLACEMENT PLACED ROOM ENGINE')):
+        for part in parts.split():
+            for key in getattr(schemas, part)['properties']:
+                assert f'`{key}`' in text, key
+
+
+@pytest.mark.parametrize(('page', 'holds'), [
+    ('docs/reference/sensors.md', lambda error, coverage, seen: (
+        error > 0 and coverage > 1 and seen > 100)),
+    ('docs/tasks/python.md', lambda error, coverage, share: (
+        error > 0 and coverage > 1 and 0 < share < 1))])
+def test_the_python_examples_run(tmp_path, monkeypatch, capsys, page, holds):
+    save_scene(Scene(made_room(1, 3000).points, 'room'), tmp_path / 'room.ply')
+    monkeypatch.chdir(tmp_path)
+    exec(python_example(page), {})
+    assert holds(*map(float, capsys.readouterr().out.split()))
 
 
 PAGES = sorted(str(path.relative_to(ROOT)) for path in [
@@ -81,10 +120,6 @@ def test_links_folders_modules_and_targets_exist():
     assert not [fault for page in PAGES for fault in absent(page)]
 
 
-def test_no_page_has_comments():
-    assert not [page for page in PAGES if '<!--' in (ROOT / page).read_text()]
-
-
 def python_example(page):
     """Return the first Python example of a page."""
     text = (ROOT / page).read_text()
@@ -99,64 +134,11 @@ def yaml_example(page, first):
     return '\n'.join([first, *(line[4:] for line in lines[1:count])])
 
 
-def test_the_example_of_a_rig_has_every_key_and_each_is_explained(tmp_path):
-    from ocp_ros.rig.rig_file import load_rig
-    from ocp_ros.rig.schemas import CAMERA, FIXED, KEEP_OUT, REGION, RIG
-    (tmp_path / 'rig.yaml').write_text(yaml_example('docs/reference/rig.md', 'cameras:'))
-    rig = load_rig(tmp_path / 'rig.yaml')
-    assert set(rig.document.data) == set(RIG['properties'])
-    assert len(rig.all_cameras) == 5
-    text = (ROOT / 'docs' / 'reference' / 'rig.md').read_text()
-    for part in (RIG, CAMERA, FIXED, KEEP_OUT, REGION):
-        for key in part['properties']:
-            assert f'`{key}`' in text, key
-
-
-def test_the_example_of_a_placement_is_one_and_every_key_is_explained(tmp_path):
-    from ocp_ros.rig.placement_file import load_placement
-    from ocp_ros.rig.schemas import ENGINE, PLACED, PLACEMENT, ROOM
-    (tmp_path / 'placement.yaml').write_text(
-        yaml_example('docs/reference/placement.md', 'cameras:'))
-    assert load_placement(tmp_path / 'placement.yaml').poses.shape == (2, 6)
-    text = ''.join((ROOT / 'docs' / 'reference' / page).read_text()
-                   for page in ('placement.md', 'rig.md'))
-    for part in (PLACEMENT, PLACED, ROOM, ENGINE):
-        for key in part['properties']:
-            assert f'`{key}`' in text, key
-
-
 def test_every_option_of_plan_is_explained():
-    from ocp_ros.cli.main import parser
-    text = (ROOT / 'docs' / 'tasks' / 'plan.md').read_text()
-    plan = next(action for action in parser()._actions if action.choices).choices['plan']
+    text = (DOCS / 'tasks' / 'plan.md').read_text()
+    plan = next(action for action in cli.parser()._actions if action.choices).choices['plan']
     for option in (name for action in plan._actions for name in action.option_strings):
         assert option in ('-h', '--help') or f'`{option}`' in text, option
-
-
-def test_the_example_with_sensors_runs(capsys):
-    exec(python_example('docs/reference/sensors.md'), {})
-    error, coverage, seen = map(float, capsys.readouterr().out.split())
-    assert error > 0.0 and coverage > 1.0 and seen > 100
-
-
-def test_every_planner_is_documented():
-    from ocp_ros.search.registry import OBSERVED, planner_names, SCORES
-    text = (ROOT / 'docs' / 'reference' / 'planners.md').read_text()
-    assert re.findall(r'^\| `(\w+)` \|', text, re.M) == [
-        *planner_names(SCORES, OBSERVED)]
-
-
-def test_the_example_with_a_simulator_runs(tmp_path, monkeypatch, capsys):
-    import numpy as np
-    from plyfile import PlyData, PlyElement
-
-    points = made_room(1, 3000).points.astype(np.float32)
-    rows = points.view([(axis, 'f4') for axis in 'xyz']).ravel()
-    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(tmp_path / 'room.ply'))
-    monkeypatch.chdir(tmp_path)
-    exec(python_example('docs/tasks/python.md'), {})
-    error, coverage, share = map(float, capsys.readouterr().out.split())
-    assert error > 0.0 and coverage > 1.0 and 0.0 < share < 1.0
 
 
 def commands():
@@ -175,17 +157,17 @@ CHEAP = {('score',), ('view',), ('rooms', 'list'), ('rooms', 'make'), ('rooms', 
 
 
 def test_every_command_in_the_documentation_can_be_read():
-    from ocp_ros.cli.main import parser
     for command in commands():
-        parser().parse_args(command)
+        cli.parser().parse_args(command)
+    assert {command[0] for command in commands()} == {
+        'plan', 'info', 'score', 'calibrate', 'view', 'room', 'rooms', 'train', 'evaluate',
+        'benchmark', 'replay'}
 
 
 @pytest.mark.system
 @pytest.mark.parametrize('command', [command for command in commands()
                                      if CHEAP & {command[:1], command[:2]}], ids=' '.join)
 def test_every_cheap_command_in_the_documentation_runs(command, tmp_path, monkeypatch, capsys):
-    from ocp_ros.cli import main as cli
-    from ocp_ros.scenes.scene_files import save_scene
     room = made_room(8, 1500)
     scans = () if 'make' in command else ('scans/room-8.ply', 'scans/room-9.ply')
     for name in ('room.ply', 'scan.ply', *scans):
@@ -203,12 +185,6 @@ def test_every_cheap_command_in_the_documentation_runs(command, tmp_path, monkey
     assert capsys.readouterr().out.strip()
 
 
-def test_the_commands_are_found():
-    found = {command[0] for command in commands()}
-    assert found == {'plan', 'info', 'score', 'calibrate', 'view', 'room', 'rooms', 'train',
-                     'evaluate', 'benchmark', 'replay'}
-
-
 def templates():
     """Return every text in the package's code, with dots for what is filled in."""
     found = set()
@@ -223,7 +199,7 @@ def templates():
 
 
 def test_every_sentence_of_the_troubleshooting_is_still_in_the_code():
-    text = ''.join((ROOT / 'docs' / 'tasks' / page).read_text()
+    text = ''.join((DOCS / 'tasks' / page).read_text()
                    for page in ('troubleshooting.md', 'troubleshooting_nodes.md'))
     quoted = re.findall(r'^\| `(.+?)` \|', text, re.M)
     assert len(quoted) > 15
@@ -233,32 +209,22 @@ def test_every_sentence_of_the_troubleshooting_is_still_in_the_code():
         assert any(re.search(parts, template) for template in known), sentence
 
 
+def test_no_page_has_comments_or_more_than_1500_words():
+    for page in PAGES:
+        text = (ROOT / page).read_text()
+        assert '<!--' not in text and words(text) <= 1500, page
+
+
 def words(text):
     """Return how many words a reader of a page meets: numbers and addresses are none."""
     seen = re.sub(r'\]\([^)]*\)', ' ', text)
     return sum(bool(re.search(r'[^\W\d_]', part)) for part in seen.replace('|', ' ').split())
 
 
-def test_no_page_is_longer_than_a_sitting():
-    longest = max(words((ROOT / page).read_text()) for page in PAGES)
-    assert longest <= 1500
-
-
-def test_every_page_can_be_reached_from_the_index():
-    reached, todo = set(), [ROOT / 'docs' / 'index.md']
-    while todo:
-        page = todo.pop().resolve()
-        if page not in reached:
-            reached.add(page)
-            todo += [page.parent / target for target in
-                     re.findall(r'\]\((?!http)([^)#]+\.md)', page.read_text())]
-    assert {path.resolve() for path in (ROOT / 'docs').rglob('*.md')} <= reached
-
-
 def test_the_index_lists_every_page():
-    text = (ROOT / 'docs' / 'index.md').read_text()
-    for path in (ROOT / 'docs').rglob('*.md'):
-        page = path.relative_to(ROOT / 'docs')
+    text = (DOCS / 'index.md').read_text()
+    for path in DOCS.rglob('*.md'):
+        page = path.relative_to(DOCS)
         assert page.name == 'index.md' or f'({page})' in text, page
 
 

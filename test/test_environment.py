@@ -37,6 +37,38 @@ from ocp_ros.simulation.simulator import Simulator
 import pytest
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
 
+
+@pytest.mark.parametrize('name', ['env', 'few'])
+def test_the_checkers_of_gymnasium_and_stable_baselines3_find_nothing(request, name):
+    env = request.getfixturevalue(name)
+    with warnings.catch_warnings():
+        warnings.simplefilter('error')
+        check_env(env, skip_render_check=True)
+        # It advises a custom policy for anything but vectors and images, and there is one.
+        warnings.filterwarnings('ignore', '.*unconventional shape')
+        check_env_sb3(env, warn=True)
+
+
+def test_a_seed_and_its_actions_determine_an_episode(env, room):
+    other = CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128)
+    record = play(env, 11)
+    for one, two in zip(record, play(other, 11), strict=True):
+        assert all(np.array_equal(one[0][key], two[0][key]) for key in one[0])
+        assert one[1:] == two[1:]
+    assert not np.array_equal(record[-1][0]['camera_positions'],
+                              play(env, 12)[-1][0]['camera_positions'])
+
+
+def test_an_episode_is_truncated_and_each_step_explains_its_reward(room):
+    config = SimulationConfig(engine=SMALL.engine, episode=EpisodeConfig(turns=3))
+    record = play(CameraPlacementEnv([room], config), 0, turns=3)
+    assert [truncated for *_, truncated, _ in record] == [False, False, False, True]
+    for _, value, terminated, _, info in record[1:]:
+        assert not terminated and info['reward'] == value
+        assert {'delta_space_coverage', 'delta_depth_error', 'penalty', 'space_coverage',
+                'depth_error', 'worst_depth_error', 'scene', 'step'} <= info.keys()
+
+
 SMALL = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5))
 seeds = st.integers(0, 2 ** 32 - 1)
 
@@ -63,47 +95,6 @@ def play(env, seed, turns=6):
     return record
 
 
-def test_gymnasiums_checker_has_nothing_to_say(env):
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
-        check_env(env, skip_render_check=True)
-
-
-def test_stable_baselines3s_checker_has_nothing_to_say(env):
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
-        # It advises a custom policy for anything but vectors and images, and there is one.
-        warnings.filterwarnings('ignore', '.*unconventional shape')
-        check_env_sb3(env, warn=True)
-
-
-def test_the_same_seed_is_the_same_episode(env, room):
-    other = CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128)
-    for one, two in zip(play(env, 11), play(other, 11), strict=True):
-        assert all(np.array_equal(one[0][key], two[0][key]) for key in one[0])
-        assert one[1:] == two[1:]
-
-
-def test_another_seed_is_another_episode(env):
-    one, two = play(env, 11)[-1], play(env, 12)[-1]
-    assert not np.array_equal(one[0]['camera_positions'], two[0]['camera_positions'])
-
-
-def test_an_episode_is_truncated_and_never_terminated(room):
-    config = SimulationConfig(engine=SMALL.engine, episode=EpisodeConfig(turns=3))
-    env = CameraPlacementEnv([room], config)
-    record = play(env, 0, turns=3)
-    assert [r[3] for r in record] == [False, False, False, True]
-    assert not any(r[2] for r in record)
-
-
-def test_all_terms_of_the_reward_are_in_info(env):
-    _, value, _, _, info = play(env, 1)[-1]
-    assert info['reward'] == value
-    assert {'delta_space_coverage', 'delta_depth_error', 'penalty', 'space_coverage',
-            'depth_error', 'worst_depth_error', 'scene', 'step'} <= info.keys()
-
-
 def test_the_room_its_rotation_and_the_cameras_can_be_chosen(env, few):
     assert env.reset(options={'scene': 1})[1]['scene'] == 'room-12'
     seen, info = few.reset(seed=3, options={'rotation': 90.0, 'cameras': 2})
@@ -124,15 +115,7 @@ def few(room):
                               fewest=1, rotations=(0.0, 30.0, 60.0, 90.0))
 
 
-def test_the_checkers_have_nothing_to_say_of_a_varying_rig(few):
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
-        check_env(few, skip_render_check=True)
-        warnings.filterwarnings('ignore', '.*unconventional shape')
-        check_env_sb3(few, warn=True)
-
-
-def test_how_many_cameras_there_are_is_drawn_and_padded(few):
+def test_how_many_cameras_there_are_is_drawn_and_padded(env, few):
     counts, names = [], set()
     for seed in range(40):
         seen, info = few.reset(seed=seed)
@@ -144,6 +127,15 @@ def test_how_many_cameras_there_are_is_drawn_and_padded(few):
         counts.append(count)
         names.add(info['scene'])
     assert np.bincount(counts, minlength=5)[1:].min() >= 3 and len(names) == 8
+    assert all(env.reset(seed=seed)[0]['present'].all() for seed in range(10))
+
+
+@pytest.mark.parametrize(('rooms', 'fewest', 'words'), [
+    (1, 0, 'fewest: found 0'), (1, 5, 'fewest: found 5'), (1, -1, 'fewest: found -1'),
+    (0, None, 'scenes')])
+def test_an_environment_without_rooms_or_cameras_is_refused(room, rooms, fewest, words):
+    with pytest.raises(ValueError, match=words):
+        CameraPlacementEnv([room] * rooms, SMALL, fewest=fewest)
 
 
 def test_moves_of_cameras_that_there_are_not_change_nothing(few):
@@ -159,21 +151,6 @@ def test_moves_of_cameras_that_there_are_not_change_nothing(few):
     assert few.step(actions)[1] != outcomes[0][0]
 
 
-@pytest.mark.parametrize('fewest', [0, 5, -1])
-def test_a_range_of_cameras_that_is_empty_is_an_error(room, fewest):
-    with pytest.raises(ValueError, match=f'fewest: found {fewest}; expected 1 to 4'):
-        CameraPlacementEnv([room], SMALL, fewest=fewest)
-
-
-def test_all_cameras_are_there_unless_told_otherwise(env):
-    assert all(env.reset(seed=seed)[0]['present'].all() for seed in range(10))
-
-
-def test_no_rooms_are_an_error():
-    with pytest.raises(ValueError, match='scenes: found none'):
-        CameraPlacementEnv([])
-
-
 def test_where_nothing_is_seen_the_cameras_are_all_that_is_known(room):
     config = SimulationConfig(engine=SMALL.engine, rig=RigConfig(max_range=0.1))
     observation, info = CameraPlacementEnv([room], config).reset(seed=0)
@@ -181,31 +158,43 @@ def test_where_nothing_is_seen_the_cameras_are_all_that_is_known(room):
     np.testing.assert_allclose(observation['bounds'][0], observation['camera_positions'].min(0))
 
 
-@given(seed=seeds)
-@budget(max_examples=15, deadline=None)
-def test_what_was_observed_stays_observed(simulator, seed):
-    rng = np.random.default_rng(seed)
-    episode = Episode(PlaneProblem(simulator), rng)
-    for _ in range(4):
-        before = episode.observed
-        episode.move(rng.uniform(-1, 1, (4, 2)))
-        assert episode.observed >= before
-        assert len(episode.observed_cloud) == len(episode.observed)
-
-
 @given(seed=seeds, scale=st.floats(0.0, 100.0))
-@budget(max_examples=25, deadline=None)
-def test_cameras_never_move_too_far_nor_leave_the_room(simulator, seed, scale):
+@budget(max_examples=30, deadline=None)
+def test_cameras_stay_in_the_room_and_what_was_observed_stays_observed(simulator, seed, scale):
     rng = np.random.default_rng(seed)
     episode = Episode(PlaneProblem(simulator), rng)
     low, high = simulator.scene.bounds
-    for _ in range(3):
-        before = episode.turn.positions
+    for _ in range(4):
+        before, observed = episode.turn.positions, episode.observed
         turn = episode.move(scale * rng.normal(size=(4, 2)))
+        assert episode.observed >= observed
+        assert len(episode.observed_cloud) == len(episode.observed)
         assert np.linalg.norm(turn.positions - before, axis=1).max() <= 0.5 + 1e-9
         assert (turn.positions >= low + [0.1, 0.1, 0.0] - 1e-9).all()
         assert (turn.positions <= high - [0.1, 0.1, 0.0] + 1e-9).all()
         assert (turn.positions[:, 2] == simulator.height).all()
+
+
+@given(seed=seeds)
+@budget(max_examples=15, deadline=None)
+def test_one_camera_more_never_sees_less_and_a_moved_one_costs_one_view(simulator, seed):
+    positions = np.random.default_rng(seed).uniform(*simulator.scene.bounds, (4, 3))
+    fewer, more = simulator.evaluate(positions[:2]), simulator.evaluate(positions[:3])
+    assert more.seen >= fewer.seen
+    assert more.space_coverage >= fewer.space_coverage
+    assert more.depth_error <= fewer.depth_error + 1e-5
+    views = [simulator.look(position) for position in positions[:3]]
+    judged = simulator.judge(views)
+    assert np.array_equal(judged.seen.bits, more.seen.bits) and judged[1:] == more[1:]
+    views[1] = simulator.look(positions[3])
+    moved = simulator.judge(views)
+    assert moved[1:] == simulator.evaluate(positions[[0, 3, 2]])[1:]
+
+
+def test_a_move_out_of_the_bounding_box_is_penalised(simulator):
+    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
+    penalties = [episode.move(np.tile([0.5, 0.0], (4, 1))).terms.penalty for _ in range(12)]
+    assert penalties[0] == 0.0 and penalties[-1] == 1.0
 
 
 def test_cameras_start_near_the_centre_at_their_height_above_the_floor(room):
@@ -218,13 +207,6 @@ def test_cameras_start_near_the_centre_at_their_height_above_the_floor(room):
     offsets = np.linalg.norm((starts - sunken.bounds.mean(axis=0))[:, :2], axis=1)
     assert 0.3 < offsets.max() <= 0.5
     np.testing.assert_allclose(starts[:, 2], sunken.bounds[0, 2] + 1.9)
-
-
-def test_leaving_the_bounding_box_is_penalised_and_prevented(simulator):
-    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
-    penalties = [episode.move(np.tile([0.5, 0.0], (4, 1))).terms.penalty for _ in range(12)]
-    assert penalties[0] == 0.0 and penalties[-1] == 1.0
-    assert episode.turn.positions[:, 0].max() <= simulator.scene.bounds[1, 0] - 0.1 + 1e-9
 
 
 def test_cameras_are_turned_with_a_move_and_stay_so(room):
@@ -245,29 +227,6 @@ def test_cameras_are_turned_with_a_move_and_stay_so(room):
         np.hstack([turn.positions, before])).depth_error
 
 
-@given(seed=seeds)
-@budget(max_examples=15, deadline=None)
-def test_one_camera_more_never_sees_less(simulator, seed):
-    low, high = simulator.scene.bounds
-    positions = np.random.default_rng(seed).uniform(low, high, (3, 3))
-    fewer, more = simulator.evaluate(positions[:2]), simulator.evaluate(positions)
-    assert more.seen >= fewer.seen
-    assert more.space_coverage >= fewer.space_coverage
-    assert more.depth_error <= fewer.depth_error + 1e-5
-
-
-@given(seed=seeds)
-@budget(max_examples=10, deadline=None)
-def test_one_moved_camera_costs_one_view_and_gives_the_same_judgement(simulator, seed):
-    positions = np.random.default_rng(seed).uniform(*simulator.scene.bounds, (4, 3))
-    views = [simulator.look(position) for position in positions[:3]]
-    judged, whole = simulator.judge(views), simulator.evaluate(positions[:3])
-    assert np.array_equal(judged.seen.bits, whole.seen.bits) and judged[1:] == whole[1:]
-    views[1] = simulator.look(positions[3])
-    moved = simulator.judge(views)
-    assert moved[1:] == simulator.evaluate(positions[[0, 3, 2]])[1:]
-
-
 def test_each_camera_of_a_mixed_rig_sees_with_its_own_model(room):
     rig = RigConfig(cameras=2, sensors='omnidirectional, realsense_d435')
     simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
@@ -281,8 +240,13 @@ def test_each_camera_of_a_mixed_rig_sees_with_its_own_model(room):
     turned = np.append(middle, [np.pi / 2, 0.0, 0.0])
     seen = Subset(simulator.look(turned, 1).seen, simulator.visibility.order).mask
     assert seen.any() and (y[seen] > 0.0).all()
-    with pytest.raises(ValueError, match='found 3 cameras; expected at most 2'):
+    with pytest.raises(ValueError, match='3 cameras'):
         simulator.evaluate(np.tile(middle, (3, 1)))
+
+
+def test_cameras_above_the_ceiling_are_refused(room):
+    with pytest.raises(SceneError, match='rig.height'):
+        Simulator(room, SimulationConfig(rig=RigConfig(height=9.0)))
 
 
 def test_the_cameras_of_an_episode_look_outwards(room):
@@ -297,13 +261,6 @@ def test_the_cameras_of_an_episode_look_outwards(room):
     assert len(alike.seen) < 0.8 * len(episode.observed)
 
 
-def test_many_looks_in_threads_are_the_looks(simulator):
-    poses = np.random.default_rng(0).uniform(*simulator.scene.bounds, (20, 3))
-    for view, pose in zip(simulator.look_many(poses, threads=2), poses, strict=True):
-        assert np.array_equal(view.seen, simulator.look(pose).seen)
-        assert np.array_equal(view.covered, simulator.look(pose).covered)
-
-
 @pytest.mark.parametrize('preset', ['fine', 'fast', 'paper'])
 def test_threads_change_nothing(room, preset):
     simulator = Simulator(room, SimulationConfig(
@@ -311,6 +268,10 @@ def test_threads_change_nothing(room, preset):
     placements = np.random.default_rng(0).uniform(*room.bounds, (40, 3, 3))
     alone = np.array([simulator.evaluate(p)[1:] for p in placements])
     np.testing.assert_array_equal(simulator.evaluate_many(placements, threads=4), alone)
+    poses = placements[:, 0]
+    for view, pose in zip(simulator.look_many(poses, threads=2), poses, strict=True):
+        assert np.array_equal(view.seen, simulator.look(pose).seen)
+        assert np.array_equal(view.covered, simulator.look(pose).covered)
 
 
 def test_the_potential_reward_telescopes(simulator):
@@ -348,18 +309,6 @@ def test_a_box_narrower_than_its_margins_keeps_its_middle():
     inside, outside = kept_inside(np.array([[-3.0, 1.0, 1.0]]), bounds, 0.2)
     np.testing.assert_allclose(inside, [[0.05, 1.0, 1.0]])
     assert outside
-
-
-def test_cameras_above_the_ceiling_are_an_error(room):
-    with pytest.raises(SceneError, match=r'found a room .* expected more .* lower rig.height'):
-        Simulator(room, SimulationConfig(rig=RigConfig(height=9.0)))
-
-
-def test_the_paper_preset_runs(room):
-    config = SimulationConfig(engine=EngineConfig(preset='paper', error_rows=32),
-                              reward=RewardConfig(kind='paper'))
-    record = play(CameraPlacementEnv([room], config), 2)
-    assert np.isfinite([r[1] for r in record]).all()
 
 
 def test_the_shares_of_the_cameras_add_up_to_the_reward_of_the_turn(room):

@@ -56,7 +56,8 @@ def planner(engine, name, budget, seed=0):
 @pytest.mark.parametrize('name', ['annealing', 'tdsa', 'cma_es'])
 def test_the_end_is_no_worse_than_the_best_of_the_lattice(engine, name):
     score, space = Scorer(engine), space_of(engine)
-    found = search_and_finish(planner(engine, name, 200), score, 200)
+    found, again = (search_and_finish(planner(engine, name, 200), score, 200) for _ in range(2))
+    np.testing.assert_array_equal(found.placement, again.placement)
     assert found.evaluations <= 200
     assert found.depth_error == engine.evaluate(found.placement).depth_error
     lattice = LatticeScorer(score, space)
@@ -109,30 +110,18 @@ def test_a_yardstick_is_judged_anew_and_not_improved(engine):
     drawn = solve(planner(engine, 'random', 60), lattice, 51).best
     assert any(np.array_equal(found.placement, space.placement(lattice.snapped(one)))
                for one in drawn)
+    # One evaluation is enough.
+    only = search_and_finish(planner(engine, 'random', 1), score, 1)
+    assert only.placement.shape == (4, 3)
 
 
-def test_the_same_seed_finds_the_same(engine):
-    one, other = (search_and_finish(planner(engine, 'annealing', 80), Scorer(engine), 80)
-                  for _ in range(2))
-    np.testing.assert_array_equal(one.placement, other.placement)
-
-
-def test_one_evaluation_is_enough(engine):
-    found = search_and_finish(planner(engine, 'random', 1), Scorer(engine), 1)
-    assert found.placement.shape == (4, 3)
-
-
-def test_the_archive_keeps_the_best_and_the_first_of_equals():
+def test_the_archive_keeps_the_best_and_the_first_of_equals_and_elites_differ():
     archive, rng = Archive(), np.random.default_rng(0)
     errors = rng.integers(0, 300, 3 * ARCHIVE_SIZE).astype(float)
     for number, error in enumerate(errors):
         archive.add((error,), np.array([[number, 0.0]]))
     numbers = [int(one[0, 0]) for one in archive.best]
     assert numbers == np.argsort(errors, kind='stable')[:ARCHIVE_SIZE].tolist()
-
-
-def test_elites_differ():
-    rng = np.random.default_rng(0)
     placements = [rng.uniform(0.0, 1.0, (3, 2)) for _ in range(60)]
     chosen = distinct(placements, 10)
     assert np.array_equal(chosen[0], placements[0]) and len(chosen) == 10

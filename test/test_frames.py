@@ -22,9 +22,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import Pose, rotation_matrix
 from ocp_ros.ros.interface.conversions import (
     MessageError,
-    msg_to_poses,
     ns_to_stamp,
-    positions_to_msg,
 )
 from ocp_ros.ros.interface.frames import in_range, LiveRig, placed, Transforms
 import pytest
@@ -47,45 +45,34 @@ def points(*rows):
     return np.array(rows, dtype=np.float32)
 
 
-def test_a_cloud_in_the_frame_of_the_poses_stays_as_it_is(no_tf2):
+@pytest.mark.parametrize('frame', ['map', '/map'])
+def test_a_cloud_in_the_frame_of_the_poses_stays_as_it_is(no_tf2, frame):
     cloud = points([1, 2, 3], [0, 0, 0], [0, 0, 1])
-    found, seen_from = placed(cloud, 'map', RIG, no_tf2)
-    # But for what is a sensor's word for nothing.
+    found, seen_from = placed(cloud, frame, RIG, no_tf2)
+    # The origin is what sensors send where they see nothing.
     np.testing.assert_array_equal(found, cloud[[0, 2]])
     np.testing.assert_allclose(seen_from, [pose.position for pose in POSES])
 
 
 @pytest.mark.parametrize(('frame', 'row', 'expected'), [
     # One metre ahead: camera 0 looks along y, camera 1 straight down.
-    ('camera_0', [1, 0, 0], [1, 3, 1.9]),
-    ('camera_0', [0, 1, 0], [0, 2, 1.9]),
-    ('camera_1', [1, 0, 0], [4, 2, 0.9]),
+    ('camera_0', [1, 0, 0], [1, 3, 1.9]), ('/camera_0', [1, 0, 0], [1, 3, 1.9]),
+    ('camera_0', [0, 1, 0], [0, 2, 1.9]), ('camera_1', [1, 0, 0], [4, 2, 0.9]),
     ('camera_0_optical', [0, 0, 1], [1, 3, 1.9]),
     # To the right in the image, and down in it.
-    ('camera_0_optical', [1, 0, 0], [2, 2, 1.9]),
-    ('camera_0_optical', [0, 1, 0], [1, 2, 0.9]),
+    ('camera_0_optical', [1, 0, 0], [2, 2, 1.9]), ('camera_0_optical', [0, 1, 0], [1, 2, 0.9]),
     ('camera_1_optical', [0, 0, 1], [4, 2, 0.9])])
 def test_a_cloud_of_a_camera_is_placed_by_its_pose(no_tf2, frame, row, expected):
     found, seen_from = placed(points([0, 0, 0], row), frame, RIG, no_tf2)
     np.testing.assert_allclose(found, [expected], atol=1e-6)
     assert found.dtype == np.float32
-    np.testing.assert_allclose(seen_from, [POSES[int(frame[7])].position])
-
-
-def test_it_is_placed_as_messages_have_it(no_tf2):
-    message = positions_to_msg(np.array([[1.0, 2.0, 3.0]]), Header(),
-                               np.array([[0.3, -0.2, 0.1]]))
-    found, _ = placed(points([2, 0, 0]), 'camera_0', LiveRig('map', msg_to_poses(message)), no_tf2)
-    np.testing.assert_allclose(
-        found[0], [1, 2, 3] + 2.0 * rotation_matrix(0.3, -0.2, 0.1)[:, 0], atol=1e-6)
+    np.testing.assert_allclose(seen_from, [POSES['1' in frame].position])
 
 
 @pytest.mark.parametrize('frame', ['camera_2', 'camera_00002', 'camera_-1', 'camera_0_depth', '',
                                    'odom', 'camera_' + '9' * 5000])
 def test_a_frame_that_nobody_knows_is_refused_with_what_to_do(no_tf2, frame):
-    with pytest.raises(MessageError, match='found the frame .*; expected .map., camera_<i> or '
-                                           'camera_<i>_optical with i from 0 to 1, .*; set the '
-                                           "driver's frame, or install tf2_ros"):
+    with pytest.raises(MessageError, match='frame .*map.*camera_<i>_optical.*0 to 1.*tf2_ros'):
         placed(points([1, 0, 0]), frame, RIG, no_tf2)
 
 
@@ -141,34 +128,30 @@ def test_tf2_is_asked_for_other_frames(tf2, stamp):
 
 
 @pytest.mark.parametrize(('spoilt', 'words'), [
-    (None, r"'lidar' \(lidar does not exist\); expected 'map', camera_<i>"),
-    (transform(stamp=9), 'older than the poses; expected one since the cameras stand'),
-    (transform(xyz=(np.nan, 0.0, 0.0)), 'at .nan.*; expected finite metres'),
-    (transform(xyzw=(0.0, 0.0, 0.0, 0.0)), "transform of 'lidar': found the quaternion")])
+    (None, 'lidar does not exist'), (transform(stamp=9), 'older than the poses'),
+    (transform(xyz=(np.nan, 0.0, 0.0)), 'nan'),
+    (transform(xyzw=(0.0, 0.0, 0.0, 0.0)), 'quaternion')])
 def test_a_transform_that_is_of_no_use_is_refused(tf2, spoilt, words):
     known, transforms = tf2
     if spoilt is not None:
         known['lidar'] = spoilt
-    with pytest.raises(MessageError, match=words):
+    with pytest.raises(MessageError, match=f"'lidar'.*{words}"):
         placed(points([1, 0, 0]), 'lidar', RIG, transforms)
 
 
-def test_points_out_of_range_of_their_nearest_camera_are_cut():
+def test_points_out_of_range_of_their_nearest_camera_are_cut(no_tf2):
     cloud = points([0, 0, 0], [1, 0, 0], [2.1, 0, 0], [2.9, 0, 0], [4, 0, 0], [7, 0, 0])
     one, two = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
     np.testing.assert_allclose(in_range(cloud, one, 0.5, 2.0), cloud[[1]])
     np.testing.assert_allclose(in_range(cloud, two, 0.5, 2.0), cloud[[1, 4, 5]])
     np.testing.assert_allclose(in_range(cloud, two, 0.0, 9.0), cloud)
-
-
-def test_what_is_too_far_out_for_numbers_is_out_of_range(no_tf2):
-    cloud = points([3e38, 3e38, 3e38], [-3e38, 3e38, 0], [1, 0, 0])
+    # So are those too far out for numbers.
+    far = points([3e38, 3e38, 3e38], [-3e38, 3e38, 0], [1, 0, 0])
     turned = [Pose(np.array([1e300, 0.0, 0.0]), POSES[0].rotation),
               Pose(np.zeros(3), rotation_matrix(0.7, 0.7, 0.7))]
     for number, kept in ((0, 0), (1, 1)):
-        found, seen_from = placed(cloud, f'camera_{number}', LiveRig('map', turned), no_tf2)
+        found, seen_from = placed(far, f'camera_{number}', LiveRig('map', turned), no_tf2)
         assert len(in_range(found, seen_from, 0.0, 100.0)) == kept
-    assert len(in_range(cloud, np.array([[1e300, 0.0, 0.0]]), 0.0, 100.0)) == 0
 
 
 @pytest.mark.parametrize('optical', [False, True])
@@ -187,10 +170,3 @@ def test_points_with_the_axes_of_the_other_convention_are_refused(no_tf2, optica
     # What sees all around has no side ahead.
     around = rng.normal(size=(500, 3)).astype(np.float32)
     assert len(placed(around, names[0], RIG, no_tf2)[0]) == 500
-
-
-def test_a_frame_may_begin_with_a_slash(no_tf2):
-    cloud = points([1, 0, 0], [0, 1, 0])
-    for one, other in (('/camera_0', 'camera_0'), ('/map', 'map')):
-        np.testing.assert_array_equal(placed(cloud, one, RIG, no_tf2)[0],
-                                      placed(cloud, other, RIG, no_tf2)[0])

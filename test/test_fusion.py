@@ -55,20 +55,26 @@ def test_it_is_bounded_whatever_is_added_and_has_one_point_per_voxel(added, voxe
     # Every voxel that something was seen in has a point: what has been seen stays seen.
     seen = {voxel for cloud in added for voxel in voxels(cloud, fused.edge)}
     assert set(voxels(fused.points, fused.edge)) == seen
-
-
-@given(added=st.lists(clouds(), min_size=1, max_size=4), voxel=VOXELS,
-       most=st.integers(MIN_POINTS, 200))
-@budget(max_examples=60, deadline=None)
-def test_the_same_cloud_again_changes_nothing(added, voxel, most):
-    fused = FusedCloud(voxel, most)
-    for cloud in added:
-        fused.add(cloud)
+    # The same clouds again change nothing.
     points, edge = fused.points.copy(), fused.edge
     for cloud in added:
         fused.add(cloud)
         np.testing.assert_array_equal(fused.points, points)
         assert fused.edge == edge
+
+
+def test_the_first_point_of_a_voxel_is_kept_and_voxels_grow_no_more_than_they_must():
+    fused = FusedCloud(1.0, 100)
+    fused.add([[0.5, 0.5, 0.5], [0.1, 0.1, 0.1], [-0.1, 0.5, 0.5]])
+    fused.add([[0.2, 0.2, 0.2], [1.5, 0.5, 0.5]])
+    np.testing.assert_allclose(fused.points, [[0.5, 0.5, 0.5], [-0.1, 0.5, 0.5], [1.5, 0.5, 0.5]])
+    fused = FusedCloud(0.5, 8)
+    fused.add(np.column_stack([np.arange(16) * 0.5, np.zeros(16), np.zeros(16)]))
+    assert (len(fused), fused.edge) == (8, 1.0)
+    fused.clear()
+    assert (len(fused), fused.edge) == (0, 0.5)
+    fused.add(np.zeros((1, 3)))
+    assert len(fused) == 1
 
 
 @given(added=st.lists(clouds(), min_size=1, max_size=4), voxel=VOXELS)
@@ -87,32 +93,12 @@ def test_a_kept_point_is_near_every_point_while_nothing_is_thinned_again(added, 
         assert away.max() <= voxel * np.sqrt(3.0) * (1.0 + 1e-6) + 1e-6
 
 
-def test_it_keeps_the_first_point_of_a_voxel():
-    fused = FusedCloud(1.0, 100)
-    fused.add([[0.5, 0.5, 0.5], [0.1, 0.1, 0.1], [-0.1, 0.5, 0.5]])
-    fused.add([[0.2, 0.2, 0.2], [1.5, 0.5, 0.5]])
-    np.testing.assert_allclose(fused.points, [[0.5, 0.5, 0.5], [-0.1, 0.5, 0.5], [1.5, 0.5, 0.5]])
-
-
-def test_voxels_grow_no_more_than_they_must_and_shrink_when_it_is_cleared():
-    fused = FusedCloud(0.5, 8)
-    fused.add(np.column_stack([np.arange(16) * 0.5, np.zeros(16), np.zeros(16)]))
-    assert (len(fused), fused.edge) == (8, 1.0)
-    fused.clear()
-    assert (len(fused), fused.edge) == (0, 0.5)
-    fused.add(np.zeros((1, 3)))
-    assert len(fused) == 1
-
-
 @pytest.mark.parametrize('far', [np.nan, np.inf, -1e30, 2.0 ** 20])
 def test_points_that_are_nowhere_are_refused_and_nothing_is_added(far):
     fused = FusedCloud(0.05, 100)
-    with pytest.raises(ValueError, match='points: found coordinates up to .*; expected finite'):
+    with pytest.raises(ValueError, match='points: found'):
         fused.add([[0.0, 0.0, 0.0], [0.0, far, 0.0]])
     assert len(fused) == 0
-
-
-@pytest.mark.parametrize(('voxel', 'most'), [(0.0, 100), (np.nan, 100), (-0.1, 100), (0.1, 7)])
-def test_sizes_that_cannot_be_are_refused(voxel, most):
-    with pytest.raises(ValueError, match='found .*; expected'):
-        FusedCloud(voxel, most)
+    for voxel, most in ((0.0, 100), (np.nan, 100), (-0.1, 100), (0.1, 7)):
+        with pytest.raises(ValueError, match='found .*; expected'):
+            FusedCloud(voxel, most)

@@ -12,9 +12,8 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Cameras, blocks of points, packed bits, clouds of fixed size and the coverage grid."""
+"""Kernels of geometry: cameras, points, packed bits, coverage, normals and the depth error."""
 
-from benchmarks.docs.sensor_table import pixel_size
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
@@ -22,12 +21,14 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
+from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, MAX_CUBE
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.packed_bits import (
     BLOCK,
     block_bounds,
     blocks_in_view,
     count_bits,
+    no_bits,
     pack,
     seen_by,
     spatial_order,
@@ -35,40 +36,18 @@ from ocp_ros.geometry.packed_bits import (
     unpack,
 )
 from ocp_ros.rig.sensors import SENSORS
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.viewpoints import paper_viewpoints
 import pytest
 from scipy.spatial import cKDTree
 import twins
 from twins import MODELS
 
 seeds = st.integers(0, 2 ** 32 - 1)
-
-
-def test_rotation_matrix_points_the_camera():
-    forward = np.array([1.0, 0.0, 0.0])
-    np.testing.assert_allclose(rotation_matrix(np.pi / 2) @ forward, [0, 1, 0], atol=1e-12)
-    np.testing.assert_allclose(rotation_matrix(0, np.pi / 2) @ forward, [0, 0, -1], atol=1e-12)
-    np.testing.assert_allclose(rotation_matrix(0.3, 0.2, 0.1) @ rotation_matrix(0.3, 0.2, 0.1).T,
-                               np.eye(3), atol=1e-12)
-
-
-@pytest.mark.parametrize('arguments', [
-    (-1.0, 4.0), (4.0, 4.0), (0.0, np.inf), (0.0, 4.0, 0.0), (0.0, 4.0, 7.0),
-    (0.0, 4.0, 1.0, 4.0), (0.0, 4.0, 1.0, 1.0, (0, 480))])
-def test_a_camera_that_makes_no_sense_is_refused(arguments):
-    with pytest.raises(ValueError, match='camera .*found .*expected'):
-        CameraModel(*arguments)
-
-
-@pytest.mark.parametrize('camera', [[1.0, 2.0], [1.0, 2.0, np.nan], np.zeros((2, 3)), np.zeros(7)])
-def test_a_pose_that_makes_no_sense_is_refused(camera):
-    with pytest.raises(ValueError, match='camera pose: found .*expected x, y, z'):
-        Pose.of(camera)
-
-
-def test_a_pose_is_a_position_or_a_position_and_three_angles():
-    assert np.array_equal(Pose.of([1, 2, 3]).rotation, np.eye(3))
-    np.testing.assert_allclose(Pose.of([1, 2, 3, 0.3, 0.2, 0.1]).rotation,
-                               rotation_matrix(0.3, 0.2, 0.1))
 
 
 @pytest.mark.parametrize('name', SENSORS)
@@ -89,12 +68,32 @@ def test_a_sensor_sees_its_field_of_view_and_names_its_source(name):
             assert np.isfinite(distance[0]) == inside
 
 
-def test_a_pixel_grows_with_the_distance():
-    model = SENSORS['kinect_v2'].model
-    assert pixel_size(model, 2.0)[0] == pytest.approx(4.0 * np.tan(np.deg2rad(35.0)) / 512)
-    assert pixel_size(model, 4.0)[1] == pytest.approx(2.0 * pixel_size(model, 2.0)[1])
-    lidar = SENSORS['velodyne_vlp16'].model
-    assert pixel_size(lidar, 1.0) == pytest.approx((2 * np.pi / 1800, np.deg2rad(30) / 16))
+def test_a_pose_is_a_position_and_the_rotation_of_its_angles():
+    forward = np.array([1.0, 0.0, 0.0])
+    np.testing.assert_allclose(rotation_matrix(np.pi / 2) @ forward, [0, 1, 0], atol=1e-12)
+    np.testing.assert_allclose(rotation_matrix(0, np.pi / 2) @ forward, [0, 0, -1], atol=1e-12)
+    rotation = rotation_matrix(0.3, 0.2, 0.1)
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.array_equal(Pose.of([1, 2, 3]).rotation, np.eye(3))
+    np.testing.assert_allclose(Pose.of([1, 2, 3, 0.3, 0.2, 0.1]).rotation, rotation)
+
+
+@pytest.mark.parametrize(('make', 'arguments'), [
+    (CameraModel, (-1.0, 4.0)), (CameraModel, (4.0, 4.0)), (CameraModel, (0.0, np.inf)),
+    (CameraModel, (0.0, 4.0, 0.0)), (CameraModel, (0.0, 4.0, 7.0)),
+    (CameraModel, (0.0, 4.0, 1.0, 4.0)), (CameraModel, (0.0, 4.0, 1.0, 1.0, (0, 480))),
+    (Pose.of, ([1.0, 2.0],)), (Pose.of, ([1.0, 2.0, np.nan],)), (Pose.of, (np.zeros((2, 3)),)),
+    (Pose.of, (np.zeros(7),))])
+def test_a_camera_or_a_pose_that_makes_no_sense_is_refused(make, arguments):
+    with pytest.raises(ValueError, match='camera .*found .*expected'):
+        make(*arguments)
+
+
+def blocks_seen(points, radius, pose, model):
+    """Return the numbers of the blocks of points that a camera may see."""
+    bounds = block_bounds(points, np.full(len(points), radius, np.float32))
+    numbers = np.empty(len(bounds), dtype=np.uint32)
+    return numbers[:blocks_in_view(bounds, pose, model.lens, numbers)]
 
 
 @pytest.mark.parametrize('model', MODELS.values(), ids=MODELS)
@@ -107,23 +106,18 @@ def test_no_block_with_a_point_in_view_is_passed_over(model, seed, count, radius
     assert np.array_equal(np.sort(order), np.arange(count))
     points = points[order]
     pose = Pose(rng.uniform(-4, 4, 3), rotation_matrix(*rng.uniform(-3, 3, 3)))
-    bounds = block_bounds(points, np.full(count, radius, np.float32))
-    numbers = np.empty(len(bounds), dtype=np.uint32)
-    found = numbers[:blocks_in_view(bounds, pose, model.lens, numbers)]
+    found = blocks_seen(points, radius, pose, model)
     distance, _, _ = twins.project(points, *pose, model)
     # Single precision may round a point out of the very edge of its block.
     inside = np.isfinite(distance) & (distance < model.max_range - 1e-4)
     assert set(np.flatnonzero(inside) // BLOCK) <= set(found.tolist())
 
 
-def test_a_narrow_camera_passes_over_what_it_cannot_see():
+def test_a_narrow_camera_passes_over_most_blocks():
     points = np.random.default_rng(0).uniform(-4, 4, (50000, 3)).astype(np.float32)
     points = points[spatial_order(points)]
-    bounds = block_bounds(points, np.zeros(len(points), np.float32))
-    numbers = np.empty(len(bounds), dtype=np.uint32)
-    count = blocks_in_view(bounds, Pose.of(np.zeros(3)), SENSORS['realsense_d435'].model.lens,
-                           numbers)
-    assert 0 < count < 0.5 * len(bounds)
+    seen = blocks_seen(points, 0.0, Pose.of(np.zeros(3)), SENSORS['realsense_d435'].model)
+    assert 0 < len(seen) < 0.5 * len(points) / BLOCK
 
 
 @given(flags=st.lists(st.booleans(), max_size=700))
@@ -165,10 +159,9 @@ def test_the_coverage_grid_fills_the_box():
     assert (centres > bounds[0]).all() and (centres < bounds[1]).all()
     everything = pack(np.ones(len(centres), dtype=bool))
     assert space_coverage(everything, volume) == pytest.approx(3.3 * 1.1 * 2.0)
-    with pytest.raises(ValueError, match='coverage cell'):
-        coverage_grid(bounds, 0.0)
-    with pytest.raises(ValueError, match='use larger cells'):
-        coverage_grid(1000.0 * bounds, 0.25)
+    for box, cell in ((bounds, 0.0), (1000.0 * bounds, 0.25)):
+        with pytest.raises(ValueError, match='cell'):
+            coverage_grid(box, cell)
     assert coverable_cell(bounds, 0.25) == 0.25
     hall = np.array([[0.0, 0.0, 0.0], [250.0, 160.0, 8.0]])
     assert len(coverage_grid(hall, coverable_cell(hall, 0.25))[0]) == 500 * 320 * 16
@@ -195,12 +188,93 @@ def test_normals_equal_their_twin_in_a_scanned_room(room):
     assert np.mean(np.abs((found * expected).sum(axis=1)) > 0.9999) > 0.995
 
 
-def test_normals_of_a_plane_are_its_own_however_it_is_turned():
-    rng = np.random.default_rng(0)
-    for _ in range(20):
-        normal = rng.normal(size=3)
-        normal /= np.linalg.norm(normal)
-        points = rng.uniform(-1.0, 1.0, (200, 3))
-        points -= (points @ normal)[:, None] * normal
-        _, near = cKDTree(points).query(points, k=14)
-        assert np.abs(edge_aware_normals(points, near) @ normal).min() > 1.0 - 1e-5
+#: Sides of cubes, in multiples of what they are in the engine.
+SHARE = 0.75
+#: Sums of single-precision depths, metres.
+ROUNDING = 1e-5
+
+
+@pytest.fixture(scope='module')
+def small():
+    """Return a small room and its depth error at a low resolution."""
+    scene = generate_room(2, 1500)
+    return scene, DepthError(scene.points, SHARE * scene.spacing, scene.diameter,
+                             paper_viewpoints(scene), 24)
+
+
+def half_sides(scene):
+    """Return half the sides of the points' cubes, metres."""
+    return SHARE * np.minimum(scene.spacing, MAX_CUBE * np.median(scene.spacing))
+
+
+def drawn(scene, seed, *shares):
+    """Return which points are seen, for shares of them: (N,) bool each."""
+    rng = np.random.default_rng(seed)
+    return [rng.random(len(scene)) < share for share in shares]
+
+
+@given(seed=seeds, share=st.floats(0.0, 1.0))
+@budget(max_examples=8, deadline=None)
+def test_depth_error_agrees_with_its_twins(small, seed, share):
+    scene, error = small
+    seen, = drawn(scene, seed, share)
+    engine = scene.points, half_sides(scene), error.viewpoints, error.far, 24, seen
+    assert error(pack(seen)) == pytest.approx(twins.depth_error(*engine), rel=2e-3, abs=2e-3)
+    expected, found = twins.depth_error_by_point(*engine), error.error_by_point(pack(seen))
+    assert np.abs(found - expected).sum() <= 2e-3 * expected.sum() + ROUNDING
+    # All of the error is somewhere, and none where points are seen.
+    assert found.sum() == pytest.approx(error(pack(seen)), rel=1e-4, abs=ROUNDING)
+    assert (found >= 0.0).all() and not found[seen].any()
+
+
+@given(seed=seeds, share=st.floats(0.0, 1.0))
+@budget(max_examples=30, deadline=None)
+def test_depth_error_falls_or_stays_when_more_is_seen(small, seed, share):
+    scene, error = small
+    some, others = drawn(scene, seed, share, 0.2)
+    assert 0.0 <= error(pack(some | others)) <= error(pack(some)) + ROUNDING
+    assert error(pack(some)) <= error.worst + ROUNDING
+    assert error(pack(np.ones(len(scene), dtype=bool))) == 0.0
+    assert error.worst == error(no_bits(len(scene))) > 1.0
+
+
+@given(seed=seeds, share=st.floats(0.0, 1.0), more=st.floats(0.0, 1.0))
+@budget(max_examples=8, deadline=None)
+def test_what_is_settled_may_be_left_out(small, seed, share, more):
+    scene, error = small
+    seen, *views = map(pack, drawn(scene, seed, share, more, 0.1, 0.0))
+    expected = [error(seen | view) for view in views]
+    given_seen = error.given(seen)
+    assert [given_seen(view) for view in views] == pytest.approx(expected, abs=ROUNDING)
+
+
+def test_viewpoints_are_where_the_paper_puts_them():
+    found = five_viewpoints(np.array([[0, 0], [0, 12], [6, 0], [6, 12]]), 1.5)
+    assert found.tolist() == [[3, 6, 1.5], [1, 2, 1.5], [1, 10, 1.5], [5, 2, 1.5], [5, 10, 1.5]]
+
+
+def test_depth_maps_agree_with_ray_casting():
+    scene = generate_room(12, 15000, scanned=False)
+    engine = Simulator(scene, SimulationConfig()).depth_error
+    caster = MeshRays(scene.mesh)
+    rays = twins.directions(engine.shape[0]).reshape(-1, 3)
+    off = [np.abs(engine.depth_map(k).ravel() - caster.lengths(engine.viewpoints[k], rays)).mean()
+           for k in range(5)]
+    # Cubes reach a little beyond what they stand for; holes would cost metres.
+    assert sum(off) < 0.8
+    assert (engine.depth_map(0) == np.float32(engine.far)).mean() < 0.03
+
+
+@pytest.mark.parametrize('quarters', [1, 2, 3])
+def test_a_room_that_turns_with_its_cameras_is_worth_the_same(quarters):
+    """By quarters, so that the bounding box and its cells turn as well."""
+    scene = generate_room(5, 20_000)
+    turn = rotation_matrix(quarters * np.pi / 2)
+    turned = Scene((scene.points @ turn.T).astype(np.float32),
+                   normals=(scene.normals_or_estimate @ turn.T).astype(np.float32))
+    placement = np.random.default_rng(0).uniform(*scene.bounds, (3, 3))
+    one = Simulator(scene, SimulationConfig()).evaluate(placement)
+    other = Simulator(turned, SimulationConfig()).evaluate(placement @ turn.T)
+    assert (one.seen.mask != other.seen.mask).mean() <= 0.002
+    assert other.depth_error == pytest.approx(one.depth_error, rel=0.02)
+    assert other.space_coverage == pytest.approx(one.space_coverage, rel=0.02)

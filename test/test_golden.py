@@ -71,14 +71,15 @@ def test_every_planner_is_stored(golden, stored):
 def test_each_difference_is_a_line(golden):
     before = {'a': {'error': 1.0, 'sha256': 'x', 'at': [0.0, 2]}, 'gone': {'error': 1.0}}
     now = {'a': {'error': 1.0 + 1e-15, 'sha256': 'y', 'at': [-0.0, 3]}, 'new': {'error': 1.0}}
+
+    def places(*tolerance):
+        return [': '.join(line.split(': ')[:2]).partition(': found')[0]
+                for line in golden.differences(before, now, *tolerance)]
+
     assert list(golden.differences(before, before)) == []
-    assert list(golden.differences(before, now)) == [
-        'a: error: found 1.000000000000001; expected 1.0',
-        'a: sha256: found "y"; expected "x"', 'a: at.0: found -0.0; expected 0.0',
-        'a: at.1: found 3; expected 2', 'gone: found no answer', 'new: found an unknown answer']
+    assert places() == ['a: error', 'a: sha256', 'a: at.0', 'a: at.1', 'gone', 'new']
     # Whole numbers and texts are never near.
-    assert list(golden.differences(before, now, 1e-9)) == [
-        'a: at.1: found 3; expected 2', 'gone: found no answer', 'new: found an unknown answer']
+    assert places(1e-9) == ['a: at.1', 'gone', 'new']
 
 
 def test_stored_answers_have_a_line_each(golden, stored):

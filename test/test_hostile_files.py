@@ -30,6 +30,7 @@ from benchmarks.drills.spoilt_files import (
     write_packed_pcd,
     write_ply,
 )
+from conftest import run_python
 import numpy as np
 from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
@@ -50,7 +51,15 @@ GUARDED_FORMATS = ('las.las', 'laz.laz', 'e57.e57', 'mesh.ply', 'obj.obj', 'off.
                    'glb.glb', 'ros1.bag', 'mcap.mcap', 'sqlite3.db3', 'metadata.yaml')
 
 
+@pytest.fixture
+def laz(tmp_path):
+    """Return a scan in a LAZ file."""
+    write_las(tmp_path / 'scan.laz', ROOM)
+    return tmp_path / 'scan.laz'
+
+
 def refusal(path, read=load_scene) -> str:
+    """Return the one sentence with which a file is refused."""
     with pytest.raises((SceneError, ConfigurationError)) as caught:
         read(path)
     message = str(caught.value)
@@ -77,48 +86,66 @@ def test_sizes_in_a_las_header_that_cannot_be_are_refused_before_anything_is_rea
     assert 'cannot be read' in refusal(path)
 
 
-def test_a_laz_file_that_asks_for_all_memory_is_refused_and_nothing_ends(tmp_path):
-    path = tmp_path / 'scan.laz'
-    write_las(path, ROOM)
-    content = path.read_bytes()
+def test_a_laz_file_that_asks_for_all_memory_is_refused_and_nothing_ends(laz):
+    content = laz.read_bytes()
     start, = struct.unpack_from('<I', content, 96)
     table, = struct.unpack_from('<q', content, start)
     # The number of chunks, 16 bytes of memory each.
-    put(path, table + 4, '<I', 0xFFFFFFFF)
-    assert 'cannot be read' in refusal(path)
+    put(laz, table + 4, '<I', 0xFFFFFFFF)
+    assert 'cannot be read' in refusal(laz)
 
 
-def test_a_process_that_takes_too_much_is_stopped(tmp_path, monkeypatch):
-    path = tmp_path / 'scan.laz'
-    write_las(path, ROOM)
-    assert read_guarded('las', path, 4, len(ROOM)).shape == (len(ROOM), 4)
-    with pytest.raises(ValueError, match='.'):
-        read_guarded('las', path, 4, len(ROOM) // 2)
-    cost = COSTS['las']
-    monkeypatch.setitem(COSTS, 'las', cost._replace(memory=20_000_000))
-    with pytest.raises(ValueError, match='.'):
-        read_guarded('las', path, 4, len(ROOM))
-    monkeypatch.setitem(COSTS, 'las', cost._replace(seconds=0))
-    with pytest.raises(ValueError, match='too long'):
-        read_guarded('las', path, 4, len(ROOM))
+def test_a_process_that_takes_too_much_is_stopped(laz, monkeypatch):
+    assert read_guarded('las', laz, 4, len(ROOM)).shape == (len(ROOM), 4)
+    for limits, rows in (({}, len(ROOM) // 2), ({'memory': 20_000_000}, len(ROOM)),
+                         ({'seconds': 0}, len(ROOM))):
+        with monkeypatch.context() as patch:
+            patch.setitem(COSTS, 'las', COSTS['las']._replace(**limits))
+            with pytest.raises(ValueError, match='too long' if 'seconds' in limits else '.'):
+                read_guarded('las', laz, 4, rows)
 
 
-def test_the_process_that_reads_imports_neither_learning_nor_ros(tmp_path):
-    path = tmp_path / 'scan.laz'
-    write_las(path, ROOM)
-    code = ('import sys; from ocp_ros.scenes.reading_process import las_rows; '
-            f'print(sum(map(len, las_rows({str(path)!r})))); '
-            "assert not {'torch', 'rclpy', 'numba', 'open3d'} & set(sys.modules)")
-    ended = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                           env={**os.environ, 'PYTHONPATH': os.pathsep.join(sys.path)})
+def test_the_process_that_reads_imports_neither_learning_nor_ros(laz):
+    ended = run_python(
+        'import sys; from ocp_ros.scenes.reading_process import las_rows; '
+        f'print(sum(map(len, las_rows({str(laz)!r})))); '
+        "assert not {'torch', 'rclpy', 'numba', 'open3d'} & set(sys.modules)")
     assert ended.stdout.split() == [str(len(ROOM))], ended.stderr
 
 
-def test_the_process_that_reads_imports_nothing_of_the_folder_around(tmp_path, monkeypatch):
-    write_las(tmp_path / 'scan.laz', ROOM)
-    (tmp_path / 'laspy.py').write_text('raise SystemExit(7)')
-    monkeypatch.chdir(tmp_path)
+def test_the_process_that_reads_imports_nothing_of_the_folder_around(laz, monkeypatch):
+    (laz.parent / 'laspy.py').write_text('raise SystemExit(7)')
+    monkeypatch.chdir(laz.parent)
     assert len(load_scene('scan.laz')) == len(ROOM)
+
+
+@pytest.mark.parametrize(('name', 'header'), [
+    ('scan.pcd', 'VERSION 0.7\nFIELDS x' + ' ' * 1_000_000), ('scan.pcd', '#\n' * 5000),
+    ('scan.ply', 'ply\n' + 'x' * 2_000_000),
+    ('scan.ply', 'ply\nformat ascii 1.0\n' + 'comment a\n' * 200_000),
+    ('scan.ply', 'ply\nformat binary_little_endian 1.0\nelement a 4000000000\nend_header\n'),
+    ('scan.ply', 'ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\n'
+     'end_header\n1\n'),
+    ('scan.ply', 'ply\nformat ascii 1.0\nelement vertex -1\nproperty float x\nend_header\n1\n'),
+    ('scan.ply', 'ply\nformat ascii 1.0\nend_header' + 'x' * 2_000_000)],
+    ids=range(8))
+def test_headers_that_lie_or_do_not_end_are_refused(tmp_path, name, header):
+    (tmp_path / name).write_text(header)
+    assert 'cannot be read' in refusal(tmp_path / name)
+
+
+@pytest.mark.parametrize('target', [None, '/dev/zero'])
+@pytest.mark.parametrize(('name', 'read'), [
+    ('a.yaml', load_rig), ('a.yaml', load_placement), ('a.yaml', read_config),
+    ('a.ply', load_scene), ('a.bag', Bag)])
+def test_pipes_and_devices_are_refused(tmp_path, target, name, read):
+    if target:
+        (tmp_path / name).symlink_to(target)
+    else:
+        os.mkfifo(tmp_path / name)
+    if read == Bag:
+        pytest.importorskip('rosbags', reason='bags need rosbags (pip install rosbags)')
+    refusal(tmp_path / name, read)
 
 
 def test_a_packed_pcd_does_not_grow_beyond_what_it_says(tmp_path):
@@ -138,26 +165,6 @@ def test_a_packed_pcd_does_not_grow_beyond_what_it_says(tmp_path):
     assert 'cannot be read' in refusal(path)
 
 
-def test_a_pcd_header_without_end_is_refused(tmp_path):
-    path = tmp_path / 'scan.pcd'
-    path.write_bytes(b'VERSION 0.7\nFIELDS x' + b' ' * 1_000_000)
-    assert 'no DATA line' in refusal(path)
-    path.write_bytes(b'#\n' * 5000)
-    assert 'cannot be read' in refusal(path)
-
-
-@pytest.mark.parametrize('header', [
-    'ply\n' + 'x' * 2_000_000, 'ply\nformat ascii 1.0\n' + 'comment a\n' * 200_000,
-    'ply\nformat binary_little_endian 1.0\nelement a 4000000000\nend_header\n',
-    'ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n1\n',
-    'ply\nformat ascii 1.0\nelement vertex -1\nproperty float x\nend_header\n1\n',
-    'ply\nformat ascii 1.0\nend_header' + 'x' * 2_000_000])
-def test_ply_headers_that_lie_are_refused(tmp_path, header):
-    path = tmp_path / 'scan.ply'
-    path.write_text(header)
-    assert 'cannot be read' in refusal(path)
-
-
 @pytest.mark.parametrize('ends', [b'\r\n', b'\r'])
 def test_ply_headers_may_end_their_lines_as_other_systems_do(tmp_path, ends):
     path = tmp_path / 'scan.ply'
@@ -174,31 +181,6 @@ def good(tmp_path_factory):
     return folder, good_files(folder)
 
 
-@pytest.fixture(params=['pipe', 'device'])
-def endless(request, tmp_path):
-    """Return a file that never ends, or that nobody writes to."""
-    path = tmp_path / 'endless.yaml'
-    if request.param == 'pipe':
-        os.mkfifo(path)
-    else:
-        path.symlink_to('/dev/zero')
-    return path
-
-
-@pytest.mark.parametrize('read', [load_rig, load_placement, read_config])
-def test_pipes_and_devices_are_no_settings(endless, read):
-    assert 'not a regular file' in refusal(endless, read)
-
-
-def test_pipes_and_devices_are_no_rooms(endless):
-    assert 'found a folder or device' in refusal(endless.rename(endless.with_suffix('.ply')))
-
-
-def test_pipes_and_devices_are_no_bags(endless):
-    pytest.importorskip('rosbags', reason='bags need rosbags (pip install rosbags)')
-    assert 'found a pipe or a device' in refusal(endless, Bag)
-
-
 def test_metadata_of_a_bag_may_not_grow(good, tmp_path):
     folder, readers = good
     if 'metadata.yaml' not in readers:
@@ -211,7 +193,7 @@ def test_metadata_of_a_bag_may_not_grow(good, tmp_path):
     path.write_text(text.replace("compression_format: ''", f'x0: &a0 [1]{grown}\n  '
                                  'compression_format: *a39').replace(
         "compression_mode: ''", 'compression_mode: file'))
-    assert 'has an alias' in refusal(path, readers['metadata.yaml'])
+    assert 'alias' in refusal(path, readers['metadata.yaml'])
 
 
 def test_a_file_of_unknown_size_is_read_up_to_a_limit():
@@ -222,17 +204,13 @@ def test_a_file_of_unknown_size_is_read_up_to_a_limit():
 
 
 @pytest.mark.parametrize(('text', 'found'), [
-    ('a: &a [1]\nb: [*a, *a]\n', 'line 2: found an alias'),
-    ('seed: ' + '[' * 50_000, 'lists in lists'),
-    ('seed: 2024-13-45\n', "found '2024-13-45' (str); expected int"),
-    ('seed: ' + '9' * 6000 + '\n', '(str); expected int'),
-    (f'? {"s" * 6000}\n: 1', 'unknown name'),
-    ('seed: !!python/name:os.system\n', 'found the tag'), ('seed: 1\nseed: 2\n', 'twice'),
-    ('#' * 2_000_000, 'found 2,000,000 bytes; expected at most 1,000,000')])
+    ('a: &a [1]\nb: [*a, *a]\n', 'alias'), ('seed: ' + '[' * 50_000, 'lists in lists'),
+    ('seed: 2024-13-45\n', 'seed'), ('seed: ' + '9' * 6000 + '\n', 'seed'),
+    (f'? {"s" * 6000}\n: 1', 'unknown name'), ('seed: !!python/name:os.system\n', 'tag'),
+    ('seed: 1\nseed: 2\n', 'twice'), ('#' * 2_000_000, '2,000,000 bytes')])
 def test_settings_of_a_training_that_are_no_plain_data_are_refused(tmp_path, text, found):
-    path = tmp_path / 'train.yaml'
-    path.write_text(text)
-    assert found in refusal(path, read_config)
+    (tmp_path / 'train.yaml').write_text(text)
+    assert found in refusal(tmp_path / 'train.yaml', read_config)
 
 
 NAMES = sorted(['npy.npy', 'records.npy', 'pcd_ascii.pcd', 'pcd_binary.pcd', 'pcd_packed.pcd',

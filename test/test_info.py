@@ -12,33 +12,38 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""ocp info: what it measures of a room is what the room is like."""
+"""What is measured of a room is what the room is like: of boxes, and of small rooms of users."""
 
 import json
 from pathlib import Path
+import warnings
 
+from conftest import box_sides
 import numpy as np
 from ocp_ros.cli.main import main
+from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY
+from ocp_ros.registration.calibration import calibrate
+from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.report.room_facts import facts_of, openings_of, SIDES
 from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.placement_file import load_placement
+from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import Air
-from ocp_ros.scenes.scene import Scene
+from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.scenes.scene_files import load_cloud, load_scene, SceneWarning
 from ocp_ros.scenes.up_axis import map_from_file
+from ocp_ros.simulation.problem import Problem
 import pytest
 
 SIZE = np.array([5.0, 4.0, 2.5])
 
 
-def box(without=(), step=0.05) -> Scene:
+def box(without=()) -> Scene:
     """Make a room of six faces, without some of them: (axis, end)."""
-    faces = []
-    for axis in range(3):
-        across = [np.arange(step / 2, SIZE[k], step) for k in range(3) if k != axis]
-        flat = np.stack(np.meshgrid(*across), axis=-1).reshape(-1, 2)
-        for end in (0, 1):
-            if (axis, end) not in without:
-                faces.append(np.insert(flat, axis, end * SIZE[axis], axis=1))
-    return Scene(np.concatenate(faces), 'box')
+    points = box_sides(SIZE, SIZE / 2.0, 0.05)
+    for axis, end in without:
+        points = points[points[:, axis] != end * SIZE[axis]]
+    return Scene(points, 'box')
 
 
 def test_a_closed_box_is_measured():
@@ -59,31 +64,114 @@ def test_a_face_that_is_missing_is_an_opening_on_its_side(face, side):
     found = openings_of(scene, Air(scene, space))
     others = max(found[other] for other in SIDES if other != side)
     assert found[side] > 0.4 and found[side] > 2.0 * others
+    facts = facts_of(scene)
+    assert (facts['ceiling'] is None) == any('ceiling' in note for note in facts['notes'])
+    assert (facts['ceiling'] is None) == (side == 'above')
 
 
-def test_a_room_without_a_ceiling_says_so():
-    found = facts_of(box([(2, 1)]))
-    assert found['ceiling'] is None and any('found no ceiling' in note for note in found['notes'])
-
-
-def test_the_command_prints_measures_and_draws(tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(('up', 'back'), [('y', [0, 1000, 0]), ('-z', [0, 0, -1000])])
+def test_the_command_prints_measures_and_draws(tmp_path, monkeypatch, capsys, up, back):
     monkeypatch.chdir(tmp_path)
-    np.save('room.npy', 1000.0 * box().points.astype(np.float64) @ map_from_file('y'))
-    assert main(['info', 'room.npy', '--scale', '0.001', '--up', 'y', '--points', '5000']) == 0
-    told = capsys.readouterr().out
-    for words in ('millimetres', 'up: y', 'x 2.50 m', 'points kept', 'wrote out/info'):
-        assert words in told
+    np.save('room.npy', 1000.0 * box().points.astype(np.float64) @ map_from_file(up))
+    command = ['info', 'room.npy', '--scale', '0.001', '--up', up, '--points', '5000']
+    assert main(command) == 0
+    printed = capsys.readouterr().out
+    for words in ('millimetres', f'up: {up}', '2.50 m', 'out/info'):
+        assert words in printed
     assert Path('out/info.png').read_bytes().startswith(b'\x89PNG')
-    assert main(['info', 'room.npy', '--scale', '0.001', '--up', 'y', '--json']) == 0
+    assert main([*command, '--json']) == 0
     found = json.loads(capsys.readouterr().out)
-    assert found['source']['up'] == 'y' and found['room']['up'] == 'y'
+    assert found['source']['up'] == found['room']['up'] == up
     # The matrix leads back to the file.
     matrix = np.array(found['source']['source_from_map'])
-    assert matrix @ [0.0, 0.0, 1.0, 1.0] == pytest.approx([0.0, 1000.0, 0.0, 1.0])
+    assert (matrix @ [0.0, 0.0, 1.0, 1.0])[:3] == pytest.approx(back)
 
 
-def test_a_direction_with_a_minus_is_read(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    np.save('room.npy', box().points.astype(np.float64) @ map_from_file('-z'))
-    assert main(['info', 'room.npy', '--up', '-z', '--json']) == 0
-    assert json.loads(capsys.readouterr().out)['source']['up'] == '-z'
+CASES = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'cases'
+#: Floor and ceiling, metres, and size, of rooms of which the right answer is known.
+ROOMS = {
+    'slab_0.2.ply': (0.0, 2.7, (6.0, 4.5, 2.7)), 'thick_walls.obj': (0.0, 2.7, (6.0, 4.5, 2.7)),
+    'bim.obj': (0.0, 2.7, None), 'studio.obj': (0.0, 4.0, (8.0, 8.0, 4.0)),
+    'cell_m.stl': (0.0, 3.2, None), 'cell_yup.glb': (0.0, 3.2, None),
+    'box.stl': (0.0, 2.5, (6.0, 4.0, 2.5)), 'yup_corridor.glb': (0.0, 2.6, (8.0, 1.6, 2.6)),
+    'yup_cube.glb': (0.0, 2.8, (2.9, 2.9, 2.8)), 'class7.las': (0.0, 2.7, (6.0, 4.5, 2.7)),
+    'feet_wkt.las': (0.0, 2.7, (6.0, 4.5, 2.7)), 'viewpoint.pcd': (0.0, 2.7, None),
+    'elevated_1.5m_room.obj': (1.5, 3.9, (6.0, 4.5, 2.4)),
+    'mirror.ply': (0.0, 2.7, (6.0, 4.5, 2.7))}
+
+
+def case(name):
+    """Return the path of a small room as users have them; skip the test where it is absent."""
+    if not CASES.is_dir():
+        pytest.skip(f'{CASES} is not there')
+    return CASES / name
+
+
+def read(name, **options):
+    with warnings.catch_warnings():
+        warnings.simplefilter('ignore', SceneWarning)
+        return load_scene(case(name), max_points=30_000, **options)
+
+
+@pytest.mark.parametrize('name', ROOMS)
+def test_floor_ceiling_and_size_are_those_of_the_room(name):
+    floor, ceiling, size = ROOMS[name]
+    scene = read(name)
+    facts = facts_of(scene)
+    assert facts['floor'] == pytest.approx(floor, abs=0.011)
+    assert facts['ceiling'] == pytest.approx(ceiling, abs=0.011)
+    if size is not None:
+        # Of points that were taken from a slab a few may be left at its outside.
+        span = np.subtract(*np.percentile(scene.points, [99.5, 0.5], axis=0))
+        np.testing.assert_allclose(span, size, atol=0.06)
+
+
+@pytest.mark.parametrize('name, mount', [
+    ('mirror.ply', 'walls'), ('mirror.ply', 'ceiling'), ('cell_m.stl', 'ceiling'),
+    ('bim.obj', 'walls'), ('studio.obj', 'walls')])
+def test_cameras_hang_inside(name, mount):
+    scene = read(name)
+    problem = Problem.of(scene, rig_of(2, 'realsense_d455', mount={'on': mount}))
+    places, _ = problem.region.places(problem.rig.models[0], 300)
+    low, high = scene.bounds
+    assert ((places.positions > low) & (places.positions < high)).all()
+
+
+@pytest.mark.parametrize('name, words', [
+    ('attic_1.8.ply', None), ('elevated_1.5m_room.obj', None), ('yup_corridor.glb', None),
+    ('lecture_ramp.ply', 'the floor|slopes'), ('mirror.ply', 'mirror')])
+def test_nothing_is_said_but_what_is_so(name, words):
+    notes = facts_of(read(name))['notes']
+    assert len(notes) == (words is not None)
+    assert words is None or any(word in notes[0] for word in words.split('|'))
+
+
+@pytest.mark.parametrize('name, words', [
+    ('utm_float32.ply', 'float32'), ('tristrips.ply', 'tristrips'), ('short_mm.ply', '0.001'),
+    ('win_qnan.xyz', 'NaN'), ('ext3.pcd', 'HEADER_EXT')])
+def test_what_cannot_be_read_is_named(name, words):
+    with pytest.raises(SceneError, match=words):
+        read(name)
+
+
+@pytest.mark.parametrize('name, count', [
+    ('win_qnan.xyz', 9733), ('points_only.obj', 8093), ('leica_intensity_rgb.pts', 5000),
+    ('cloudcompare_export.asc', 4999)])
+def test_tables_are_read_whole(name, count):
+    assert len(read(name, drop_nonfinite=True)) == pytest.approx(count, abs=2)
+
+
+def test_columns_are_found_by_their_names():
+    low, high = read('range_az_el_xyz.csv').bounds
+    assert (high - low)[2] == pytest.approx(2.7, abs=0.1)
+
+
+def test_a_camera_that_hangs_upside_down_is_calibrated():
+    placement = load_placement(case('cal.yaml'))
+    clouds = {'door': load_cloud(case('door_upside.ply')) @ OPTICAL_TO_BODY.T}
+    found, _ = calibrate(ScanSurfaces(read('base.ply')), placement, clouds)
+    door = found['door']
+    np.testing.assert_allclose(door.pose.position, [0.25, 0.24, 2.14], atol=0.01)
+    np.testing.assert_allclose(np.rad2deg(heading_of(door.pose.rotation)) % 360.0,
+                               [48.0, 28.0, 184.0], atol=0.5)
+    assert 'upside down' in door.otherwise

@@ -12,17 +12,21 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The wheel, installed where the source tree is not: what users type works from every folder."""
+"""The installed wheel works from every folder, and launch files describe what they say."""
 
+import importlib.util
 import os
 from pathlib import Path
+import re
 import shutil
+import signal
 import site
 import subprocess
 import sys
 import tarfile
 
 from conftest import HUNG, ROOT
+import launch_stand_in
 import pytest
 
 #: What stands beside the sources of somebody who works on them, and is no part of them.
@@ -96,8 +100,9 @@ def test_commands_of_the_wheel_find_what_comes_with_it(installed, elsewhere):
 
 
 @pytest.mark.system
-@pytest.mark.parametrize('name', ['sim_node', 'policy_node', 'trainer_node'])
-def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name):
+@pytest.mark.parametrize(('name', 'how'), [
+    ('sim_node', signal.SIGINT), ('policy_node', signal.SIGTERM), ('trainer_node', signal.SIGHUP)])
+def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name, how):
     environment = {key: value for key, value in os.environ.items()
                    if not key.startswith(('FASTRTPS', 'ROS_AUTOMATIC'))}
     log = elsewhere / 'log'
@@ -112,8 +117,9 @@ def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name):
                 node.wait(timeout=0.1)
             except subprocess.TimeoutExpired:
                 continue
-        node.terminate()
+        node.send_signal(how)
         assert node.wait(timeout=HUNG) == 0, log.read_text()
+        assert 'Traceback' not in log.read_text()
     finally:
         node.kill()
         node.wait()
@@ -141,3 +147,79 @@ def test_the_archive_of_the_sources_is_whole(built):
         pytest.skip('there is no git, or the sources are no repository')
     missing = set(known.stdout.splitlines()) - names
     assert not {name for name in missing if not name.startswith(('.', 'docs/benchmark/'))}
+
+
+def description_of(name):
+    """Return the launch description of a launch file."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / 'launch' / f'{name}.launch.py')
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.generate_launch_description()
+
+
+@pytest.mark.parametrize(('name', 'given', 'nodes'), [
+    ('demo', {}, 3), ('train', {}, 3), ('train', {'envs': '8'}, 17), ('live', {}, 2)])
+def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
+    pytest.importorskip('launch_ros', reason='launch files need ROS 2 from apt (launch_ros)')
+    from launch import LaunchContext
+    from launch.actions import OpaqueFunction
+    from launch_ros.actions import Node
+    monkeypatch.setattr('ament_index_python.packages.get_package_share_directory',
+                        lambda package: str(ROOT))
+    context, started = LaunchContext(), []
+    context.launch_configurations.update(given)
+    for entity in description_of(name).entities:
+        if isinstance(entity, Node):
+            started.append(entity)
+        elif isinstance(entity, OpaqueFunction):
+            started += entity.execute(context)
+        else:
+            entity.visit(context)
+    assert len(started) == nodes and all(isinstance(node, Node) for node in started)
+
+
+@pytest.fixture
+def launched(monkeypatch):
+    """Return what executes a launch file by a stand-in for ROS's launch system."""
+    launch_stand_in.install(monkeypatch)
+    return lambda name, **given: launch_stand_in.started(description_of(name), **given)
+
+
+def test_what_is_not_given_is_as_the_parameter_file_has_it(launched):
+    assert launched('live') == [('policy_node', '', [str(ROOT / 'config' / 'live.yaml'), {}])]
+    [(_, namespace, parameters)] = launched(
+        'live', params_file='mine.yaml', namespace='rig_a', turns='12', max_range='6.0',
+        manual='true', use_sim_time='true')
+    assert namespace == 'rig_a' and parameters == [
+        'mine.yaml', {'turns': 12, 'max_range': 6.0, 'manual': True, 'use_sim_time': True}]
+    assert [node for node, _, _ in launched('live', rviz='true')] == ['rviz2', 'policy_node']
+    nodes = launched('train', envs='3', seed='5')
+    assert [node for node, _, _ in nodes].count('sim_node') == 3 and len(nodes) == 7
+    assert {namespace for _, namespace, _ in nodes} == {None, 'env_0', 'env_1', 'env_2'}
+    assert [entries[-1]['scene.seed'] for node, _, entries in nodes
+            if node == 'sim_node'] == [5, 6, 7]
+
+
+def test_the_demo_runs_the_planner_that_is_named(launched):
+    (sim, _, of_sim), (policy, _, of_policy) = launched(
+        'demo', planner='lookahead', model='map', cameras='3', room='scan.ply')
+    assert (sim, policy) == ('sim_node', 'policy_node')
+    assert of_sim[-1] == {'scene.file': 'scan.ply', 'rig.cameras': 3}
+    assert of_policy[-1] == {'planner': 'lookahead', 'model': 'map'}
+    for _, namespace, parameters in launched('demo', namespace='cell', rig_file='rig.yaml',
+                                             use_sim_time='true'):
+        assert namespace == 'cell'
+        assert parameters[-1] == {'rig_file': 'rig.yaml', 'use_sim_time': True}
+    assert [node for node, _, _ in launched('demo', rviz='true')] == [
+        'rviz2', 'sim_node', 'policy_node']
+
+
+def test_the_arguments_for_live_cameras_are_parameters():
+    from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+    from ocp_ros.util.settings import leaves
+    text = (ROOT / 'launch' / 'live.launch.py').read_text()
+    found = dict(re.findall(r"^    \('\w+', '(\w+)', (\w+), ", text, re.M))
+    # Which clock is read is a parameter of every node.
+    assert found.pop('use_sim_time') == 'bool' and len(found) == 6
+    for name, kind in found.items():
+        assert leaves(PolicyNodeConfig)[name].type.__name__ == kind

@@ -17,10 +17,11 @@
 from array import array
 import re
 
-from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, HEADINGS, MAP, OPTICAL, Rig, S
-from conftest import HUNG
+from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, MAP, OPTICAL, Rig, S
+from builtin_interfaces.msg import Time
+from conftest import counted, HUNG, status
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, Quaternion
+from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
@@ -40,7 +41,6 @@ from ocp_ros.util.settings import ConfigurationError
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.logging import get_logger
-from rclpy.qos import qos_check_compatible, QoSCompatibility
 from scipy.spatial import cKDTree
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
@@ -66,7 +66,7 @@ def live(graph, probe, room):
         return probe.rig, probe.policy
 
     def wait_for_turns(count):
-        graph.until(lambda: probe.policy._counts['turns_answered'] >= count)
+        graph.until(lambda: counted(probe.policy, 'turns_answered') >= count)
 
     probe.start, probe.wait_for_turns = start, wait_for_turns
     return probe
@@ -85,9 +85,9 @@ def test_a_live_rig_comes_to_its_final_placement(live, room):
     assert placement.header.frame_id == 'map'
     np.testing.assert_allclose(msg_to_positions(placement), rig.positions, atol=1e-6)
     assert rig.episode.turn.depth_error < 0.8 * first.depth_error
-    assert policy._counts['refused_messages'] == 0
+    assert counted(policy, 'refused_messages') == 0
     live.wait_for_turns(10)
-    level, message, values = policy._status()
+    level, message, values = status(policy)
     assert (level, message) == (diagnostics.OK, 'placement is final')
     assert (values['silent_topics'], values['late_turns'], values['clock_jumps']) == ('', 0, 0)
     # It holds the cameras.
@@ -105,14 +105,6 @@ def test_a_live_rig_comes_to_its_final_placement(live, room):
     # What the cameras see is where it is, and the sensors' word for nothing is not among it.
     assert off(clouds[-1], room.points) < 1e-4
     assert values['fused_points'] == len(clouds[-1])
-
-
-def test_a_command_keeps_how_the_cameras_are_turned(live):
-    rig, _ = live.start()
-    live.wait_for_turns(1)
-    turned = positions_to_msg(rig.positions, Header(), HEADINGS).poses
-    assert [pose.orientation for pose in live.last(topics.CAMERA_COMMANDS).poses] == [
-        pose.orientation for pose in turned]
 
 
 @pytest.mark.parametrize('frames', [(MAP,) * 3, (BODY,) * 3, (OPTICAL,) * 3])
@@ -136,24 +128,20 @@ def test_one_silent_camera_does_not_stop_the_others(live, capfd):
     rig, policy = live.start(cloud_timeout=0.1, turns=3)
     rig.silent = {1}
     live.last(topics.PLACEMENT)
-    live.graph.until(lambda: policy._status()[:2] == (
-        diagnostics.WARN, 'no clouds: points_1 (nothing came)'))
-    assert policy._status()[2]['silent_topics'] == 'points_1'
+    live.graph.until(lambda: 'no clouds: points_1' in status(policy)[1])
+    assert status(policy)[0] == diagnostics.WARN
+    assert counted(policy, 'silent_topics') == 'points_1'
     live.listen(DiagnosticArray, '/diagnostics', 10)
-    policy._health.publish()
     assert live.last('/diagnostics').status[0].level == diagnostics.WARN
-    assert 'no clouds: points_1 (nothing came); expected a cloud' in capfd.readouterr().err
-    # The answer says what it rests on.
+    assert 'points_1' in capfd.readouterr().err
+    # The final placement says which clouds it is based on.
     live.listen(String, topics.PLACEMENT_STATUS, qos.LATCHED)
-    assert policy._status()[2]['turns_with_clouds'] == 'points_0 3/3, points_1 0/3, points_2 3/3'
-    assert live.last(topics.PLACEMENT_STATUS).data == (
-        'final, with gaps, after 3 turns: all 3 turns are used up; points_1 brought a cloud in 0 '
-        'of 3 turns')
-    # It is welcome back.
+    assert counted(policy, 'turns_with_clouds') == 'points_0 3/3, points_1 0/3, points_2 3/3'
+    assert 'points_1 brought a cloud in 0 of 3 turns' in live.last(topics.PLACEMENT_STATUS).data
+    # Its clouds are used again when they come again.
     rig.silent = set()
-    live.graph.until(lambda: policy._status()[:2] == (
-        diagnostics.WARN, 'placement is final, with gaps: points_1 brought a cloud in 0 of 3 '
-        'turns'))
+    live.graph.until(lambda: 'with gaps: points_1' in status(policy)[1])
+    assert status(policy)[0] == diagnostics.WARN
 
 
 def test_a_rig_that_does_not_arrive_is_commanded_from_where_it_is(live, capfd):
@@ -162,10 +150,10 @@ def test_a_rig_that_does_not_arrive_is_commanded_from_where_it_is(live, capfd):
     where = rig.positions
     live.last(topics.PLACEMENT)
     # Camera moves that are too short to matter are not waited for.
-    assert policy._status()[2]['late_turns'] > 0
+    assert counted(policy, 'late_turns') > 0
     for command in live.received[topics.CAMERA_COMMANDS]:
         assert np.linalg.norm(msg_to_positions(command) - where, axis=1).max() < 0.5 + 1e-6
-    assert 'cameras: found that they have not arrived after 0.1 s' in capfd.readouterr().err
+    assert 'not arrived' in capfd.readouterr().err
 
 
 @pytest.mark.parametrize('jump', [-500 * S, 500 * S])
@@ -174,17 +162,7 @@ def test_a_clock_that_jumps_stops_nothing(live, jump):
     live.wait_for_turns(2)
     rig.stamp += jump
     live.last(topics.PLACEMENT)
-    assert bool(policy._status()[2]['clock_jumps']) == (jump < 0)
-
-
-def test_the_node_can_be_killed_and_restarted(live, graph):
-    rig, policy = live.start(turns=4)
-    live.wait_for_turns(2)
-    graph.remove(policy)
-    commands = len(rig.commands)
-    graph.add(PolicyNode, cloud_topics='points_0,points_1,points_2', turns=4)
-    live.last(topics.PLACEMENT)
-    assert len(rig.commands) > commands + 3
+    assert bool(counted(policy, 'clock_jumps')) == (jump < 0)
 
 
 def _short(cloud):
@@ -199,57 +177,48 @@ def _far_away(cloud):
     cloud.data[:4] = array('B', np.float32(3e38).tobytes())
 
 
-@pytest.mark.parametrize(('spoil', 'words'), [
-    (_short, 'cloud: found '), (_nowhere, "cloud: found the frame 'kitchen'")])
-def test_a_camera_that_sends_nonsense_does_not_stop_the_others(live, capfd, spoil, words):
+@pytest.mark.parametrize(('spoil', 'word'), [(_short, 'cloud:'), (_nowhere, "'kitchen'")])
+def test_a_camera_that_sends_nonsense_does_not_stop_the_others(live, capfd, spoil, word):
     rig, policy = live.start(cloud_timeout=0.1)
     rig.spoil = {0: spoil}
     live.wait_for_turns(3)
-    assert policy._counts['refused_messages'] >= 3
-    live.graph.until(lambda: policy._status()[:2] == (
-        diagnostics.WARN, 'no clouds: points_0 (nothing usable)'))
-    assert 'message refused: ' + words in capfd.readouterr().err
+    assert counted(policy, 'refused_messages') >= 3
+    live.graph.until(lambda: 'points_0 (nothing usable)' in status(policy)[1])
+    assert status(policy)[0] == diagnostics.WARN and word in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(('spoil', 'word'), [
+    (lambda message: setattr(message.poses[1].position, 'x', np.nan), 'finite'),
+    (lambda message: setattr(message.poses[1].position, 'x', np.inf), 'finite'),
+    (lambda message: setattr(message.poses[1].orientation, 'w', 0.0), 'quaternion'),
+    (lambda message: setattr(message.header, 'stamp', Time()), 'stamp'),
+    (lambda message: setattr(message.header, 'frame_id', 'odom'), 'odom'),
+    (lambda message: message.poses.pop(), '2 cameras')])
+def test_poses_that_cannot_be_are_refused_and_the_turns_go_on(live, capfd, spoil, word):
+    rig, policy = live.start()
+    live.wait_for_turns(1)
+    poses = live.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    header = Header(stamp=ns_to_stamp(rig.stamp), frame_id='map')
+    message = positions_to_msg(rig.positions, header)
+    spoil(message)
+    poses.publish(message)
+    live.graph.until(lambda: counted(policy, 'refused_messages') == 1)
+    assert word in capfd.readouterr().err
+    live.wait_for_turns(counted(policy, 'turns_answered') + 2)
 
 
 def test_a_stray_point_is_left_out(live, room):
     rig, policy = live.start()
     rig.spoil = dict.fromkeys(range(CAMERAS), _far_away)
     assert off(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
-    assert policy._counts['refused_messages'] == 0
-
-
-@pytest.mark.parametrize('wrong', [np.nan, np.inf, 0.0])
-def test_poses_that_say_nothing_are_refused(live, wrong):
-    rig, policy = live.start()
-    poses = live.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-    message = positions_to_msg(rig.positions, Header(frame_id='map'))
-    if wrong == 0.0:
-        message.poses[1].orientation = Quaternion(w=0.0)
-    else:
-        message.poses[1].position.x = wrong
-    poses.publish(message)
-    live.graph.until(lambda: policy._counts['refused_messages'] == 1)
-    live.wait_for_turns(policy._counts['turns_answered'] + 2)
-
-
-@pytest.mark.parametrize(('cameras', 'frame'), [(2, 'map'), (3, 'odom')])
-def test_another_rig_is_refused_once_one_is_commanded(live, capfd, cameras, frame):
-    rig, policy = live.start()
-    live.wait_for_turns(1)
-    poses = live.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-    poses.publish(positions_to_msg(np.zeros((cameras, 3)), Header(frame_id=frame)))
-    live.graph.until(lambda: policy._counts['refused_messages'] == 1)
-    words = (f"poses: found {cameras} cameras in the frame '{frame}'; expected 3 in 'map', as "
-             'before; for another rig start policy_node again')
-    assert words in capfd.readouterr().err
-    live.wait_for_turns(policy._counts['turns_answered'] + 2)
+    assert counted(policy, 'refused_messages') == 0
 
 
 def test_a_fused_cloud_that_is_no_room_is_begun_anew(live, room):
     rig, policy = live.start()
     live.wait_for_turns(1)
     policy._live._fused.add(np.array([[900.0, 0.0, 0.0]]))
-    live.graph.until(lambda: policy._counts['refused_messages'] == 1)
+    live.graph.until(lambda: counted(policy, 'refused_messages') == 1)
     live.received[topics.OBSERVATION].clear()
     assert off(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
 
@@ -258,16 +227,9 @@ def test_nobody_says_where_the_cameras_are(live, capfd):
     rig, policy = live.start(cloud_timeout=0.1)
     graph = live.graph
     graph.remove(rig)
-    graph.until(lambda: policy._status()[:2] == (diagnostics.WARN, 'nothing on camera_poses'))
-    policy._on_reset(Trigger.Request(), Trigger.Response())
-    graph.until(lambda: 'nothing on /camera_poses; expected' in capfd.readouterr().err)
-
-
-def test_live_cameras_need_no_simulation(live):
-    _, policy = live.start()
-    heard = {subscription.topic_name for subscription in policy.subscriptions}
-    assert heard & {'/reward', '/observation', '/camera_poses', '/points_0'} == {
-        '/camera_poses', '/points_0'}
+    graph.until(lambda: status(policy)[:2] == (diagnostics.WARN, 'nothing on camera_poses'))
+    live.call(Trigger, 'policy_node/reset')
+    graph.until(lambda: 'nothing on /camera_poses' in capfd.readouterr().err)
 
 
 def added(drawn):
@@ -281,12 +243,6 @@ def leads_to(drawn, target):
     return bool(arrows) and np.allclose(
         [(arrow.points[1].x, arrow.points[1].y) for arrow in arrows],
         target[[arrow.id for arrow in arrows], :2])
-
-
-#: The last line that a person reads before the placement is final.
-EXPECTED = (r'expected: (the depth error of what has been seen so far falls from \d+\.\d\d to '
-            r'\d+\.\d\d m, by \d+ %|no less depth error of what has been seen so far '
-            r'\(\d+\.\d\d m\); these moves look at what has not been seen)')
 
 
 def moves_in(text):
@@ -304,7 +260,7 @@ def test_a_person_is_told_what_to_do_and_has_time(live):
         # Who has arrived is told to stay where the clouds are late, so words are not counted.
         live.graph.until(lambda turn=turn: rig.turns == turn + 1 and text and moves_in(
             text[-1].data) == instructions(rig.positions, rig.target, 0.05) != STAY)
-        assert re.fullmatch(EXPECTED, text[-1].data.splitlines()[-1])
+        assert text[-1].data.splitlines()[-1].startswith('expected: ')
         live.graph.until(lambda: leads_to(drawn, rig.target))
         arrows = added(drawn)
         assert {arrow.type for arrow in arrows} == {Marker.ARROW}
@@ -313,7 +269,7 @@ def test_a_person_is_told_what_to_do_and_has_time(live):
         # Nothing happens while nobody moves, however long it takes.
         stamp = rig.stamp
         live.graph.until(lambda: rig.stamp > stamp + S // 2)
-        assert policy._counts['turns_answered'] == turn + 1
+        assert counted(policy, 'turns_answered') == turn + 1
         rig.go()
     live.graph.until(lambda: text[-1].data == FINAL)
     live.graph.until(lambda: {arrow.action for arrow in drawn[-1].markers} == {Marker.DELETE})
@@ -321,11 +277,12 @@ def test_a_person_is_told_what_to_do_and_has_time(live):
         msg_to_positions(live.last(topics.PLACEMENT)), rig.positions, atol=1e-6)
 
 
-def test_a_person_is_not_told_anew_for_the_noise_of_poses(live):
+def test_a_person_hears_nothing_of_noise_and_what_is_left_of_a_move(live):
     rig, policy = live.start(manual=True, turns=2, max_step=0.5)
     rig.obeys = False
     live.wait_for_turns(1)
     live.last(topics.INSTRUCTIONS)
+    live.graph.until(lambda: rig.target is not None)
     before, rng = len(live.received[topics.INSTRUCTIONS]), np.random.default_rng(0)
     where = rig.positions
     for _ in range(5):
@@ -334,25 +291,31 @@ def test_a_person_is_not_told_anew_for_the_noise_of_poses(live):
         for _ in range(5):
             live.graph.executor.spin_once(timeout_sec=0.02)
     assert len(live.received[topics.INSTRUCTIONS]) == before
-
-
-def test_a_person_who_has_hung_a_camera_a_little_off_is_told_what_is_left(live):
-    rig, policy = live.start(manual=True, turns=2, max_step=0.5)
-    rig.obeys = False
-    live.wait_for_turns(1)
-    live.graph.until(lambda: rig.target is not None)
+    # One camera hangs 7 cm beside its target.
     goal = rig.target.copy()
-    rig.target[0, 0] += 0.07
-    off, rig.target = rig.target, goal
-    rig.episode.move((off - rig.positions)[:, :2])
+    rig.episode.move((goal + [[0.07, 0.0, 0.0], *np.zeros((2, 3))] - rig.positions)[:, :2])
     expected = instructions(rig.positions, goal, 0.05)
     assert expected.count('camera') == 1
-    live.last(topics.INSTRUCTIONS)
     live.graph.until(
         lambda: moves_in(live.received[topics.INSTRUCTIONS][-1].data) == expected)
-    assert policy._status()[0] == diagnostics.OK
+    assert status(policy)[0] == diagnostics.OK
     rig.go()
     live.wait_for_turns(2)
+
+
+@pytest.mark.parametrize(('move', 'turn', 'words'), [
+    ((0.0, 0.5, 0.0), (0, 0), r'camera 0: 0\.50 m .*\+y.*\(1\.00, 2\.50\)'),
+    ((0.4, -0.1, 0.0), (0, 0), r'0\.40 m .*\+x .*0\.10 m .*-y.*\(1\.40, 1\.90\)'),
+    ((-0.304, 0.04, 0.0), (2, 0), r'0\.30 m .*-x'),
+    ((0.0, 0.0, 0.5), (0, 0), r'0\.50 m up.*\(1\.00, 2\.00, 2\.40\)'),
+    ((0.0, 0.2, -0.1), (0, 0), r'0\.20 m .*\+y .*0\.10 m down'),
+    ((0.01, 0.0, 0.0), (40, 0), r'camera 0: turn 40 degrees to the left$'),
+    ((0.0, 0.0, 0.0), (-30, 20), r'30 degrees to the right .*20 degrees down'),
+    ((0.0, -0.3, 0.0), (2, -8), r'0\.30 m .*-y.*2 degrees to the left .*8 degrees up'),
+    ((0.03, 0.0, 0.02), (4, -2), STAY)])
+def test_instructions_say_how_far_and_in_which_direction(move, turn, words):
+    here = np.array([[1.0, 2.0, 1.9]])
+    assert re.search(words, instructions(here, here + move, 0.05, np.deg2rad([turn]), 0.1))
 
 
 @pytest.mark.parametrize(('given', 'turns', 'max_step', 'max_turn'), [
@@ -378,72 +341,19 @@ def test_noise_of_poses_neither_stops_turns_nor_moves_what_was_decided(live, noi
         assert command.poses == placement.poses
     # A mean is nearer than what it is the mean of, and heights do not wander.
     assert np.abs(decided - rig.positions).max() < 0.6 * noise + 1e-3
-    assert policy._status()[2]['late_turns'] == 0
-
-
-def called(live, kind, name, **fields):
-    """Call a service of the policy and return what it answers."""
-    client = live.node.create_client(kind, f'policy_node/{name}')
-    live.graph.until(client.service_is_ready)
-    answer = client.call_async(kind.Request(**fields))
-    live.graph.until(answer.done)
-    return answer.result()
-
-
-def on_their_way(live):
-    """Start a rig and a policy, and return both with the cameras half of a way behind them."""
-    rig, policy = live.start(turns=50)
-    live.wait_for_turns(2)
-    rig.obeys = False
-    live.wait_for_turns(policy._counts['turns_answered'])
-    live.graph.until(lambda: not policy._live._turns.standing)
-    rig.episode.move(0.5 * (rig.target - rig.positions)[:, :2])
-    stamp = rig.stamp
-    live.graph.until(lambda: rig.stamp > stamp + S // 4)
-    return rig, policy
-
-
-def test_who_is_deactivated_leaves_cameras_where_they_are(live):
-    rig, policy = on_their_way(live)
-    here = rig.positions.copy()
-    assert policy.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
-    live.graph.until(lambda: np.allclose(rig.target, here, atol=1e-6))
-
-
-def test_a_pause_stops_cameras_where_they_are(live):
-    rig, policy = on_their_way(live)
-    here, stamp = rig.positions.copy(), rig.stamp
-    assert called(live, SetBool, 'pause', data=True).success
-    live.graph.until(lambda: np.allclose(rig.target, here, atol=1e-6))
-    count = len(rig.commands)
-    live.graph.until(lambda: rig.stamp > stamp + 2 * S)
-    assert len(rig.commands) == count and policy._status()[1] == 'paused'
-    assert called(live, SetBool, 'pause', data=False).success
-    turns = policy._counts['turns_answered']
-    live.graph.until(lambda: not np.allclose(rig.target, here, atol=1e-6))
-    rig.obeys = True
-    rig.go()
-    live.wait_for_turns(turns + 1)
+    assert counted(policy, 'late_turns') == 0
 
 
 def test_a_new_placement_begins_without_a_restart(live):
     rig, policy = live.start(turns=3)
-    live.graph.until(lambda: policy._is_final)
+    live.graph.until(lambda: status(policy)[1] == 'placement is final')
     placements = len(live.received[topics.PLACEMENT])
     rig.episode.move(np.full((CAMERAS, 2), 0.3))
-    assert called(live, Trigger, 'reset').success
-    assert not policy._is_final and len(policy._live._fused) == 0
+    assert live.call(Trigger, 'policy_node/reset').success
+    assert counted(policy, 'fused_points') == 0
     live.graph.until(lambda: len(live.received[topics.PLACEMENT]) > placements)
     np.testing.assert_allclose(
         msg_to_positions(live.last(topics.PLACEMENT)), rig.positions, atol=1e-6)
-
-
-def test_poses_without_a_stamp_are_refused(live, capfd):
-    rig, policy = live.start()
-    poses = live.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-    poses.publish(positions_to_msg(rig.positions, Header(frame_id='map')))
-    live.graph.until(lambda: policy._counts['refused_messages'] == 1)
-    assert 'poses: found the stamp 0; expected when' in capfd.readouterr().err
 
 
 def test_a_camera_outside_of_what_it_sees_comes_no_faster_than_it_may():
@@ -457,36 +367,14 @@ def test_a_camera_outside_of_what_it_sees_comes_no_faster_than_it_may():
     assert 0.0 < np.linalg.norm(away, axis=1).max() <= 0.05 + 1e-9
 
 
-def test_instructions_are_plain_words():
-    positions = np.array([[1.0, 2.0, 1.9], [1.0, 1.0, 1.9], [2.8, 1.85, 1.9], [0.3, 0.0, 1.9]])
-    moves = np.array([[0.03, 0.0, 0.0], [0.0, 0.5, 0.0], [0.4, -0.1, 0.0], [-0.304, 0.0, 0.0]])
-    assert instructions(positions, positions + moves, 0.05) == (
-        'camera 1: 0.50 m towards +y, to (1.00, 1.50)\n'
-        'camera 2: 0.40 m towards +x and 0.10 m towards -y, to (3.20, 1.75)\n'
-        'camera 3: 0.30 m towards -x, to (0.00, 0.00)')
-    assert instructions(positions, positions, 0.05) == STAY
-    raised = positions + [[0.0, 0.0, 0.5], [0.0, 0.2, -0.1], [0.0, 0.0, 0.04], [0.0, 0.0, 0.0]]
-    assert instructions(positions, raised, 0.05) == (
-        'camera 0: 0.50 m up, to (1.00, 2.00, 2.40)\n'
-        'camera 1: 0.20 m towards +y and 0.10 m down, to (1.00, 1.20, 1.80)')
-
-
 @pytest.mark.parametrize(('parameters', 'words'), [
-    ({'cloud_topics': 'a b'}, 'cloud_topics: found .*; expected names of topics'),
-    ({'cloud_topics': 'points,points'}, 'cloud_topics: found .*; expected each once'),
-    ({'cloud_topics': 'points,/points'}, 'cloud_topics: found .*; expected each once'),
-    ({'cloud_topics': 'observation'}, 'cloud_topics: found .* and not /observation'),
-    ({'manual': True}, 'manual: found true without cloud_topics; expected live cameras'),
-    ({'min_range': 5.0}, 'min_range: found 5.0 m with max_range 4.0 m; expected less')])
+    ({'cloud_topics': 'a b'}, 'cloud_topics'), ({'cloud_topics': 'points,points'}, 'each once'),
+    ({'cloud_topics': 'points,/points'}, 'each once'),
+    ({'cloud_topics': 'observation'}, 'cloud_topics: .*/observation'),
+    ({'manual': True}, 'manual: .*cloud_topics'), ({'min_range': 5.0}, 'min_range: .*max_range')])
 def test_settings_that_cannot_be_are_refused(graph, parameters, words):
     with pytest.raises(ConfigurationError, match=words):
         graph.add(PolicyNode, **parameters)
-
-
-def test_drivers_of_every_profile_are_heard():
-    from rclpy.qos import qos_profile_sensor_data
-    for driver in (qos_profile_sensor_data, qos.LOOP, qos.LATCHED, qos.SENSOR):
-        assert qos_check_compatible(driver, qos.SENSOR)[0] == QoSCompatibility.OK
 
 
 @pytest.mark.parametrize('profile', [qos.LOOP, qos.SENSOR])
@@ -500,7 +388,7 @@ def test_poses_that_come_while_the_node_is_busy_are_of_one_clock(graph, probe, p
     graph.until(lambda: policy._live._turns.positions is not None)
     for _ in range(20):
         graph.executor.spin_once(timeout_sec=0.01)
-    assert policy._status()[2]['clock_jumps'] == 0 == policy._counts['refused_messages']
+    assert counted(policy, 'clock_jumps') == 0 == counted(policy, 'refused_messages')
 
 
 def test_clouds_that_come_while_the_node_is_busy_are_dropped_but_the_newest(graph, probe, room):
@@ -513,3 +401,32 @@ def test_clouds_that_come_while_the_node_is_busy_are_dropped_but_the_newest(grap
             room.points, Header(stamp=ns_to_stamp(stamp), frame_id='map')))
     graph.until(lambda: heard and heard[-1] == 40)
     assert len(heard) < 40
+
+
+@pytest.mark.parametrize('how', ['pause', 'deactivation'])
+def test_cameras_on_their_way_stop_where_they_are_and_go_on_later(live, how):
+    rig, policy = live.start(turns=50)
+    live.wait_for_turns(2)
+    rig.obeys = False
+    live.wait_for_turns(counted(policy, 'turns_answered'))
+    live.graph.until(lambda: not policy._live._turns.standing)
+    # Half of the way is behind them.
+    rig.episode.move(0.5 * (rig.target - rig.positions)[:, :2])
+    stamp, here = rig.stamp, rig.positions.copy()
+    live.graph.until(lambda: rig.stamp > stamp + S // 4)
+    if how == 'pause':
+        assert live.call(SetBool, 'policy_node/pause', data=True).success
+    else:
+        assert policy.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    live.graph.until(lambda: np.allclose(rig.target, here, atol=1e-6))
+    commands, turns = len(rig.commands), counted(policy, 'turns_answered')
+    live.graph.until(lambda: rig.stamp > stamp + 2 * S)
+    assert len(rig.commands) == commands and status(policy)[1] in ('paused', 'inactive')
+    if how == 'pause':
+        assert live.call(SetBool, 'policy_node/pause', data=False).success
+    else:
+        assert policy.trigger_activate() == TransitionCallbackReturn.SUCCESS
+    live.graph.until(lambda: not np.allclose(rig.target, here, atol=1e-6))
+    rig.obeys = True
+    rig.go()
+    live.wait_for_turns(turns + 1)

@@ -58,6 +58,7 @@ class Rig(Node):
         super().__init__('rig', **kwargs)
         self.episode, self.frames = episode, [f.format(k) for k, f in enumerate(frames)]
         self.stamp, self.obeys, self.silent, self.tells = 1000 * S, True, set(), True
+        self.headings = HEADINGS
         self._period = period
         #: Metres: standard deviation of what is said of where the cameras are.
         self.noise, self.rng = 0.0, np.random.default_rng(3)
@@ -98,7 +99,7 @@ class Rig(Node):
         self.stamp += int(self._period * S)
         header = Header(stamp=ns_to_stamp(self.stamp), frame_id='map')
         measured = self.positions + self.rng.normal(0.0, self.noise, self.positions.shape)
-        headings = HEADINGS + self.rng.normal(0.0, 0.3 * self.noise, HEADINGS.shape)
+        headings = self.headings + self.rng.normal(0.0, 0.3 * self.noise, self.headings.shape)
         if self.tells:
             self._poses.publish(positions_to_msg(measured, header, headings))
         for camera in set(range(len(self.frames))) - self.silent:
@@ -109,12 +110,13 @@ class Rig(Node):
     def cloud(self, camera):
         """Return what a camera sees, in its frame."""
         simulator = self.episode.simulator
-        seen = simulator.look(self.positions[camera], camera).seen
+        pose = np.append(self.positions[camera], self.headings[camera])
+        seen = simulator.look(pose, camera).seen
         points = simulator.scene.points[Subset(seen, simulator.visibility.order).mask]
         header = Header(stamp=ns_to_stamp(self.stamp), frame_id=self.frames[camera])
         if self.frames[camera] == MAP:
             return cloud_to_msg(points, header)
-        points = (points - self.positions[camera]) @ rotation_matrix(*HEADINGS[camera])
+        points = (points - pose[:3]) @ rotation_matrix(*pose[3:])
         points = np.concatenate([points, NO_RETURN])
         if self.frames[camera].endswith('optical'):
             points = np.stack([-points[:, 1], -points[:, 2], points[:, 0]], axis=1)

@@ -107,8 +107,9 @@ def known_lies(cloud: PointCloud2) -> list[PointCloud2]:
     Make the clouds that are known to have killed other programs.
 
     :param cloud: good, with x, y and z as its first fields.
-    :returns: clouds without x, y or z, with data that is too short, with sizes whose product
-        overflows 32 bits, and with a row_step that is wrong.
+    :returns: clouds without x, y or z or with one of them twice, with data that is too short or
+        too long, with sizes whose product overflows 32 bits, with a row_step that is wrong, and
+        with a field outside of its point or of two numbers.
     """
     def changed(**values) -> PointCloud2:
         message = deepcopy(cloud)
@@ -116,9 +117,18 @@ def known_lies(cloud: PointCloud2) -> list[PointCloud2]:
             setattr(message, name, value)
         return message
 
+    def with_first_field(**values) -> PointCloud2:
+        message = changed()
+        for name, value in values.items():
+            setattr(message.fields[0], name, value)
+        return message
+
     fields, data = list(cloud.fields), cloud.data
     return [*(changed(fields=[one for one in fields if one.name != name]) for name in 'xyz'),
-            changed(fields=[]), changed(data=data[:-1]), changed(data=array('B')),
+            changed(fields=[]), changed(fields=[*fields, fields[1]]),
+            with_first_field(offset=2 ** 32 - 1), with_first_field(count=2),
+            changed(data=data[:-1]), changed(data=array('B')),
+            changed(data=data + array('B', [0])),
             changed(width=65536, height=65536), changed(width=2 ** 31, height=2 ** 31),
             changed(width=2 ** 32 - 1, row_step=0), changed(point_step=0, row_step=0),
             changed(width=cloud.width - 1, row_step=3),
