@@ -15,26 +15,20 @@
 """Read the room and placement of a command line, and write all files of a placement."""
 
 import argparse
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from ocp_ros.cli.arguments import room_asked
 from ocp_ros.planning.assessment import Assessment
-from ocp_ros.report.exports import export, FORMS
+from ocp_ros.report.exports import export, reports
 from ocp_ros.rig.placement_file import load_placement, Placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import FileSet
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import written
-
-#: ``WRITTEN``: all files of a placement. ``CURVE``: the file that counting cameras adds. ``MARK``:
-#: the file that is always written.
-CURVE = 'curve.png'
-WRITTEN = (*FORMS, 'report.png', 'report_2.png', 'report.html', CURVE)
-MARK = 'placement.json'
 
 
 def written_to(files: FileSet, judged: Assessment, more: Callable[[Path], Iterable[Path]],
@@ -59,20 +53,6 @@ def written_to(files: FileSet, judged: Assessment, more: Callable[[Path], Iterab
             f'({error.strerror or error}); expected room for it; use what is printed, or make '
             'room and do it again')}
     return {'written': paths}
-
-
-def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
-    """
-    Write the report of one or two pages and the 3D page, and yield the path of each file.
-
-    :param folder: for the files; it is made if it does not exist.
-    """
-    # Imported only here: drawing is slow to import and often not needed.
-    from ocp_ros.report.drawing import sheet
-    from ocp_ros.report.viewer import write_view
-    yield from sheet.draw(folder, judged)
-    write_view(folder / 'report.html', judged.scene, judged)
-    yield folder / 'report.html'
 
 
 def room_and_placement(arguments: argparse.Namespace

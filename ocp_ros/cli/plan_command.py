@@ -103,8 +103,9 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Plan a rig in a room, and write the placement in all file formats."""
-    from ocp_ros.cli.placement_files import MARK, WRITTEN, written_to
+    from ocp_ros.cli.placement_files import written_to
     from ocp_ros.planning.rig_planning import PlannedRig
+    from ocp_ros.report.exports import MARK, WRITTEN
     from ocp_ros.util.files import folder_to_write
     task = task_of(arguments)
     claim_folder(arguments, arguments.out, WRITTEN, MARK)
@@ -137,8 +138,8 @@ def task_of(arguments: argparse.Namespace) -> 'PlanTask':
 
 def _curve(folder: Path, found: Mapping[str, Any]) -> Iterator[Path]:
     """Draw the result for each number of cameras if they were counted; yield the file."""
-    from ocp_ros.cli.placement_files import CURVE
     from ocp_ros.report.count_report import draw_curve
+    from ocp_ros.report.exports import CURVE
     if 'curve' in found:
         yield draw_curve(folder / CURVE, found['curve'], found['count'])
 
@@ -146,8 +147,7 @@ def _curve(folder: Path, found: Mapping[str, Any]) -> Iterator[Path]:
 @contextmanager
 def _kept(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]':
     """Write a placement first, so that a Ctrl-C during evaluation and drawing does not lose it."""
-    from ocp_ros.cli.placement_files import MARK, WRITTEN
-    from ocp_ros.report.exports import PLACEMENTS
+    from ocp_ros.report.exports import MARK, PLACEMENTS, WRITTEN
     from ocp_ros.rig.placement_file import save_placement
     from ocp_ros.util.files import FileSet
     try:

@@ -43,8 +43,9 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Evaluate a placement, and write its files if ``--out`` is given."""
-    from ocp_ros.cli.placement_files import MARK, room_and_placement, WRITTEN, written_to
+    from ocp_ros.cli.placement_files import room_and_placement, written_to
     from ocp_ros.planning.assessment import judge
+    from ocp_ros.report.exports import MARK, WRITTEN
     from ocp_ros.util.files import FileSet, folder_to_write
     if arguments.out:
         claim_folder(arguments, arguments.out, WRITTEN, MARK)

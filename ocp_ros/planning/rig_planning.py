@@ -28,6 +28,7 @@ from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.pose_annealing import Progress
+from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_plan import RigPlan, RigPlanner
 from ocp_ros.simulation.ray_visibility import with_rays
@@ -181,18 +182,18 @@ class PlannedRig:
                            'best': float(random.min()) if len(random) else None},
                 'everywhere': {'loss': plan.union_bound.loss,
                                'depth_error': plan.union_bound.depth_error},
-                'certificate': certificate_data(plan)}
+                'certificate': certificate_data(plan.certificate, plan.uncertain)}
 
 
-def certificate_data(plan: RigPlan) -> dict[str, Any]:
+def certificate_data(known: Certificate | None, uncertain: str = '') -> dict[str, Any]:
     """
-    Return the certificate of a plan as plain data.
+    Return a certificate as plain data.
 
+    :param uncertain: reason why there is none.
     :returns: ``sentence``, and the values in it; ``gap`` is None without a certificate.
     """
-    known = plan.certificate
     if known is None:
-        return {'sentence': f'The optimality gap is unknown: {plan.uncertain}.', 'gap': None}
+        return {'sentence': f'The optimality gap is unknown: {uncertain}.', 'gap': None}
     apart = f'{known.step:.2g} m' + (f' and {known.turn:g} degrees' if known.turn else '')
     gained = (f'; moving off this grid gained {100.0 * known.moved:.1f} %'
               if known.moved >= LEAST_PERCENT / 100.0 else '')

@@ -35,6 +35,11 @@ import yaml
 PLACEMENTS = ('placement.yaml', 'placement.json')
 FORMS = (*PLACEMENTS, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro', 'cameras.rviz',
          'installer.md', 'plan.png')
+#: ``WRITTEN``: all files of a placement. ``CURVE``: the file that counting cameras adds. ``MARK``:
+#: the file that is always written.
+CURVE = 'curve.png'
+WRITTEN = (*FORMS, 'report.png', 'report_2.png', 'report.html', CURVE)
+MARK = 'placement.json'
 #: Rotation from a camera's body frame (x forward, y left, z up) to its optical frame (z forward,
 #: x right, y down): roll, pitch, yaw in radians, REP-103.
 OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
@@ -109,6 +114,20 @@ def export(folder: Path, judged: Assessment, prefix: str = '') -> Iterator[Path]
     from ocp_ros.report.drawing.assessment_pictures import draw_floor_plan
     draw_floor_plan(folder / 'plan.png', judged)
     yield folder / 'plan.png'
+
+
+def reports(folder: Path, judged: Assessment) -> Iterator[Path]:
+    """
+    Write the report of one or two pages and the 3D page, and yield the path of each file.
+
+    :param folder: for the files; it is made if it does not exist.
+    """
+    # Imported only here: drawing is slow to import and often not needed.
+    from ocp_ros.report.drawing import sheet
+    from ocp_ros.report.viewer import write_view
+    yield from sheet.draw(folder, judged)
+    write_view(folder / 'report.html', judged.scene, judged)
+    yield folder / 'report.html'
 
 
 class Link(NamedTuple):
