@@ -40,6 +40,8 @@ from websockets.http11 import Request, Response
 LOCAL, PORT = '127.0.0.1', 8080
 #: Names of this machine in URLs; another name may be of a page that rebinds its address.
 NAMES = ('127.0.0.1', 'localhost', '[::1]')
+#: Other pages must neither show this one inside them nor learn its URL.
+HEADERS = {'X-Frame-Options': 'DENY', 'Referrer-Policy': 'no-referrer'}
 #: Bytes of a token.
 TOKEN = 24
 #: Number of ports that are tried.
@@ -83,14 +85,21 @@ class Gate:
         """Return a function for ``process_request`` that refuses requests before ``process``."""
         def first(connection: Any, request: Request) -> Response | None:
             reason = self.refusal(request)
-            if not reason:
-                return process(connection, request)
-            return connection.respond(HTTPStatus.FORBIDDEN, f'ocp: {reason}\n')
+            answer = (connection.respond(HTTPStatus.FORBIDDEN, f'ocp: {reason}\n') if reason
+                      else process(connection, request))
+            if answer is not None:
+                answer.headers.update(HEADERS)
+            return answer
         return first
 
 
 class LocalServer(viser.ViserServer):
-    """A viser server without the public tunnel."""
+    """A viser server without the public tunnel, and silent."""
+
+    def stop(self) -> None:
+        """End the server."""
+        with redirect_stdout(io.StringIO()):
+            super().stop()
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Refuse to open a tunnel, whoever asks."""

@@ -16,6 +16,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+import re
 from typing import Any
 
 import numpy as np
@@ -113,6 +114,6 @@ def entry_of(entry: dict[str, Any], name: str) -> dict[str, Any]:
 def new_name(stem: str, cameras: Sequence[Camera]) -> str:
     """Return a name that no camera has: a stem, followed by a number if necessary."""
     taken = {camera.name for camera in cameras}
-    stem = stem.rstrip('0123456789').rstrip('_') if stem in taken else stem
-    names = (stem, *(f'{stem[:LONGEST_NAME - 4]}_{k}' for k in range(1, len(taken) + 2)))
-    return next(name for name in names if name and name not in taken)
+    stem = re.sub(r'_\d+$', '', stem)[:LONGEST_NAME - 4] if stem in taken else stem
+    names = (stem, *(f'{stem}_{k}' for k in range(1, len(taken) + 2)))
+    return next(name for name in names if name not in taken)

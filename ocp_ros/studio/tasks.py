@@ -27,6 +27,7 @@ from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import check_regions, MountedCamera, pool_of
 from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_annealing import SearchResult
+from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.studio.model import Evaluation, Studio
@@ -118,6 +119,7 @@ def searched(studio: Studio, state: State, from_here: bool) -> Work:
         check_regions(problem.objective, pool)
         best = _start(studio, problem, state, free) if from_here else ()
         found: SearchResult | None = None
+        proved: Certificate | None = None
         done, seconds = 0.0, task.budget.seconds
         for number, part in enumerate(ROUNDS):
             def progress(share: float, loss: float, done: float = done, part: float = part
@@ -128,14 +130,16 @@ def searched(studio: Studio, state: State, from_here: bool) -> Work:
             found = plan(problem, task.budget.restarted(part * seconds), RIG_SEARCH, pool, number,
                          best, progress)
             best, done = found.sites, done + part
+            proved = max(filter(None, (proved, found.certificate)),
+                         key=lambda known: known.bound, default=None)
             poses = state.poses.copy()
             poses[free] = found.poses
             yield Progress(done, f'found the objective value {found.loss:.4f}', poses)
             if task.budget.stopped:
                 break
-        if found.certificate is not None and len(free) == len(state.names):
-            studio.prove(state.rig, found.certificate)
-        elif found.uncertain:
+        if proved is not None and len(free) == len(state.names):
+            studio.prove(state.rig, proved)
+        elif proved is None:
             yield Progress(1.0, f'found the objective value {found.loss:.4f}; how far from the '
                                 f'best is not known: {found.uncertain}')
     return work
