@@ -58,6 +58,7 @@ setup(
             'sim_node = ocp_ros.ros.start:sim_node',
             'policy_node = ocp_ros.ros.start:policy_node',
             'trainer_node = ocp_ros.ros.start:trainer_node',
+            'guide_node = ocp_ros.ros.start:guide_node',
             'demo = ocp_ros.demo.demo:main',
             'train_demo = ocp_ros.demo.train_demo:main',
             'ocp = ocp_ros.cli.start:main',

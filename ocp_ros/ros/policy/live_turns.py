@@ -73,6 +73,9 @@ from visualization_msgs.msg import MarkerArray
 #: Seconds between two checks whether a turn is due, also without messages; and seconds after which
 #: a command is sent again to cameras that have not arrived: it may have been lost.
 TICK, AGAIN = 0.1, 1.0
+#: Metres and radians: a measured pose that differs more from its target is not noise, whatever the
+#: limits of arrival are.
+NOISE = 0.1, 0.2
 #: Least change of poses, metres and radians, that leads to new instructions for a person.
 SAME = 0.05
 
@@ -326,8 +329,10 @@ class LiveTurns:
         sent = self._command.poses[camera]
         rotation = rotation_of(sent.orientation, f'command: camera {camera}')
         away = measured.position - [sent.position.x, sent.position.y, sent.position.z]
-        there = (np.linalg.norm(away) <= self._config.arrival_distance
-                 and angle_between(measured.rotation, rotation) <= self._config.arrival_angle)
+        near, turned = (min(limit, most) for limit, most in zip(
+            (self._config.arrival_distance, self._config.arrival_angle), NOISE))
+        there = (np.linalg.norm(away) <= near
+                 and angle_between(measured.rotation, rotation) <= turned)
         return sent if there else None
 
     def _turned(self, poses: PoseArray) -> dict[int, np.ndarray]:
