@@ -113,7 +113,8 @@ class Panel:
         page, (low, high) = self.page, self.page.studio.scene.bounds[:, 2].tolist()
         self.colours = gui.add_dropdown('Colours', texts.PAINTS)
         self.legend = gui.add_html(texts.legend(texts.BY_COUNT))
-        self.cut = gui.add_slider('Show up to (m)', low, high + 0.1, 0.05, cut)
+        self.cut = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1), 0.05,
+                                  round(cut, 1))
         self.compare = gui.add_button_group('Compare', ('Keep as A', 'Go to A', 'Stop'))
         self._on(self.colours, lambda _: self._set_colours())
         self._on(self.cut, lambda value: page.cut(float(value)))

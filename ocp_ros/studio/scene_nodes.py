@@ -84,7 +84,7 @@ class Cloud:
         """Colour the points: (N, 3) uint8; positions are not sent again."""
         # In whole numbers, since people wait for it.
         self._colours = (colours * self._shade[:, None] >> 8).astype(np.uint8)
-        self._node.colors = colours[self._shown]
+        self._node.colors = self._colours[self._shown]
 
     def remove(self) -> None:
         """Remove the cloud from the page."""

@@ -43,7 +43,7 @@ HELP = ('Drag a camera: the colours show what is seen.',
         'Plan finds better poses, Files saves them.')
 #: Sentence in place of a certificate.
 UNPROVED = 'How far from the best is not known for this rig: Plan all finds out.'
-STYLE = 'font-size:0.85em;line-height:1.35;padding:0 0.6em;overflow-wrap:anywhere'
+STYLE = 'font-size:0.85em;line-height:1.35;padding:0.2em 0.6em;overflow-wrap:anywhere'
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
