@@ -311,7 +311,7 @@ class Page:
         self._other, self.kept = [], kept
         if kept is None:
             return
-        shift = np.array([self.studio.scene.size[0] + APART, 0.0, 0.0])
+        shift = np.array([-self.studio.scene.size[0] - APART, 0.0, 0.0])
         cloud = Cloud(self.server.scene, '/kept/room',
                       self.studio.scene.points[self.studio.order], self._normals, self._spacing,
                       shift)
