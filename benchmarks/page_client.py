@@ -22,6 +22,7 @@ from urllib.parse import urlsplit
 import msgspec
 import viser
 from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Subprotocol
 import zstandard
 
 
@@ -42,7 +43,7 @@ class PageClient:
         self.socket: ClientConnection = connect(
             f'ws://{parts.netloc}{way}', compression=None, max_size=None,
             origin=f'http://{parts.netloc}' if origin is None else origin,
-            subprotocols=[f'viser-v{viser.__version__}'])
+            subprotocols=[Subprotocol(f'viser-v{viser.__version__}')])
 
     def __enter__(self) -> 'PageClient':
         """Return the client."""

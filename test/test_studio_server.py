@@ -17,6 +17,7 @@
 import http.client
 from pathlib import Path
 import socket
+import time
 from urllib.parse import urlsplit
 
 from conftest import HUNG
@@ -28,6 +29,7 @@ import pytest
 
 pytest.importorskip('viser', reason='viser is not installed: pip install "ocp_ros[studio]"')
 from benchmarks.page_client import PageClient, paints  # noqa: E402, I100
+from ocp_ros.studio import texts  # noqa: E402
 from ocp_ros.studio.folder import Folder  # noqa: E402
 from ocp_ros.studio.model import Studio  # noqa: E402
 from ocp_ros.studio.page import Page  # noqa: E402
@@ -228,8 +230,45 @@ def test_files_of_others_are_not_replaced(tmp_path):
 
 
 def test_names_are_escaped():
-    from ocp_ros.studio import texts
     text = texts.message('<img src=x onerror=alert(1)>') + texts.table(
         [('<script>', '&')], ('<b>',))
     assert '<img' not in text and '<script' not in text and '<b>' not in text
     assert '&lt;img' in text
+
+
+def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):
+    page, url = page
+    panel, studio = page.panel, page.studio
+    with PageClient(url) as client:
+        client.look()
+        client.until(shows('realsense_d455_1'))
+
+        def press(handle, value, holds):
+            client.send('GuiUpdateMessage', uuid=handle._impl.uuid, updates={'value': value})
+            end = time.monotonic() + HUNG
+            while not holds():
+                assert time.monotonic() < end
+                time.sleep(0.02)
+
+        press(panel.edit, 'Add', lambda: len(studio.state.poses) == 3)
+        press(panel.edit, 'Copy', lambda: len(studio.state.poses) == 4)
+        press(panel.edit, 'Remove', lambda: len(studio.state.poses) == 3)
+        press(panel.steps, 'Undo', lambda: len(studio.state.poses) == 4)
+        press(panel.steps, 'Redo', lambda: len(studio.state.poses) == 3)
+        press(panel.new_zone, 'region', lambda: len(studio.state.rig.regions) == 1)
+        press(panel.must_see, 0.9, lambda: studio.state.rig.regions[0].must_see == 0.9)
+        press(panel.new_zone, 'keep-out zone', lambda: len(studio.state.rig.keep_out) == 1)
+        press(panel.no_zone, True, lambda: not studio.state.rig.keep_out)
+        press(panel.colours, texts.BY_NEED, lambda: 'too few' in panel.legend.content)
+        press(panel.compare, 'Keep as A', lambda: page.kept is not None)
+        press(panel.locked, True, lambda: len(studio.state.locked) == 1)
+        press(panel.compare, 'Go to A', lambda: not studio.state.locked)
+        press(panel.compare, 'Stop', lambda: page.kept is None)
+        press(panel.save, 'Placement', (tmp_path / 'placement.yaml').exists)
+        press(panel.name, 'my_rig', lambda: panel.name.value == 'my_rig')
+        press(panel.save, 'Rig', (tmp_path / 'my_rig.yaml').exists)
+        press(panel.name, '../up', lambda: panel.name.value == '../up')
+        press(panel.save, 'Placement', lambda: 'name: found' in panel.said.content)
+        press(panel.planners['Which camera to leave out'], True,
+              lambda: 'the objective value is' in panel.task_said.content)
+    assert not (tmp_path.parent / 'up.yaml').exists()

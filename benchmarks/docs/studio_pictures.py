@@ -30,7 +30,7 @@ from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Studio
 from ocp_ros.studio.page import Page
 from ocp_ros.studio.server import start_server
-from ocp_ros.studio.tasks import searched, Task
+from ocp_ros.studio.tasks import Progress, searched, Task
 from playwright.sync_api import Page as Tab
 from playwright.sync_api import sync_playwright
 
@@ -70,9 +70,13 @@ def main() -> None:
 
         take('studio', DESK, lambda tab: None)
         page.do(lambda: page.compare(page.evaluation))
-        Task(searched(studio, studio.state, False), SECONDS, lambda news: page.do(
-            lambda: news.poses is not None and studio.change(
-                studio.state.rig, news.poses))).join()
+
+        def take_over(news: Progress) -> None:
+            if news.poses is not None:
+                poses = news.poses
+                page.do(lambda: studio.change(studio.state.rig, poses))
+
+        Task(searched(studio, studio.state, False), SECONDS, take_over).join()
         take('studio_compared', DESK, lambda tab: tab.get_by_role('tab', name='Numbers').click())
         page.do(lambda: page.compare(None))
         take('studio_phone', PHONE, lambda tab: None)

@@ -159,7 +159,7 @@ class Panel:
             self._on(self.planners[label], lambda _, action=action: action())
         self.progress = gui.add_progress_bar(0.0, visible=False)
         self.stop = gui.add_button('Stop', visible=False)
-        self.stop.on_click(lambda _: self.page.task and self.page.task.stop())
+        self.stop.on_click(lambda _: self._stop())
         self.task_said = gui.add_html('')
 
     def _add_files(self, gui: viser.GuiApi) -> None:
@@ -374,6 +374,12 @@ class Panel:
         studio = self.page.studio
         self.page.start_task(searched(studio, studio.state, from_here), seconds)
         self.show_progress(Progress(0.0, 'searching'))
+
+    def _stop(self) -> None:
+        """Stop the task at its next step; what it has found stays."""
+        task = self.page.task
+        if task is not None:
+            task.stop()
 
     def _search_addition(self) -> None:
         """Search for the best pose of one more camera, and add it."""
