@@ -51,12 +51,14 @@ setup(
         'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',
         'highspy', 'stable-baselines3', 'tensorboard', 'open3d', 'plyfile', 'laspy[lazrs]',
         'pye57', 'matplotlib', 'plotly', 'rich', 'rosbags', 'pyyaml', 'jsonschema'],
-    extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray']},
+    extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray'],
+                    'studio': ['viser==1.1.1']},
     entry_points={
         'console_scripts': [
             'sim_node = ocp_ros.ros.start:sim_node',
             'policy_node = ocp_ros.ros.start:policy_node',
             'trainer_node = ocp_ros.ros.start:trainer_node',
+            'guide_node = ocp_ros.ros.start:guide_node',
             'demo = ocp_ros.demo.demo:main',
             'train_demo = ocp_ros.demo.train_demo:main',
             'ocp = ocp_ros.cli.start:main',

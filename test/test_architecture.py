@@ -25,7 +25,7 @@ import ocp_ros
 PACKAGE = ROOT / 'ocp_ros'
 #: Each layer may import itself, those before it and the modules that stand beside the layers.
 LAYERS = ['util', 'geometry', 'scenes', 'rooms', 'rig', 'simulation', 'registration', 'online',
-          'policy', 'search', 'report', 'training', 'compare', 'ros', 'demo', 'cli']
+          'policy', 'search', 'report', 'studio', 'training', 'compare', 'ros', 'demo', 'cli']
 BESIDE = {'__version__', 'api'}
 #: Packages that only some layers may import at all.
 ONLY = {
@@ -33,7 +33,7 @@ ONLY = {
     'geometry_msgs': {'ros', 'demo'}, 'rosbags': {'ros'},
     'stable_baselines3': {'training'}, 'torch': {'policy', 'training', 'ros'},
     'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'}, 'open3d': {'scenes'},
-    'benchmarks': set()}
+    'viser': {'studio'}, 'websockets': {'studio'}, 'benchmarks': set()}
 
 
 def imports(path):

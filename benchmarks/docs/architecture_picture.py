@@ -41,6 +41,7 @@ LAYERS = {
     'policy': 'networks, weights, who runs them',
     'search': 'planners that know the scan, and the proof',
     'report': 'a planned rig, its findings, pages and files',
+    'studio': 'a page on which cameras are moved',
     'training': 'SAC, dense values',
     'compare': 'one protocol for all planners',
     'ros': 'ROS 2 nodes: convert, call, publish',
@@ -71,11 +72,11 @@ def draw(path: Path) -> None:
     axes.set_axis_off()
     _title(axes, 0.3, 'Layers: each imports those below it')
     for number, (name, about) in enumerate(LAYERS.items()):
-        bottom = 0.25 + 0.305 * number
-        _box(axes, 0.3, bottom, 4.3, 0.26, FILLS[number % 2])
-        axes.text(0.45, bottom + 0.13, name, fontsize=9.0, fontweight='bold', color=INK,
+        bottom = 0.2 + 0.29 * number
+        _box(axes, 0.3, bottom, 4.3, 0.25, FILLS[number % 2])
+        axes.text(0.45, bottom + 0.125, name, fontsize=9.0, fontweight='bold', color=INK,
                   va='center', zorder=3)
-        axes.text(1.55, bottom + 0.13, about, fontsize=7.5, color=PALE_INK, va='center',
+        axes.text(1.55, bottom + 0.125, about, fontsize=7.5, color=PALE_INK, va='center',
                   zorder=3)
     _title(axes, 5.2, 'Nodes and topics')
     for name, (x, y) in NODES.items():

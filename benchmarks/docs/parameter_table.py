@@ -19,13 +19,14 @@ Write docs/reference/parameters_<node>.md from the classes that own the paramete
 """
 
 from benchmarks.results import ROOT
+from ocp_ros.ros.guide_node import GuideNodeConfig
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.sim_node import SimNodeConfig
 from ocp_ros.ros.trainer_node import TrainerNodeConfig
 from ocp_ros.util.settings import leaves
 
 NODES = {'sim_node': SimNodeConfig, 'policy_node': PolicyNodeConfig,
-         'trainer_node': TrainerNodeConfig}
+         'trainer_node': TrainerNodeConfig, 'guide_node': GuideNodeConfig}
 #: What explains the terms of a node's parameters.
 MORE = {'trainer_node': ' [Input cloud](../explanation/policy.md#input-cloud-the-paper) explains '
                         'the extraction units of `agent.*`.'}

@@ -27,6 +27,7 @@ from ocp_ros.cli import (
     room_command,
     rooms_command,
     score_command,
+    studio_command,
     train_command,
     view_command,
 )
@@ -42,8 +43,8 @@ def commands() -> Commands:
     """
     made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
     for command in (plan_command, score_command, calibrate_command, info_command, view_command,
-                    room_command, rooms_command, train_command, evaluate_command,
-                    benchmark_command, replay_command):
+                    studio_command, room_command, rooms_command, train_command,
+                    evaluate_command, benchmark_command, replay_command):
         command.add_arguments(made)
     return made
 

@@ -122,13 +122,17 @@ def facts_of(found: Mapping[str, Any]) -> Facts:
                            ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
                            f'{added["depth_error"]:.3f} m', percent(added['only']))
                for placed, added in zip(found['cameras'], scores['cameras'])]
-    regions = [(region['name'], f'{percent(region["seen"])} of its {region["of"]}',
-                percent(region['must_see']), 'yes' if region['met'] else 'no')
-               for region in scores['regions']]
     certificate = found['search']['certificate']['sentence'] if 'search' in found else ''
     links = links_line(scores['calibratable']) if 'calibratable' in scores else ''
-    return Facts(verdict, not (broken or doubts), doubts, _figures(found), cameras, regions,
-                 links, certificate)
+    return Facts(verdict, not (broken or doubts), doubts, _figures(found), cameras,
+                 region_rows(scores), links, certificate)
+
+
+def region_rows(scores: Mapping[str, Any]) -> list[tuple[str, ...]]:
+    """Return the cells of :data:`REGION_COLUMNS` for each region."""
+    return [(region['name'], f'{percent(region["seen"])} of its {region["of"]}',
+             percent(region['must_see']), 'yes' if region['met'] else 'no')
+            for region in scores['regions']]
 
 
 def page_facts_of(assessed: Assessment) -> PageFacts:

@@ -33,7 +33,7 @@ import numpy as np
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.plausibility import missing_surfaces, room_notes
-from ocp_ros.simulation.objective import Objective
+from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.settings import ConfigurationError
@@ -90,8 +90,17 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
 
     :param views: views of the placed cameras.
     """
+    added = zip(objective.rig.all_cameras, objective.contributions(views))
+    return {
+        **rig_scores(objective, views, objective.judge(views)), **_links_of(objective, views),
+        'cameras': [{'name': camera.name, 'depth_error': gain.depth_error, 'only': gain.only}
+                    for camera, gain in added]}
+
+
+def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvaluation
+               ) -> dict[str, Any]:
+    """Return the scores of :func:`scores_of` that are about the cameras together."""
     simulator, rig = objective.simulator, objective.rig
-    evaluation = objective.judge(views)
     points = len(simulator.scene)
     return {
         'loss': evaluation.loss, 'depth_error': evaluation.depth_error,
@@ -102,10 +111,7 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
         'regions': [{'name': region.name, 'of': region.parts, 'seen': float(share),
                      'must_see': region.must_see, 'weight': region.weight,
                      'met': bool(share >= region.must_see)}
-                    for region, share in zip(rig.regions, evaluation.regions)],
-        **_links_of(objective, views),
-        'cameras': [{'name': camera.name, 'depth_error': added.depth_error, 'only': added.only}
-                    for camera, added in zip(rig.all_cameras, objective.contributions(views))]}
+                    for region, share in zip(rig.regions, evaluation.regions)]}
 
 
 def _links_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:

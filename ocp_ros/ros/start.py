@@ -56,3 +56,8 @@ def policy_node() -> NoReturn:
 def trainer_node() -> NoReturn:
     """Run ``trainer_node``."""
     _started('trainer_node')
+
+
+def guide_node() -> NoReturn:
+    """Run ``guide_node``."""
+    _started('guide_node')

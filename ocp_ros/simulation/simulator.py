@@ -16,6 +16,7 @@
 
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 import logging
 from typing import Any, NamedTuple
 
@@ -111,14 +112,12 @@ class Simulator:
                 f'simulator: found {type(scene).__name__} and {type(config).__name__}; expected a '
                 'Scene, such as from load_scene, and a SimulationConfig')
         self.scene, self.config = scene, config
-        self.models = tuple(config.rig.models if models is None else models)
+        self._set_models(config.rig.models if models is None else models)
         self.height = float(scene.bounds[0, 2] + config.rig.height)
         if models is None and self.height >= scene.bounds[1, 2]:
             raise SceneError(
                 f'{scene.name}: found a room {scene.size[2]:.2f} m high; expected more than the '
                 f"cameras' height of {config.rig.height:.2f} m; lower rig.height")
-        self._lenses = [model.lens for model in self.models]
-        self._kinds = [self.models.index(model) for model in self.models]
         wanted = config.engine.coverage_cell
         cell = coverable_cell(scene.bounds, wanted)
         if cell > wanted:
@@ -127,6 +126,18 @@ class Simulator:
         self.grid, self.cell_volume = coverage_grid(scene.bounds, cell)
         self.visibility = self._make_visibility()
         self.depth_error = self._make_error()
+
+    def _set_models(self, models: Sequence[CameraModel]) -> None:
+        """Set the camera models."""
+        self.models = tuple(models)
+        self._lenses = [model.lens for model in self.models]
+        self._kinds = [self.models.index(model) for model in self.models]
+
+    def with_models(self, models: Sequence[CameraModel]) -> 'Simulator':
+        """Return the simulator of another rig in the same scene, which shares the engine."""
+        other = copy(self)
+        other._set_models(models)
+        return other
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility | RayVisibility:
         """Build the visibility class of the preset."""

@@ -71,6 +71,9 @@ from visualization_msgs.msg import MarkerArray
 #: Seconds after which a command is sent again to cameras that have not arrived: it may have been
 #: lost.
 RESEND_S = 1.0
+#: Metres and radians: a measured pose that differs more from its target is not noise, whatever the
+#: limits of arrival are.
+MAX_NOISE = 0.1, 0.2
 
 
 class LiveTurns:
@@ -334,8 +337,10 @@ class LiveTurns:
         sent = self._command.poses[camera]
         rotation = rotation_of(sent.orientation, f'command: camera {camera}')
         away = measured.position - [sent.position.x, sent.position.y, sent.position.z]
-        there = (np.linalg.norm(away) <= self._config.arrival_distance
-                 and angle_between(measured.rotation, rotation) <= self._config.arrival_angle)
+        near, turned = (min(limit, most) for limit, most in zip(
+            (self._config.arrival_distance, self._config.arrival_angle), MAX_NOISE))
+        there = (np.linalg.norm(away) <= near
+                 and angle_between(measured.rotation, rotation) <= turned)
         return sent if there else None
 
     def _target_rotations(self, poses: PoseArray) -> dict[int, np.ndarray]:

@@ -1,0 +1,88 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``ocp studio``: move cameras in a room and see at once what they see, in a browser."""
+
+import argparse
+from pathlib import Path
+
+from ocp_ros.cli.arguments import add_points, add_reading, room_asked
+from ocp_ros.cli.common import command_of, Commands, Found, LOOK
+from ocp_ros.util.resources import find_config
+from ocp_ros.util.settings import ConfigurationError
+
+#: Rig without a file: number of cameras, sensor and mount.
+CAMERAS, SENSOR, MOUNT = 4, 'realsense_d455', 'walls'
+
+
+def add_arguments(commands: Commands) -> None:
+    """Add ``ocp studio``."""
+    studio = commands.add(LOOK, 'studio', 'edit a placement in a browser and see what it sees',
+                          'ocp studio room.ply --rig rig.yaml --out out/studio')
+    studio.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
+    studio.add_argument('--rig', type=find_config,
+                        help='rig file with cameras and constraints: docs/reference/rig.md; '
+                             f'default: {CAMERAS} {SENSOR} on the {MOUNT}')
+    studio.add_argument('--placement', type=Path,
+                        help='placement file to begin with: docs/reference/placement.md')
+    studio.add_argument('--out', type=Path, default=Path('out/studio'), metavar='DIR',
+                        help='folder for files; the page reads and writes no others')
+    studio.add_argument('--host', default='127.0.0.1',
+                        help='address to listen on; default: 127.0.0.1, which only this machine '
+                             'reaches; any other gets a random token in the URL')
+    studio.add_argument('--port', type=port, default=8080,
+                        help='port, or the first one to try; 0: any free one; default: 8080')
+    add_points(studio)
+    add_reading(studio)
+    studio.set_defaults(run=run, show=lambda found: None)
+
+
+def port(text: str) -> int:
+    """Read a port."""
+    if not text.isdecimal() or len(text) > 5 or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f'found {text!r}; expected a number from 0 to 65535')
+    return int(text)
+
+
+def run(arguments: argparse.Namespace) -> Found:
+    """Serve the page until Ctrl-C."""
+    from ocp_ros.rig.placement_file import load_placement
+    from ocp_ros.rig.rig_file import load_rig, rig_of
+    try:
+        from ocp_ros.studio.page import Page
+        from ocp_ros.studio.server import start_server
+    except ModuleNotFoundError as error:
+        if error.name != 'viser':
+            raise
+        raise ConfigurationError('ocp studio: found no viser; expected it; install it by '
+                                 'pip install "ocp_ros[studio]"') from error
+    from ocp_ros.studio.folder import Folder
+    from ocp_ros.studio.model import Studio
+    rig = load_rig(arguments.rig) if arguments.rig else None
+    placement = load_placement(arguments.placement, rig) if arguments.placement else None
+    scene, room = room_asked(arguments, placement.room if placement else {})
+    if placement is not None:
+        rig = placement.rig_in(scene)
+    studio = Studio(scene, room, rig or rig_of(CAMERAS, SENSOR, mount={'on': MOUNT}),
+                    placement and placement.poses, placement and placement.engine,
+                    command_of(arguments.argv))
+    folder = Folder(arguments.out)
+    server, url = start_server(arguments.host, arguments.port)
+    page = Page(server, studio, folder)
+    print(f'the studio is at {url} (Ctrl-C ends it); files: {folder.path}', flush=True)
+    try:
+        page.wait()
+    finally:
+        page.close()
+    return {}

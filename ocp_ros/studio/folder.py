@@ -1,0 +1,116 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""Files of the studio, all in the folder that the command was given."""
+
+from itertools import chain
+from pathlib import Path
+import re
+
+import numpy as np
+from ocp_ros.report.assessment import judge
+from ocp_ros.report.exports import export, MARK, reports, WRITTEN
+from ocp_ros.rig.placement_file import load_placement, Placement, save_placement
+from ocp_ros.rig.rig_file import load_rig, Rig
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
+from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.yaml_files import written
+
+#: Names that a person may give: no folder, no hidden file, nothing that is read in another way.
+NAME = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,59}', re.ASCII)
+#: Suffixes of the files that can be loaded.
+SUFFIXES = ('.yaml', '.yml', '.json')
+
+
+class Folder:
+    """
+    The folder for files of the studio; no name leads out of it.
+
+    :param path: of the folder; it is created.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = folder_to_write(path).resolve()
+        #: Files and folders that this studio has read or written, which it may replace.
+        self._known: set[Path] = set()
+
+    def names(self) -> list[str]:
+        """Return the names of the files that can be loaded."""
+        return sorted(path.name for path in self.path.iterdir()
+                      if path.suffix in SUFFIXES and path.is_file() and not path.is_symlink()
+                      and not path.name.startswith('.'))
+
+    def new(self, name: str, suffix: str = '.yaml') -> Path:
+        """
+        Return the path of a file or folder to write.
+
+        :raises ConfigurationError: if the name is none that a person may give, or is that of
+            something that this studio neither wrote nor read.
+        """
+        if not NAME.fullmatch(name):
+            raise ConfigurationError(f'name: found {name[:80]!r}; expected 1 to 60 letters, '
+                                     'digits, _ and -; correct it')
+        path = self.path / f'{name}{suffix}'
+        if path.is_symlink() or (path.exists() and path not in self._known):
+            raise ConfigurationError(f'name: found {path.name}, which exists already; expected a '
+                                     'new name; choose another, or load it first')
+        self._known.add(path)
+        return path
+
+    def save_placement(self, name: str, placement: Placement) -> Path:
+        """Write a placement."""
+        path = self.new(name)
+        save_placement(path, placement)
+        return path
+
+    def save_rig(self, name: str, rig: Rig) -> Path:
+        """Write the rig file of a rig."""
+        path = self.new(name)
+        write_atomically(path, written(rig.document.data, '.yaml'))
+        return path
+
+    def load(self, name: str, scene: Scene) -> tuple[Rig, np.ndarray | None]:
+        """
+        Read a placement or a rig of this folder.
+
+        :param name: one of :meth:`names`.
+        :returns: the rig, and the poses (K, 6) if it is a placement.
+        :raises ConfigurationError: if it is neither.
+        """
+        if name not in self.names():
+            raise ConfigurationError('load: found a name that is no file of this folder; expected '
+                                     'one of the list; choose one')
+        path = self.path / name
+        self._known.add(path)
+        try:
+            placement = load_placement(path)
+        except ConfigurationError as error:
+            try:
+                return load_rig(path), None
+            except ConfigurationError:
+                raise error from None
+        return placement.rig_in(scene), placement.poses
+
+    def export(self, name: str, scene: Scene, placement: Placement, command: str) -> list[str]:
+        """
+        Write a placement and its reports as ``ocp plan`` does, to a folder with this name.
+
+        :returns: the names of the files.
+        """
+        judged = judge(scene, placement, placement.room, command)
+        folder = folder_to_write(self.new(name, ''))
+        with FileSet(folder, WRITTEN, MARK) as files:
+            return [path.name for path in chain(export(files.aside, judged),
+                                                reports(files.aside, judged))]

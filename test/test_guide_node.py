@@ -1,0 +1,118 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""``guide_node`` beside ``policy_node`` on real DDS: what it shows, and what its buttons do."""
+
+import re
+
+from benchmarks.drills.live_rig import episode_in, MAP, Rig
+from conftest import HUNG
+from geometry_msgs.msg import PoseArray
+import numpy as np
+from ocp_ros.geometry.cameras import Pose, rotation_matrix
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import msg_to_positions
+from ocp_ros.ros.policy_node import PolicyNode
+import pytest
+
+pytest.importorskip('viser', reason='viser is not installed: pip install "ocp_ros[studio]"')
+from benchmarks.page_client import PageClient  # noqa: E402, I100
+from ocp_ros.ros.guide_node import GuideNode  # noqa: E402
+from ocp_ros.studio import guide_page  # noqa: E402
+
+
+@pytest.fixture
+def guided(graph, probe, room):
+    """Return a probe with a rig that a person moves, a policy_node and a guide_node."""
+    probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
+    probe.rig = graph.add(lambda **kwargs: Rig(
+        episode_in(room), (MAP,) * 3, **{**kwargs, 'parameter_overrides': []}))
+    probe.rig.obeys = False
+    probe.guide = graph.add(GuideNode, port=0)
+    probe.policy = graph.add(PolicyNode, planner='lookahead', manual=True, turns=3, max_step=0.5,
+                             cloud_topics='points_0,points_1,points_2', cloud_timeout=HUNG)
+    graph.until(lambda: probe.guide.page.targets and probe.guide.page.poses
+                and len(probe.guide.page.points))
+    probe.press = probe.guide._pressed.append
+    return probe
+
+
+def test_the_page_shows_the_cloud_the_cameras_and_where_they_shall_go(guided):
+    page = guided.guide.page
+    guided.graph.until(lambda: 'camera 0: ' in page.text.content and '<svg' in page.plan.content)
+    assert len(page.points) > 100
+    guided.graph.until(lambda: 'expected' in page.text.content)
+    assert 'not final: turn 1 of 3' in page.text.content
+    with PageClient(guided.guide.url) as client:
+        client.look()
+        client.until(lambda message: message['type'] == 'PointCloudMessage')
+    guided.rig.go()
+    guided.graph.until(lambda: guided.policy._counts['turns_answered'] >= 2)
+
+
+def test_arrived_ends_the_turn_where_the_cameras_stand(guided):
+    policy = guided.policy
+    before = policy.config.arrival_distance
+    guided.rig.episode.move(0.5 * (guided.rig.target - guided.rig.positions)[:, :2])
+    stamp = guided.rig.stamp
+    guided.graph.until(lambda: guided.rig.stamp > stamp + 300_000_000)
+    assert policy._counts['turns_answered'] == 1
+    guided.press(guide_page.ARRIVED)
+    guided.graph.until(lambda: policy._counts['turns_answered'] >= 2)
+    guided.graph.until(lambda: policy.config.arrival_distance == before)
+
+
+def test_accept_makes_the_placement_final_where_the_cameras_stand(guided):
+    guided.press(guide_page.ACCEPT)
+    placement = guided.last(topics.PLACEMENT)
+    np.testing.assert_allclose(msg_to_positions(placement), guided.rig.positions, atol=1e-6)
+    guided.graph.until(lambda: 'final after' in guided.guide.page.text.content)
+
+
+def test_hold_go_on_and_reset(guided):
+    page = guided.guide.page
+    guided.press(guide_page.HOLD)
+    guided.graph.until(lambda: guided.policy._paused)
+    guided.graph.until(lambda: 'paused' in page.answer.content)
+    guided.press(guide_page.GO_ON)
+    guided.graph.until(lambda: not guided.policy._paused)
+    guided.press(guide_page.RESET)
+    guided.graph.until(lambda: 'a new placement begins' in page.answer.content)
+
+
+def test_the_loop_goes_on_when_the_guide_ends(guided):
+    guided.graph.remove(guided.guide)
+    for turn in (2, 3):
+        guided.graph.until(lambda turn=turn: guided.rig.turns >= turn - 1)
+        guided.rig.go()
+        guided.graph.until(lambda turn=turn: guided.policy._counts['turns_answered'] >= turn)
+
+
+def test_a_guide_without_a_policy_says_so(graph):
+    guide = graph.add(GuideNode, port=0, policy='nobody')
+    guide._pressed += [guide_page.RESET]
+    graph.until(lambda: 'nobody/reset; expected the one of nobody' in guide.page.answer.content)
+    guide._pressed += [guide_page.ARRIVED]
+    graph.until(lambda: 'found no targets yet' in guide.page.answer.content)
+
+
+def test_sentences_for_a_person():
+    pose = Pose(np.array([1.0, 2.0, 1.2]), rotation_matrix(0.0, 0.1, 0.0))
+    target = Pose(np.array([2.2, 1.5, 1.5]), rotation_matrix(np.deg2rad(40.0), 0.1, 0.0))
+    assert guide_page.sentence(2, pose, target, 0.0) == (
+        'camera 2: 1.20 m to the right; 0.50 m down in the plan; 0.30 m higher, to 1.50 m above '
+        'the floor; turn 40 degrees to the left (1.33 m off)')
+    assert guide_page.sentence(2, pose, pose, 0.0) == 'camera 2: is where it shall be'
+    plan = guide_page.plan_of(np.zeros((5, 3)), [pose], [target])
+    assert plan.startswith('<svg') and len(re.findall('<circle', plan)) == 2

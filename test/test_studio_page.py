@@ -1,0 +1,212 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The page of the studio in a real browser: drag, plan, save, load, reload, on a phone too."""
+
+from contextlib import closing
+from functools import partial
+import os
+from pathlib import Path
+import re
+import time
+
+from conftest import HUNG
+import numpy as np
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rooms.scene_source import room_named
+import pytest
+
+CHROMIUM = Path('/usr/bin/chromium')
+pytest.importorskip('viser', reason='viser is not installed: pip install "ocp_ros[studio]"')
+sync_api = pytest.importorskip('playwright.sync_api', reason='playwright is not installed')
+if not CHROMIUM.exists():
+    pytest.skip(f'{CHROMIUM} is not installed: apt-get install chromium', allow_module_level=True)
+from ocp_ros.studio.folder import Folder  # noqa: E402, I100
+from ocp_ros.studio.model import Studio  # noqa: E402
+from ocp_ros.studio.page import Page  # noqa: E402
+from ocp_ros.studio.scene_nodes import rotation_of  # noqa: E402
+from ocp_ros.studio.server import start_server  # noqa: E402
+
+DESK, PHONE = (1440, 900), (390, 844)
+#: Addresses that the pages have asked for.
+REQUESTS: list[str] = []
+#: Folder for pictures of the pages, for people who look at them; none are written without it.
+PICTURES = os.environ.get('OCP_ROS_PICTURES')
+
+
+@pytest.fixture(scope='module')
+def browser():
+    """Yield a browser without a screen."""
+    with sync_api.sync_playwright() as playwright:
+        yield playwright.chromium.launch(executable_path=str(CHROMIUM), args=[
+            '--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader',
+            '--enable-unsafe-swiftshader'])
+
+
+@pytest.fixture
+def page(tmp_path):
+    """Yield a studio's page and its URL."""
+    scene, room = room_named('3', 3000)
+    server, url = start_server(port=0)
+    rig = rig_of(3, 'realsense_d455', mount={'on': 'free'})
+    page = Page(server, Studio(scene, room, rig), Folder(tmp_path))
+    yield page, url
+    page.close()
+
+
+@pytest.fixture
+def opened(browser, page):
+    """Yield a function that opens the page, and returns its tab when it shows the numbers."""
+    with closing(browser.new_context()) as context:
+        yield partial(_opened, context, page[1])
+
+
+def _opened(context, url, size=DESK):
+    """Open the page in a tab of a size; see ``opened``."""
+    tab = context.new_page()
+    tab.set_viewport_size(dict(zip(('width', 'height'), size)))
+    tab.set_default_timeout(1000.0 * HUNG)
+    tab.on('request', lambda request: REQUESTS.append(request.url))
+    tab.goto(url)
+    tab.get_by_text(re.compile(r'^\d+\.\d+ m of')).first.wait_for()
+    return tab
+
+
+def pictured(tab, name):
+    """Write a picture of the page where somebody wants it."""
+    if PICTURES:
+        tab.screenshot(path=Path(PICTURES, f'{name}.png'))
+
+
+def wait_until(holds):
+    """Wait for a condition."""
+    end = time.monotonic() + HUNG
+    while not holds():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def pixel_of(client, point):
+    """Return where a client sees a point (3,), metres."""
+    camera = client.camera
+    x, y, z = rotation_of(camera.wxyz).T @ (point - camera.position)
+    focal = 0.5 * camera.image_height / np.tan(0.5 * camera.fov)
+    return (0.5 * camera.image_width + focal * x / z, 0.5 * camera.image_height + focal * y / z)
+
+
+def depth_error(tab):
+    """Return the depth error that the page shows."""
+    return tab.get_by_text(re.compile(r'^\d+\.\d+ m of')).first.inner_text()
+
+
+def show_tab(tab, name):
+    """Show a part of the panel."""
+    tab.get_by_role('tab', name=name).click()
+
+
+def test_a_camera_is_dragged_by_its_handle(opened, page):
+    page, url = page
+    tab = opened()
+    wait_until(lambda: page.server.get_clients())
+    client, = page.server.get_clients().values()
+    pose, before = page.studio.state.poses[0], depth_error(tab)
+    left = rotation_matrix(*pose[3:])[:, 1]
+    wait_until(lambda: page._detailed)
+    # The handles have to be drawn before a person can take them.
+    tab.wait_for_timeout(1000)
+    start, end = (pixel_of(client, pose[:3] + away * left) for away in (0.4, 1.0))
+    tab.mouse.move(*start)
+    tab.mouse.down()
+    for share in np.linspace(0.1, 1.0, 10):
+        tab.mouse.move(*((1.0 - share) * np.array(start) + share * np.array(end)))
+    tab.mouse.up()
+    wait_until(lambda: not np.array_equal(page.studio.state.poses[0], pose))
+    wait_until(lambda: depth_error(tab) != before)
+    moved = page.studio.state.poses[0] - pose
+    assert moved[:3] @ left > 0.2 and np.abs(moved[3:]).max() < 1e-3
+    assert all(address.startswith((url, f'blob:{url}', 'data:')) for address in REQUESTS)
+    wait_until(lambda: page._detailed)
+    assert depth_error(tab).startswith(f'{page.evaluation.worth.depth_error:.3f} m of')
+    pictured(tab, 'dragged')
+
+
+@pytest.mark.system
+def test_a_placement_is_planned_saved_and_loaded_and_survives_a_reload(opened, page):
+    page, _ = page
+    tab = opened()
+    before = page.evaluation.worth.loss
+    show_tab(tab, 'Plan')
+    tab.get_by_label('Seconds').fill('3')
+    tab.get_by_role('button', name='Plan all').click()
+    wait_until(lambda: page.task is not None)
+    wait_until(lambda: page.task is None)
+    tab.get_by_text('found the objective value').wait_for()
+    assert page.evaluation.worth.loss < before
+    pictured(tab, 'planned')
+    show_tab(tab, 'Files')
+    tab.get_by_role('textbox').fill('best')
+    tab.get_by_role('button', name='Placement', exact=True).click()
+    tab.get_by_text('wrote best.yaml').wait_for()
+    poses = page.studio.state.poses
+    page.do(lambda: page.studio.move(0, poses[0] + 0.1))
+    wait_until(lambda: not np.array_equal(page.studio.state.poses, poses))
+    tab.get_by_role('button', name='Load').click()
+    wait_until(lambda: np.array_equal(page.studio.state.poses, poses))
+    pictured(tab, 'files')
+    wait_until(lambda: page._detailed)
+    shown = depth_error(tab)
+    tab.reload()
+    wait_until(lambda: depth_error(tab) == shown)
+
+
+@pytest.mark.system
+def test_numbers_are_typed_and_steps_taken_back_by_keyboard(opened, page):
+    page, _ = page
+    tab = opened()
+    wait_until(lambda: page._detailed)
+    poses = page.studio.state.poses
+    yaw = tab.get_by_role('textbox').nth(3)
+    yaw.fill('77')
+    yaw.press('Tab')
+    wait_until(lambda: np.rad2deg(page.studio.state.poses[0, 3]) == pytest.approx(77.0))
+    tab.keyboard.press('Control+Alt+z')
+    wait_until(lambda: np.array_equal(page.studio.state.poses, poses))
+
+
+@pytest.mark.system
+@pytest.mark.parametrize('size', [DESK, PHONE], ids=['desk', 'phone'])
+def test_every_part_of_the_panel_fits(opened, page, size):
+    page, _ = page
+    tab = opened(size)
+    page.do(lambda: page.panel._add_zone('region'))
+    for name in ('Cameras', 'View', 'Zones', 'Plan', 'Files', 'Numbers'):
+        show_tab(tab, name)
+        tab.wait_for_timeout(500)
+        pictured(tab, f'{size[0]}_{name}')
+        wide = tab.evaluate('document.documentElement.scrollWidth')
+        assert wide <= size[0]
+    for box in (tab.get_by_role('tab', name=name).bounding_box() for name in ('Cameras', 'Plan')):
+        assert box['x'] >= 0 and box['x'] + box['width'] <= size[0]
+
+
+@pytest.mark.system
+def test_a_violation_shows_the_nearest_allowed_pose(opened, page):
+    page, _ = page
+    tab = opened()
+    page.do(lambda: page.studio.move(0, page.studio.state.poses[0] + np.array(
+        [0.0, 0.0, 1.5, 0.0, 0.0, 0.0])))
+    tab.get_by_text('mount.height').first.wait_for()
+    tab.get_by_role('button', name='Move to the nearest allowed pose').click()
+    wait_until(lambda: not page.evaluation.misplaced)

@@ -1,0 +1,274 @@
+# Copyright 2026 The ocp_ros authors
+#
+# Licensed under the Apache License, Version 2.0 (the "License");
+# you may not use this file except in compliance with the License.
+# You may obtain a copy of the License at
+#
+#     http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software
+# distributed under the License is distributed on an "AS IS" BASIS,
+# WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied.
+# See the License for the specific language governing permissions and
+# limitations under the License.
+
+"""The server of the studio: who can reach it, and what clients can do to it."""
+
+import http.client
+from pathlib import Path
+import socket
+import time
+from urllib.parse import urlsplit
+
+from conftest import HUNG
+import numpy as np
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rooms.generator import generate_room
+from ocp_ros.util.settings import ConfigurationError
+import pytest
+
+pytest.importorskip('viser', reason='viser is not installed: pip install "ocp_ros[studio]"')
+from benchmarks.page_client import PageClient, paints  # noqa: E402, I100
+from ocp_ros.studio import texts  # noqa: E402
+from ocp_ros.studio.folder import Folder  # noqa: E402
+from ocp_ros.studio.model import Studio  # noqa: E402
+from ocp_ros.studio.page import Page  # noqa: E402
+from ocp_ros.studio.server import is_local, LocalServer, start_server  # noqa: E402
+from websockets.exceptions import InvalidStatus  # noqa: E402
+
+
+@pytest.fixture(scope='module')
+def scene():
+    """Return a small room."""
+    return generate_room(3, 2000)
+
+
+@pytest.fixture
+def page(scene, tmp_path):
+    """Yield a page and its URL."""
+    rig = rig_of(2, 'realsense_d455', mount={'on': 'free'})
+    server, url = start_server(port=0)
+    page = Page(server, Studio(scene, {'seed': 3, 'points': 2000}, rig), Folder(tmp_path))
+    yield page, url
+    page.close()
+
+
+def status_of(url, path=None, **headers):
+    """Return the status of the answer to a request."""
+    parts = urlsplit(url)
+    connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=HUNG)
+    connection.request('GET', parts.path if path is None else path, headers=headers)
+    answer = connection.getresponse()
+    answer.read()
+    answer.close()
+    connection.close()
+    return answer.status
+
+
+def test_it_listens_on_this_machine_alone(page):
+    _, url = page
+    assert urlsplit(url).hostname == '127.0.0.1'
+    with socket.socket() as other:
+        other.settimeout(HUNG)
+        # Another address of the same machine, which a server on all interfaces would answer.
+        assert other.connect_ex(('127.0.0.2', urlsplit(url).port)) != 0
+    assert is_local('127.0.0.1') and is_local('::1') and is_local('localhost')
+    assert not is_local('0.0.0.0') and not is_local('192.168.0.1') and not is_local('example.org')
+
+
+def test_a_page_of_another_origin_cannot_connect(page):
+    _, url = page
+    with PageClient(url) as client:
+        client.look()
+        assert client.until(lambda message: message['type'] == 'PointCloudMessage')
+    for origin in ('http://example.org', 'null', '', url.replace('127.0.0.1', 'localhost'),
+                   'http://127.0.0.1:1'):
+        with pytest.raises(InvalidStatus, match='403'):
+            PageClient(url, origin=origin)
+
+
+def test_a_name_that_points_to_this_machine_is_refused(page):
+    _, url = page
+    assert status_of(url) == 200
+    assert status_of(url, Host=f'localhost:{urlsplit(url).port}') == 200
+    assert status_of(url, Host='example.org') == 403
+    assert status_of(url, Host=f'example.org:{urlsplit(url).port}') == 403
+
+
+def test_another_address_needs_the_token(scene):
+    server, url = start_server('127.0.0.1', 0)
+    server.stop()
+    server, url = start_server('0.0.0.0', 0)
+    try:
+        port = urlsplit(url).port
+        here = f'http://127.0.0.1:{port}{urlsplit(url).path}'
+        assert len(urlsplit(url).path) > 30
+        assert status_of(here) == 200
+        for path in ('/', '/index.html', f'/x{urlsplit(url).path[2:]}', '/%2e%2e/'):
+            assert status_of(here, path) == 403
+        with PageClient(here) as client:
+            client.look()
+            assert client.receive(HUNG)
+        for path in ('', '/', '/x', urlsplit(url).path[:-2]):
+            with pytest.raises(InvalidStatus, match='403'):
+                PageClient(here, path=path)
+        with pytest.raises(InvalidStatus, match='403'):
+            PageClient(here, origin='http://example.org')
+    finally:
+        server.stop()
+
+
+def test_two_servers_have_different_tokens():
+    urls = []
+    for _ in range(2):
+        server, url = start_server('0.0.0.0', 0)
+        server.stop()
+        urls.append(urlsplit(url).path)
+    assert urls[0] != urls[1]
+
+
+def test_an_address_that_this_machine_does_not_have_is_refused():
+    with pytest.raises(ConfigurationError, match='--host: found 192.0.2.1'):
+        start_server('192.0.2.1', 0)
+
+
+def test_the_public_tunnel_is_never_opened(page, monkeypatch):
+    opened = []
+    monkeypatch.setattr('viser._viser.ViserTunnel', lambda *_: opened.append(True))
+    assert isinstance(page[0].server, LocalServer)
+    with PageClient(page[1]) as client:
+        client.look()
+        client.send('ShareUrlRequest')
+        dragged(client, page[0])
+    assert not opened and page[0].server._share_tunnel is None
+
+
+def shows(name):
+    """Return a function that returns whether a message adds the handles of a camera."""
+    return lambda message: (message['type'], message.get('name')) == (
+        'TransformControlsMessage', f'/cameras/{name}')
+
+
+def dragged(client, page, height=2.0):
+    """Drag a camera, and wait until the room is coloured anew."""
+    client.until(shows('realsense_d455_1'))
+    middle = page.studio.scene.bounds.mean(axis=0)[:2].tolist()
+    client.drag('/cameras/realsense_d455_1', (*middle, height))
+    return client.until(paints)
+
+
+def test_ten_clients_at_once_see_what_one_of_them_moves(page):
+    page, url = page
+    clients = [PageClient(url) for _ in range(10)]
+    for client in clients:
+        client.look()
+        client.until(shows('realsense_d455_1'))
+    middle = page.studio.scene.bounds.mean(axis=0)[:2].tolist()
+    clients[7].drag('/cameras/realsense_d455_1', (*middle, 1.9))
+    for client in clients:
+        client.until(paints)
+        client.socket.close()
+    assert page.studio.state.poses[0, 2] == pytest.approx(1.9)
+
+
+def test_a_client_that_vanishes_while_it_drags_leaves_no_lock(page):
+    page, url = page
+    with PageClient(url) as client:
+        client.look()
+        client.send('TransformControlsDragStartMessage', name='/cameras/realsense_d455_1')
+        dragged(client, page, 1.8)
+        client.socket.socket.close()
+    with PageClient(url) as client:
+        client.look()
+        dragged(client, page, 2.1)
+    assert page.studio.state.poses[0, 2] == pytest.approx(2.1)
+    assert page.studio.history.undo() and page.studio.history.undo()
+
+
+def test_numbers_that_are_none_change_nothing(page):
+    page, url = page
+    before = page.studio.state
+    with PageClient(url) as client:
+        client.look()
+        client.until(shows('realsense_d455_1'))
+        for position, wxyz in (((np.nan, 0, 0), (1, 0, 0, 0)), ((1e30, 0, 0), (1, 0, 0, 0)),
+                               ((0, 0, 0), (0, 0, 0, 0)), ((0, 0, 0), (np.inf, 0, 0, 0))):
+            client.drag('/cameras/realsense_d455_1', position, wxyz)
+        client.send('GuiUpdateMessage', uuid=page.panel.camera._impl.uuid,
+                    updates={'value': 'no such camera'})
+        client.send('GuiUpdateMessage', uuid=page.panel.sensor._impl.uuid,
+                    updates={'value': 'no such sensor'})
+        client.until(lambda message: 'no such sensor' in str(message.get('updates', '')))
+    assert np.array_equal(page.studio.state.poses, before.poses)
+
+
+@pytest.mark.parametrize('name', ['../up', '/etc/x', 'a/b', '.hidden', '', 'a\0b', 'x' * 61, 'a b',
+                                  'link'])
+def test_no_typed_name_leaves_the_folder(tmp_path, name):
+    inside, outside = tmp_path / 'inside', tmp_path / 'outside.yaml'
+    folder = Folder(inside)
+    outside.write_text('kept')
+    (inside / 'link.yaml').symlink_to(outside)
+    (inside / 'link').symlink_to(tmp_path)
+    for suffix in ('.yaml', ''):
+        with pytest.raises(ConfigurationError, match='name: found'):
+            folder.new(name, suffix)
+    for file in ('../outside.yaml', '/etc/passwd', 'link.yaml', 'link', 'none.yaml'):
+        with pytest.raises(ConfigurationError, match='load: found'):
+            folder.load(file, None)
+    assert outside.read_text() == 'kept'
+
+
+def test_files_of_others_are_not_replaced(tmp_path):
+    Path(tmp_path / 'mine.yaml').write_text('kept')
+    folder = Folder(tmp_path)
+    with pytest.raises(ConfigurationError, match='exists already'):
+        folder.new('mine')
+    folder.save_rig('rig', rig_of(1))
+    folder.save_rig('rig', rig_of(2))
+    assert folder.names() == ['mine.yaml', 'rig.yaml']
+
+
+def test_names_are_escaped():
+    text = texts.message('<img src=x onerror=alert(1)>') + texts.table(
+        [('<script>', '&')], ('<b>',))
+    assert '<img' not in text and '<script' not in text and '<b>' not in text
+    assert '&lt;img' in text
+
+
+def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):
+    page, url = page
+    panel, studio = page.panel, page.studio
+    with PageClient(url) as client:
+        client.look()
+        client.until(shows('realsense_d455_1'))
+
+        def press(handle, value, holds):
+            client.send('GuiUpdateMessage', uuid=handle._impl.uuid, updates={'value': value})
+            end = time.monotonic() + HUNG
+            while not holds():
+                assert time.monotonic() < end
+                time.sleep(0.02)
+
+        press(panel.edit, 'Add', lambda: len(studio.state.poses) == 3)
+        press(panel.edit, 'Copy', lambda: len(studio.state.poses) == 4)
+        press(panel.edit, 'Remove', lambda: len(studio.state.poses) == 3)
+        press(panel.steps, 'Undo', lambda: len(studio.state.poses) == 4)
+        press(panel.steps, 'Redo', lambda: len(studio.state.poses) == 3)
+        press(panel.new_zone, 'region', lambda: len(studio.state.rig.regions) == 1)
+        press(panel.must_see, 0.9, lambda: studio.state.rig.regions[0].must_see == 0.9)
+        press(panel.new_zone, 'keep-out zone', lambda: len(studio.state.rig.keep_out) == 1)
+        press(panel.no_zone, True, lambda: not studio.state.rig.keep_out)
+        press(panel.colours, texts.BY_NEED, lambda: 'too few' in panel.legend.content)
+        press(panel.compare, 'Keep as A', lambda: page.kept is not None)
+        press(panel.locked, True, lambda: len(studio.state.locked) == 1)
+        press(panel.compare, 'Go to A', lambda: not studio.state.locked)
+        press(panel.compare, 'Stop', lambda: page.kept is None)
+        press(panel.save, 'Placement', (tmp_path / 'placement.yaml').exists)
+        press(panel.name, 'my_rig', lambda: panel.name.value == 'my_rig')
+        press(panel.save, 'Rig', (tmp_path / 'my_rig.yaml').exists)
+        press(panel.name, '../up', lambda: panel.name.value == '../up')
+        press(panel.save, 'Placement', lambda: 'name: found' in panel.said.content)
+        press(panel.planners['Which camera to leave out'], True,
+              lambda: 'the objective value is' in panel.task_said.content)
+    assert not (tmp_path.parent / 'up.yaml').exists()
