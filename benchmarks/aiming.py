@@ -32,6 +32,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.interface.conversions import msg_to_poses, positions_to_msg
@@ -41,7 +42,6 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.util.resources import find_model
 from rclpy.logging import get_logger
 from std_msgs.msg import Header
 

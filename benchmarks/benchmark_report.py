@@ -34,8 +34,8 @@ import numpy as np
 from ocp_ros.compare.judging import judged_room, MOUNTING_DRAWS, MOUNTING_ERROR_M
 from ocp_ros.compare.protocol import placing, RANDOM_PLACEMENTS, REFERENCE_PLACES
 from ocp_ros.compare.summary import budgets_of, last_runs, Rows
-from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.report.installer import in_markdown
 from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, planners_for, SCORES
 from ocp_ros.simulation.simulator import Simulator

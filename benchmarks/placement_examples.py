@@ -20,9 +20,9 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure
 import numpy as np
-from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, room_of
 from ocp_ros.report.drawing.room_pictures import coloured, draw_legend, draw_plan
+from ocp_ros.report.drawing.saved_pictures import save_figure
 
 
 class Example(NamedTuple):

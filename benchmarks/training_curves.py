@@ -28,7 +28,7 @@ from typing import Any
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 import numpy as np
-from ocp_ros.report.drawing.figures import save_figure
+from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.training.run_folder import read_config, records
 
 #: By name in the progress: what the legend calls it, and how its line is drawn.

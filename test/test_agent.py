@@ -25,15 +25,15 @@ import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, MAP, PAPER
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
 from ocp_ros.policy.cloud_encoder import Encoder
-from ocp_ros.policy.cloud_observation import encode, MAX_OTHERS
 from ocp_ros.policy.networks import ExtractionUnit, Extractor
+from ocp_ros.policy.observation_cloud import encode, MAX_OTHERS
 from ocp_ros.policy.policy import Policy
 from ocp_ros.policy.sampling import ball_query, farthest_points
+from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.training.augmentation import SYMMETRIES, turn_observation
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.run_folder import read_config
-from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 import torch

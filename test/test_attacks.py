@@ -32,7 +32,7 @@ from ocp_ros.ros.bags.bag_files import Bag
 from ocp_ros.scenes import scene_cache
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene, save_scene
-from ocp_ros.search import priced_search
+from ocp_ros.search import rig_search
 from ocp_ros.search.budget import Budget
 from ocp_ros.util.files import FileSet, recover, sha256_of_file, write_atomically
 from ocp_ros.util.settings import ConfigurationError
@@ -283,7 +283,7 @@ def test_a_proof_that_fails_does_not_lose_the_plan(monkeypatch):
     def fail(*_):
         raise ZeroDivisionError('by zero')
 
-    monkeypatch.setattr(priced_search, 'Certificate', fail)
+    monkeypatch.setattr(rig_search, 'Certificate', fail)
     planned = PlannedRig(made_room(8, 1500), rig_of(2, 'd455', mount={'on': 'walls'}),
                          PlanTask(evaluations=20), Budget(None, 20), 1.0)
     assert len(planned.best.answer.poses) == 2 and planned.best.certificate is None

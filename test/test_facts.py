@@ -20,7 +20,7 @@ from matplotlib.text import Text
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
-from ocp_ros.report.drawing import sheet
+from ocp_ros.report.drawing import report_page
 from ocp_ros.report.facts import facts_of, page_facts_of
 from ocp_ros.report.installer import instructions
 from ocp_ros.report.terminal import as_text, print_table, show_score
@@ -48,7 +48,7 @@ def test_terminal_page_and_sheet_show_the_same_key_figures(judged):
     facts = facts_of(judged.found)
     with_room = page_facts_of(judged)
     assert {name: getattr(with_room, name) for name in vars(facts)} == vars(facts)
-    figure = next(sheet.figures_of_pages(judged))
+    figure = next(report_page.figures_of_pages(judged))
     texts = {'terminal': as_text(show_score, judged.found),
              'page': unescape(' '.join(tables_of(judged))),
              'sheet': ' '.join(text.get_text() for text in figure.findobj(Text))}

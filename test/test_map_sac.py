@@ -17,9 +17,9 @@
 from conftest import assert_same, batch
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.online.observation_map import BOX, CELLS, NUMBERS, OF_OTHERS, OF_ROOM
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.observation_map import BOX, CELLS, NUMBERS, OF_OTHERS, OF_ROOM
 from ocp_ros.policy.value_network import (
     action_of,
     cell_of,

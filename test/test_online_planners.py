@@ -22,7 +22,6 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
-from ocp_ros.online.observation_map import CELLS
 from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, Online, PipelinedPlanner
 from ocp_ros.online.partial_map import cells_of_the_air, LookHistory, NO_CELL, PartialMap, thinned
 from ocp_ros.online.rig_state import Limits, RigState
@@ -31,6 +30,7 @@ from ocp_ros.online.step import OnlineStep
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD
 from ocp_ros.policy.learned import Learned
 from ocp_ros.policy.map_actor import MapActor
+from ocp_ros.policy.observation_map import CELLS
 from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.free_plane import FINE_CELL_M
 from ocp_ros.rig.rig_config import RigConfig

@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 from ocp_ros.cli import main as cli
 from ocp_ros.compare.comparison import name_of
 from ocp_ros.compare.protocol import BenchmarkTask
-from ocp_ros.report.drawing.figures import save_figure
+from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.report.viewer import write_view
 from ocp_ros.scenes.scene_files import load_scene, save_scene
 from ocp_ros.training.run_folder import add_record, claim
@@ -54,7 +54,7 @@ def files(tmp_path, monkeypatch):
     (tmp_path / 'placement.yaml').write_text(PLACEMENT)
     (tmp_path / 'config.yaml').write_text('interactions: 24  # few\n')
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('ocp_ros.report.drawing.sheet.draw', blank_report)
+    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw', blank_report)
     return tmp_path
 
 

@@ -19,7 +19,11 @@ import math
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.online.observation_map import (
+from ocp_ros.online.rig_state import RigState
+from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.map_actor import MapActor, MIN_TURNS_FOR_HEADINGS
+from ocp_ros.policy.observation_map import (
     at_yaws,
     CELLS,
     lens_features,
@@ -29,10 +33,6 @@ from ocp_ros.online.observation_map import (
     OF_ROOM,
     yaws_of,
 )
-from ocp_ros.online.rig_state import RigState
-from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
-from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.map_actor import MapActor, MIN_TURNS_FOR_HEADINGS
 from ocp_ros.policy.policy import ValuePolicy
 from ocp_ros.policy.value_network import valued, ValueMapNetwork
 from ocp_ros.rig.rig_config import RigConfig

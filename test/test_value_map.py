@@ -19,7 +19,11 @@ from types import SimpleNamespace
 import numpy as np
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import no_bits
-from ocp_ros.online.observation_map import (
+from ocp_ros.online.partial_map import LookHistory, PartialMap
+from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
+from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.map_actor import MapActor
+from ocp_ros.policy.observation_map import (
     CELLS,
     EDGE_M,
     NUMBERS,
@@ -28,10 +32,6 @@ from ocp_ros.online.observation_map import (
     OF_ROOM,
     Window,
 )
-from ocp_ros.online.partial_map import LookHistory, PartialMap
-from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
-from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.value_network import ValueMapNetwork
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rooms.generator import generate_room

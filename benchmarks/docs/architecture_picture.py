@@ -25,8 +25,8 @@ import sys
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
-from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.report.drawing.saved_pictures import save_figure
 
 #: Layers from the bottom, and what each is for; each may import those below it.
 LAYERS = {

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from benchmarks.results import ROOT
 from ocp_ros.cli.main import main as ocp
-from ocp_ros.report.drawing.sheet import PAGES
+from ocp_ros.report.drawing.report_page import PAGES
 from PIL import Image
 
 #: Name of the picture, seed of the room, and cameras; seconds of each search.

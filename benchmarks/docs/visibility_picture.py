@@ -24,7 +24,6 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 import numpy as np
-from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
     heights_of,
@@ -33,6 +32,7 @@ from ocp_ros.report.drawing.room_drawing import (
     PALE_INK,
     room_of,
 )
+from ocp_ros.report.drawing.saved_pictures import save_figure
 
 SEEN, HIDDEN, WRONG, MISSED = '#3f8fb5', '#d5d5d0', '#c8352b', '#efa11a'
 MEANINGS = {SEEN: 'seen', HIDDEN: 'hidden, or out of range', WRONG: 'said to be seen, but hidden',

@@ -53,6 +53,7 @@ import numpy as np
 from ocp_ros.demo.node_processes import free_domain
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros import policy_node, sim_node, trainer_node
 from ocp_ros.ros.interface.conversions import msg_to_positions, ns_to_stamp, positions_to_msg
@@ -64,7 +65,6 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
 from rich.console import Console
 from rich.progress import Progress

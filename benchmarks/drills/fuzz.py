@@ -32,7 +32,7 @@ from benchmarks.drills.fuzz_trainer import TrainerTarget
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import Watch
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.util.resources import find_model
+from ocp_ros.policy.shipped_models import find_model
 from rich.console import Console
 from rich.progress import Progress
 

@@ -23,7 +23,7 @@ from typing import Any, TYPE_CHECKING
 from ocp_ros.cli.arguments import add_units, camera_counts, names, whole, whole_numbers
 from ocp_ros.cli.benchmark_command import add_comparison, check_cameras
 from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, LEARN, show_written
-from ocp_ros.util.resources import DEFAULT_MODEL
+from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 
 if TYPE_CHECKING:
     from ocp_ros.compare.comparison import Comparison

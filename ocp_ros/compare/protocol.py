@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POINTS, score_of
 from ocp_ros.geometry.engine_config import PROMISING
+from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.rooms.splits import TEST
@@ -53,7 +54,6 @@ from ocp_ros.simulation.problem import make_problem, Problem, space_of
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
 #: Number of random placements.

@@ -29,7 +29,7 @@ from typing import Any
 from ocp_ros.demo.demo import START_TIMEOUT_S
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import run_watched, Watch
-from ocp_ros.util.resources import DEFAULT_MODEL
+from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table

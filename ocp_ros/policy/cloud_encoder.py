@@ -19,7 +19,7 @@ from contextlib import suppress
 import numpy as np
 from ocp_ros.online.observed_turn import ObservedTurn, ObservedTurns
 from ocp_ros.policy.agent_config import AgentConfig
-from ocp_ros.policy.cloud_observation import chosen, encode, features_of_others, MARKS
+from ocp_ros.policy.observation_cloud import chosen, encode, features_of_others, MARKS
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.scenes.scene import SceneError
@@ -83,9 +83,9 @@ class Encoder:
     """
     Encode the observation for one camera after the other.
 
-    The inputs of a camera are those of :func:`~ocp_ros.policy.cloud_observation.encode`, and
+    The inputs of a camera are those of :func:`~ocp_ros.policy.observation_cloud.encode`, and
     ``others`` (``OTHERS``, ``OF_OTHERS``), ``turn`` (``OF_TURN``,) and ``marks`` (P, ``MARKS``)
-    uint8; see :mod:`ocp_ros.policy.cloud_observation`.
+    uint8; see :mod:`ocp_ros.policy.observation_cloud`.
 
     :param config: sizes of the network.
     :param max_range: effective range of the omnidirectional cameras, metres.

@@ -16,7 +16,7 @@
 The map actor: each camera goes to the place with the best value of a trained network.
 
 The network reads the observation map and returns values for all places at once; see
-:mod:`ocp_ros.online.observation_map`. Each camera has a target. At each time step some cameras
+:mod:`ocp_ros.policy.observation_map`. Each camera has a target. At each time step some cameras
 choose a new target, given the targets of the other cameras. They choose among the places over the
 observed floor within the straight distance that the remaining time steps allow. The few places
 with the best values are then scored on the partial map. The final score is a weighted mean: the
@@ -29,11 +29,11 @@ import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.online.candidate_sites import kinds_of, PITCHES, YAWS
-from ocp_ros.online.observation_map import at_yaws, CELLS, ERROR_FLOOR, Window
 from ocp_ros.online.online_planner import KnownTurn, matched, PipelinedPlanner, standing
 from ocp_ros.online.partial_map import KeptModel, NO_CELL, PartialMap
 from ocp_ros.online.rig_state import clearance_of, record_views
 from ocp_ros.policy.map_turn import MapTurn
+from ocp_ros.policy.observation_map import at_yaws, CELLS, ERROR_FLOOR, Window
 from ocp_ros.rig.motion import order_of
 from ocp_ros.scenes.scene import SceneError
 from scipy.ndimage import uniform_filter

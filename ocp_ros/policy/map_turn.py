@@ -16,9 +16,9 @@
 
 import numpy as np
 from ocp_ros.geometry.cameras import Frustum
-from ocp_ros.online.observation_map import CELLS, lens_features, ObservationMap
 from ocp_ros.online.partial_map import PartialMap
 from ocp_ros.online.rig_state import fixed_views, RigState
+from ocp_ros.policy.observation_map import CELLS, lens_features, ObservationMap
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.simulation.simulator import View
 
@@ -36,7 +36,7 @@ class MapTurn:
     :param max_range: of the cameras, metres.
     :param reach: distance that a camera can still move, metres.
     :param aimed: whether the network values headings of cameras that are not omnidirectional.
-    :ivar room: the map; see :class:`~ocp_ros.online.observation_map.ObservationMap`.
+    :ivar room: the map; see :class:`~ocp_ros.policy.observation_map.ObservationMap`.
     :ivar cells: (CELLS * CELLS, 2) metres: the centres of the cells of the map.
     """
 

@@ -21,7 +21,7 @@ for one camera after the other; its weights serve any number of cameras.
 """
 
 from ocp_ros.policy.agent_config import AgentConfig, PAPER
-from ocp_ros.policy.cloud_observation import MARKS, OF_OTHERS, OF_TURN
+from ocp_ros.policy.observation_cloud import MARKS, OF_OTHERS, OF_TURN
 from ocp_ros.policy.value_network import ValueMapNetwork
 import torch
 from torch import nn, Tensor
@@ -108,7 +108,7 @@ class ExtractionUnit(nn.Module):
 
 class Extractor(nn.Module):
     """
-    Features of an encoded observation; see :mod:`ocp_ros.policy.cloud_observation`.
+    Features of an encoded observation; see :mod:`ocp_ros.policy.observation_cloud`.
 
     The single key point of the last unit is the mean of the key points of the unit before, or, in
     ``cloud``, the camera.

@@ -17,8 +17,8 @@
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.cloud_encoder import Encoder
-from ocp_ros.policy.cloud_observation import encode
 from ocp_ros.policy.networks import Actor
+from ocp_ros.policy.observation_cloud import encode
 from ocp_ros.policy.value_network import CellChoices, valued, ValueMap, ValueMapNetwork
 from ocp_ros.rig.motion import order_of
 import torch
@@ -105,13 +105,13 @@ class ValuePolicy:
         """
         Return the values of all cells for one camera, given the other cameras.
 
-        :param room: of :class:`~ocp_ros.online.observation_map.ObservationMap`.
-        :param others: of its :meth:`~ocp_ros.online.observation_map.ObservationMap.others`.
+        :param room: of :class:`~ocp_ros.policy.observation_map.ObservationMap`.
+        :param others: of its :meth:`~ocp_ros.policy.observation_map.ObservationMap.others`.
         :param numbers: of the same method.
-        :param lens: of the camera; see :func:`~ocp_ros.online.observation_map.lens_features`.
+        :param lens: of the camera; see :func:`~ocp_ros.policy.observation_map.lens_features`.
         :returns: (D, 64, 64) float32: ln((E with the camera + e) / (E of the others + e)) of the
             depth error E, for each heading of
-            :func:`~ocp_ros.online.observation_map.yaws_of`; inf outside the observed part.
+            :func:`~ocp_ros.policy.observation_map.yaws_of`; inf outside the observed part.
         """
         aimed = self._network.aimed
         network = self._network if aimed is None or lens.min() >= 1.0 else aimed

@@ -19,7 +19,8 @@ A small U-shaped convolutional network (Ronneberger et al., 2015) of residual bl
 evaluated for one camera at a time, given the other cameras, and returns the values of all cells.
 """
 
-from ocp_ros.online.observation_map import (
+from ocp_ros.policy.agent_config import AgentConfig
+from ocp_ros.policy.observation_map import (
     CELLS,
     NUMBERS,
     OF_LENS,
@@ -27,7 +28,6 @@ from ocp_ros.online.observation_map import (
     OF_ROOM,
     used_part,
 )
-from ocp_ros.policy.agent_config import AgentConfig
 import torch
 from torch import nn, Tensor
 from torch.nn.functional import pixel_shuffle, pixel_unshuffle, relu
@@ -58,7 +58,7 @@ class ValueMap(nn.Module):
     Predict the depth error if a camera goes to each cell of the map, for each heading there.
 
     :param headings: D, number of headings; see
-        :func:`~ocp_ros.online.observation_map.yaws_of`.
+        :func:`~ocp_ros.policy.observation_map.yaws_of`.
     :param scalars: names of the scalar inputs besides the maps ``room`` and ``others``, and the
         number of values of each.
     """

@@ -119,9 +119,9 @@ def export(folder: Path, assessed: Assessment, prefix: str = '') -> Iterator[Pat
 
 def reports(folder: Path, assessed: Assessment) -> Iterator[Path]:
     """Write the PNG sheet, the HTML page and the curve of counted cameras; yield their paths."""
-    from ocp_ros.report.drawing import assessment_pictures, sheet
+    from ocp_ros.report.drawing import assessment_pictures, report_page
     from ocp_ros.report.viewer import write_view
-    yield from sheet.draw(folder, assessed)
+    yield from report_page.draw(folder, assessed)
     write_view(folder / 'report.html', assessed.scene, assessed)
     yield folder / 'report.html'
     if 'curve' in assessed.found:

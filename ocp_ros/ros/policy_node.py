@@ -32,6 +32,7 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.online.online_planner import Online
 from ocp_ros.policy.agent_config import CheckpointError
+from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.rig.placement_file import created_by, Placed, Placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import Camera
 from ocp_ros.ros.interface import topics
@@ -53,7 +54,6 @@ from ocp_ros.ros.policy.simulated_turns import SimulatedTurns, TurnInfo
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.managed_node import ManagedNode
 from ocp_ros.ros.runtime.node_main import run
-from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node

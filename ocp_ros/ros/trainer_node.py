@@ -30,6 +30,7 @@ import time
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.node_main import run
@@ -38,7 +39,6 @@ from ocp_ros.ros.training_source import Source
 from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.util.files import folder_to_write, write_atomically
-from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import group, setting, to_nested
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType

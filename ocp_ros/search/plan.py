@@ -29,6 +29,7 @@ import time
 
 import numpy as np
 from ocp_ros.online.rollout import play
+from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import check_regions, check_room, MountedCamera, Pool, pool_of
 from ocp_ros.search.finishing import search_and_finish
@@ -39,7 +40,6 @@ from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem, space_of
-from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
 #: Number of placements to measure the time of an evaluation, and largest number of evaluations

@@ -32,6 +32,7 @@ from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online, settings_of
 from ocp_ros.policy.learned import planned_by
+from ocp_ros.policy.shipped_models import DEFAULT_MODEL, find_model
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.annealing import FixedAnnealing, TransDimensionalAnnealing
 from ocp_ros.search.greedy import GreedyCoverage, GreedyError, GreedySwap, Random, RegularGrid
@@ -42,9 +43,8 @@ from ocp_ros.search.population import (
     CmaEs,
     DifferentialEvolution,
 )
-from ocp_ros.search.priced_search import search
+from ocp_ros.search.rig_search import search
 from ocp_ros.simulation.simulation_config import EpisodeConfig
-from ocp_ros.util.resources import DEFAULT_MODEL, find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import nearest
@@ -69,7 +69,7 @@ class RegisteredPlanner(NamedTuple):
 
     :ivar knows: input of the planner: ``SCAN``, ``SCORES`` or ``OBSERVED``.
     :ivar make: for ``SCAN``, a function that returns the result, such as
-        :func:`~ocp_ros.search.priced_search.search`; for ``SCORES``, creates a
+        :func:`~ocp_ros.search.rig_search.search`; for ``SCORES``, creates a
         :class:`~ocp_ros.search.planner.Planner` from a space, a random generator and a budget; for
         ``OBSERVED``, creates an :class:`~ocp_ros.online.online_planner.Online` from an episode
         configuration, a rig, a random generator and weights (path or name).

@@ -19,20 +19,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import best_addition, check_regions, pool_of, random_sites
 from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_annealing import SearchResult
-from ocp_ros.search.priced_search import certified, relaxation_of
 from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import ColumnGeneration
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
+from ocp_ros.search.rig_search import certified, relaxation_of
 from ocp_ros.simulation.objective import RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
 #: Share of the time of a proof for the views of the grid.

@@ -21,7 +21,7 @@ an observation and the reward do not change.
 """
 
 import numpy as np
-from ocp_ros.online.observation_map import CELLS, used_part
+from ocp_ros.policy.observation_map import CELLS, used_part
 from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import torch

@@ -18,15 +18,15 @@ import gymnasium as gym
 from gymnasium import spaces
 import numpy as np
 from ocp_ros.online.heading_planner import HeadingPlanner
-from ocp_ros.online.observation_map import CELLS, NUMBERS, OF_ROOM
-from ocp_ros.online.observation_map import OF_OTHERS as MAPS_OF_OTHERS
 from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.rollout import state_of
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.cloud_encoder import EncodedTurn, Encoder
-from ocp_ros.policy.cloud_observation import encode, MARKS, MAX_OTHERS, OF_OTHERS, OF_TURN
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.map_turn import MapTurn
+from ocp_ros.policy.observation_cloud import encode, MARKS, MAX_OTHERS, OF_OTHERS, OF_TURN
+from ocp_ros.policy.observation_map import CELLS, NUMBERS, OF_ROOM
+from ocp_ros.policy.observation_map import OF_OTHERS as MAPS_OF_OTHERS
 from ocp_ros.rig.motion import bounded_moves, order_of, way_between
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode

@@ -27,9 +27,9 @@ import math
 from typing import Any
 
 from gymnasium import spaces
-from ocp_ros.online.observation_map import CELLS
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.networks import Extractor, head
+from ocp_ros.policy.observation_map import CELLS
 from ocp_ros.policy.value_network import cell_of, CellChoices, valued, ValueMapNetwork
 from stable_baselines3.common.policies import ContinuousCritic
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor

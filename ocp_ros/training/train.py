@@ -34,6 +34,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.simulation.environment import CameraPlacementEnv, MAX_PROBLEMS
 from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import playable
@@ -45,7 +46,6 @@ from ocp_ros.training.training_rooms import room_names, Rooms
 from ocp_ros.training.validation import evaluate, RANDOM_MOVES, trials_of
 from ocp_ros.training.value_training import learn_values, TrainingRun, ValueRun
 from ocp_ros.util.files import remove_unfinished
-from ocp_ros.util.resources import find_model
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool

@@ -26,9 +26,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ocp_ros.online.observation_map import CELLS, used_part, yaws_of
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import read_metadata
+from ocp_ros.policy.observation_map import CELLS, used_part, yaws_of
 from ocp_ros.policy.value_network import ValueMap
 from ocp_ros.training.augmentation import turned_maps
 from ocp_ros.training.sac_state import load_slots, saved_slots

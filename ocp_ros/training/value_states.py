@@ -33,7 +33,12 @@ from ocp_ros.geometry.cameras import OMNIDIRECTIONAL, PINHOLE, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits
 from ocp_ros.geometry.visibility import SurfelVisibility
-from ocp_ros.online.observation_map import (
+from ocp_ros.online.online_planner import settings_of
+from ocp_ros.online.partial_map import LookHistory, PartialMap
+from ocp_ros.online.rig_state import record_views
+from ocp_ros.online.rollout import state_of
+from ocp_ros.policy.map_actor import MapActor, MODEL_POINTS, MODEL_ROWS
+from ocp_ros.policy.observation_map import (
     CELLS,
     EDGE_M,
     ERROR_FLOOR,
@@ -45,11 +50,6 @@ from ocp_ros.online.observation_map import (
     OF_ROOM,
     yaws_of,
 )
-from ocp_ros.online.online_planner import settings_of
-from ocp_ros.online.partial_map import LookHistory, PartialMap
-from ocp_ros.online.rig_state import record_views
-from ocp_ros.online.rollout import state_of
-from ocp_ros.policy.map_actor import MapActor, MODEL_POINTS, MODEL_ROWS
 from ocp_ros.rig.motion import towards, turned_towards
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.sensors import SENSORS
@@ -175,8 +175,8 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     Run several episodes in a room, and record states with labels.
 
     :returns: of M maps ``room`` (M, ...) and of S choices ``others`` (S, ...) and ``numbers``
-        (S, ...), see :class:`~ocp_ros.online.observation_map.ObservationMap`; ``lens`` (S, ...),
-        see :func:`~ocp_ros.online.observation_map.lens_features`; ``of`` (S,), the map of each
+        (S, ...), see :class:`~ocp_ros.policy.observation_map.ObservationMap`; ``lens`` (S, ...),
+        see :func:`~ocp_ros.policy.observation_map.lens_features`; ``of`` (S,), the map of each
         choice; ``places`` (M, P, 2), the labelled positions in cells of the map; and ``values``
         (S, P, D) float16, the labels, NaN beyond the last position.
     """

@@ -34,6 +34,7 @@ from typing import Any
 import numpy as np
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.policy.value_network import ValueMapNetwork
 from ocp_ros.training.run_folder import add_record, BEST, records, VALUES_PHASE, VALUES_STATE
 from ocp_ros.training.sac_state import new_run
@@ -43,7 +44,6 @@ from ocp_ros.training.validation import evaluate, trials_of, ValidationTrial
 from ocp_ros.training.value_fit import regret_of, ValueFit, ValueSet
 from ocp_ros.training.value_states import play_states, shapes_of, StateTask
 from ocp_ros.util.files import write_atomically
-from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import to_nested, UserError
 from ocp_ros.util.worker_pool import WorkerPool
 from rich.progress import Progress

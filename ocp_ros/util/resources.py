@@ -58,27 +58,6 @@ def _places() -> Iterator[Path]:
         return
 
 
-#: The default weights.
-DEFAULT_MODEL = 'map'
-
-
-def find_model(name: str) -> Path:
-    """
-    Find weights by path or by the name of a model that comes with the package.
-
-    :param name: a path, or a name such as ``map``.
-    :raises FileNotFoundError: if there is none; the message lists the available names.
-    """
-    known = {path.stem: path for path in (share_folder() / 'models').glob('*.safetensors')}
-    # A file in the current folder must not hide a model of the package.
-    if name in known:
-        return known[name]
-    if Path(name).is_file():
-        return Path(name)
-    raise FileNotFoundError(f'model: found no file {name!r} and no model of that name; expected a '
-                            f'path to .safetensors or one of {sorted(known)}')
-
-
 def find_config(path: str | Path) -> Path:
     """
     Find a file by its path or, if it does not exist, among those of the package.

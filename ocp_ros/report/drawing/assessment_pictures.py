@@ -30,7 +30,6 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Polygon
 import numpy as np
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
 from ocp_ros.report.drawing.plan_marks import (
     apart,
@@ -55,6 +54,7 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
     some_of,
 )
+from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.report.facts import count_sentence, SHARES
 from scipy import ndimage
 
@@ -72,7 +72,7 @@ ERROR_CELL_LIMITS = (0.1, 0.5)
 FRUSTUM_SHARE = 0.15
 #: Largest length of a drawn frustum, metres.
 LONGEST_FRUSTUM = 1.2
-#: Largest number of points in a picture of the sheet, and in the installer's plan.
+#: Largest number of points in a picture of the report page, and in the installer's plan.
 SHEET_POINTS = 16_000
 PLAN_POINTS = 12_000
 #: Inches between the centres of two letters of walls on the sheet.

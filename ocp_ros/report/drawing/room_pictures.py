@@ -25,7 +25,6 @@ from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Patch, Polygon
 import numpy as np
-from ocp_ros.report.drawing.figures import save_figure
 from ocp_ros.report.drawing.plan_marks import camera_colour, draw_numbers
 from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
@@ -39,6 +38,7 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
     some_of,
 )
+from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.rooms.generator import generate_room, plan_of
 from ocp_ros.scenes.scene import Scene
 

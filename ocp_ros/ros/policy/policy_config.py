@@ -16,10 +16,10 @@
 
 from dataclasses import dataclass
 
+from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.ros.interface.frames import publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
-from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
 
 LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned_lookahead'

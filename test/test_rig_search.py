@@ -26,9 +26,9 @@ from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import Pool
 from ocp_ros.search.pose_grid import PoseGrid
-from ocp_ros.search.priced_search import search
 from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees, seers_of
+from ocp_ros.search.rig_search import search
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
@@ -220,7 +220,7 @@ def files(tmp_path, monkeypatch):
         'cameras: [{sensor: realsense_d455, count: 2}]\nspacing: 0.8\n'
         'regions: [{name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}]\n')
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('ocp_ros.report.drawing.sheet.draw', blank_report)
+    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw', blank_report)
     return tmp_path
 
 

@@ -28,11 +28,11 @@ from matplotlib.text import Text
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
-from ocp_ros.report.drawing import assessment_pictures, figures, sheet
-from ocp_ros.report.drawing.figures import shortened, width_of
+from ocp_ros.report.drawing import assessment_pictures, report_page, saved_pictures
 from ocp_ros.report.drawing.plan_marks import apart
 from ocp_ros.report.drawing.room_drawing import _ceiling, _surface
 from ocp_ros.report.drawing.room_pictures import draw_placement
+from ocp_ros.report.drawing.saved_pictures import shortened, width_of
 from ocp_ros.report.facts import metres
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_from, rig_of
@@ -88,8 +88,8 @@ def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number,
         poses[:, :3] = poses[0, :3]
     cameras = [{'sensor': 'realsense_d455', 'count': count, **({'name': LONG} if named else {})}]
     judged = judged_in(room, rig_from(Document('rig', {'cameras': cameras})), poses)
-    pages = list(sheet.figures_of_pages(judged))
-    assert len(pages) == (1 if count <= sheet.MOST_ROWS else 2)
+    pages = list(report_page.figures_of_pages(judged))
+    assert len(pages) == (1 if count <= report_page.MOST_ROWS else 2)
     for figure in pages:
         texts = texts_of(figure)
         width, height = figure.get_size_inches() * figure.dpi
@@ -117,11 +117,11 @@ def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number
 
 def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     judged = judged_in(rooms[2], rig_of(1, 'd455', pitch=[30, 60]), middle_of(rooms[2][0]))
-    list(sheet.draw(tmp_path / 'new', judged))
+    list(report_page.draw(tmp_path / 'new', judged))
     image = imread(tmp_path / 'new' / 'report.png')
     assert image.shape[1] / image.shape[0] == pytest.approx(297 / 210, rel=0.01)
     assert image.shape[1] >= 1700
-    texts = ' '.join(text for text, _ in texts_of(next(sheet.figures_of_pages(judged))))
+    texts = ' '.join(text for text, _ in texts_of(next(report_page.figures_of_pages(judged))))
     scores = judged.found['scores']
     for words in ('room-8: 1 camera', metres(scores['depth_error']),
                   f'{100 * scores["seen"]:.1f} %', 'mm/m²', '1 constraint violated',
@@ -157,10 +157,10 @@ def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):
     judged = judge(rooms[2][0], placement, rooms[2][1],
                    'ocp score /home/me/a.ply --rig=sub/rig.yaml')
     kinds = {'keep-out zone', 'weighted region', 'must-see region'}
-    for drawn in (next(sheet.figures_of_pages(judged)), assessment_pictures.floor_plan_of(judged)):
+    for drawn in (next(report_page.figures_of_pages(judged)), assessment_pictures.floor_plan_of(judged)):
         assert kinds <= {patch.get_label() for patch in drawn.axes[0].patches}
         assert kinds <= {text for text, _ in texts_of(drawn)}
-    text = ' '.join(text for text, _ in texts_of(next(sheet.figures_of_pages(judged))))
+    text = ' '.join(text for text, _ in texts_of(next(report_page.figures_of_pages(judged))))
     assert 'a.ply --rig=rig.yaml' in text and '/home' not in text and 'sub/' not in text
 
 
@@ -198,13 +198,13 @@ def font_of(path, family, letter):
 def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_path, monkeypatch):
     manager = font_manager.fontManager
     monkeypatch.setattr(manager, 'ttflist', [
-        one for one in manager.ttflist if one.name not in figures.FALLBACKS])
-    before = figures.families()
-    font_of(tmp_path / 'block.ttf', figures.FALLBACKS[-1], '\u4f1a')
+        one for one in manager.ttflist if one.name not in saved_pictures.FALLBACKS])
+    before = saved_pictures.families()
+    font_of(tmp_path / 'block.ttf', saved_pictures.FALLBACKS[-1], '\u4f1a')
     manager.addfont(tmp_path / 'block.ttf')
-    assert figures.families() == [*before, figures.FALLBACKS[-1]]
+    assert saved_pictures.families() == [*before, saved_pictures.FALLBACKS[-1]]
     width_of.cache_clear()
-    with figures.all_letters():
+    with saved_pictures.all_letters():
         assert width_of('\u4f1a', 72.0) == pytest.approx(3.0, abs=0.05)
         usual = width_of('room', 72.0)
     width_of.cache_clear()
@@ -217,7 +217,7 @@ def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_pat
 def test_letters_that_no_font_has_are_no_reason_to_complain(rooms, tmp_path, recwarn):
     scene = replace(rooms[2][0], name='\ue000')
     judged = judged_in((scene, rooms[2][1]), rig_of(1, 'd455'), middle_of(scene))
-    list(sheet.draw(tmp_path, judged))
+    list(report_page.draw(tmp_path, judged))
     assert not recwarn.list and (tmp_path / 'report.png').stat().st_size > 10000
 
 

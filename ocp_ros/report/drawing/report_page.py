@@ -26,9 +26,9 @@ from matplotlib.patches import FancyBboxPatch, Patch
 import numpy as np
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing import assessment_pictures
-from ocp_ros.report.drawing.figures import all_letters, draw_table, save_figure, write
 from ocp_ros.report.drawing.plan_marks import camera_colour, dark, zone_legend
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
+from ocp_ros.report.drawing.saved_pictures import all_letters, draw_table, save_figure, write
 from ocp_ros.report.facts import page_facts_of, PageFacts
 
 #: Width, height and margin of A4 landscape, inches.
