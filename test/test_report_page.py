@@ -157,7 +157,8 @@ def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):
     judged = judge(rooms[2][0], placement, rooms[2][1],
                    'ocp score /home/me/a.ply --rig=sub/rig.yaml')
     kinds = {'keep-out zone', 'weighted region', 'must-see region'}
-    for drawn in (next(report_page.figures_of_pages(judged)), assessment_pictures.floor_plan_of(judged)):
+    for drawn in (next(report_page.figures_of_pages(judged)),
+                  assessment_pictures.floor_plan_of(judged)):
         assert kinds <= {patch.get_label() for patch in drawn.axes[0].patches}
         assert kinds <= {text for text, _ in texts_of(drawn)}
     text = ' '.join(text for text, _ in texts_of(next(report_page.figures_of_pages(judged))))
