@@ -107,7 +107,7 @@ def against(path: Path) -> dict[str, Any]:
     found = json.loads(path.read_text())
     (compared,) = found['cameras'].values()
     return {'command': found['command'], 'over': {
-        name: {key: pair[key] for key in ('ratio', 'interval', 'wins', 'rooms')}
+        name.replace(', ', '_'): {key: pair[key] for key in ('ratio', 'interval', 'wins', 'rooms')}
         for name, pair in compared['pairs'].items() if not name.startswith('learned')}}
 
 

@@ -27,7 +27,7 @@ from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import Pool
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
-from ocp_ros.search.proof.loss_trees import LossTrees, seers_of
+from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point
 from ocp_ros.search.rig_search import search
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -121,11 +121,11 @@ def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
     share = np.array(data.draw(strategies.lists(strategies.floats(0.0, 1.0), min_size=len(poses),
                                                 max_size=len(poses))))
     loss = problem.objective.loss([view_of(grid, *poses[k], points) for k in chosen])
-    own = seers_of([grid.points(*poses[k]) for k in chosen], points)
+    own = poses_by_point([grid.points(*poses[k]) for k in chosen], points)
     missed, _ = trees.cut(own, len(chosen), trees.unserved(own, np.ones(len(chosen))))
     assert np.maximum(missed, 0.0).sum() == pytest.approx(loss, abs=1e-6)
-    seers = seers_of([grid.points(*pose) for pose in poses], points)
-    consts, gains = trees.cut(seers, len(poses), trees.unserved(seers, share))
+    seen_by = poses_by_point([grid.points(*pose) for pose in poses], points)
+    consts, gains = trees.cut(seen_by, len(poses), trees.unserved(seen_by, share))
     choice = np.zeros(len(poses))
     choice[chosen] = 1.0
     assert np.maximum(consts - gains @ choice, 0.0).sum() <= loss + 1e-6

@@ -104,16 +104,19 @@ class PoseGrid:
             batches[-1].append(place)
         return batches
 
-    def seers(self, places: Sequence[int]) -> np.ndarray:
+    def seen_by(self, places: Sequence[int]) -> np.ndarray:
         """
         Return which poses of a batch of places see each point.
 
+        A batch has several places only if all their headings fit into one word of 64 bits.
+
         :returns: (N, W) uint64: bits of the headings of the first place, then of the next places.
         """
-        words, first = self._sees[places[0]][1].shape[1], 0
-        seers = np.zeros((len(self._simulator.scene), words), dtype=np.uint64)
+        words = self._sees[places[0]][1].shape[1]
+        first = 0
+        seen_by = np.zeros((len(self._simulator.scene), words), dtype=np.uint64)
         for place in places:
             points, bits = self._sees[place]
-            seers[points] |= bits << np.uint64(first)
+            seen_by[points] |= bits << np.uint64(first)
             first += len(self.headings[place])
-        return seers
+        return seen_by

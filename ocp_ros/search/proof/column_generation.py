@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.cut_program import CutProgram
-from ocp_ros.search.proof.loss_trees import LossTrees, NOTHING, seers_of
+from ocp_ros.search.proof.loss_trees import LossTrees, NOTHING, poses_by_point
 from ocp_ros.util.threads import mapped
 from scipy.spatial.distance import cdist
 
@@ -94,7 +94,7 @@ class ColumnGeneration:
         self.spacing, self._points = spacing, points
         self.bound, self.closed = 0.0, False
         self._pool: list[Column] = []
-        self._seers = seers_of((), points)
+        self._seen_by = poses_by_point((), points)
         self._share = np.zeros(0)
         #: For each active cut, the customers that were served by less than 1 at its point.
         self._cuts: list[np.ndarray] = []
@@ -121,8 +121,8 @@ class ColumnGeneration:
     def _set_pool(self, pool: list[Column]) -> None:
         """Replace the pool."""
         self._pool = pool
-        self._seers = seers_of([self.grids[one.grid].points(one.place, one.heading)
-                                for one in pool], self._points)
+        self._seen_by = poses_by_point(
+            [self.grids[one.grid].points(one.place, one.heading) for one in pool], self._points)
         self._group = np.array([one.grid for one in pool])
         places = np.array([self.pose(one)[:3] for one in pool])
         self._near = cdist(places, places) < self.spacing
@@ -174,16 +174,16 @@ class ColumnGeneration:
         trees, count = self.trees, len(self._pool)
         program = CutProgram(self._group, self.counts, len(trees.slack))
         core = (self.counts / np.bincount(self._group))[self._group]
-        made = self._cuts or [trees.unserved(self._seers, core)]
+        made = self._cuts or [trees.unserved(self._seen_by, core)]
         for number, unserved in enumerate(made):
-            program.add(number, *trees.cut(self._seers, count, unserved))
+            program.add(number, *trees.cut(self._seen_by, count, unserved))
         made = list(made)
         for _ in range(ROUNDS):
             found = program.solve(over)
             value, above = found.losses.sum(), 0.0
             for share in (found.share, 0.5 * (core + found.share)):
-                unserved = trees.unserved(self._seers, share)
-                consts, gains = trees.cut(self._seers, count, unserved)
+                unserved = trees.unserved(self._seen_by, share)
+                consts, gains = trees.cut(self._seen_by, count, unserved)
                 losses = np.maximum(consts - gains @ found.share, 0.0)
                 above = max(above, losses.sum())
                 raised = losses > found.losses + EQUAL_LOSS * above / len(losses)
@@ -209,18 +209,29 @@ class ColumnGeneration:
 
     def _gains(self, multipliers: np.ndarray, places: Sequence[np.ndarray],
                over: Callable[[], bool]) -> list[dict[int, np.ndarray]] | None:
-        """Return for each grid the gains of the headings at each place; None after ``over``."""
+        """
+        Return for each grid the gains of the headings at each place.
+
+        The gain of a pose is the sum of the multipliers of the nodes that it serves.
+
+        :param multipliers: (T,) of the nodes of the trees, metres.
+        :param places: for each grid the numbers of the places.
+        :param over: returns whether to stop.
+        :returns: None if ``over`` has ended the computation.
+        """
         trees = self.trees.priced(multipliers)
 
-        def priced(grid: PoseGrid, batch: list[int]) -> list[tuple[int, np.ndarray]]:
+        def gains_of(grid: PoseGrid, batch: list[int]) -> list[tuple[int, np.ndarray]]:
             if over():
                 return []
             ends = np.cumsum([len(grid.headings[place]) for place in batch])
-            return list(zip(batch, np.split(trees.gains(grid.seers(batch))[:ends[-1]], ends[:-1])))
+            # The last bits of the last word belong to no pose.
+            gains = trees.gains(grid.seen_by(batch))[:ends[-1]]
+            return list(zip(batch, np.split(gains, ends[:-1])))
 
-        gains = [dict(chain(*mapped(partial(priced, grid), grid.batches(some))))
+        found = [dict(chain(*mapped(partial(gains_of, grid), grid.batches(some))))
                  for grid, some in zip(self.grids, places)]
-        return None if over() else gains
+        return None if over() else found
 
     def _needed(self, gains: Sequence[dict[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
         """Return the gains (n,) of the pool, and for each grid its ``count``-th largest gain."""
@@ -301,8 +312,8 @@ class ColumnGeneration:
                 others = chosen[:number] + chosen[number + 1:]
                 share = np.zeros(len(self._pool))
                 share[others] = 1.0
-                consts, gains = self.trees.cut(self._seers, len(share),
-                                               self.trees.unserved(self._seers, share))
+                consts, gains = self.trees.cut(self._seen_by, len(share),
+                                               self.trees.unserved(self._seen_by, share))
                 losses = np.maximum(consts[:, None] - gains, 0.0).sum(axis=0)
                 good = (self._group == self._group[own]) & ~self._near[others].any(axis=0)
                 good[others] = False

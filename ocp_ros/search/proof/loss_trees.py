@@ -97,30 +97,30 @@ class LossTrees(NamedTuple):
                     np.array([*starts, len(weight)]), np.array(slack), rounding)
         fixed = np.bitwise_or.reduce([no_bits(len(objective.simulator.scene)),
                                       *(view.seen for view in objective.fixed)])
-        seers = unpack(fixed, len(objective.simulator.scene)).astype(np.uint64)[:, None]
-        return trees._replace(weight=trees.weight * trees.unserved(seers, np.ones(1)))
+        seen_by = unpack(fixed, len(objective.simulator.scene)).astype(np.uint64)[:, None]
+        return trees._replace(weight=trees.weight * trees.unserved(seen_by, np.ones(1)))
 
-    def unserved(self, seers: np.ndarray, share: np.ndarray) -> np.ndarray:
+    def unserved(self, seen_by: np.ndarray, share: np.ndarray) -> np.ndarray:
         """
         Return which customers are served by less than 1.
 
-        :param seers: (N, W) uint64, bits of the poses that see each point.
+        :param seen_by: (N, W) uint64, bits of the poses that see each point.
         :param share: (n,) from 0 to 1, the chosen share of each pose.
         :returns: (T,) bool.
         """
-        shares = np.zeros(64 * seers.shape[1])
+        shares = np.zeros(64 * seen_by.shape[1])
         shares[:len(share)] = share
         chosen = np.packbits(shares > NOTHING, bitorder='little').view(np.uint64)
         found = np.zeros(len(self.weight), dtype=bool)
 
         def part(number: int) -> None:
-            _mark_unserved(self.point, self.end, seers, chosen, shares, self.depth,
+            _mark_unserved(self.point, self.end, seen_by, chosen, shares, self.depth,
                            self.parts[number], self.parts[number + 1], found)
 
         mapped(part, range(len(self.slack)))
         return found
 
-    def cut(self, seers: np.ndarray, count: int, unserved: np.ndarray
+    def cut(self, seen_by: np.ndarray, count: int, unserved: np.ndarray
             ) -> tuple[np.ndarray, np.ndarray]:
         """
         Linearise the loss of each part at a choice, given its unserved customers.
@@ -128,18 +128,19 @@ class LossTrees(NamedTuple):
         Benders cuts (Cordeau, Furini, Ljubic 2019): for every choice z (n,) the loss of part b is
         at least ``consts[b] - gains[b] @ z``.
 
-        :param seers: (N, W) uint64, bits of the poses that see each point.
+        :param seen_by: (N, W) uint64, bits of the poses that see each point.
         :param count: n, number of poses.
         :param unserved: (T,) bool, from :meth:`unserved`.
         :returns: consts (B,) and gains (B, n).
         """
         weight = np.where(unserved, self.weight, 0.0)
         below = _sums_below(self.parent, weight)
-        gains = np.zeros((len(self.slack), 64 * seers.shape[1]))
+        gains = np.zeros((len(self.slack), 64 * seen_by.shape[1]))
 
         def part(number: int) -> float:
             first, last = self.parts[number], self.parts[number + 1]
-            _add_gains(self.point, self.end, below, seers, self.depth, first, last, gains[number])
+            _add_gains(self.point, self.end, below, seen_by, self.depth, first, last,
+                       gains[number])
             return weight[first:last].sum() - self.slack[number]
 
         return np.array(mapped(part, range(len(self.slack)))), gains[:, :count]
@@ -165,24 +166,25 @@ class PricedTrees(NamedTuple):
     below: np.ndarray
     depth: int
 
-    def gains(self, seers: np.ndarray) -> np.ndarray:
+    def gains(self, seen_by: np.ndarray) -> np.ndarray:
         """Return the gains (64 W,) of poses from the bits (N, W) of the poses that see a point."""
-        gains = np.zeros(64 * seers.shape[1])
-        _add_gains(self.point, self.end, self.below, seers, self.depth, 0, len(self.point), gains)
+        gains = np.zeros(64 * seen_by.shape[1])
+        _add_gains(self.point, self.end, self.below, seen_by, self.depth, 0, len(self.point),
+                   gains)
         return gains
 
 
-def seers_of(sees: Sequence[np.ndarray], points: int) -> np.ndarray:
+def poses_by_point(sees: Sequence[np.ndarray], points: int) -> np.ndarray:
     """
     Return which poses see each point.
 
     :param sees: for each of n poses the points that it sees.
     :returns: (points, W) uint64, bit k of word w for pose 64 w + k.
     """
-    seers = np.zeros((points, max(-(-len(sees) // 64), 1)), dtype=np.uint64)
+    seen_by = np.zeros((points, max(-(-len(sees) // 64), 1)), dtype=np.uint64)
     for number, some in enumerate(sees):
-        seers[some, number // 64] |= np.uint64(1 << number % 64)
-    return seers
+        seen_by[some, number // 64] |= np.uint64(1 << number % 64)
+    return seen_by
 
 
 @njit(cache=True, nogil=True)
@@ -230,9 +232,9 @@ def _lowest(word):
 
 
 @njit(cache=True, nogil=True)
-def _mark_unserved(points, ends, seers, chosen, shares, deepest, first, last, found):
+def _mark_unserved(points, ends, seen_by, chosen, shares, deepest, first, last, found):
     """Compute :meth:`LossTrees.unserved` of nodes ``first`` to ``last`` into ``found`` (T,)."""
-    words, sums = seers.shape[1], np.zeros(deepest + 1)
+    words, sums = seen_by.shape[1], np.zeros(deepest + 1)
     path, until = np.zeros((deepest + 1, words), dtype=np.uint64), np.empty(deepest + 1, np.int64)
     depth, node = 0, first
     while node < last:
@@ -241,7 +243,7 @@ def _mark_unserved(points, ends, seers, chosen, shares, deepest, first, last, fo
         total = sums[depth]
         for word in range(words):
             before = path[depth, word]
-            new = seers[points[node], word] & chosen[word] & ~before
+            new = seen_by[points[node], word] & chosen[word] & ~before
             path[depth + 1, word] = before | new
             while new:
                 total += shares[word * 64 + _lowest(new)]
@@ -279,9 +281,9 @@ def _kept(points, ends, sums):
 
 
 @njit(cache=True, nogil=True)
-def _add_gains(points, ends, sums, seers, deepest, first, last, gains):
+def _add_gains(points, ends, sums, seen_by, deepest, first, last, gains):
     """Add the sums at the topmost nodes whose point a pose sees to its gain: (64 W,)."""
-    words, until = seers.shape[1], np.empty(deepest + 1, dtype=np.int64)
+    words, until = seen_by.shape[1], np.empty(deepest + 1, dtype=np.int64)
     path = np.zeros((deepest + 1, words), dtype=np.uint64)
     depth, node = 0, first
     while node < last:
@@ -293,7 +295,7 @@ def _add_gains(points, ends, sums, seers, deepest, first, last, gains):
             continue
         for word in range(words):
             before = path[depth, word]
-            new = seers[points[node], word] & ~before
+            new = seen_by[points[node], word] & ~before
             path[depth + 1, word] = before | new
             while new:
                 gains[word * 64 + _lowest(new)] += sums[node]
