@@ -360,7 +360,7 @@ def small():
     """Play few states of a thin scan."""
     from ocp_ros.training import value_states
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (('TRUE_POINTS', 3000), ('SCANS', (2000,)),
+        for name, value in (('TRUE_POINTS', 3000), ('SCAN_POINTS', (2000,)),
                             ('EPISODES', 1), ('MAPS', 2), ('CHOICES', 3), ('TURNS', 3)):
             patch.setattr(value_states, name, value)
         yield

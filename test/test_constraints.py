@@ -28,7 +28,8 @@ from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 
-ALL_MOUNTS = {**MOUNTS, 'wall at a height': {'on': 'walls', 'height': 2.0}}
+ALL_MOUNTS = {**MOUNTS, 'wall at a height': {'on': 'walls', 'height': 2.0},
+              'free': {'on': 'free', 'height': [1, 2.2]}}
 D455 = SENSORS['realsense_d455'].model
 
 

@@ -161,7 +161,7 @@ def test_every_command_in_the_documentation_can_be_read():
         cli.parser().parse_args(command)
     assert {command[0] for command in commands()} == {
         'plan', 'info', 'score', 'calibrate', 'view', 'room', 'rooms', 'train', 'evaluate',
-        'benchmark', 'replay'}
+        'benchmark', 'replay', 'studio'}
 
 
 @pytest.mark.system

@@ -43,7 +43,7 @@ def guided(graph, probe, room):
     probe.policy = graph.add(PolicyNode, planner='lookahead', manual=True, turns=3, max_step=0.5,
                              cloud_topics='points_0,points_1,points_2', cloud_timeout=HUNG)
     graph.until(lambda: probe.guide.page.targets and probe.guide.page.poses
-                and len(probe.guide.page.points))
+                and len(probe.guide.page.points) and probe.rig.target is not None)
     probe.press = probe.guide._pressed.append
     return probe
 

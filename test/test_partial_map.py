@@ -81,7 +81,7 @@ def test_a_kept_model_follows_other_rules_and_sees_as_one_made_by_them(room, mon
     kept(room.points, positions, FAST)
     np.testing.assert_array_equal(model.look(positions[0]).seen, fast.seen)
     # It does not keep what it saw without end.
-    monkeypatch.setattr(partial_map, 'MOST_VIEWS', 2)
+    monkeypatch.setattr(partial_map, 'MAX_VIEWS', 2)
     for step in range(5):
         model.look(positions[0] + 0.01 * step)
     assert len(model._views) <= 2

@@ -84,7 +84,7 @@ def robot(probe, model, room):
 
     def say(stamp, **fields):
         probe.rewards.publish(reward(stamp, **fields))
-        probe.graph.until(lambda: probe.policy._turns.told == stamp)
+        probe.graph.until(lambda: probe.policy._turns.reward_stamp == stamp)
 
     probe.start, probe.send, probe.play_turns, probe.say = start, send, play, say
     return probe

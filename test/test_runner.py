@@ -57,7 +57,7 @@ def test_a_signal_while_a_node_publishes_ends_it_with_0():
 
 INTERRUPTED = """
 import signal, sys
-from ocp_ros.ros.runtime.network import ASKED, stay_local
+from ocp_ros.ros.runtime.network import USER_VARIABLES, stay_local
 from ocp_ros.ros.runtime.node_main import run
 
 def make_node():
@@ -225,9 +225,9 @@ BOUND = """
 import os, socket, struct, sys
 from pathlib import Path
 import rclpy
-from ocp_ros.ros.runtime.network import ASKED, stay_local
+from ocp_ros.ros.runtime.network import USER_VARIABLES, stay_local
 
-for name in ASKED:
+for name in USER_VARIABLES:
     os.environ.pop(name, None)
 assert stay_local()
 rclpy.init()

@@ -24,6 +24,7 @@ import time
 from conftest import HUNG
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.report.facts import metres
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.scene_source import room_named
 import pytest
@@ -80,7 +81,7 @@ def _opened(context, url, size=DESK):
     tab.set_default_timeout(1000.0 * HUNG)
     tab.on('request', lambda request: REQUESTS.append(request.url))
     tab.goto(url)
-    tab.get_by_text(re.compile(r'^\d+\.\d+ m of')).first.wait_for()
+    tab.get_by_text(re.compile(r'^[\d.]+ m \(.* without')).first.wait_for()
     return tab
 
 
@@ -108,7 +109,7 @@ def pixel_of(client, point):
 
 def depth_error(tab):
     """Return the depth error that the page shows."""
-    return tab.get_by_text(re.compile(r'^\d+\.\d+ m of')).first.inner_text()
+    return tab.get_by_text(re.compile(r'^[\d.]+ m \(.* without')).first.inner_text()
 
 
 def show_tab(tab, name):
@@ -138,7 +139,7 @@ def test_a_camera_is_dragged_by_its_handle(opened, page):
     assert moved[:3] @ left > 0.2 and np.abs(moved[3:]).max() < 1e-3
     assert all(address.startswith((url, f'blob:{url}', 'data:')) for address in REQUESTS)
     wait_until(lambda: page._detailed)
-    assert depth_error(tab).startswith(f'{page.evaluation.worth.depth_error:.3f} m of')
+    assert depth_error(tab).startswith(metres(page.evaluation.worth.depth_error))
     pictured(tab, 'dragged')
 
 

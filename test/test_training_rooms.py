@@ -195,7 +195,7 @@ def box(width, depth, height=2.8):
 def folder(tmp_path, monkeypatch):
     """Make a small copy of the data set's folders, and a cache."""
     monkeypatch.setenv('OCP_ROS_CACHE', str(tmp_path / 'cache'))
-    monkeypatch.setattr(scene_cache, 'LARGE', 0)
+    monkeypatch.setattr(scene_cache, 'MIN_CACHED_BYTES', 0)
     rooms = {'office_2': box(6.0, 7.0), 'office_10': box(6.5, 7.0), 'WC_1': box(3.0, 3.0),
              'openspace_1': box(14.0, 12.0), 'stairs_1': box(6.0, 6.0),
              'hallway_1': box(5.0, 9.0)[box(5.0, 9.0)[:, 2] < 2.5]}
@@ -260,7 +260,7 @@ def test_what_was_read_once_is_not_read_again(folder, monkeypatch):
 
 def test_normals_are_kept_and_a_cache_that_cannot_be_written_does_not_matter(
         tmp_path, monkeypatch):
-    monkeypatch.setattr(scene_cache, 'LARGE', 0)
+    monkeypatch.setattr(scene_cache, 'MIN_CACHED_BYTES', 0)
     room = generate_room(30, 3000)
     path = tmp_path / 'a.ply'
     columns = np.hstack([room.points, room.normals_or_estimate]).astype(np.float32)

@@ -74,6 +74,11 @@ AIMED_SENSORS = tuple(name for name, sensor in SENSORS.items()
 AIMED_PITCH = float(np.deg2rad(15.0))
 #: Numbers of points of the scans that the rig observes.
 SCAN_POINTS = (8_000, 15_000, 25_000, 40_000)
+#: Number of points of the scan that gives the labels.
+TRUE_POINTS = 40_000
+#: Episodes in a room, the latest time step with a map, the maps of an episode, and the choices of
+#: cameras on a map.
+EPISODES, TURNS, MAPS, CHOICES = 3, 14, 3, 8
 
 
 def shapes_of(headings: int) -> dict[str, tuple[type, tuple[int, ...]]]:
@@ -182,7 +187,7 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     """
     rng = np.random.default_rng(task.seed)
     rotation = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
-    true = make(replace(task.rooms, points=40_000), task.room, rotation)
+    true = make(replace(task.rooms, points=TRUE_POINTS), task.room, rotation)
     scan = make(replace(task.rooms, points=int(rng.choice(SCAN_POINTS))), task.room, rotation)
     heights_m = (1.0, 2.3)
     # Half of the rooms have the range and the height of the default rig.
@@ -199,7 +204,7 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     states = _States(room, rng, task)
     # Three episodes in a room.
     probabilities = np.array([1, 2, 3, 5, 3, 3, 1, 1]) / 19.0
-    for _ in range(3):
+    for _ in range(EPISODES):
         cameras = int(rng.choice(counts, p=probabilities))
         # The step is 0.5 to 2 m.
         states.play(problem, cameras, float(rng.uniform(0.5, 2.0)), task.weights)
@@ -223,8 +228,7 @@ class _States:
     def play(self, problem: Problem, cameras: int, step: float, weights: bytes) -> None:
         """Run an episode; at some turns record a map and let the cameras choose."""
         rng, history = self._rng, LookHistory()
-        # Maps are recorded at 3 of 14 turns.
-        map_turns = np.sort(rng.choice(14, 3, replace=False))
+        map_turns = np.sort(rng.choice(TURNS, MAPS, replace=False))
         turns = int(map_turns[-1]) + 1 + int(rng.integers(6))
         simulator = problem.simulator
         simulator.config = replace(simulator.config, episode=EpisodeConfig(
@@ -285,7 +289,7 @@ class _States:
         self._places.append(((places - window.low) / window.edge).astype(np.float32))
         first = int(rng.integers(cameras))
         # One camera after the other chooses.
-        for camera in (first + np.arange(8)) % cameras:
+        for camera in (first + np.arange(CHOICES)) % cameras:
             others = np.delete(chosen, camera)
             values = self._room.values(others)
             channels, numbers = observed.others(
