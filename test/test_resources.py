@@ -61,7 +61,6 @@ def test_files_are_found_in_every_layout(tmp_path, monkeypatch, layout):
     monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
     module, share = installed(tmp_path, *LAYOUTS[layout])
     assert module.share_folder() == share
-    assert module.find_model('map') == share / 'models' / 'map.safetensors'
 
 
 def test_links_to_files_elsewhere_are_those_of_the_prefix(tmp_path, monkeypatch):
@@ -98,7 +97,7 @@ def test_a_package_that_is_not_whole_says_so(tmp_path, monkeypatch):
     module, share = installed(tmp_path, *LAYOUTS['pip --target'])
     shutil.rmtree(share)
     with pytest.raises(FileNotFoundError, match='share/ocp_ros'):
-        module.find_model('map')
+        module.share_folder()
 
 
 def test_shipped_files_are_found_from_every_folder(tmp_path, monkeypatch, capsys):
