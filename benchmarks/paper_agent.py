@@ -107,7 +107,8 @@ def against(path: Path) -> dict[str, Any]:
     found = json.loads(path.read_text())
     (compared,) = found['cameras'].values()
     return {'command': found['command'], 'over': {
-        name.replace(', ', '_'): {key: pair[key] for key in ('ratio', 'interval', 'wins', 'rooms')}
+        name.replace(', ', '_').replace(',', ''): {
+            key: pair[key] for key in ('ratio', 'interval', 'wins', 'rooms')}
         for name, pair in compared['pairs'].items() if not name.startswith('learned')}}
 
 

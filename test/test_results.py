@@ -47,8 +47,8 @@ TABLES = [
      'measure/plans/rigs/{row}/{key}',
      'plan_over_lookahead plan_over_lookahead_worst plan_over_truth expected_mean '
      'promise_coverage certificate_gap'),
-    (RESULTS, '| network', 'paper cloud', 'training/{row}/value/{key}',
-     'over_tdsa_100 over_bpso_1000 rooms_won')]
+    (RESULTS, '| compared with', 'regular_grid_100 random_100 tdsa_100 tdsa_1000 bpso_100 bpso_1000',
+     'paper_agent/test/over/{row}/{key}', 'ratio interval/0 interval/1 wins')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
     (README, 'ends with {} times the smallest known error after 5 turns of 2 m, and with {} times '
@@ -82,10 +82,13 @@ SENTENCES = [
     (RESULTS, '{} ms (median) and {} ms (99 %), with four D455 {} and {} ms',
      'nodes/value/learned_lookahead/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
-    (RESULTS, 'is {} of that at the start with the repaired network, and {} with the literal one '
-     '(at best {} and {})', 'paper_agent/rows/{key}',
-     'critics_60000_0/ratio literal_60000_0/ratio critics_60000_0/least_ratio '
-     'literal_60000_0/least_ratio'),
+    (RESULTS, 'the error at the end is {} and {} times the error at the start (two seeds; at best {} '
+     'and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
+     'critics_300000_0/least_ratio critics_300000_1/least_ratio'),
+    (RESULTS, 'gradient steps reach {} after 60,000', 'paper_agent/rows/{key}',
+     'updates_60000_0/ratio'),
+    (RESULTS, 'ends at {} (at best {})', 'paper_agent/rows/{key}',
+     'literal_60000_0/ratio literal_60000_0/least_ratio'),
     (ROBUSTNESS, '{} malformed messages among {} valid',
      'drills/fuzz/value/{key}', 'malformed_messages valid_messages'),
     (ROBUSTNESS, '{} turns, {} nodes killed, {} malformed messages',
@@ -93,10 +96,6 @@ SENTENCES = [
     (ROBUSTNESS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/value/{key}',
      'back_after_a_kill_s_median back_after_a_kill_s_most trainer_memory_growth_mb'),
     (ROBUSTNESS, '{} inputs', 'drills/inputs/value/{key}', 'inputs_tried'),
-    (RESULTS, 'for {} interactions ({} minutes',
-     'training/paper_run/value/{key}', 'interactions minutes'),
-    (RESULTS, 'was {} to {} times the error at the start',
-     'training/paper_run/value/{key}', 'lowest highest'),
     (RESULTS, 'network of `map` took {} minutes', 'training/map/value/{key}', 'minutes'),
     (RESULTS, '`map` is {} for the position of an omnidirectional camera, and {} for',
      'training/{key}/value/regret', 'map map_aimed'),
