@@ -47,7 +47,8 @@ TABLES = [
      'measure/plans/rigs/{row}/{key}',
      'plan_over_lookahead plan_over_lookahead_worst plan_over_truth expected_mean '
      'promise_coverage certificate_gap'),
-    (RESULTS, '| compared with', 'regular_grid_100 random_100 tdsa_100 tdsa_1000 bpso_100 bpso_1000',
+    (RESULTS, '| compared with',
+     'regular_grid_100 random_100 tdsa_100 tdsa_1000 bpso_100 bpso_1000',
      'paper_agent/test/over/{row}/{key}', 'ratio interval/0 interval/1 wins')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
@@ -82,8 +83,8 @@ SENTENCES = [
     (RESULTS, '{} ms (median) and {} ms (99 %), with four D455 {} and {} ms',
      'nodes/value/learned_lookahead/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
-    (RESULTS, 'the error at the end is {} and {} times the error at the start (two seeds; at best {} '
-     'and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
+    (RESULTS, 'the error at the end is {} and {} times the error at the start (two seeds; at best '
+     '{} and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
      'critics_300000_0/least_ratio critics_300000_1/least_ratio'),
     (RESULTS, 'gradient steps reach {} after 60,000', 'paper_agent/rows/{key}',
      'updates_60000_0/ratio'),
