@@ -172,7 +172,10 @@ def test_every_cheap_command_in_the_documentation_runs(command, tmp_path, monkey
     scans = () if 'make' in command else ('scans/room-8.ply', 'scans/room-9.ply')
     for name in ('room.ply', 'scan.ply', *scans):
         save_scene(room, tmp_path / name)
-    (tmp_path / 'placement.yaml').write_text(yaml_example('docs/tutorials/scan.md', 'cameras:'))
+    for folder in (tmp_path, tmp_path / 'out' / 'studio'):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / 'placement.yaml').write_text(
+            yaml_example('docs/tutorials/scan.md', 'cameras:'))
     (tmp_path / 'rig.yaml').write_text(
         'cameras:\n  - {sensor: realsense_d455, count: 2}\nmount: {on: free, height: [1, 2.4]}\n')
     monkeypatch.chdir(tmp_path)
