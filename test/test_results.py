@@ -83,8 +83,8 @@ SENTENCES = [
     (RESULTS, '{} ms (median) and {} ms (99 %), with four D455 {} and {} ms',
      'nodes/value/learned_lookahead/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
-    (RESULTS, '{} ms (median) with four cameras and {} points, and {} ms with eight cameras and {} '
-     'points', 'studio/sizes/{key}', '0/event_to_colours_ms/p50 0/points '
+    (RESULTS, '{} ms (median) with four cameras and {} points, and {} ms with eight cameras and '
+     '{} points', 'studio/sizes/{key}', '0/event_to_colours_ms/p50 0/points '
      '1/event_to_colours_ms/p50 1/points'),
     (RESULTS, 'the error at the end is {} and {} times the error at the start (two seeds; at best '
      '{} and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
