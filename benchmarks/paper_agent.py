@@ -40,8 +40,9 @@ from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import from_nested
 from ocp_ros.util.yaml_files import read_plain
 
-#: What all rungs begin with, and what each adds to the one before.
-BASE = Path('config/train/paper.yaml')
+#: Settings of the first rung and of all others, which have the repaired network.
+LITERAL, REPAIRED = Path('config/train/paper.yaml'), Path('config/train/paper_repaired.yaml')
+#: What all rungs have in common, and what each adds to the one before.
 COMMON: dict[str, Any] = {
     'interactions': 60_000, 'environments': 4, 'evaluate_every': 10_000,
     'simulation': {'engine': {'preset': 'fast', 'error_rows': 64, 'coverage_cell': 0.5,
@@ -50,10 +51,7 @@ COMMON: dict[str, Any] = {
     'sac': {'buffer_size': 60_000, 'device': 'cpu'}}
 RUNGS: dict[str, dict[str, Any]] = {
     'literal': {},
-    'critics': {'agent': {'inputs': 'cloud', 'points': 256, 'keys_1': 32, 'group_1': 16,
-                          'radius_1': 1.5, 'keys_2': 8, 'group_2': 8, 'radius_2': 3.0,
-                          'pooled': 128},
-                'sac': {'augmentation': 'none', 'bfloat16': True}},
+    'critics': {},
     'updates': {'updates_per_turn': 0.25,
                 'sac': {'batch_size': 128, 'gamma': 0.95, 'n_steps': 3, 'tau': 0.01,
                         'learning_rate': 5e-4}},
@@ -72,7 +70,7 @@ def merged(settings: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
 def config_of(rung: str, seed: int, interactions: int, demonstrations: int = 0
               ) -> TrainingConfig:
     """Return the settings of a rung: those of all rungs up to it."""
-    nested = merged(read_plain(BASE).data, COMMON)
+    nested = merged(read_plain(LITERAL if rung == 'literal' else REPAIRED).data, COMMON)
     nested['simulation']['reward'] = COMMON['simulation']['reward']
     for name, more in RUNGS.items():
         nested = merged(nested, more)

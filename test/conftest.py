@@ -366,6 +366,14 @@ def small():
         yield
 
 
+def wait_until(holds):
+    """Wait for a condition that another thread fulfils."""
+    end = time.monotonic() + HUNG
+    while not holds():
+        assert time.monotonic() < end, 'nothing happened within the time limit'
+        time.sleep(0.02)
+
+
 def run_python(code, *arguments, **variables):
     """Run code in a process of its own that imports this checkout; return how it ended."""
     return subprocess.run(

@@ -148,7 +148,7 @@ def manager(graph, probe):
 
 
 def hears(manager, topic, times=3):
-    """Wait until so many more messages have come."""
+    """Wait until this number of further messages has come."""
     count = len(manager.received[topic])
     manager.graph.until(lambda: len(manager.received[topic]) >= count + times)
 

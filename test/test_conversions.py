@@ -330,7 +330,7 @@ def test_a_simulation_outlives_lies(graph, fuzzer):
 
 def test_a_cloud_of_millions_of_points_is_answered(graph, fuzzer, probe):
     graph.add(partial(PolicyNode, namespace='turns'), planner='learned', model=fuzzer.model)
-    # Somebody hears experiences, without a trainer.
+    # Experiences have a subscriber, but there is no trainer.
     probe.listen(UInt8MultiArray, f'/turns/{topics.EXPERIENCE}', 10)
     target = PolicyTarget(fuzzer, '/turns')
     assert target.ping(np.tile(fuzzer._cloud, (3400, 1))) > 0.0

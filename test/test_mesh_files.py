@@ -227,7 +227,7 @@ def test_a_room_from_a_tape_measure_has_its_measures(tmp_path):
     assert ceiling_of(scene).points[:, 2].mean() == pytest.approx(SIZE[2], abs=0.005)
     points = scene.points
     for low, high in (((1.02, 0, 0.02), (1.88, 0, 2.08)), ((6, 2.02, 0.92), (6, 3.48, 2.08)),
-                      # Nobody sees what the box stands on, nor what is in it.
+                      # No camera sees what the box stands on, nor what is in it.
                       ((2.02, 1.02, 0), (3.98, 1.98, 0.73))):
         assert not within(points, low, high).any()
     top = within(points, (2, 1, 0.745), (4, 2, 0.755))

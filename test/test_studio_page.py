@@ -19,9 +19,8 @@ from functools import partial
 import os
 from pathlib import Path
 import re
-import time
 
-from conftest import HUNG
+from conftest import HUNG, wait_until
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.report.facts import metres
@@ -86,17 +85,9 @@ def _opened(context, url, size=DESK):
 
 
 def pictured(tab, name):
-    """Write a picture of the page where somebody wants it."""
+    """Write a picture of the page if a folder for pictures is set."""
     if PICTURES:
         tab.screenshot(path=Path(PICTURES, f'{name}.png'))
-
-
-def wait_until(holds):
-    """Wait for a condition."""
-    end = time.monotonic() + HUNG
-    while not holds():
-        assert time.monotonic() < end
-        time.sleep(0.05)
 
 
 def pixel_of(client, point):

@@ -17,10 +17,9 @@
 import http.client
 from pathlib import Path
 import socket
-import time
 from urllib.parse import urlsplit
 
-from conftest import HUNG
+from conftest import HUNG, wait_until
 import numpy as np
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room
@@ -245,10 +244,7 @@ def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):
 
         def press(handle, value, holds):
             client.send('GuiUpdateMessage', uuid=handle._impl.uuid, updates={'value': value})
-            end = time.monotonic() + HUNG
-            while not holds():
-                assert time.monotonic() < end
-                time.sleep(0.02)
+            wait_until(holds)
 
         press(panel.edit, 'Add', lambda: len(studio.state.poses) == 3)
         press(panel.edit, 'Copy', lambda: len(studio.state.poses) == 4)

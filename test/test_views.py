@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""What RViz and Foxglove are shown, and frames on /tf; nothing is made that nobody sees."""
+"""What RViz and Foxglove are shown, and frames on /tf; nothing is made without a subscriber."""
 
 import json
 

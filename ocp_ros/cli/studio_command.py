@@ -17,7 +17,7 @@
 import argparse
 from pathlib import Path
 
-from ocp_ros.cli.arguments import add_points, add_reading, room_asked
+from ocp_ros.cli.arguments import add_points, add_reading, room_and_placement, room_asked, whole
 from ocp_ros.cli.common import command_of, Commands, Found, LOOK
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
@@ -41,23 +41,15 @@ def add_arguments(commands: Commands) -> None:
     studio.add_argument('--host', default='127.0.0.1',
                         help='address to listen on; default: 127.0.0.1, which only this machine '
                              'reaches; any other gets a random token in the URL')
-    studio.add_argument('--port', type=port, default=8080,
+    studio.add_argument('--port', type=whole(0, 65535, 'a number'), default=8080,
                         help='port, or the first one to try; 0: any free one; default: 8080')
     add_points(studio)
     add_reading(studio)
     studio.set_defaults(run=run, show=lambda found: None)
 
 
-def port(text: str) -> int:
-    """Read a port."""
-    if not text.isdecimal() or len(text) > 5 or int(text) > 65535:
-        raise argparse.ArgumentTypeError(f'found {text!r}; expected a number from 0 to 65535')
-    return int(text)
-
-
 def run(arguments: argparse.Namespace) -> Found:
     """Serve the page until Ctrl-C."""
-    from ocp_ros.rig.placement_file import load_placement
     from ocp_ros.rig.rig_file import load_rig, rig_of
     try:
         from ocp_ros.studio.page import Page
@@ -69,14 +61,15 @@ def run(arguments: argparse.Namespace) -> Found:
                                  'pip install "ocp_ros[studio]"') from error
     from ocp_ros.studio.folder import Folder
     from ocp_ros.studio.model import Studio
-    rig = load_rig(arguments.rig) if arguments.rig else None
-    placement = load_placement(arguments.placement, rig) if arguments.placement else None
-    scene, room = room_asked(arguments, placement.room if placement else {})
-    if placement is not None:
-        rig = placement.rig_in(scene)
-    studio = Studio(scene, room, rig or rig_of(CAMERAS, SENSOR, mount={'on': MOUNT}),
-                    placement and placement.poses, placement and placement.engine,
-                    command_of(arguments.argv))
+    poses = engine = None
+    if arguments.placement:
+        scene, placement, room = room_and_placement(arguments)
+        rig, poses, engine = placement.rig_in(scene), placement.poses, placement.engine
+    else:
+        rig = load_rig(arguments.rig) if arguments.rig else rig_of(
+            CAMERAS, SENSOR, mount={'on': MOUNT})
+        scene, room = room_asked(arguments, {})
+    studio = Studio(scene, room, rig, poses, engine, command_of(arguments.argv))
     folder = Folder(arguments.out)
     server, url = start_server(arguments.host, arguments.port)
     page = Page(server, studio, folder)

@@ -148,6 +148,19 @@ def rotation_matrix(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> 
         [-sp, cp * sr, cp * cr]])
 
 
+def pose_features(poses: np.ndarray, metres_per_radian: float) -> np.ndarray:
+    """
+    Return vectors whose distance is small for poses with similar views.
+
+    :param poses: (M, 6) metres and radians.
+    :param metres_per_radian: distance for which a small rotation of the viewing direction counts.
+    :returns: (M, 6): positions and scaled viewing directions.
+    """
+    yaw, pitch = poses[:, 3], poses[:, 4]
+    ahead = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)])
+    return np.hstack([poses[:, :3], metres_per_radian * ahead.T])
+
+
 def heading_of(rotation: np.ndarray) -> np.ndarray:
     """
     Return yaw, pitch and roll of a rotation, the inverse of :func:`rotation_matrix`.

@@ -15,9 +15,10 @@
 """Candidate poses from which :mod:`ocp_ros.online.lookahead` chooses a placement."""
 
 from collections.abc import Sequence
+from itertools import chain
 
 import numpy as np
-from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.cameras import pose_features
 from ocp_ros.geometry.depth_error import lost_depth, unsettled
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.online.partial_map import PartialMap
@@ -134,11 +135,11 @@ class Candidates:
         for kind, camera in enumerate(firsts):
             headings, lens = rig_state.headings(camera, YAWS, PITCHES), rig_state.lenses[camera]
             groups += [(kind, place, headings, lens) for place in places]
-        views = sum(mapped(lambda group: model.look_many(*group[1:]), groups), [])
-        self.poses = np.vstack([np.insert(headings, [0], place, axis=1)
-                                for _, place, headings, _ in groups])
-        kinds = np.repeat([kind for kind, *_ in groups],
-                          [len(headings) for _, _, headings, _ in groups])
+        views = list(chain(*mapped(lambda group: model.look_many(*group[1:]), groups)))
+        kinds, positions, headings, _ = zip(*groups)
+        counts = [len(some) for some in headings]
+        self.poses = np.hstack([np.repeat(positions, counts, axis=0), np.vstack(headings)])
+        kinds = np.repeat(kinds, counts)
         self.of_kind = [np.flatnonzero(kinds == kind) for kind in range(len(firsts))]
         always = model.together(fixed_views(model, rig_state))
         self._seen = np.array([view.seen for view in views]) | always.seen
@@ -150,8 +151,7 @@ class Candidates:
 
     def _neighbours(self, own: np.ndarray) -> np.ndarray:
         """List the most similar other candidates of the same kind for each one of a kind."""
-        forward = np.array([rotation_matrix(*row[3:])[:, 0] for row in self.poses[own]])
-        tree = cKDTree(np.hstack([self.poses[own, :3], METRES_PER_RADIAN * forward]))
+        tree = cKDTree(pose_features(self.poses[own], METRES_PER_RADIAN))
         _, near = tree.query(tree.data, np.arange(2, min(NEIGHBOURS + 1, len(own)) + 1))
         return own[near]
 

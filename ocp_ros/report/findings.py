@@ -90,11 +90,16 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
 
     :param views: views of the placed cameras.
     """
+    return {**rig_scores(objective, views, objective.judge(views)),
+            **camera_scores(objective, views)}
+
+
+def camera_scores(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
+    """Return the scores of :func:`scores_of` that are about single cameras and their pairs."""
     added = zip(objective.rig.all_cameras, objective.contributions(views))
-    return {
-        **rig_scores(objective, views, objective.judge(views)), **_links_of(objective, views),
-        'cameras': [{'name': camera.name, 'depth_error': gain.depth_error, 'only': gain.only}
-                    for camera, gain in added]}
+    return {**_links_of(objective, views), 'cameras': [
+        {'name': camera.name, 'depth_error': gain.depth_error, 'only': gain.only}
+        for camera, gain in added]}
 
 
 def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvaluation

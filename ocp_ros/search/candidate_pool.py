@@ -21,7 +21,7 @@ import os
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.cameras import CameraModel, pose_features
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.placement_file import as_written
@@ -80,22 +80,8 @@ class CandidateSet(NamedTuple):
     def near(self, pose: np.ndarray, count: int) -> np.ndarray:
         """Return the numbers of the ``count`` poses with the most similar position and heading."""
         count = min(count, len(self.poses))
-        here, ranks = features_of(pose[None])[0], np.arange(1, count + 1)
+        here, ranks = pose_features(pose[None], METRES_PER_RADIAN)[0], np.arange(1, count + 1)
         return np.atleast_1d(self.tree.query(here, ranks)[1])
-
-
-def features_of(poses: np.ndarray) -> np.ndarray:
-    """
-    Return vectors whose distance is small for poses with similar views.
-
-    :param poses: (M, 3) or (M, 6) metres, map frame, and radians.
-    :returns: positions (M, 3), or positions and viewing directions (M, 6).
-    """
-    if poses.shape[1] == 3:
-        return poses
-    yaw, pitch = poses[:, 3], poses[:, 4]
-    ahead = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)])
-    return np.hstack([poses[:, :3], METRES_PER_RADIAN * ahead.T])
 
 
 def _offered(allowed: FeasibleRegion, model: CameraModel, most: int) -> np.ndarray:
@@ -164,7 +150,8 @@ class Pool:
             poses, views = poses[order[known]], [views[k] for k in known]
             if not any(view.seen.any() for view in views):
                 raise _sees_nothing(problem, camera, len(views))
-            self._kinds[model] = CandidateSet(poses, views, cKDTree(features_of(poses)))
+            self._kinds[model] = CandidateSet(
+                poses, views, cKDTree(pose_features(poses, METRES_PER_RADIAN)))
 
     def __len__(self) -> int:
         """Return the number of candidates of all models together."""

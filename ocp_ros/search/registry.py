@@ -181,21 +181,21 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
 
 def _load_plugins() -> None:
     """Register the planners of installed packages; skip a broken planner with a warning."""
-    told = [name for name in os.environ.get(WARNED_VARIABLE, '').split(',') if name]
+    warned = [name for name in os.environ.get(WARNED_VARIABLE, '').split(',') if name]
     for entry in entry_points(group=GROUP):
         try:
             register_planner(entry.name, entry.load())
         except (Exception, SystemExit) as error:  # Another package may raise any error.
             # Workers load them too and inherit the variable, so the warning is given once.
-            if entry.name not in told:
+            if entry.name not in warned:
                 reason = printable(f'{type(error).__name__}: {error}')[:300]
                 _log.warning(
                     'planner %s: found the entry point %s of %s, which cannot be used (%s); going '
                     'on without it; mend or remove that package', printable(entry.name),
                     printable(entry.value), entry.dist.name if entry.dist else 'a package', reason)
-            told.append(entry.name)
-    if told:
-        os.environ[WARNED_VARIABLE] = ','.join(told)
+            warned.append(entry.name)
+    if warned:
+        os.environ[WARNED_VARIABLE] = ','.join(warned)
 
 
 _load_plugins()

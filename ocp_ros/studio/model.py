@@ -24,7 +24,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, heading_of, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.geometry.packed_bits import unpack
-from ocp_ros.report.findings import broken_by, expected, rig_scores, scores_of
+from ocp_ros.report.findings import broken_by, camera_scores, expected, rig_scores
 from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.motion import nearest_place
 from ocp_ros.rig.placement_file import as_written, created_by, Placement, placement_of
@@ -89,12 +89,16 @@ class Evaluation:
     @cached_property
     def scores(self) -> dict[str, Any]:
         """Return the scores as ``ocp score`` prints them."""
-        return scores_of(self.objective, self.views)
+        return {**self.rig_scores, **camera_scores(self.objective, self.views)}
 
     @cached_property
     def misplaced(self) -> list[str]:
         """Return a sentence for each constraint that the pose of a camera violates."""
         return self.problem.region.broken(self.state.poses)
+
+    def is_misplaced(self, name: str) -> bool:
+        """Return whether the pose of a camera violates a constraint."""
+        return any(line.startswith(f'{name}: ') for line in self.misplaced)
 
     @cached_property
     def broken(self) -> list[str]:

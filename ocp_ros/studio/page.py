@@ -65,10 +65,11 @@ class Page:
         self._drags: dict[str, tuple[np.ndarray, np.ndarray, object]] = {}
         self._gestures = 0
         self._over = self._detailed = False
-        scene, points = studio.scene, studio.scene.points[studio.order]
+        scene = studio.scene
+        self._points = scene.points[studio.order]
         self._spacing = float(np.median(scene.spacing))
         self._normals = scene.normals_or_estimate[studio.order]
-        self.cloud = Cloud(server.scene, '/room', points, self._normals, self._spacing)
+        self.cloud = Cloud(server.scene, '/room', self._points, self._normals, self._spacing)
         self._other: list[Cloud | CameraNode] = []
         self._cameras: dict[str, tuple[tuple[Any, ...], CameraNode]] = {}
         self._zones: dict[str, tuple[tuple[Any, ...], ZoneNode]] = {}
@@ -177,19 +178,18 @@ class Page:
 
     def _show(self) -> None:
         """Show the present placement: colours first, since people wait for them."""
+        self._detailed = False
         evaluation = self.evaluation
         if evaluation is not self._shown:
             fresh = self._shown is None or evaluation.state.rig is not self._shown.state.rig or (
                 evaluation.state.locked != self._shown.state.locked)
-            self._shown, self._detailed = evaluation, False
+            self._shown = evaluation
             self.paint()
             self.server.flush()
-            misplaced = evaluation.misplaced
-            self.panel.show_summary(evaluation, misplaced)
-            self._mark(misplaced)
+            self.panel.show_summary(evaluation)
+            self._mark(evaluation)
             if fresh:
                 self._show_rig(evaluation.state)
-        self._detailed = False
 
     def paint(self) -> None:
         """Colour the points."""
@@ -255,20 +255,19 @@ class Page:
             if name in self._cameras:
                 self._cameras[name][1].place(pose)
 
-    def _mark(self, misplaced: list[str]) -> None:
+    def _mark(self, evaluation: Evaluation) -> None:
         """Draw cameras that violate a constraint in another colour."""
         for number, name in enumerate(self.studio.state.names):
             if name in self._cameras:
-                broken = any(line.startswith(f'{name}: ') for line in misplaced)
-                self._cameras[name][1].colour(rgb(MISSED) if broken else camera_rgb(number))
+                self._cameras[name][1].colour(
+                    rgb(MISSED) if evaluation.is_misplaced(name) else camera_rgb(number))
 
     def _show_nearest(self, evaluation: Evaluation, camera: int) -> None:
         """Show the nearest allowed pose of the selected camera if its own is not allowed."""
         if self._ghost is not None:
             self._ghost.remove()
             self._ghost = None
-        name = evaluation.state.names[camera]
-        broken = any(line.startswith(f'{name}: ') for line in evaluation.misplaced)
+        broken = evaluation.is_misplaced(evaluation.state.names[camera])
         near = self.studio.nearest_allowed(evaluation, camera) if broken else None
         self.panel.show_nearest(near, broken)
         if near is not None:
@@ -312,9 +311,8 @@ class Page:
         if kept is None:
             return
         shift = np.array([-self.studio.scene.size[0] - APART, 0.0, 0.0])
-        cloud = Cloud(self.server.scene, '/kept/room',
-                      self.studio.scene.points[self.studio.order], self._normals, self._spacing,
-                      shift)
+        cloud = Cloud(self.server.scene, '/kept/room', self._points, self._normals,
+                      self._spacing, shift)
         cloud.cut(self.panel.cut.value)
         cloud.paint(colours_of(kept, self.panel.paint, 0))
         self._other = [cloud]

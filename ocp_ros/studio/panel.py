@@ -205,9 +205,9 @@ class Panel:
             self.camera.value = name
         self.page.paint()
 
-    def show_summary(self, evaluation: Evaluation, misplaced: list[str]) -> None:
+    def show_summary(self, evaluation: Evaluation) -> None:
         """Show the most important figures."""
-        self.summary.content = texts.summary(evaluation, misplaced)
+        self.summary.content = texts.summary(evaluation)
 
     def show_details(self, evaluation: Evaluation, camera: int, certificate: Certificate | None,
                      kept: Evaluation | None) -> None:

@@ -97,10 +97,11 @@ def regions_of(evaluation: Evaluation) -> str:
     return table(rows, REGION_COLUMNS) if rows else ''
 
 
-def summary(evaluation: Evaluation, misplaced: Sequence[str]) -> str:
+def summary(evaluation: Evaluation) -> str:
     """Return the most important figures, and the constraints that poses violate."""
     error, _, seen, *_ = figures_of(evaluation)
-    return _boxed(table([error, seen]) + regions_of(evaluation) + _sentences(misplaced))
+    return _boxed(table([error, seen]) + regions_of(evaluation)
+                  + _sentences(evaluation.misplaced))
 
 
 def numbers(evaluation: Evaluation, certificate: Certificate | None,

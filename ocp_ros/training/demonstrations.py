@@ -18,6 +18,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from ocp_ros.online.online_planner import matched
+from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.search.greedy import GreedySwap
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
@@ -54,8 +55,8 @@ class Demonstrator:
         if self._plans[number][0] is not episode:
             self._plans[number] = episode, self._targets(episode)
         target = self._plans[number][1][env.camera]
-        move = (target - env.encoded.positions[env.camera, :2]) / episode.config.max_step
-        return move / max(np.linalg.norm(move), 1.0)
+        way = target - env.encoded.positions[env.camera, :2]
+        return bounded_moves(way / episode.config.max_step, 1.0)[0]
 
     def _targets(self, episode: Episode) -> np.ndarray:
         """Return where each camera of an episode goes: (K, 2) metres."""

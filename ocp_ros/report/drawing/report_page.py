@@ -87,20 +87,20 @@ def draw(folder: Path, assessed: Assessment) -> Iterator[Path]:
 def figures_of_pages(assessed: Assessment) -> Iterator[Figure]:
     """Draw the pages: pictures with the table; a long table has its own page."""
     with all_letters():
-        pages = [_pictures(assessed)]
+        facts = page_facts_of(assessed)
+        pages = [_pictures(assessed, facts)]
         if len(assessed.placement.cameras) > MOST_ROWS:
-            pages.append(_table_page(assessed))
+            pages.append(_table_page(assessed, facts))
     yield from pages
 
 
-def _pictures(assessed: Assessment) -> Figure:
+def _pictures(assessed: Assessment, facts: PageFacts) -> Figure:
     """Draw the page with the pictures."""
-    facts = page_facts_of(assessed)
     figure = _page(facts)
     room = assessment_pictures.room_for(assessed)
     _draw_head(figure, facts)
     many = len(assessed.placement.cameras) > MOST_ROWS
-    top = TABLE_BOTTOM if many else _draw_cameras(figure, assessed)
+    top = TABLE_BOTTOM if many else _draw_cameras(figure, assessed, facts)
     bottom = top + 0.58
     slots = _slots(assessed, bottom, 6.52 - bottom)
     assessment_pictures.draw_room_plan(_titled(figure, slots.plan, 'Plan (m)'), room, assessed)
@@ -119,11 +119,11 @@ def _pictures(assessed: Assessment) -> Figure:
     return figure
 
 
-def _table_page(assessed: Assessment) -> Figure:
+def _table_page(assessed: Assessment, facts: PageFacts) -> Figure:
     """Draw the page with the table of many cameras."""
-    figure = _page(page_facts_of(assessed))
+    figure = _page(facts)
     rows = len(assessed.placement.cameras) + 1
-    _draw_cameras(figure, assessed, min(ROW, (7.4 - TABLE_BOTTOM) / rows))
+    _draw_cameras(figure, assessed, facts, min(ROW, (7.4 - TABLE_BOTTOM) / rows))
     return figure
 
 
@@ -248,7 +248,8 @@ def _draw_legend(figure: Figure, y: float, assessed: Assessment) -> None:
                   bbox_to_anchor=(0.5, y / PAGE_HEIGHT), borderpad=0.0, borderaxespad=0.0)
 
 
-def _draw_cameras(figure: Figure, assessed: Assessment, step: float | None = None) -> float:
+def _draw_cameras(figure: Figure, assessed: Assessment, facts: PageFacts,
+                  step: float | None = None) -> float:
     """
     Draw the installer's table at the foot of a page.
 
@@ -257,7 +258,7 @@ def _draw_cameras(figure: Figure, assessed: Assessment, step: float | None = Non
     """
     rows = [['', 'camera', 'sensor', 'place', 'above floor', 'pan', 'tilt', 'x, y, z (m)',
              'error reduction']]
-    for row, camera in zip(assessed.rows, page_facts_of(assessed).cameras):
+    for row, camera in zip(assessed.rows, facts.cameras):
         number, name, sensor, place, height, *turns_and_coordinates = row
         rows.append([number, name, '' if name.startswith(sensor) else sensor, place,
                      height.replace(' above the floor', ''), *turns_and_coordinates,
