@@ -23,6 +23,7 @@ from conftest import ROOT
 import pytest
 
 README, RESULTS = 'README.md', 'docs/results.md'
+MODELS = 'docs/reference/models.md'
 ROBUSTNESS, SECURITY = 'docs/reference/robustness.md', 'docs/explanation/security.md'
 NUMBER = r'(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?'
 
@@ -47,7 +48,7 @@ TABLES = [
      'measure/plans/rigs/{row}/{key}',
      'plan_over_lookahead plan_over_lookahead_worst plan_over_truth expected_mean '
      'promise_coverage certificate_gap'),
-    (RESULTS, '| compared with',
+    (MODELS, '| compared with',
      'regular_grid_100 random_100 tdsa_100 tdsa_1000 bpso_100 bpso_1000',
      'paper_agent/test/over/{row}/{key}', 'ratio interval/0 interval/1 wins')]
 #: Numbers in sentences: page, words around them, and where they are.
@@ -86,12 +87,12 @@ SENTENCES = [
     (RESULTS, '{} ms (median) with four cameras and {} points, and {} ms with eight cameras and '
      '{} points', 'studio/sizes/{key}', '0/event_to_colours_ms/p50 0/points '
      '1/event_to_colours_ms/p50 1/points'),
-    (RESULTS, 'the error at the end is {} and {} times the error at the start (two seeds; at best '
+    (MODELS, 'the error at the end is {} and {} times the error at the start (two seeds; at best '
      '{} and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
      'critics_300000_0/least_ratio critics_300000_1/least_ratio'),
-    (RESULTS, 'gradient steps reach {} after 60,000', 'paper_agent/rows/{key}',
+    (MODELS, 'gradient steps reach {} after 60,000', 'paper_agent/rows/{key}',
      'updates_60000_0/ratio'),
-    (RESULTS, 'ends at {} (at best {})', 'paper_agent/rows/{key}',
+    (MODELS, 'ends at {} (at best {})', 'paper_agent/rows/{key}',
      'literal_60000_0/ratio literal_60000_0/least_ratio'),
     (ROBUSTNESS, '{} malformed messages among {} valid',
      'drills/fuzz/value/{key}', 'malformed_messages valid_messages'),
