@@ -29,6 +29,7 @@ from ocp_ros.training.training_config import SacConfig
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 
 class AgentSac(SAC):
@@ -53,7 +54,23 @@ class AgentSac(SAC):
         self.own_updates, self.imitation_loss = 0, None
         #: Chooses the actions of the first interactions; None for no demonstrations.
         self.demonstrator: Callable[[], np.ndarray] | None = None
+        #: Moving average of the actor over gradient steps; None if the actor itself is evaluated.
+        self.averaged: AveragedModel | None = None
         super().__init__(*args, **kwargs)
+
+    def _setup_model(self) -> None:
+        """Build the networks, and the moving average of the actor if there shall be one."""
+        super()._setup_model()
+        if self.config.averaging:
+            self.averaged = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(
+                self.config.averaging))
+
+    @property
+    def evaluated_actor(self) -> Any:
+        """Return the moving average of the actor; before any gradient step the actor itself."""
+        if self.averaged is None or not self.averaged.n_averaged:
+            return self.actor
+        return self.averaged.module
 
     def _sample_action(self, learning_starts, action_noise=None, n_envs=1):
         """Draw actions: of a demonstrator first, of an untrained actor at random."""
@@ -74,6 +91,8 @@ class AgentSac(SAC):
         """Take gradient steps of SAC, and one on the imitation loss."""
         super().train(gradient_steps, batch_size)
         self.own_updates += gradient_steps
+        if self.averaged is not None:
+            self.averaged.update_parameters(self.actor)
         share = 1.0 - (self.own_updates - self.config.burn_in) / self.config.imitation_fades
         if self.imitation_loss is None or self.own_updates < self.config.burn_in or share <= 0.0:
             return
@@ -135,10 +154,9 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
     return model
 
 
-def _actor_parts(model: AgentSac) -> dict[str, torch.nn.Module]:
-    """Return the parts of SAC's actor by the prefix of their weights in a checkpoint."""
-    actor = model.policy.actor
-    if model.agent.map:
+def _parts_of(actor: Any, agent: AgentConfig) -> dict[str, torch.nn.Module]:
+    """Return the parts of an actor of SAC by the prefix of their weights in a checkpoint."""
+    if agent.map:
         return {'': actor.network}
     return {'extractor.': actor.features_extractor.extractor, 'latent_pi.': actor.latent_pi,
             'mu.': actor.mu, 'log_std.': actor.log_std}
@@ -146,14 +164,14 @@ def _actor_parts(model: AgentSac) -> dict[str, torch.nn.Module]:
 
 def actor_checkpoint(model: AgentSac, run: str, provenance: dict[str, Any]) -> Checkpoint:
     """
-    Return the actor of SAC as a checkpoint.
+    Return the actor of SAC, or its moving average if there is one, as a checkpoint.
 
     :param model: from :func:`make_sac`.
     :param run: identity of the training run.
     :param provenance: how it was trained.
     """
     weights = {f'{part}{name}': value.detach().cpu().clone()
-               for part, module in _actor_parts(model).items()
+               for part, module in _parts_of(model.evaluated_actor, model.agent).items()
                for name, value in module.state_dict().items()}
     return Checkpoint(model.agent, weights, int(model._n_updates), run, provenance)
 
@@ -177,7 +195,7 @@ def load_actor(model: AgentSac, checkpoint: Checkpoint) -> None:
         model.imitation_loss = lambda size: near.loss_of(
             model.actor, model.replay_buffer.sample(size).observations)
         return
-    for part, module in _actor_parts(model).items():
+    for part, module in _parts_of(model.actor, model.agent).items():
         module.load_state_dict({name.removeprefix(part): value
                                 for name, value in checkpoint.weights.items()
                                 if name.startswith(part)})

@@ -24,11 +24,11 @@ import uuid
 
 import numpy as np
 from ocp_ros.policy.checkpoint import CheckpointError, MAX_WEIGHT, read_metadata
+from ocp_ros.training.sac import AgentSac
 from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
 from safetensors import SafetensorError
 import safetensors.numpy
 import safetensors.torch
-from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
@@ -37,15 +37,17 @@ FILLED = 'filled'
 COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
 
 
-def _optimizers(model: SAC) -> dict[str, torch.optim.Optimizer]:
+def _optimizers(model: AgentSac) -> dict[str, torch.optim.Optimizer]:
     """Return SAC's three optimisers by name."""
     return {'actor': model.actor.optimizer, 'critic': model.critic.optimizer,
             'entropy': model.ent_coef_optimizer}
 
 
-def _networks(model: SAC) -> dict[str, torch.Tensor]:
+def _networks(model: AgentSac) -> dict[str, torch.Tensor]:
     """Return all tensors that are saved, except for those of the optimisers."""
+    averaged = {} if model.averaged is None else model.averaged.state_dict()
     return {**{f'policy.{name}': value for name, value in model.policy.state_dict().items()},
+            **{f'averaged.{name}': value for name, value in averaged.items()},
             'log_ent_coef': model.log_ent_coef.detach(),
             **{f'counter.{name}': torch.tensor(getattr(model, name)) for name in COUNTERS}}
 
@@ -71,7 +73,7 @@ def new_run() -> str:
     return uuid.uuid4().hex[:12]
 
 
-def save_state(model: SAC, path: Path, run: str) -> None:
+def save_state(model: AgentSac, path: Path, run: str) -> None:
     """
     Write networks, optimisers, entropy coefficient and counters; the file is whole or absent.
 
@@ -88,7 +90,7 @@ def save_state(model: SAC, path: Path, run: str) -> None:
     write_atomically(path, safetensors.torch.save(tensors, metadata={'run': run}))
 
 
-def load_state(model: SAC, path: Path) -> str:
+def load_state(model: AgentSac, path: Path) -> str:
     """
     Load a saved state into a model that was built with the same settings.
 
@@ -113,6 +115,10 @@ def load_state(model: SAC, path: Path) -> str:
     model.policy.load_state_dict(
         {name.removeprefix('policy.'): value for name, value in tensors.items()
          if name.startswith('policy.')})
+    if model.averaged is not None:
+        model.averaged.load_state_dict(
+            {name.removeprefix('averaged.'): value for name, value in tensors.items()
+             if name.startswith('averaged.')})
     model.log_ent_coef.data.copy_(tensors['log_ent_coef'])
     for name in COUNTERS:
         setattr(model, name, int(tensors[f'counter.{name}']))
@@ -123,7 +129,7 @@ def load_state(model: SAC, path: Path) -> str:
     return run
 
 
-def _slots(model: SAC, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def _slots(model: AgentSac, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Return tensors with the expected shapes of Adam's state, for parameters that have one."""
     slots = {}
     for name, optimizer in _optimizers(model).items():
@@ -155,7 +161,7 @@ def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) 
                              f'{expected[name].dtype} {tuple(expected[name].shape)}')
         low = 0.0 if name.endswith(('.exp_avg_sq', '.step')) or 'counter.' in name else -torch.inf
         # Counters and numbers of an optimiser are smaller.
-        most = MAX_WEIGHT if name.startswith('policy.') else (1 << 40)
+        most = MAX_WEIGHT if name.startswith(('policy.', 'averaged.module.')) else (1 << 40)
         if not ((tensor >= low) & (tensor.abs() <= most)).all():
             raise ValueError(f'{name} has numbers that no training ends with')
 
