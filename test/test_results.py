@@ -56,19 +56,19 @@ SENTENCES = [
     (README, 'ends with {} times the smallest known error after 5 turns of 2 m, and with {} times '
      'after 30 turns', 'few_turns_test/summary/{key}/learned_lookahead/ratio_to_best',
      '5x2 30x0.5'),
-    (README, 'F1 score of {} in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
+    (README, 'F1 score against ray casting is {}, in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
     (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
      'engine/fused_f1/{key}.100000', 'fine paper mesh'),
     (RESULTS, 'the integral is {}. When the scan is turned by 17 or 45 degrees, the objective '
-     'value changes by a share of {} at most', 'measure/viewpoints/air/{key}',
+     'value changes by at most {} of its value', 'measure/viewpoints/air/{key}',
      'rank_correlation turned_objective_change_worst'),
-    (RESULTS, 'delivers {} times the error of a plan in the scan as it was (geometric mean; {} at '
-     'worst)', 'measure/{key}', 'turned_delivered_ratio turned_delivered_ratio_worst'),
+    (RESULTS, 'in a turned scan is {} times that of a plan in the original scan (geometric mean; {} '
+     'at worst)', 'measure/{key}', 'turned_delivered_ratio turned_delivered_ratio_worst'),
     (RESULTS, 'it delivers {}, {} and {} times', 'measure/stray_delivered_ratio/{key}',
      '0.002 0.01 0.05'),
     (RESULTS, 'is {} of the delivered one, and {} and {} in scans',
      'measure/promise_over_delivered/{key}', 'turned_0 turned_17 turned_45'),
-    (RESULTS, 'the interval holds in {} of the {} plans', 'measure/plans/scans/{key}',
+    (RESULTS, 'the interval holds in a share of {} of the {} plans', 'measure/plans/scans/{key}',
      'promise_coverage plans'),
     (RESULTS, 'evaluates {} placements', 'engine/{key}', 'evaluations_per_s'),
     (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. `lookahead` without a scan delivers {} m',
@@ -81,7 +81,7 @@ SENTENCES = [
      '8x2/lookahead/wins 8x2/lookahead/p 30x0.5/lookahead/wins 30x0.5/lookahead/p'),
     (RESULTS, '{} m in four rooms, and {} m', 'aiming/value/together/lookahead_{key}_m',
      'turned not_turned'),
-    (RESULTS, '{} ms (median) and {} ms (99 %), with four D455 {} and {} ms',
+    (RESULTS, '{} ms (median) and {} ms (99th percentile). With four D455 it takes {} and {} ms',
      'nodes/value/learned_lookahead/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
     (RESULTS, '{} ms (median) with four cameras and {} points, and {} ms with eight cameras and '
@@ -104,7 +104,7 @@ SENTENCES = [
     (RESULTS, 'network of `map` took {} minutes', 'training/map/value/{key}', 'minutes'),
     (RESULTS, '`map` is {} for the position of an omnidirectional camera, and {} for',
      'training/{key}/value/regret', 'map map_aimed'),
-    (RESULTS, 'was {} (95 % interval {} to {}) and {} ({} to {}) times',
+    (RESULTS, 'with it was {} (95 % interval {} to {}) and {} ({} to {}) times',
      'training/map_sac/value/8x2/{key}', 'seed_0/0 seed_0/1 seed_0/2 seed_1/0 seed_1/1 seed_1/2')]
 
 
