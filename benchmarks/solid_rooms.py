@@ -37,7 +37,7 @@ from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
-from ocp_ros.rooms.furniture import Solid, solid
+from ocp_ros.rooms.furniture import make_solid, Solid
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.rooms.room_plan import RoomPlan
 from ocp_ros.rooms.splits import TEST
@@ -65,7 +65,7 @@ def solid_mesh(plan: RoomPlan) -> Mesh:
              ((-WALL, -WALL, 0), (0, y + WALL, z)), ((x, -WALL, 0), (x + WALL, y + WALL, z)),
              ((0, -WALL, 0), (x, 0, z)), ((0, y, 0), (x, y + WALL, z)),
              ((-GROUND, -GROUND, -2 * SLAB), (x + GROUND, y + GROUND, -SLAB))]
-    bodies = [solid('wall', low, high) for low, high in shell]
+    bodies = [make_solid('wall', low, high) for low, high in shell]
     bodies += [panel for part in plan.solids for panel in panels_of(part)]
     # The shell of a mesh is a room without walls: only the bodies count.
     whole = mesh_of(replace(plan, solids=bodies))
