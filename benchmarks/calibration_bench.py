@@ -50,7 +50,7 @@ from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.rooms.scanning import boxes_of, is_position_free
 from ocp_ros.rooms.splits import SETS
-from ocp_ros.scenes.mesh_files import sampled
+from ocp_ros.scenes.mesh_files import sample_faces
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
@@ -166,7 +166,7 @@ def generated(seed: int) -> Iterator[BenchRoom]:
 
     yield BenchRoom('tripod', str(seed), generate_room(seed, POINTS), see, hangs)
     mesh = scan_by_hand(seed).mesh
-    points, normals = np.hsplit(sampled(mesh.corners), 2)
+    points, normals = np.hsplit(sample_faces(mesh.corners), 2)
     yield BenchRoom('hand', str(seed), Scene(points, normals=normals), see, hangs)
 
 

@@ -41,7 +41,7 @@ from ocp_ros.rooms.furniture import make_solid, Solid
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.rooms.room_plan import RoomPlan
 from ocp_ros.rooms.splits import TEST
-from ocp_ros.scenes.mesh_files import sampled
+from ocp_ros.scenes.mesh_files import sample_faces
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.search.budget import Budget
@@ -96,7 +96,7 @@ def room_of(seed: int, folder: Path) -> dict:
     scene = load_scene(path, up='z', max_points=POINTS)
     seconds = time.monotonic() - began
     # The surfaces that the room shows, and what a judge looks at on them.
-    inner = sampled(mesh_of(plan).corners, DENSE)[:, :3]
+    inner = sample_faces(mesh_of(plan).corners, DENSE)[:, :3]
     away = cKDTree(inner).query(walls_of(scene).points)[0] - _grain(inner)
     rig = rig_of(CAMERAS, 'd455', mount={'on': 'walls', 'height': [1.5, 2.4]})
     room = generate_room(seed, POINTS)
