@@ -55,17 +55,14 @@ def _build_box(plan: RoomPlan, low: Sequence[float], high: Sequence[float], kind
     :param high: (2,) its highest corner.
     :param height: the height of the box; None for that of the room.
     """
-    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     if plan.claim_floor(low, high, clearance=0.0):
-        top = plan.size[2] if height is None else height
-        plan.solids.append(make_solid(kind, (*low, 0.0), (*high, top)))
+        plan.add_box(kind, (*low, 0.0), (*high, plan.size[2] if height is None else height))
 
 
 def build_niches(plan: RoomPlan) -> None:
     """Build boxes along one wall, with niches between them."""
     wall = plan.walls[plan.rng.integers(len(plan.walls))]
-    depth = plan.rng.uniform(0.2, 0.7)
-    distance = plan.rng.uniform(0.0, 1.0)
+    depth, distance = plan.rng.uniform(0.2, 0.7), plan.rng.uniform(0.0, 1.0)
     while distance + 0.5 < wall.length:
         width = min(plan.rng.uniform(0.4, 1.6), wall.length - distance)
         start = wall.start + distance * wall.along
@@ -95,7 +92,7 @@ def build_partition(plan: RoomPlan, height: float | None = None) -> None:
     _build_box(plan, low, high, height=height)
 
 
-def build_ceiling(plan: RoomPlan) -> None:
+def add_beams_and_lamps(plan: RoomPlan) -> None:
     """Add beams, ducts and lamps to the ceiling."""
     room_width, room_depth, height = plan.size
     rng = plan.rng
@@ -105,22 +102,19 @@ def build_ceiling(plan: RoomPlan) -> None:
         offset = rng.uniform(0.1, 0.9) * (plan.size[1 - axis] - beam_width)
         low, high = np.array([0.0, 0.0, height - beam_height]), plan.size.copy()
         low[1 - axis], high[1 - axis] = offset, offset + beam_width
-        plan.solids.append(make_solid('beam', low, high))
+        plan.add_box('beam', low, high)
     for x in np.arange(1.2, room_width - 0.6, 2.4):
         for y in np.arange(1.2, room_depth - 0.3, 2.4):
             if rng.random() < 0.6:
-                plan.solids.append(make_solid('clutter', (x - 0.6, y - 0.12, height - 0.11),
-                                              (x + 0.6, y + 0.12, height - WALL_GAP_M)))
+                plan.add_box('clutter', (x - 0.6, y - 0.12, height - 0.11),
+                             (x + 0.6, y + 0.12, height - WALL_GAP_M))
 
 
 def add_openings(plan: RoomPlan, doors: int, windows: int, boards: int) -> None:
     """Add up to a number of doors, some of them open, and of windows and boards."""
-    for _ in range(doors):
-        _add_door(plan)
-    for _ in range(windows):
-        _add_window(plan)
-    for _ in range(boards):
-        _add_board(plan)
+    for add, count in ((_add_door, doors), (_add_window, windows), (_add_board, boards)):
+        for _ in range(count):
+            add(plan)
 
 
 def _add_door(plan: RoomPlan) -> None:
@@ -137,8 +131,7 @@ def _add_window(plan: RoomPlan) -> None:
     """Add a window to a random wall: glass or a blind, a sill, a frame; none to a short wall."""
     rng = plan.rng
     wall = plan.walls[rng.integers(len(plan.walls))]
-    width = rng.uniform(1.0, 3.0)
-    low = rng.uniform(0.7, 1.0)
+    width, low = rng.uniform(1.0, 3.0), rng.uniform(0.7, 1.0)
     if wall.length < width + 0.4:
         return
     start = wall.start + rng.uniform(0.2, wall.length - width - 0.2) * wall.along
@@ -146,8 +139,8 @@ def _add_window(plan: RoomPlan) -> None:
     high = min(low + rng.uniform(0.9, 1.6), plan.size[2] - 0.2)
 
     def add_box(corner: np.ndarray, opposite: np.ndarray, bottom: float, top: float) -> None:
-        plan.solids.append(make_solid('window', (*np.minimum(corner, opposite), bottom),
-                                      (*np.maximum(corner, opposite), top)))
+        plan.add_box('window', (*np.minimum(corner, opposite), bottom),
+                     (*np.maximum(corner, opposite), top))
 
     # Glass gives no returns; a blind, the sill and the frame do.
     if rng.random() < 0.4:

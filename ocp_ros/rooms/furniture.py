@@ -70,6 +70,12 @@ def moved_piece(piece: Piece, position: Sequence[float], yaw: float, height: flo
             for box in piece]
 
 
+def _legs(kind: str, x: float, y: float, half_width: float, height: float) -> Piece:
+    """Return four legs whose centres are at -x or x, and -y or y; all lengths in metres."""
+    return [make_solid(kind, (u - half_width, v - half_width, 0.0),
+                       (u + half_width, v + half_width, height)) for u in (-x, x) for v in (-y, y)]
+
+
 def build_table(rng: np.random.Generator, width: float, depth: float) -> Piece:
     """Build a table of a width and a depth, metres: a slab on four legs or on two panels."""
     top = rng.uniform(0.70, 0.77)
@@ -78,10 +84,7 @@ def build_table(rng: np.random.Generator, width: float, depth: float) -> Piece:
     x, y = 0.5 * width, 0.5 * depth
     piece = [make_solid('table', (-x, -y, top - thickness), (x, y, top))]
     if rng.random() < 0.6:
-        for sign_x, sign_y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            leg = np.array([sign_x * (x - 0.05), sign_y * (y - 0.05)])
-            piece.append(make_solid('table', (*(leg - 0.03), 0.0),
-                                    (*(leg + 0.03), top - thickness)))
+        piece += _legs('table', x - 0.05, y - 0.05, 0.03, top - thickness)
     else:
         for sign in (-1, 1):
             panel_x = sign * (x - 0.15)
@@ -99,9 +102,8 @@ def build_desk(rng: np.random.Generator) -> Piece:
         piece.append(make_solid('table', (-0.5 * width + 0.06, -0.5 * depth + 0.06, 0.0),
                                 (-0.5 * width + 0.48, 0.5 * depth - 0.08, 0.6)))
     for _ in range(rng.integers(0, 3)):
-        screen_width = rng.uniform(0.45, 0.65)
-        screen = [make_solid('clutter', (-0.5 * screen_width, -0.02, 0.1),
-                             (0.5 * screen_width, 0.02, 0.45)),
+        half_width = 0.5 * rng.uniform(0.45, 0.65)
+        screen = [make_solid('clutter', (-half_width, -0.02, 0.1), (half_width, 0.02, 0.45)),
                   make_solid('clutter', (-0.1, -0.08, 0.0), (0.1, 0.08, 0.1))]
         position = rng.uniform([-0.5 * width + 0.35, -0.2], [0.5 * width - 0.35, -0.05])
         piece += moved_piece(screen, position, rng.uniform(-0.4, 0.4), top)
@@ -122,17 +124,14 @@ def scatter_boxes(rng: np.random.Generator, width: float, depth: float, height: 
 
 def build_chair(rng: np.random.Generator) -> Piece:
     """Build a chair on four legs or on a post; it faces +y."""
-    seat = rng.uniform(0.42, 0.50)
-    width = rng.uniform(0.42, 0.52)
+    seat, width = rng.uniform(0.42, 0.50), rng.uniform(0.42, 0.52)
     # The sides of the seat are at -x and x along both axes.
     x = 0.5 * width
+    back_top = seat + rng.uniform(0.35, 0.55)
     piece = [make_solid('chair', (-x, -x, seat - 0.06), (x, x, seat)),
-             make_solid('chair', (-x, -x, seat),
-                        (x, -x + 0.06, seat + rng.uniform(0.35, 0.55)))]
+             make_solid('chair', (-x, -x, seat), (x, -x + 0.06, back_top))]
     if rng.random() < 0.5:
-        for sign_x, sign_y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            foot = (x - 0.03) * np.array([sign_x, sign_y])
-            piece.append(make_solid('chair', (*(foot - 0.02), 0.0), (*(foot + 0.02), seat - 0.06)))
+        piece += _legs('chair', x - 0.03, x - 0.03, 0.02, seat - 0.06)
     else:
         piece.append(make_solid('chair', (-0.04, -0.04, 0.08), (0.04, 0.04, seat - 0.06)))
         piece.append(make_solid('chair', (-0.28, -0.03, 0.02), (0.28, 0.03, 0.08)))
@@ -158,16 +157,15 @@ def build_bookcase(rng: np.random.Generator, width: float, depth: float, height:
             books_end = -x + thickness + rng.uniform(0.3, 1.0) * (width - 2 * thickness)
             books_front = y - rng.uniform(0.02, 0.12)
             books_top = level + thickness + rng.uniform(0.6, 0.95) * free_height
-            piece.append(make_solid(
-                'bookcase', (-x + thickness, -y + thickness, level + thickness),
-                (books_end, books_front, books_top)))
+            books_low = -x + thickness, -y + thickness, level + thickness
+            piece.append(make_solid('bookcase', books_low, (books_end, books_front, books_top)))
     return piece
 
 
 def build_cabinet(rng: np.random.Generator, width: float, depth: float, height: float) -> Piece:
     """Build a closed cabinet, mostly with objects on it; lengths in metres."""
-    piece = [make_solid('clutter', (-0.5 * width, -0.5 * depth, 0.0),
-                        (0.5 * width, 0.5 * depth, height))]
+    x, y = 0.5 * width, 0.5 * depth
+    piece = [make_solid('clutter', (-x, -y, 0.0), (x, y, height))]
     return piece + scatter_boxes(rng, width, depth, height, rng.integers(0, 5))
 
 
@@ -176,8 +174,8 @@ def build_sofa(rng: np.random.Generator, width: float) -> Piece:
     # Its sides are at -x, x, -y and y.
     x, y = 0.5 * width, 0.42
     seat = rng.uniform(0.38, 0.46)
+    back_top = seat + rng.uniform(0.3, 0.45)
     return [make_solid('sofa', (-x, -y, 0.05), (x, y, seat)),
-            make_solid('sofa', (-x, -y, seat),
-                       (x, -y + 0.22, seat + rng.uniform(0.3, 0.45))),
+            make_solid('sofa', (-x, -y, seat), (x, -y + 0.22, back_top)),
             make_solid('sofa', (-x, -y, seat), (-x + 0.18, y, seat + 0.2)),
             make_solid('sofa', (x - 0.18, -y, seat), (x, y, seat + 0.2))]

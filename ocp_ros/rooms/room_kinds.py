@@ -24,58 +24,43 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.rooms.building import (
-    add_fittings,
-    add_openings,
-    build_ceiling,
-    build_columns,
-    build_niches,
-    build_partition,
-    build_walls,
-)
-from ocp_ros.rooms.furniture import (
-    build_bookcase,
-    build_cabinet,
-    build_chair,
-    build_desk,
-    build_sofa,
-    build_table,
-    make_solid,
-    moved_piece,
-    Piece,
-    scatter_boxes,
-)
+from ocp_ros.rooms import building, furniture
+from ocp_ros.rooms.furniture import make_solid, moved_piece, Piece
 from ocp_ros.rooms.room_plan import mirrored_plan, RoomPlan, rotated_footprint
 
 
 def _add_chairs(plan: RoomPlan, count: int) -> None:
     """Place chairs at random positions."""
     for _ in range(count):
-        plan.place_freestanding(
-            lambda: moved_piece(build_chair(plan.rng), (0.0, 0.0), plan.rng.uniform(-1.0, 1.0)),
-            width=0.6, depth=0.6)
+        plan.place_freestanding(lambda: moved_piece(
+            furniture.build_chair(plan.rng), (0.0, 0.0), plan.rng.uniform(-1.0, 1.0)), 0.6, 0.6)
 
 
 def _add_bookcases(plan: RoomPlan, count: int, min_height: float = 0.7) -> None:
     """Place bookcases along the walls."""
-    for _ in range(count):
-        size = plan.rng.uniform([0.8, 0.28, min_height], [1.3, 0.42, 2.2])
-        plan.place_at_wall(partial(build_bookcase, plan.rng, *size), *size[:2])
+    _add_at_walls(plan, count, furniture.build_bookcase, [0.8, 0.28, min_height], [1.3, 0.42, 2.2])
 
 
 def _add_cabinets(plan: RoomPlan, count: int) -> None:
     """Place cabinets along the walls."""
+    _add_at_walls(plan, count, furniture.build_cabinet, [0.5, 0.4, 0.7], [1.8, 0.65, 2.1])
+
+
+def _add_at_walls(plan: RoomPlan, count: int, build: Callable[..., Piece], low: list[float],
+                  high: list[float]) -> None:
+    """Place pieces of random width, depth and height from ``low`` to ``high`` along the walls."""
     for _ in range(count):
-        size = plan.rng.uniform([0.5, 0.4, 0.7], [1.8, 0.65, 2.1])
-        plan.place_at_wall(partial(build_cabinet, plan.rng, *size), *size[:2])
+        size = plan.rng.uniform(low, high)
+        plan.place_at_wall(partial(build, plan.rng, *size), *size[:2])
 
 
 def _add_desks(plan: RoomPlan, count: int) -> None:
     """Place desks along the walls, each with its chair."""
     def build_workplace() -> Piece:
-        moved_chair = moved_piece(build_chair(plan.rng), (plan.rng.uniform(-0.25, 0.25), 0.75),
-                                  np.pi + plan.rng.normal(0.0, 0.5))
-        return build_desk(plan.rng) + moved_chair
+        moved_chair = moved_piece(
+            furniture.build_chair(plan.rng), (plan.rng.uniform(-0.25, 0.25), 0.75),
+            np.pi + plan.rng.normal(0.0, 0.5))
+        return furniture.build_desk(plan.rng) + moved_chair
     for _ in range(count):
         plan.place_at_wall(build_workplace, width=1.6, depth=0.75, front=0.8)
 
@@ -83,8 +68,9 @@ def _add_desks(plan: RoomPlan, count: int) -> None:
 def _add_clutter(plan: RoomPlan, count: int) -> None:
     """Place boxes, bins and bags on the floor."""
     for _ in range(count):
-        size = plan.rng.uniform(0.2, 0.6)
-        plan.place_freestanding(partial(scatter_boxes, plan.rng, size, size, 0.0, 1), size, size)
+        edge = plan.rng.uniform(0.2, 0.6)
+        build_box = partial(furniture.scatter_boxes, plan.rng, edge, edge, height=0.0, count=1)
+        plan.place_freestanding(build_box, edge, edge)
 
 
 def _add_pieces(plan: RoomPlan, **counts: tuple[int, int]) -> None:
@@ -99,14 +85,14 @@ def _add_table_with_chairs(plan: RoomPlan, width: float, depth: float, chair_spa
                            ) -> None:
     """Place a table with chairs on both long sides, one per ``chair_spacing`` metres."""
     def build_group() -> Piece:
-        piece = build_table(plan.rng, width, depth)
+        piece = furniture.build_table(plan.rng, width, depth)
         for side in (-1, 1):
             for x in np.arange(-0.5 * width + 0.5 * chair_spacing, 0.5 * width, chair_spacing):
                 if plan.rng.random() < 0.85:
                     yaw = (0.0 if side < 0 else np.pi) + plan.rng.normal(0.0, 0.3)
                     position = (x + plan.rng.normal(0, 0.05),
                                 side * (0.5 * depth + plan.rng.uniform(0.0, 0.4)))
-                    piece += moved_piece(build_chair(plan.rng), position, yaw)
+                    piece += moved_piece(furniture.build_chair(plan.rng), position, yaw)
         return piece
     plan.place_freestanding(build_group, width=width + 0.2, depth=depth + 1.3)
 
@@ -114,7 +100,7 @@ def _add_table_with_chairs(plan: RoomPlan, width: float, depth: float, chair_spa
 def furnish_office(plan: RoomPlan) -> None:
     """Furnish an office of one to four workplaces."""
     rng = plan.rng
-    add_openings(plan, rng.integers(1, 3), rng.integers(0, 3), rng.integers(0, 2))
+    building.add_openings(plan, rng.integers(1, 3), rng.integers(0, 3), rng.integers(0, 2))
     _add_pieces(plan, desks=(1, 5), shelves=(2, 9), cabinets=(1, 5))
     if rng.random() < 0.5:
         _add_table_with_chairs(plan, rng.uniform(0.9, 1.4), 0.9, 0.7)
@@ -124,7 +110,7 @@ def furnish_office(plan: RoomPlan) -> None:
 def furnish_conference(plan: RoomPlan) -> None:
     """Furnish a conference room: a long table, chairs, boards."""
     rng = plan.rng
-    add_openings(plan, rng.integers(1, 4), rng.integers(0, 4), rng.integers(1, 3))
+    building.add_openings(plan, rng.integers(1, 4), rng.integers(0, 4), rng.integers(1, 3))
     longer_side = max(plan.size[0], plan.size[1])
     _add_table_with_chairs(plan, rng.uniform(0.4, 0.65) * longer_side, rng.uniform(1.1, 1.8), 0.65)
     if rng.random() < 0.3:
@@ -135,17 +121,17 @@ def furnish_conference(plan: RoomPlan) -> None:
 def furnish_lounge(plan: RoomPlan) -> None:
     """Furnish a lounge: sofas around low tables, a counter, small tables."""
     rng = plan.rng
-    add_openings(plan, rng.integers(1, 5), rng.integers(1, 4), rng.integers(0, 2))
-    counter_width = rng.uniform(1.5, 3.5)
-    plan.place_at_wall(lambda: build_cabinet(rng, counter_width, 0.62, 0.92), counter_width,
-                       depth=0.62, front=0.7)
+    building.add_openings(plan, rng.integers(1, 5), rng.integers(1, 4), rng.integers(0, 2))
+    width = rng.uniform(1.5, 3.5)
+    plan.place_at_wall(partial(furniture.build_cabinet, rng, width, 0.62, 0.92), width, 0.62, 0.7)
     for _ in range(rng.integers(2, 5)):
         width = rng.choice([0.85, 1.6, 2.1])
-        plan.place_at_wall(partial(build_sofa, rng, width), width, depth=0.85, front=0.4)
+        plan.place_at_wall(partial(furniture.build_sofa, rng, width), width, depth=0.85, front=0.4)
 
     def build_sofa_with_table() -> Piece:
-        sofa = build_sofa(rng, 1.6)
-        return sofa + moved_piece(build_table(rng, 1.0, 0.6)[:1], (0.0, 1.1), 0.0, height=-0.3)
+        sofa = furniture.build_sofa(rng, 1.6)
+        slab = furniture.build_table(rng, 1.0, 0.6)[:1]
+        return sofa + moved_piece(slab, (0.0, 1.1), 0.0, height=-0.3)
     for _ in range(rng.integers(0, 3)):
         plan.place_freestanding(build_sofa_with_table, width=1.7, depth=3.0)
     for _ in range(rng.integers(1, 5)):
@@ -156,20 +142,19 @@ def furnish_lounge(plan: RoomPlan) -> None:
 def furnish_hallway(plan: RoomPlan) -> None:
     """Furnish a hallway: doors, boards and a few cabinets."""
     rng = plan.rng
-    add_openings(plan, rng.integers(4, 9), rng.integers(0, 2), rng.integers(0, 4))
+    building.add_openings(plan, rng.integers(4, 9), rng.integers(0, 2), rng.integers(0, 4))
     _add_pieces(plan, cabinets=(1, 6), shelves=(0, 6), clutter=(1, 8))
 
 
 def furnish_storage(plan: RoomPlan) -> None:
     """Furnish a storage room: rows of bookcases with aisles, cabinets, boxes."""
     rng = plan.rng
-    add_openings(plan, 1, rng.integers(0, 2), 0)
+    building.add_openings(plan, 1, rng.integers(0, 2), 0)
     axis = int(plan.size[1] > plan.size[0])
     length, breadth = plan.size[axis], plan.size[1 - axis]
     offset = rng.uniform(0.9, 1.6)
     while offset + 1.0 < breadth:
-        depth = rng.uniform(0.4, 0.8)
-        height = rng.uniform(1.2, 2.3)
+        depth, height = rng.uniform(0.4, 0.8), rng.uniform(1.2, 2.3)
         position = 1.0
         while position + 1.0 < length - 0.8:
             width = rng.uniform(0.9, 1.2)
@@ -181,7 +166,8 @@ def furnish_storage(plan: RoomPlan) -> None:
             half_extent = 0.5 * rotated_footprint(width, depth, yaw)
             if rng.random() < 0.85 and plan.claim_floor(
                     centre - half_extent, centre + half_extent, clearance=0.0):
-                plan.solids += moved_piece(build_bookcase(rng, width, depth, height), centre, yaw)
+                bookcase = furniture.build_bookcase(rng, width, depth, height)
+                plan.solids += moved_piece(bookcase, centre, yaw)
             position += width
         offset += depth + rng.uniform(0.9, 1.6)
     _add_bookcases(plan, rng.integers(1, 5), min_height=1.4)
@@ -191,7 +177,7 @@ def furnish_storage(plan: RoomPlan) -> None:
 def furnish_open_office(plan: RoomPlan) -> None:
     """Furnish an open office: groups of desks between screens, columns, shelves."""
     rng = plan.rng
-    add_openings(plan, rng.integers(2, 7), rng.integers(2, 6), rng.integers(0, 3))
+    building.add_openings(plan, rng.integers(2, 7), rng.integers(2, 6), rng.integers(0, 3))
     screen_height = rng.choice([1.1, 1.4, 1.7])
 
     def build_desk_group() -> Piece:
@@ -201,10 +187,11 @@ def furnish_open_office(plan: RoomPlan) -> None:
         for x in (-0.95, 0.95):
             for side in (-1, 1):
                 yaw = 0.0 if side > 0 else np.pi
-                piece += moved_piece(build_desk(rng), (x, side * 0.5), yaw)
+                piece += moved_piece(furniture.build_desk(rng), (x, side * 0.5), yaw)
                 if rng.random() < 0.9:
-                    piece += moved_piece(build_chair(rng), (x, side * rng.uniform(1.15, 1.4)),
-                                         yaw + np.pi + rng.normal(0.0, 0.5))
+                    piece += moved_piece(
+                        furniture.build_chair(rng), (x, side * rng.uniform(1.15, 1.4)),
+                        yaw + np.pi + rng.normal(0.0, 0.5))
         return piece
     half_turns = (0.0,) if rng.random() < 0.5 else (0.5,)
     for _ in range(max(int(0.08 * np.prod(plan.size[:2])), 1)):
@@ -248,16 +235,16 @@ def draw_plan(rng: np.random.Generator) -> RoomPlan:
     plan = RoomPlan(name, rng.uniform(kind.low, kind.high), rng)
     if name == 'hallway' and rng.random() < 0.4:
         plan.size[0] = rng.uniform(1.8, 3.2)
-        build_walls(plan, l_shape_probability=0.0)
+        building.build_walls(plan, l_shape_probability=0.0)
     else:
-        build_walls(plan, kind.l_shape_probability)
+        building.build_walls(plan, kind.l_shape_probability)
     if name != 'hallway':
         if rng.random() < 0.3:
-            build_niches(plan)
-        build_columns(plan, rng.choice([0, 0, 1, 2]))
+            building.build_niches(plan)
+        building.build_columns(plan, rng.choice([0, 0, 1, 2]))
         if name != 'conference' and rng.random() < 0.35:
-            build_partition(plan, None if rng.random() < 0.6 else rng.uniform(1.2, 2.0))
-    build_ceiling(plan)
+            building.build_partition(plan, None if rng.random() < 0.6 else rng.uniform(1.2, 2.0))
+    building.add_beams_and_lamps(plan)
     kind.furnish(plan)
-    add_fittings(plan)
+    building.add_fittings(plan)
     return mirrored_plan(plan, rng.random(2) < 0.5)

@@ -18,12 +18,13 @@ The plan of a room: its walls, its solids, and the free floor.
 All lengths are metres; a room spans from the origin to its size.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.rooms.furniture import moved_piece, Piece, Solid
+from numpy.typing import ArrayLike
+from ocp_ros.rooms.furniture import make_solid, moved_piece, Piece, Solid
 
 #: Metres between furniture and the wall behind it.
 WALL_GAP_M = 0.03
@@ -74,8 +75,11 @@ class RoomPlan:
     walls: list[RoomWall] = field(default_factory=list)
     _taken: list[np.ndarray] = field(default_factory=list)
 
-    def claim_floor(self, low: np.ndarray, high: np.ndarray, clearance: float = CLEARANCE_M
-                    ) -> bool:
+    def add_box(self, kind: str, low: Sequence[float], high: Sequence[float]) -> None:
+        """Add an upright box from its lowest to its highest corner, both (3,), metres."""
+        self.solids.append(make_solid(kind, low, high))
+
+    def claim_floor(self, low: ArrayLike, high: ArrayLike, clearance: float = CLEARANCE_M) -> bool:
         """
         Reserve a rectangle of the floor, unless it is outside the room or too near to another.
 

@@ -20,6 +20,7 @@ and dark surfaces give no returns.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -83,11 +84,9 @@ def scan(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> tuple[np.nd
     :param rng: the random generator for tripods, patches and noise.
     :returns: (N, 3) float32, metres, and (N,) the kind of surface, an index into ``SOLID_KINDS``.
     """
-    boxes = boxes_of(plan)
-    tripods = _place_tripods(plan, boxes, rng)
+    tripods = _place_tripods(plan, rng)
     patches = _draw_patches(plan, rng)
-    surface = _sample_about(n_points, rng, lambda pitch, rng: _scanned_surface(
-        plan, boxes, tripods, patches, pitch, rng))
+    surface = _sample_about(n_points, rng, partial(_scanned_surface, plan, tripods, patches))
     offsets = surface.points[:, None] - tripods[None]
     nearest_tripods = np.argmin((offsets ** 2).sum(axis=2), axis=1)
     rays = offsets[np.arange(len(nearest_tripods)), nearest_tripods]
@@ -105,15 +104,12 @@ def sample_surfaces(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> 
     :param n_points: the number of points wanted, to a few per cent.
     :returns: (N, 3) float32, metres.
     """
-    boxes = boxes_of(plan)
-    surface = _sample_about(
-        n_points, rng, lambda pitch, rng: _exposed_surface(plan, boxes, pitch, rng))
+    surface = _sample_about(n_points, rng, partial(_exposed_surface, plan))
     return surface.points.astype(np.float32)
 
 
 def _sample_about(n_points: int, rng: np.random.Generator,
-                  sample_at_pitch: Callable[[float, np.random.Generator], ScannedSurface]
-                  ) -> ScannedSurface:
+                  sample_at_pitch: Callable[..., ScannedSurface]) -> ScannedSurface:
     """Find the pitch (distance of points, metres) that gives about ``n_points``; sample at it."""
     pitch = 0.2
     for _ in range(4):
@@ -122,16 +118,15 @@ def _sample_about(n_points: int, rng: np.random.Generator,
     return sample_at_pitch(pitch, rng)
 
 
-def _exposed_surface(plan: RoomPlan, boxes: Boxes, pitch: float,
-                     rng: np.random.Generator) -> ScannedSurface:
+def _exposed_surface(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> ScannedSurface:
     """Sample the surfaces at a pitch, except where another solid or the shell touches them."""
     surface = surface_of(plan, pitch, rng)
-    return surface.only(
-        exposed_points(surface.points, surface.solid_numbers, plan.size, *boxes, WALL_GAP_M))
+    return surface.only(exposed_points(surface.points, surface.solid_numbers, plan.size,
+                                       *boxes_of(plan), WALL_GAP_M))
 
 
-def _scanned_surface(plan: RoomPlan, boxes: Boxes, tripods: np.ndarray, patches: np.ndarray,
-                     pitch: float, rng: np.random.Generator) -> ScannedSurface:
+def _scanned_surface(plan: RoomPlan, tripods: np.ndarray, patches: np.ndarray, pitch: float,
+                     rng: np.random.Generator) -> ScannedSurface:
     """
     Sample the surfaces at a pitch and keep the points that return a signal to a tripod.
 
@@ -139,8 +134,8 @@ def _scanned_surface(plan: RoomPlan, boxes: Boxes, tripods: np.ndarray, patches:
     :param patches: (P, 4) metres, centre and radius of the spheres without returns.
     :param pitch: the distance between points, metres.
     """
-    surface = _exposed_surface(plan, boxes, pitch, rng)
-    densities = sampling_densities(surface.points, surface.normals, tripods, *boxes)
+    surface = _exposed_surface(plan, pitch, rng)
+    densities = sampling_densities(surface.points, surface.normals, tripods, *boxes_of(plan))
     for lowest, highest in plan.windows:
         densities[(surface.solid_numbers < 0)
                   & ((surface.points > lowest) & (surface.points < highest)).all(axis=1)] = 0.0
@@ -158,7 +153,6 @@ def surface_of(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> Scanne
     :param pitch: the distance between points, metres.
     :param rng: the generator for the jitter.
     """
-    kind_numbers = {kind: number for number, kind in enumerate(SOLID_KINDS)}
     faces = []
     for solid_number in range(-1, len(plan.solids)):
         for axis in range(3):
@@ -185,18 +179,18 @@ def surface_of(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> Scanne
                 else:
                     solid = plan.solids[solid_number]
                     rotation = rotation_matrix(solid.yaw).T
-                    points = points @ rotation + solid.centre
-                    normals = normals @ rotation
+                    points, normals = points @ rotation + solid.centre, normals @ rotation
                     kind = solid.kind
                 faces.append((points, normals, np.full(len(points), solid_number),
-                              np.full(len(points), kind_numbers[kind])))
+                              np.full(len(points), SOLID_KINDS.index(kind))))
     return ScannedSurface(*(np.concatenate(values) for values in zip(*faces)))
 
 
-def _place_tripods(plan: RoomPlan, boxes: Boxes, rng: np.random.Generator) -> np.ndarray:
+def _place_tripods(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
     """Return random positions (T, 3) of tripods, metres, in free air and apart from each other."""
     # One tripod for 10 m2 of floor, from 2 to 10.
     count = int(np.clip(np.prod(plan.size[:2]) / 10.0, 2, 10))
+    boxes = boxes_of(plan)
     tripods: list[np.ndarray] = []
     free_air_m = 0.3
     for trial in range(200 * count):
@@ -204,11 +198,9 @@ def _place_tripods(plan: RoomPlan, boxes: Boxes, rng: np.random.Generator) -> np
         position = np.append(rng.uniform(margin, plan.size[:2] - margin), rng.uniform(1.3, 1.7))
         # In a crowded room the required distances decrease with the attempts.
         relaxation = 1.0 - trial / (200.0 * count)
-        required_air_m = free_air_m * relaxation
-        tripod_distance = min(
-            (np.linalg.norm(position[:2] - tripod[:2]) for tripod in tripods), default=np.inf)
-        if (is_position_free(position, required_air_m, *boxes)
-                and tripod_distance > 1.2 * relaxation):
+        distances = [np.linalg.norm(position[:2] - tripod[:2]) for tripod in tripods]
+        if (is_position_free(position, free_air_m * relaxation, *boxes)
+                and min(distances, default=np.inf) > 1.2 * relaxation):
             tripods.append(position)
             if len(tripods) == count:
                 break
@@ -221,8 +213,7 @@ def _draw_patches(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
     # One dark or shiny patch for 12 m2 of floor.
     count = rng.poisson(np.prod(plan.size[:2]) / 12.0)
     centres = surface.points[rng.integers(len(surface.points), size=count)]
-    radii_m = rng.uniform(0.12, 0.45, count)
-    return np.column_stack([centres, radii_m])
+    return np.column_stack([centres, rng.uniform(0.12, 0.45, count)])
 
 
 @njit(cache=True, nogil=True)
@@ -296,37 +287,36 @@ def sampling_densities(points, normals, tripods, centres, half_sizes, yaw_vector
     # Radii of the bounding spheres of the solids.
     radii = np.sqrt((half_sizes ** 2).sum(axis=1))
     directions = np.empty_like(centres)
-    distances = np.empty(len(centres))
-    cone_cosines = np.empty(len(centres))
+    centre_distances, cone_cosines = np.empty(len(centres)), np.empty(len(centres))
     for t in range(len(tripods)):
         for k in range(len(centres)):
             directions[k] = centres[k] - tripods[t]
-            distances[k] = np.sqrt((directions[k] ** 2).sum())
+            centre_distances[k] = np.sqrt((directions[k] ** 2).sum())
             # The cone from the tripod around the bounding sphere.
             cone_cosines[k] = -1.0
-            if distances[k] > radii[k]:
-                cone_cosines[k] = np.sqrt(1.0 - (radii[k] / distances[k]) ** 2)
-            directions[k] /= max(distances[k], 1e-9)
+            if centre_distances[k] > radii[k]:
+                cone_cosines[k] = np.sqrt(1.0 - (radii[k] / centre_distances[k]) ** 2)
+            directions[k] /= max(centre_distances[k], 1e-9)
         for i in range(len(points)):
             x, y = points[i, 0] - tripods[t, 0], points[i, 1] - tripods[t, 1]
             z = points[i, 2] - tripods[t, 2]
             length = np.sqrt(x * x + y * y + z * z)
             # The length times the cosine.
-            projection = abs(x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2])
-            density = projection / max(length, 0.5) ** 3
+            slant = abs(x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2])
+            density = slant / max(length, 0.5) ** 3
             if density <= 1e-4:
                 continue
             is_occluded = False
             for k in range(len(centres)):
                 projection = x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2]
-                if projection < cone_cosines[k] * length or distances[k] - radii[k] > length:
+                distance = centre_distances[k]
+                if projection < cone_cosines[k] * length or distance - radii[k] > length:
                     continue
                 cosine, sine = yaw_vectors[k]
                 along = directions[k, 0] * cosine + directions[k, 1] * sine
                 across = directions[k, 1] * cosine - directions[k, 0] * sine
-                centre = (along * distances[k], across * distances[k],
-                          directions[k, 2] * distances[k])
-                ray = (x * cosine + y * sine, y * cosine - x * sine, z)
+                centre = along * distance, across * distance, directions[k, 2] * distance
+                ray = x * cosine + y * sine, y * cosine - x * sine, z
                 if _enters_box(ray, centre, half_sizes[k], 1.0 - OCCLUSION_TOLERANCE_M / length):
                     is_occluded = True
                     break

@@ -20,12 +20,10 @@ from pathlib import Path
 import numpy as np
 from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 
-#: The limits of each kind of file.
+#: The limits of each kind of file: bytes of memory, the same per byte of the file, and seconds.
 READING_COSTS = {
-    'e57': ReadingCost(600_000_000, memory_per_byte=20, seconds=10),
-    'las': ReadingCost(600_000_000, memory_per_byte=3, seconds=10),
-    'mesh': ReadingCost(700_000_000, memory_per_byte=40, seconds=20),
-    'ply': ReadingCost(400_000_000, memory_per_byte=40, seconds=10)}
+    'e57': ReadingCost(600_000_000, 20, 10), 'las': ReadingCost(600_000_000, 3, 10),
+    'mesh': ReadingCost(700_000_000, 40, 20), 'ply': ReadingCost(400_000_000, 40, 10)}
 
 
 def read_guarded(kind: str, path: Path, columns: int, max_rows: int,

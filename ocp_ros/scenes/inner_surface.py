@@ -95,12 +95,11 @@ def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
     # Five per cent more than the estimate requires.
     rows = sample_faces(corners, int(min(1.05 * point_count / sides_per_point, max_points)))
     invisible_share = 1.0 - float(is_visible.any(axis=1).mean())
-    sides = [np.hstack([_start_points(rows[is_kept], sign), sign * rows[is_kept, 3:]])
-             for is_kept, sign in zip(air.visible_sides(rows, rays).T, (1.0, -1.0))]
-    visible_rows = np.vstack(sides)
-    kept_count = min(point_count, len(visible_rows))
-    kept_rows = visible_rows[np.arange(kept_count) * len(visible_rows) // kept_count]
-    points, normals = np.hsplit(kept_rows, 2)
+    visible_rows = np.vstack([
+        np.hstack([_start_points(rows[is_kept], sign), sign * rows[is_kept, 3:]])
+        for is_kept, sign in zip(air.visible_sides(rows, rays).T, (1.0, -1.0))])
+    count = min(point_count, len(visible_rows))
+    points, normals = np.hsplit(visible_rows[np.arange(count) * len(visible_rows) // count], 2)
     # Hidden faces of given boxes, such as the underside of a cupboard, need no remark.
     remarks = () if invisible_share < 0.005 or solids is not None else (
         f'{100.0 * invisible_share:.0f} % of the faces left out: the air of the room does not see '
@@ -236,9 +235,9 @@ class EnclosedAir(NamedTuple):
             return None
         room = parts == part_numbers[0]
         column_distance = edge * ndimage.distance_transform_edt(~room.any(axis=2))
-        return cls(grid, room, column_distance, np.isin(parts, part_numbers[1:]),
-                   tuple(volumes[part_numbers[1:]].tolist()), parts is candidates[0][0],
-                   min_distance)
+        others = part_numbers[1:]
+        return cls(grid, room, column_distance, np.isin(parts, others),
+                   tuple(volumes[others].tolist()), parts is candidates[0][0], min_distance)
 
     def visible_sides(self, rows: np.ndarray, rays: MeshRays) -> np.ndarray:
         """
@@ -313,8 +312,7 @@ def _is_below_surface(rows: np.ndarray, sign: float, is_tested: np.ndarray, rays
     """
     starts = _start_points(rows[is_tested], sign)
     hit_counts = np.zeros(len(rows), int)
-    upwards = np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0.5, 1)])
-    for direction in upwards:
+    for direction in np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0.5, 1)]):
         lengths = rays.lengths(starts, np.broadcast_to(direction, starts.shape))
         hit_counts[is_tested] += np.isfinite(lengths)
     # Three of the five upward directions have to hit a surface.
@@ -364,8 +362,7 @@ def without_outside(scene: Scene) -> Scene:
 
     :returns: the same scene if its points are those of a scan, since a scanner stands in the air.
     """
-    points = scene.points.astype(np.float64)
-    areas = scene.pitch.astype(np.float64) ** 2
+    points, areas = scene.points.astype(np.float64), scene.pitch.astype(np.float64) ** 2
     air = EnclosedAir.of(points, float(np.median(scene.pitch)))
     if air is None:
         return scene
@@ -411,7 +408,7 @@ def _find_occluded(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarr
     :returns: (N,) bool, whether each point is so occluded; and (N,) bool, whether the nearest air
         lies in front of or behind the surface of the point, not beside it.
     """
-    points = scene.points.astype(np.float64)
+    points, pitch = scene.points.astype(np.float64), scene.pitch
     air_cells = ndimage.distance_transform_edt(
         ~(air.cells | air.other_cells), return_distances=False, return_indices=True)
     air_positions = air.grid.middles(air_cells[(slice(None), *air.grid.cells(points))].T)
@@ -424,15 +421,11 @@ def _find_occluded(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarr
     # The largest thickness of a wall or slab is 0.6 m.
     while distance < 0.6:
         remaining = np.flatnonzero(~is_hidden & (air_distances > distance + air.grid.edge))
-        if len(remaining) == 0:
-            break
-        point_distances, _ = tree.query(
-            points[remaining] + distance * directions[remaining],
-            distance_upper_bound=2.0 * float(np.median(scene.pitch)))
+        point_distances, _ = tree.query(points[remaining] + distance * directions[remaining],
+                                        distance_upper_bound=2.0 * float(np.median(pitch)))
         # A point hides another if it is near the line to the air, in proportion to its distance,
         # and within the square that the hidden point stands for.
-        is_hidden[remaining] = point_distances < np.minimum(
-            0.6 * distance, scene.pitch[remaining])
+        is_hidden[remaining] = point_distances < np.minimum(0.6 * distance, pitch[remaining])
         distance *= 1.25
     # Some hidden points pass the test through gaps between the points in front of them.
     return is_hidden | (is_hidden[tree.query(points, 9)[1]].mean(axis=1) > 0.6), is_across

@@ -109,18 +109,16 @@ def _declared_count(path: Path, file_bytes: int) -> tuple[int, bool]:
         header = file.read(LAS_HEADER_BYTES)
     if header[:4] != b'LASF' or len(header) < 227:
         raise ValueError('no LAS header')
-    points_offset, record_count, point_format, point_bytes, count = struct.unpack_from(
-        '<IIBHI', header, 96)
+    offset, record_count, format_id, point_bytes, count = struct.unpack_from('<IIBHI', header, 96)
     if header[25] >= 4:
         count, = struct.unpack_from('<Q', header.ljust(LAS_HEADER_BYTES, b'\0'), 247)
-    if points_offset > file_bytes or MIN_RECORD_BYTES * record_count > points_offset:
-        raise ValueError(
-            f'{record_count:,} records in the {points_offset:,} bytes before the points')
-    is_compressed = point_format >= 64
+    if offset > file_bytes or MIN_RECORD_BYTES * record_count > offset:
+        raise ValueError(f'{record_count:,} records in the {offset:,} bytes before the points')
+    is_compressed = format_id >= 64
     # Real scans need one byte or more per compressed point.
     min_bytes = count // 4 if is_compressed else count * point_bytes
-    if min_bytes > file_bytes - points_offset:
-        raise ValueError(f'{file_bytes - points_offset:,} bytes for {count:,} points')
+    if min_bytes > file_bytes - offset:
+        raise ValueError(f'{file_bytes - offset:,} bytes for {count:,} points')
     return count, is_compressed
 
 

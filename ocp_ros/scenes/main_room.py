@@ -126,12 +126,10 @@ def _facing_points(points: np.ndarray, is_room: np.ndarray, cell: float, tree: c
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
     directions = np.column_stack([directions, np.zeros(len(directions))])
     is_open = np.ones(len(directions), dtype=bool)
-    # The two faces of walls up to this thickness are separated.
-    max_thickness_m = 0.3
-    for step in np.arange(1.4 * radius, max_thickness_m, radius):
-        point_distances, _ = tree.query(points[is_facing] + step * directions,
-                                        distance_upper_bound=radius)
-        is_open &= ~np.isfinite(point_distances)
+    # The two faces of a wall are at most 0.3 m apart.
+    for step in np.arange(1.4 * radius, 0.3, radius):
+        gaps, _ = tree.query(points[is_facing] + step * directions, distance_upper_bound=radius)
+        is_open &= ~np.isfinite(gaps)
     is_facing[is_facing] = is_open
     return is_facing
 
@@ -212,13 +210,12 @@ def _walls_and_lintels(heights: np.ndarray, cells: np.ndarray, shape: tuple[int,
     ceiling = _ceiling_height(heights)
     disc = _disc(1.0)
     # Walls have points 12 to 50 cm under the ceiling.
-    has_high_points = ndimage.binary_dilation(
-        occupied_between(ceiling - 0.5, ceiling - 0.12), disc)
+    is_high = ndimage.binary_dilation(occupied_between(ceiling - 0.5, ceiling - 0.12), disc)
     # A wall has points in three of the four bands of 0.3 m that begin at these heights.
     bands_m = (0.9, 1.2, 1.5, 1.8)
     bands = [ndimage.binary_dilation(occupied_between(low, low + 0.3), disc) for low in bands_m]
     is_upright = np.sum(bands, axis=0) >= len(bands_m) - 1
-    walls = is_upright & has_high_points
+    walls = is_upright & is_high
     wall_distance = ndimage.distance_transform_edt(~walls) * cell
     # The range above the floor that contains lintels but not beams. Under a low ceiling lintels
     # begin lower, and in a high room they reach higher.
@@ -231,9 +228,8 @@ def _walls_and_lintels(heights: np.ndarray, cells: np.ndarray, shape: tuple[int,
     # A face is higher than a cell, since a ceiling is flat.
     faces = occupied_between(lowest, highest) & (extremes.sum(axis=0) >= 1.3 * cell)
     # A lintel is at most a metre from the nearest wall.
-    lintels = (ndimage.binary_dilation(faces, disc) & has_high_points & ~is_upright
-               & (wall_distance <= 1.0))
-    return walls, lintels
+    is_near_wall = wall_distance <= 1.0
+    return walls, ndimage.binary_dilation(faces, disc) & is_high & ~is_upright & is_near_wall
 
 
 def _floor(is_occupied: np.ndarray, cell: float) -> np.ndarray:
@@ -247,14 +243,14 @@ def _floor(is_occupied: np.ndarray, cell: float) -> np.ndarray:
 
 def _wall_shares(rooms: np.ndarray, is_barrier: np.ndarray) -> np.ndarray:
     """Return for each room number in ``rooms`` (X, Y) the share of its border that is barrier."""
-    barrier_counts, border_counts = np.zeros((2, rooms.max() + 1))
+    # In the first row the cells of the border that are barrier, in the second row all its cells.
+    counts = np.zeros((2, rooms.max() + 1))
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
         next_rooms = np.roll(rooms, step, axis)
         is_border = (next_rooms > 0) & (next_rooms != rooms)
-        border_counts += np.bincount(next_rooms[is_border], minlength=len(border_counts))
-        barrier_counts += np.bincount(next_rooms[is_border & is_barrier],
-                                      minlength=len(border_counts))
-    return barrier_counts / np.maximum(border_counts, 1.0)
+        counts += [np.bincount(next_rooms[is_counted], minlength=counts.shape[1])
+                   for is_counted in (is_border & is_barrier, is_border)]
+    return counts[0] / np.maximum(counts[1], 1.0)
 
 
 def _join_rooms(rooms: np.ndarray, lintels: np.ndarray, half_width: np.ndarray,

@@ -23,17 +23,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from ocp_ros.util.yaml_files import (
-    array,
-    check,
-    Document,
-    many,
-    mapping,
-    number,
-    one_of,
-    read_document,
-    Schema,
-)
+from ocp_ros.util import yaml_files as schema
+from ocp_ros.util.yaml_files import check, Document, read_document, Schema
 from scipy.spatial import ConvexHull, QhullError
 
 #: For each wall, the axis normal to it, and whether it is at the far end of that axis.
@@ -43,25 +34,25 @@ CORNERS = 8
 #: Metres: the largest room.
 MAX_ROOM_M = 100.0
 LENGTH: Schema = {'type': 'number', 'minimum': 0.0, 'maximum': MAX_ROOM_M}
-OPENING = mapping(
+OPENING = schema.mapping(
     'a wall, and at, width and height', {'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1},
-    ('wall', 'at', 'width', 'height'), wall=one_of(WALLS, 'south'),
-    at=number('metres along the wall, 0 or more, from the corner with the lower x or y', 1.0,
-              minimum=0, maximum=MAX_ROOM_M),
-    width=number('metres above 0', 0.9, exclusiveMinimum=0, maximum=MAX_ROOM_M),
-    height=number('metres above 0', 2.1, exclusiveMinimum=0, maximum=MAX_ROOM_M),
-    sill=number('metres above the floor, 0 or more', 0.9, minimum=0, maximum=MAX_ROOM_M))
-BOX = mapping(
+    ('wall', 'at', 'width', 'height'), wall=schema.one_of(WALLS, 'south'),
+    at=schema.number('metres along the wall, 0 or more, from the corner with the lower x or y',
+                     1.0, minimum=0, maximum=MAX_ROOM_M),
+    width=schema.number('metres above 0', 0.9, exclusiveMinimum=0, maximum=MAX_ROOM_M),
+    height=schema.number('metres above 0', 2.1, exclusiveMinimum=0, maximum=MAX_ROOM_M),
+    sill=schema.number('metres above the floor, 0 or more', 0.9, minimum=0, maximum=MAX_ROOM_M))
+BOX = schema.mapping(
     'a mapping with the key box', {'box': [[1, 1, 0], [2, 1.8, 0.75]]}, ('box',),
-    box=many('the lowest and the highest corner, metres', array(LENGTH, 3, 3),
-             [[1, 1, 0], [2, 1.8, 0.75]], 2, 2))
-ROOM = mapping(
+    box=schema.many('the lowest and the highest corner, metres', schema.array(LENGTH, 3, 3),
+                    [[1, 1, 0], [2, 1.8, 0.75]], 2, 2))
+ROOM = schema.mapping(
     'a room with the key size', {'size': [6, 4.5, 2.7]}, ('size',),
-    size=many('length, width and height in metres, each from 1 to 100',
-              {'type': 'number', 'minimum': 1.0, 'maximum': MAX_ROOM_M}, [6, 4.5, 2.7], 3, 3),
-    openings=many('a list of doors and windows that let one look out', OPENING,
-                  [{'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1}], 0, 100),
-    boxes=many('a list of boxes', BOX, [{'box': [[1, 1, 0], [2, 1.8, 0.75]]}], 0, 1000))
+    size=schema.many('length, width and height in metres, each from 1 to 100',
+                     {**LENGTH, 'minimum': 1.0}, [6, 4.5, 2.7], 3, 3),
+    openings=schema.many('a list of doors and windows that let one look out', OPENING,
+                         [{'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1}], 0, 100),
+    boxes=schema.many('a list of boxes', BOX, [{'box': [[1, 1, 0], [2, 1.8, 0.75]]}], 0, 1000))
 #: Corners of each face of a box. The number of a corner is 1 (x high) + 2 (y high) + 4 (z high).
 FACES = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2],
                   [1, 3, 7, 5]])

@@ -31,8 +31,7 @@ from scipy.spatial import cKDTree
 
 def without_mirror_images(scene: Scene) -> Scene:
     """Leave out the points behind mirrors and add a note; return the same scene if none."""
-    points = scene.points.astype(np.float64)
-    normals = scene.normals_or_estimate
+    points, normals = scene.points.astype(np.float64), scene.normals_or_estimate
     areas = scene.pitch.astype(np.float64) ** 2
     # The largest distance in metres of a mirrored point from its counterpart.
     match_distance = max(0.08, 1.5 * float(np.median(scene.pitch)))

@@ -64,8 +64,8 @@ def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
             part_count = 4
             ends = len(points) * np.arange(part_count + 1) // part_count
             grid = points[order], order, cell_numbers[order], starts, cell_offsets
-            mapped(lambda part: _search_cells(*grid, ends[part], ends[part + 1], distances,
-                                              indices), range(part_count))
+            mapped(lambda k: _search_cells(*grid, ends[k], ends[k + 1], distances, indices),
+                   range(part_count))
             # Nearer points may lie outside the 27 cells.
             unsure = np.flatnonzero(distances[:, -1] > edge)
             if len(unsure):
@@ -98,25 +98,23 @@ def _search_cells(points, order, cell_numbers, starts, cell_offsets, first, end,
     :param indices: (N, K), written: indices among the caller's points.
     """
     count = distances.shape[1]
-    squared_distances = np.empty(count)
-    neighbours = np.empty(count, dtype=np.int64)
+    # The squared distances and the indices of the nearest points found so far.
+    squares, neighbours = np.empty(count), np.empty(count, dtype=np.int64)
     for i in range(first, end):
         x, y, z = points[i, 0], points[i, 1], points[i, 2]
-        squared_distances[:] = np.inf
+        squares[:] = np.inf
         last = count - 1
         for cell in cell_numbers[i] + cell_offsets:
             for j in range(starts[cell], starts[cell + 1]):
                 dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
-                squared_distance = dx * dx + dy * dy + dz * dz
-                if squared_distance < squared_distances[last]:
+                square = dx * dx + dy * dy + dz * dz
+                if square < squares[last]:
                     k = last
-                    while k > 0 and squared_distances[k - 1] > squared_distance:
-                        squared_distances[k] = squared_distances[k - 1]
-                        neighbours[k] = neighbours[k - 1]
+                    while k > 0 and squares[k - 1] > square:
+                        squares[k], neighbours[k] = squares[k - 1], neighbours[k - 1]
                         k -= 1
-                    squared_distances[k] = squared_distance
-                    neighbours[k] = j
+                    squares[k], neighbours[k] = square, j
         for k in range(count):
-            if squared_distances[k] < np.inf:
-                distances[order[i], k] = np.sqrt(squared_distances[k])
+            if squares[k] < np.inf:
+                distances[order[i], k] = np.sqrt(squares[k])
                 indices[order[i], k] = order[neighbours[k]]

@@ -29,19 +29,19 @@ class DeclaredElement(NamedTuple):
 
     :ivar name: such as ``vertex`` or ``face``.
     :ivar count: the number of rows.
-    :ivar property_types: the type of each property (column) by its name; ``b'list'`` for lists.
+    :ivar types: the type of each property (column) by its name; ``b'list'`` for lists.
     :ivar end: the number of bytes from the start of the header to the end of the declaration.
     """
 
     name: str
     count: int
-    property_types: dict[str, bytes]
+    types: dict[str, bytes]
     end: int
 
     @property
     def has_lists(self) -> bool:
         """Return whether a property is a list, so that rows have different lengths."""
-        return b'list' in self.property_types.values()
+        return b'list' in self.types.values()
 
 
 def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
@@ -63,8 +63,8 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
         return {}
     needed_elements = elements[:names.index('vertex') + 1]
     vertices = needed_elements[-1]
-    if not vertices.property_types.keys() >= set('xyz'):
-        return dict.fromkeys(vertices.property_types, np.empty(0))
+    if not vertices.types.keys() >= set('xyz'):
+        return dict.fromkeys(vertices.types, np.empty(0))
     if any(element.has_lists for element in needed_elements):
         # Each row takes a microsecond or two and 100 bytes.
         max_list_rows = 1_000_000
@@ -72,8 +72,7 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
         if list_rows > max_list_rows:
             raise ValueError(f'{list_rows:,} rows with lists up to its vertices, more than '
                              f'{max_list_rows:,}')
-        columns = [name for name in ('x', 'y', 'z', 'nx', 'ny', 'nz')
-                   if name in vertices.property_types]
+        columns = [name for name in ('x', 'y', 'z', 'nx', 'ny', 'nz') if name in vertices.types]
         rows = read_guarded('ply', path, len(columns), vertices.count, columns)
         return dict(zip(columns, rows.T))
     if len(needed_elements) == len(elements):
@@ -116,10 +115,10 @@ def _read_elements(path: Path) -> tuple[bytes, bytes, list[DeclaredElement]]:
         if words[:1] == [b'element'] and len(words) == 3:
             elements.append(DeclaredElement(words[1].decode('ascii'), int(words[2]), {}, position))
         elif words[:1] == [b'property'] and elements:
-            elements[-1].property_types[words[-1].decode('ascii')] = b''.join(words[1:2])
+            elements[-1].types[words[-1].decode('ascii')] = b''.join(words[1:2])
             elements[-1] = elements[-1]._replace(end=position)
     # Each number takes a byte or more, and each row has at least one number.
-    min_bytes = sum(element.count * max(len(element.property_types), 1) for element in elements)
+    min_bytes = sum(element.count * max(len(element.types), 1) for element in elements)
     min_count = min((element.count for element in elements), default=0)
     if min_count < 0 or min_bytes > path.stat().st_size:
         raise ValueError('more rows than the file has room for')

@@ -48,13 +48,10 @@ def load_cached(path: str | Path, **options) -> Scene:
         file_state = path.stat()
     except OSError:
         return load_scene(path, **options)
-    if file_state.st_size < MIN_CACHED_BYTES:
+    if file_state.st_size < MIN_CACHED_BYTES or (folder := cache_folder()) is None:
         return load_scene(path, **options)
     identity = [__version__, CACHE_VERSION, path.absolute(), file_state.st_size,
                 file_state.st_mtime_ns, sorted(options.items())]
-    folder = cache_folder()
-    if folder is None:
-        return load_scene(path, **options)
     digest = hashlib.sha256(str(identity).encode()).hexdigest()
     cached_file = folder / 'scans' / f'{digest[:24]}.npz'
     try:

@@ -15,13 +15,7 @@
 """Find points of a scan outside the room: reflections, dust, views through windows."""
 
 import numpy as np
-from ocp_ros.geometry.clouds import (
-    away_from,
-    cell_numbers,
-    cells_numbered,
-    corners_of,
-    MAX_CELL,
-)
+from ocp_ros.geometry.clouds import away_from, cell_numbers, cells_numbered, corners_of, MAX_CELL
 from ocp_ros.scenes.neighbours import nearest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components

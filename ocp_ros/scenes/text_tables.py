@@ -197,19 +197,14 @@ def _coordinate_columns(names: Sequence[str]) -> list[int] | None:
         these letters, such as ``pos_x``, ``pos_y`` and ``pos_z``; or of columns such as
         ``points_xyz:0`` to ``points_xyz:2``; None if there are no such columns.
     """
-    known_names = list(names)
-    for name in sorted(known_names, key=len):
-        for position in [position for position, letter in enumerate(name) if letter == 'x']:
-            axis_names = [f'{name[:position]}{axis}{name[position + 1:]}' for axis in 'xyz']
-            if all(axis_name in known_names for axis_name in axis_names):
-                return [known_names.index(axis_name) for axis_name in axis_names]
-    for name in known_names:
-        base, colon, first = name.rpartition(':')
-        axis_names = [f'{base}:{number}' for number in range(3)]
-        if (colon and first == '0' and re.search('xyz|point|pos|coord', base)
-                and all(axis_name in known_names for axis_name in axis_names)):
-            return [known_names.index(axis_name) for axis_name in axis_names]
-    return None
+    known = list(names)
+    triples = [[name[:position] + axis + name[position + 1:] for axis in 'xyz']
+               for name in sorted(known, key=len)
+               for position, letter in enumerate(name) if letter == 'x']
+    triples += [[f'{name[:-1]}{number}' for number in range(3)] for name in known
+                if name.endswith(':0') and re.search('xyz|point|pos|coord', name)]
+    return next(([known.index(name) for name in triple] for triple in triples
+                 if all(name in known for name in triple)), None)
 
 
 def _has_decimal_comma(separator: str | None, line: str) -> bool:

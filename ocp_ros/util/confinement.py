@@ -30,39 +30,22 @@ import resource
 import signal
 import struct
 import time
-from typing import NamedTuple
 
 #: The right of Landlock to read a file, see landlock(7).
 READ_FILE = 1 << 2
 #: Rights in a folder: write (bit 1) and read files, list (3), remove folders (4) and files (5),
 #: make folders (7) and files (8), truncate files (14).
 USE_FOLDER = 1 << 1 | READ_FILE | 1 << 3 | 1 << 4 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 14
-
-
-class SystemCalls(NamedTuple):
-    """
-    The numbers of system calls on one kind of machine.
-
-    :ivar architecture: the machine's constant in seccomp(2).
-    :ivar seccomp: the call that sets a filter.
-    :ivar tgkill: the call that signals a thread; a confined process may only signal itself.
-    :ivar refused: socket, execve, execveat, ptrace, process_vm_readv, process_vm_writev, kill,
-        tkill, rt_sigqueueinfo, rt_tgsigqueueinfo, pidfd_send_signal, pidfd_getfd, io_uring_setup,
-        which could bypass the filter, fchmod, fchmodat, fchmodat2, fchown, fchownat, utimensat,
-        and older variants of these.
-    """
-
-    architecture: int
-    seccomp: int
-    tgkill: int
-    refused: tuple[int, ...]
-
-
+#: For each machine: its constant in seccomp(2); the numbers of the calls seccomp and tgkill (which
+#: may only signal the process itself); and the numbers of the refused calls: socket, execve,
+#: execveat, ptrace, process_vm_readv, process_vm_writev, kill, tkill, rt_sigqueueinfo,
+#: rt_tgsigqueueinfo, pidfd_send_signal, pidfd_getfd, io_uring_setup (which could bypass the
+#: filter), fchmod, fchmodat, fchmodat2, fchown, fchownat, utimensat, and older variants of these.
 MACHINES = {
-    'x86_64': SystemCalls(0xC000003E, 317, 234, (
+    'x86_64': (0xC000003E, 317, 234, (
         41, 59, 322, 101, 310, 311, 62, 200, 129, 297, 424, 438, 425, 91, 268, 452, 93, 260, 280,
         90, 92, 94, 132, 235, 261)),
-    'aarch64': SystemCalls(0xC00000B7, 277, 131, (
+    'aarch64': (0xC00000B7, 277, 131, (
         198, 221, 281, 117, 270, 271, 129, 130, 138, 240, 424, 438, 425, 52, 53, 452, 55, 54, 88))}
 
 _libc = ctypes.CDLL(None, use_errno=True)
@@ -136,7 +119,7 @@ def _refuse_calls() -> None:
     """Refuse sockets, programs and access to other processes with seccomp."""
     if platform.machine() not in MACHINES:
         return
-    calls = MACHINES[platform.machine()]
+    architecture, seccomp, tgkill, refused = MACHINES[platform.machine()]
     # Instructions of a filter in classic BPF: load a word, compare it and jump, return an answer.
     # Each row has the instruction, the rows to skip if equal, those if not, and a value.
     load, equal, at_least, answer = 0x20, 0x15, 0x35, 0x06
@@ -146,13 +129,13 @@ def _refuse_calls() -> None:
     kill = 0x80000000
     # Bytes in the filter's data: the call at 0, the architecture at 4, the first argument at 16.
     # Calls from 0x40000000 on are those of another ABI of x86_64.
-    rows = [(load, 0, 0, 4), (equal, 1, 0, calls.architecture), (answer, 0, 0, kill),
+    rows = [(load, 0, 0, 4), (equal, 1, 0, architecture), (answer, 0, 0, kill),
             (load, 0, 0, 0), (at_least, 0, 1, 0x40000000), (answer, 0, 0, refuse)]
-    for number in calls.refused:
+    for number in refused:
         rows += [(equal, 0, 1, number), (answer, 0, 0, refuse)]
-    rows += [(equal, 0, 3, calls.tgkill), (load, 0, 0, 16), (equal, 1, 0, os.getpid()),
+    rows += [(equal, 0, 3, tgkill), (load, 0, 0, 16), (equal, 1, 0, os.getpid()),
              (answer, 0, 0, refuse), (answer, 0, 0, allow)]
     code = ctypes.create_string_buffer(b''.join(struct.pack('<HBBI', *row) for row in rows))
     program = struct.pack('<HxxxxxxQ', len(rows), ctypes.addressof(code))
     # Set a filter, for all threads.
-    _libc.syscall(calls.seccomp, 1, 1, program)
+    _libc.syscall(seccomp, 1, 1, program)

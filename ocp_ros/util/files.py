@@ -66,7 +66,8 @@ def _opened_regular(path: str | Path, max_bytes: float) -> Iterator[BinaryIO]:
     """Yield an open regular file of at most ``max_bytes``; see :func:`read_regular`."""
     if '\0' in str(path):
         raise OSError(errno.EINVAL, 'its name has a zero byte')
-    with open(path, 'rb', opener=_open_without_waiting) as file:
+    # With O_NONBLOCK, opening a pipe does not wait for its writer.
+    with open(path, 'rb', opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
         state = os.fstat(file.fileno())
         if not stat.S_ISREG(state.st_mode):
             raise OSError(errno.EINVAL, 'it is a pipe or a device, not a regular file')
@@ -82,16 +83,11 @@ def sha256_of_file(path: str | Path) -> str:
     :returns: 64 hexadecimal digits.
     :raises OSError: if the file cannot be read, or is a pipe or a device.
     """
-    digest = hashlib.sha256()
     with _opened_regular(path, math.inf) as file:
+        digest = hashlib.sha256()
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
-
-
-def _open_without_waiting(path: str, flags: int) -> int:
-    """Open a path without waiting for a writer if it is a pipe; return the file descriptor."""
-    return os.open(path, flags | os.O_NONBLOCK)
 
 
 def cache_folder() -> Path | None:
@@ -147,8 +143,10 @@ def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
         with open(name, 'rb') as file:
             os.fsync(file.fileno())
         if not private:
-            # Temporary files are private; other files follow the umask.
-            os.chmod(name, 0o666 & ~_umask())
+            # Temporary files are private; other files follow the umask. Setting it reads it.
+            umask = os.umask(0o077)
+            os.umask(umask)
+            os.chmod(name, 0o666 & ~umask)
         os.replace(name, path)
     except BaseException as error:
         Path(name).unlink(missing_ok=True)
@@ -156,13 +154,6 @@ def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
             # The error of a full disk does not name the file.
             error.filename = str(path)
         raise
-
-
-def _umask() -> int:
-    """Return the umask; reading it requires setting it."""
-    umask = os.umask(0o077)
-    os.umask(umask)
-    return umask
 
 
 class FileSet:

@@ -131,8 +131,8 @@ class GuardedProcess:
         if code < 0:
             raise ValueError('it makes its reader crash')
         if code:
-            tail_bytes = min(4096, self._error_file.seek(0, os.SEEK_END))
-            self._error_file.seek(-tail_bytes, os.SEEK_END)
+            # Of a long error output only the end is read.
+            self._error_file.seek(max(self._error_file.seek(0, os.SEEK_END) - 4096, 0))
             lines = self._error_file.read().decode(errors='replace').splitlines()
             raise ValueError(lines[-1] if lines else f'its reader ended with {code}')
 

@@ -130,14 +130,12 @@ def _short_text(value: Any) -> str:
 
 def _checked_value(name: str, item: Field, value: Any) -> Any:
     """Return a value in the type of its setting, the field ``item``; refuse invalid values."""
-    setting_type: Any = item.type
-    if setting_type is float and isinstance(value, int) and not isinstance(value, bool):
+    expected: Any = item.type
+    if expected is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     found = f'{name}: found {_short_text(value)}'
-    if (not isinstance(value, setting_type)
-            or (isinstance(value, bool) and setting_type is not bool)):
-        raise ConfigurationError(
-            f'{found} ({type(value).__name__}); expected {setting_type.__name__}')
+    if not isinstance(value, expected) or isinstance(value, bool) and expected is not bool:
+        raise ConfigurationError(f'{found} ({type(value).__name__}); expected {expected.__name__}')
     low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
     if choices and value not in choices:
         raise ConfigurationError(f'{found}; expected one of {list(choices)}')

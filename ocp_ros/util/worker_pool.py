@@ -84,11 +84,10 @@ class WorkerPool:
         """Do the work of ``unordered`` on Ray; tasks of a lost machine run again on another."""
         # Ray accepts plain functions only, and ``function`` may be a functools.partial.
         remote_apply = self._ray.remote(num_cpus=1, max_retries=2)(_apply)
-        task_indices = {remote_apply.remote(function, task): index
-                        for index, task in enumerate(tasks)}
-        while task_indices:
-            for reference in self._ray.wait(list(task_indices))[0]:
-                yield task_indices.pop(reference), self._ray.get(reference)
+        indices = {remote_apply.remote(function, task): index for index, task in enumerate(tasks)}
+        while indices:
+            for reference in self._ray.wait(list(indices))[0]:
+                yield indices.pop(reference), self._ray.get(reference)
 
     def __enter__(self) -> 'WorkerPool':
         """Return the pool itself."""

@@ -104,7 +104,7 @@ class Document:
         return Document(self.name, self.value(*key_path), lines)
 
 
-class _LineError(Exception):
+class _BadLine(Exception):
     """An error in a file; its arguments: line, what was found, what was expected, what to do."""
 
 
@@ -119,11 +119,11 @@ class _Loader(yaml.BaseLoader):
         line = self.peek_event().start_mark.line + 1
         max_nodes = 20_000
         if self.nodes > max_nodes:
-            raise _LineError(line, f'more than {max_nodes:,} keys and values', 'fewer',
-                             'name the right file')
+            raise _BadLine(line, f'more than {max_nodes:,} keys and values', 'fewer',
+                           'name the right file')
         if self.check_event(yaml.AliasEvent):
-            raise _LineError(line, 'an alias', 'each value where it belongs',
-                             'write it out in place of *')
+            raise _BadLine(line, 'an alias', 'each value where it belongs',
+                           'write it out in place of *')
         return super().compose_node(parent, index)
 
 
@@ -160,7 +160,7 @@ def read_plain(path: str | Path) -> Document:
     try:
         node = yaml.compose(text, Loader=_Loader)
         data = None if node is None else _plain_data(node, (), lines)
-    except _LineError as error:
+    except _BadLine as error:
         line, found, expected, remedy = error.args
         raise ConfigurationError(f'{path.name}: line {line}: found {found}; expected {expected}; '
                                  f'{remedy}') from error
@@ -201,8 +201,7 @@ def _plain_data(node: yaml.Node, key_path: Way, lines: dict[Way, int]) -> Any:
     """Return a YAML node as plain data; add the lines of its values to ``lines``."""
     line = node.start_mark.line + 1
     if node.tag not in {f'tag:yaml.org,2002:{kind}' for kind in ('str', 'seq', 'map')}:
-        raise _LineError(line, f'the tag {_short_key(node.tag)}', 'a plain value',
-                         'remove the tag')
+        raise _BadLine(line, f'the tag {_short_key(node.tag)}', 'a plain value', 'remove the tag')
     lines.setdefault(key_path, line)
     if isinstance(node, yaml.SequenceNode):
         return [_plain_data(item, (*key_path, k), lines) for k, item in enumerate(node.value)]
@@ -212,11 +211,11 @@ def _plain_data(node: yaml.Node, key_path: Way, lines: dict[Way, int]) -> Any:
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
-            raise _LineError(line, 'a list or mapping as a key', 'a word',
-                             'write one, such as count: 3')
+            raise _BadLine(line, 'a list or mapping as a key', 'a word',
+                           'write one, such as count: 3')
         if key.value in data:
-            raise _LineError(line, f'the key {describe(key.value)} twice', 'it once',
-                             'remove one of the two')
+            raise _BadLine(line, f'the key {describe(key.value)} twice', 'it once',
+                           'remove one of the two')
         lines[(*key_path, key.value)] = line
         data[key.value] = _plain_data(value, (*key_path, key.value), lines)
     return data
@@ -266,18 +265,17 @@ def _error_from_schema(document: Document, schema: dict[str, Any], error: Valida
                        ) -> ConfigurationError:
     """Return an error of this package for an error that the schema validator has found."""
     key_path = _error_key_path(error)
-    subschema = error.schema
     if error.validator == 'additionalProperties':
-        known_keys = list(subschema['properties'])
+        known_keys = list(error.schema['properties'])
         return document.error(key_path, f'the unknown key {describe(key_path[-1])}',
                               'one of ' + ', '.join(known_keys),
                               nearest(key_path[-1], known_keys, 'remove it'))
     if error.validator == 'required':
         key = next(key for key in error.validator_value if key not in error.instance)
-        missing_schema = subschema['properties'][key]
+        missing_schema = error.schema['properties'][key]
         return document.error(key_path, f'no {key}', missing_schema['description'],
                               f'add, for example, {key}: {shown(missing_schema["examples"][0])}')
-    if error.validator == 'maxItems' and subschema['minItems'] < error.validator_value:
+    if error.validator == 'maxItems' and error.schema['minItems'] < error.validator_value:
         return document.error(key_path, f'{len(error.instance)} entries',
                               f'at most {error.validator_value}', 'remove some')
     expected, remedy = _expected_and_remedy(schema, error)
@@ -389,9 +387,8 @@ def array(items: Schema, least: int, most: int) -> Schema:
 
 def one_or_two(description: str, example: Any, low: float, high: float) -> Schema:
     """Return the schema of a number from ``low`` to ``high``, or of a list of two such numbers."""
-    bounded_number = {'type': 'number', 'minimum': low, 'maximum': high}
-    return {'description': description, 'examples': [example],
-            'anyOf': [bounded_number, array(bounded_number, 2, 2)]}
+    item = {'type': 'number', 'minimum': low, 'maximum': high}
+    return {'description': description, 'examples': [example], 'anyOf': [item, array(item, 2, 2)]}
 
 
 def many(description: str, items: Schema, example: Any, least: int = 0, most: int = 64) -> Schema:
