@@ -48,9 +48,9 @@ from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
-from ocp_ros.rooms.scanning import boxes_of, free
+from ocp_ros.rooms.scanning import boxes_of, is_position_free
 from ocp_ros.rooms.splits import SETS
-from ocp_ros.scenes.mesh_files import sampled
+from ocp_ros.scenes.mesh_files import sample_faces
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
@@ -158,14 +158,15 @@ def generated(seed: int) -> Iterator[BenchRoom]:
     """Yield a generated room, scanned from tripods and by hand."""
     plan = plan_of(seed)
     rays, boxes = MeshRays(mesh_of(plan)), boxes_of(plan)
-    hangs = hung(plan.size, lambda at: free(at, AIR, *boxes), np.random.default_rng([seed, 5]))
+    hangs = hung(plan.size, lambda at: is_position_free(at, AIR, *boxes),
+                 np.random.default_rng([seed, 5]))
 
     def see(*what) -> np.ndarray:
         return cast(rays, *what)
 
     yield BenchRoom('tripod', str(seed), generate_room(seed, POINTS), see, hangs)
     mesh = scan_by_hand(seed).mesh
-    points, normals = np.hsplit(sampled(mesh.corners), 2)
+    points, normals = np.hsplit(sample_faces(mesh.corners), 2)
     yield BenchRoom('hand', str(seed), Scene(points, normals=normals), see, hangs)
 
 

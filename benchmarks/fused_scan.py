@@ -31,7 +31,7 @@ from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.rooms.generator import mesh_of, plan_of
 from ocp_ros.rooms.room_plan import RoomPlan
-from ocp_ros.rooms.scanning import Boxes, boxes_of, free
+from ocp_ros.rooms.scanning import Boxes, boxes_of, is_position_free
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 from scipy.ndimage import gaussian_filter1d
@@ -128,7 +128,7 @@ def hand_held_path(plan: RoomPlan, frames: int, rng: np.random.Generator) -> Ite
     pitch = DOWN + NOD * _swing(time, (7, 11, 17), rng)
     roll = TILT * _swing(time, (4, 9, 15), rng)
     for position, *angles in zip(positions, yaw, pitch, roll):
-        if free(position, AIR, *boxes):
+        if is_position_free(position, AIR, *boxes):
             yield Pose(position, rotation_matrix(*angles))
 
 
@@ -137,7 +137,7 @@ def _free_places(plan: RoomPlan, boxes: Boxes, rng: np.random.Generator) -> np.n
     margin, places = np.minimum(MARGIN, 0.3 * plan.size[:2]), []
     while len(places) < PLACES:
         place = np.append(rng.uniform(margin, plan.size[:2] - margin), 0.5 * (LOW + HIGH))
-        if free(place, AIR, *boxes):
+        if is_position_free(place, AIR, *boxes):
             places.append(place[:2])
     return np.array(places)
 

@@ -39,7 +39,7 @@ from ocp_ros.rig.rig_file import Rig, rig_of
 from ocp_ros.rig.structure import Air
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.splits import SETS
-from ocp_ros.scenes.mesh_files import sampled
+from ocp_ros.scenes.mesh_files import sample_faces
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.scenes.scene_files import scene_of
 from ocp_ros.search.budget import Budget
@@ -69,7 +69,7 @@ class Judge:
     """
 
     def __init__(self, room: Scene, rig: Rig = RIG) -> None:
-        points = sampled(room.mesh.corners, JUDGED)[:, :3]
+        points = sample_faces(room.mesh.corners, JUDGED)[:, :3]
         scene = Scene(points.astype(np.float32), 'judge', mesh=room.mesh)
         self._simulator = Simulator(
             scene, SimulationConfig(engine=EngineConfig(MESH, error_rows=16)), rig.models)

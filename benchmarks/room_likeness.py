@@ -22,13 +22,13 @@ import numpy as np
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.rig.free_plane import floor_of
 from ocp_ros.rig.rig_config import RigConfig
-from ocp_ros.rooms.furniture import KINDS
+from ocp_ros.rooms.furniture import SOLID_KINDS
 from ocp_ros.rooms.generator import generate_room, plan_of
 from ocp_ros.rooms.scanning import scan
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.viewpoints import viewpoints_of
 
-#: Points of S3DIS by class, in the order of ``KINDS``: the class weights of Open3D-ML.
+#: Points of S3DIS by class, in the order of ``SOLID_KINDS``: the class weights of Open3D-ML.
 S3DIS_POINTS = (3370714, 2856755, 4919229, 318158, 375640, 478001, 974733, 650464, 791496, 88727,
                 1284130, 229758, 2272837)
 #: Metres: edge of the cells whose occupied share is taken.
@@ -75,12 +75,13 @@ def likeness(scene: Scene) -> Likeness:
 
 
 def shares_of_kinds(seeds: Sequence[int], points: int) -> np.ndarray:
-    """Return the share of points of each of ``KINDS`` in generated rooms, weighted by floor."""
-    total = np.zeros(len(KINDS))
+    """Return the share of each of ``SOLID_KINDS`` in generated rooms, weighted by floor."""
+    total = np.zeros(len(SOLID_KINDS))
     for seed in seeds:
         plan = plan_of(seed)
         kinds = scan(plan, points, np.random.default_rng([seed, 1]))[1]
-        total += np.bincount(kinds, minlength=len(KINDS)) / len(kinds) * np.prod(plan.size[:2])
+        shares = np.bincount(kinds, minlength=len(SOLID_KINDS)) / len(kinds)
+        total += shares * np.prod(plan.size[:2])
     return total / total.sum()
 
 

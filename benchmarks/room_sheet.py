@@ -25,7 +25,7 @@ from benchmarks.room_likeness import generated, likeness, S3DIS_POINTS, shares_o
 import numpy as np
 from ocp_ros.compare.protocol import rooms_in, rooms_of_s3dis
 from ocp_ros.report.drawing.room_pictures import draw_rooms, titled
-from ocp_ros.rooms.furniture import KINDS
+from ocp_ros.rooms.furniture import SOLID_KINDS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.util.terminal_text import printable
@@ -53,8 +53,8 @@ def measured(scans: Sequence[str]) -> dict[str, Any]:
     return {'generated': summary(generated(MEASURED, POINTS)),
             'real': {name: {figure: values[1] for figure, values in figures.items()}
                      for name, figures in real.items()},
-            'kinds': dict(zip(KINDS, shares.tolist())),
-            's3dis': dict(zip(KINDS, (100.0 * published / published.sum()).tolist()))}
+            'kinds': dict(zip(SOLID_KINDS, shares.tolist())),
+            's3dis': dict(zip(SOLID_KINDS, (100.0 * published / published.sum()).tolist()))}
 
 
 def show(found: dict[str, Any]) -> None:

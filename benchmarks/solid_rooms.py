@@ -37,11 +37,11 @@ from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
-from ocp_ros.rooms.furniture import Solid, solid
+from ocp_ros.rooms.furniture import make_solid, Solid
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.rooms.room_plan import RoomPlan
 from ocp_ros.rooms.splits import TEST
-from ocp_ros.scenes.mesh_files import sampled
+from ocp_ros.scenes.mesh_files import sample_faces
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.search.budget import Budget
@@ -65,7 +65,7 @@ def solid_mesh(plan: RoomPlan) -> Mesh:
              ((-WALL, -WALL, 0), (0, y + WALL, z)), ((x, -WALL, 0), (x + WALL, y + WALL, z)),
              ((0, -WALL, 0), (x, 0, z)), ((0, y, 0), (x, y + WALL, z)),
              ((-GROUND, -GROUND, -2 * SLAB), (x + GROUND, y + GROUND, -SLAB))]
-    bodies = [solid('wall', low, high) for low, high in shell]
+    bodies = [make_solid('wall', low, high) for low, high in shell]
     bodies += [panel for part in plan.solids for panel in panels_of(part)]
     # The shell of a mesh is a room without walls: only the bodies count.
     whole = mesh_of(replace(plan, solids=bodies))
@@ -96,7 +96,7 @@ def room_of(seed: int, folder: Path) -> dict:
     scene = load_scene(path, up='z', max_points=POINTS)
     seconds = time.monotonic() - began
     # The surfaces that the room shows, and what a judge looks at on them.
-    inner = sampled(mesh_of(plan).corners, DENSE)[:, :3]
+    inner = sample_faces(mesh_of(plan).corners, DENSE)[:, :3]
     away = cKDTree(inner).query(walls_of(scene).points)[0] - _grain(inner)
     rig = rig_of(CAMERAS, 'd455', mount={'on': 'walls', 'height': [1.5, 2.4]})
     room = generate_room(seed, POINTS)

@@ -36,7 +36,7 @@ from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.bags.bag_files import Bag
-from ocp_ros.scenes.guarded_reading import COSTS, read_guarded
+from ocp_ros.scenes.guarded_reading import read_guarded, READING_COSTS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.training.run_folder import read_config
@@ -100,7 +100,7 @@ def test_a_process_that_takes_too_much_is_stopped(laz, monkeypatch):
     for limits, rows in (({}, len(ROOM) // 2), ({'memory': 20_000_000}, len(ROOM)),
                          ({'seconds': 0}, len(ROOM))):
         with monkeypatch.context() as patch:
-            patch.setitem(COSTS, 'las', COSTS['las']._replace(**limits))
+            patch.setitem(READING_COSTS, 'las', READING_COSTS['las']._replace(**limits))
             with pytest.raises(ValueError, match='too long' if 'seconds' in limits else '.'):
                 read_guarded('las', laz, 4, rows)
 

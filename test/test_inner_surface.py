@@ -21,7 +21,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.scenes.mesh_files import sampled
+from ocp_ros.scenes.mesh_files import sample_faces
 from ocp_ros.scenes.scene import Mesh, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scene_of
 from ocp_ros.simulation.problem import Problem
@@ -114,7 +114,7 @@ def test_a_generated_room_with_an_outside_is_read_as_without_one(tmp_path, seed)
     room = generate_room(seed, 3000)
     low, high = room.bounds
     scene = read(tmp_path, room.mesh.corners, box(low - 0.25, high + 0.3))
-    inner = cKDTree(sampled(room.mesh.corners, 60_000)[:, :3])
+    inner = cKDTree(sample_faces(room.mesh.corners, 60_000)[:, :3])
     away, _ = inner.query(scene.points)
     assert away.max() < 0.25 and np.quantile(away, 0.99) < 0.1
     missed, _ = cKDTree(scene.points).query(room.points)
@@ -183,7 +183,7 @@ def test_a_mesh_of_one_layer_without_enclosed_air_is_kept_whole(tmp_path):
 
 
 def test_points_of_a_solid_model_are_held_to_the_room_and_those_of_a_scan_are_kept():
-    scene = scene_of(sampled(solid_room(), 12_000)[:, :3])
+    scene = scene_of(sample_faces(solid_room(), 12_000)[:, :3])
     assert floor_height(scene) == pytest.approx(0.0, abs=0.02)
     outer = ((scene.points < -0.1) | (scene.points > np.add(SIZE, 0.1))).any(axis=1)
     assert outer.mean() < 0.01 and 'solid model' in scene.remarks[-1]

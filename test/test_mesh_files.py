@@ -33,7 +33,7 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.measured_room import document_of, triangles_of
-from ocp_ros.scenes.mesh_files import MESH_SAMPLES, sampled
+from ocp_ros.scenes.mesh_files import MESH_SAMPLES, sample_faces
 from ocp_ros.scenes.scene import Mesh, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scans_in, scene_of, SceneWarning
 from ocp_ros.simulation.objective import Objective
@@ -62,8 +62,8 @@ def refusal(path, **options) -> str:
 
 
 def test_samples_lie_evenly_on_the_faces_and_have_their_normals():
-    points, normals = np.hsplit(sampled(VERTICES[TRIANGLES], 8000), 2)
-    np.testing.assert_array_equal(points, sampled(VERTICES[TRIANGLES], 8000)[:, :3])
+    points, normals = np.hsplit(sample_faces(VERTICES[TRIANGLES], 8000), 2)
+    np.testing.assert_array_equal(points, sample_faces(VERTICES[TRIANGLES], 8000)[:, :3])
     floor = abs(points[:, 2]) < 1e-9
     assert np.count_nonzero(floor) == pytest.approx(6000, abs=2)
     np.testing.assert_allclose(points[~floor, 1], 0.0, atol=1e-9)
@@ -81,7 +81,7 @@ def test_small_faces_get_their_share():
     corner = (101 * np.arange(100)[:, None] + np.arange(100)).ravel()
     triangles = np.concatenate([np.stack([corner, corner + 101, corner + 102], axis=1),
                                 np.stack([corner, corner + 102, corner + 1], axis=1)])
-    points = sampled(vertices[rng.permutation(triangles)], 2000)
+    points = sample_faces(vertices[rng.permutation(triangles)], 2000)
     counts = np.histogram2d(*points[:, :2].T, bins=10, range=[[0, 100], [0, 100]])[0]
     assert counts.min() >= 8 and counts.max() <= 36
 
@@ -90,14 +90,14 @@ def test_small_faces_get_their_share():
     (np.empty((0, 3), int), 'no faces'), ([[0, 1, 1]], 'without area')])
 def test_faces_that_are_none_are_refused(triangles, found):
     with pytest.raises(ValueError, match=found):
-        sampled(VERTICES[np.array(triangles)])
+        sample_faces(VERTICES[np.array(triangles)])
 
 
 def test_a_face_with_nan_gives_a_point_of_nan():
     for bad in (np.nan, np.inf, 1e300):
         vertices = VERTICES.copy()
         vertices[5, 0] = bad
-        points = sampled(vertices[TRIANGLES], 500)
+        points = sample_faces(vertices[TRIANGLES], 500)
         # The faces of that vertex are two, one of which it only stretches without end.
         assert 1 <= np.isnan(points).all(axis=1).sum() <= 2
         assert np.isfinite(points[:500]).all()

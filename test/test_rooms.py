@@ -24,11 +24,18 @@ from hypothesis import given, settings, strategies
 from matplotlib.image import imread
 import numpy as np
 from ocp_ros.cli import main as cli
-from ocp_ros.rooms.furniture import KINDS, placed, solid
+from ocp_ros.rooms.furniture import make_solid, moved_piece, SOLID_KINDS
 from ocp_ros.rooms.generator import generate_room, mesh_of
-from ocp_ros.rooms.room_kinds import draw_plan, ROOMS
-from ocp_ros.rooms.room_plan import mirrored, RoomPlan
-from ocp_ros.rooms.scanning import boxes_of, densities, exposed, free, scan, surface_of
+from ocp_ros.rooms.room_kinds import draw_plan, ROOM_KINDS
+from ocp_ros.rooms.room_plan import mirrored_plan, RoomPlan
+from ocp_ros.rooms.scanning import (
+    boxes_of,
+    exposed_points,
+    is_position_free,
+    sampling_densities,
+    scan,
+    surface_of,
+)
 from ocp_ros.scenes.scene_files import load_scene
 from plyfile import PlyData
 import pytest
@@ -64,7 +71,7 @@ def test_the_same_seed_gives_the_same_room():
 def test_other_seeds_give_other_rooms_of_all_kinds():
     plans = [plan_of(seed) for seed in range(60)]
     assert len({tuple(plan.size) for plan in plans}) == 60
-    assert {plan.kind for plan in plans} == set(ROOMS)
+    assert {plan.kind for plan in plans} == set(ROOM_KINDS)
 
 
 def test_more_points_are_of_the_same_room():
@@ -79,7 +86,7 @@ def test_a_generated_room_is_a_furnished_room(seed):
     plan, scene = plan_of(seed), generate_room(seed, 6000)
     assert (plan.size >= [1.8, 3.5, 2.5]).all() and (plan.size <= [15.0, 15.0, 3.5]).all()
     assert abs(len(scene) / 6000 - 1.0) < 0.1
-    assert len(plan.solids) >= 3 and {part.kind for part in plan.solids} <= set(KINDS)
+    assert len(plan.solids) >= 3 and {part.kind for part in plan.solids} <= set(SOLID_KINDS)
     corners = mesh_of(plan).vertices
     assert (corners >= -0.5).all() and (corners <= plan.size + 0.5).all()
     # Nothing was scanned inside of anything, beyond the noise.
@@ -116,18 +123,17 @@ def test_scans_are_thinner_where_they_look_askance_and_have_holes():
 
 def test_what_no_tripod_sees_is_not_scanned():
     """A wall across the room hides what is behind it from a tripod, and nothing else."""
-    wall = solid('wall', (3.0, 0.0, 0.0), (3.1, 4.0, 3.0))
+    wall = make_solid('wall', (3.0, 0.0, 0.0), (3.1, 4.0, 3.0))
     plan = box_plan(wall)
     points = np.array([[5.9, 1.0, 1.0], [5.9, 4.9, 1.0], [1.0, 1.0, 0.0], [3.0, 2.0, 1.0],
                        [3.1, 2.0, 1.0]])
     normals = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0], [1.0, 0, 0]])
-    owner = np.array([-1, -1, -1, 0, 0])
     tripod = np.array([[2.0, 4.5, 1.5]])
-    seen = densities(points, normals, owner, tripod, *boxes_of(plan)) > 0.0
+    seen = sampling_densities(points, normals, tripod, *boxes_of(plan)) > 0.0
     np.testing.assert_array_equal(seen, [False, True, True, True, False])
     # A second one beyond the wall sees the rest, and the near one denser.
-    both = densities(points, normals, owner, np.vstack([tripod, [[5.0, 2.0, 1.5]]]),
-                     *boxes_of(plan))
+    both = sampling_densities(points, normals, np.vstack([tripod, [[5.0, 2.0, 1.5]]]),
+                              *boxes_of(plan))
     assert (both[[0, 4]] > 0.0).all() and both[4] > 0.1
 
 
@@ -136,13 +142,13 @@ def test_what_no_tripod_sees_is_not_scanned():
 def test_rays_are_blocked_as_sampled_ones_are(seed):
     """A twin that walks along each ray in small steps."""
     rng = np.random.default_rng(seed)
-    box = solid('clutter', (-0.5, -0.3, 0.0), (0.5, 0.3, 1.2))
-    plan = box_plan(*placed([box], rng.uniform(1.5, 3.5, 2), rng.uniform(0.0, np.pi)))
+    box = make_solid('clutter', (-0.5, -0.3, 0.0), (0.5, 0.3, 1.2))
+    plan = box_plan(*moved_piece([box], rng.uniform(1.5, 3.5, 2), rng.uniform(0.0, np.pi)))
     points = rng.uniform(0.0, [6.0, 5.0, 3.0], (60, 3))
     tripod = rng.uniform(0.0, [6.0, 5.0, 3.0], (1, 3))
     normals = points - tripod
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    seen = densities(points, normals, np.full(60, -1), tripod, *boxes_of(plan)) > 0.0
+    seen = sampling_densities(points, normals, tripod, *boxes_of(plan)) > 0.0
     steps = np.linspace(0.0, 1.0, 2000)[:, None]
     deepest = np.array([depth_in(tripod + steps * (point - tripod), plan.solids[0]).max()
                         for point in points])
@@ -152,25 +158,25 @@ def test_rays_are_blocked_as_sampled_ones_are(seed):
 
 
 def test_what_touches_is_not_exposed():
-    table = solid('table', (1, 1, 0.7), (2, 2, 0.74))
-    lying = solid('clutter', (1.2, 1.2, 0.74), (1.5, 1.5, 0.9))
+    table = make_solid('table', (1, 1, 0.7), (2, 2, 0.74))
+    lying = make_solid('clutter', (1.2, 1.2, 0.74), (1.5, 1.5, 0.9))
     plan = box_plan(table, lying)
     points = np.array([[1.3, 1.3, 0.74], [1.8, 1.8, 0.74], [1.3, 1.3, 0.9], [3.0, 3.0, 0.0]])
     owner = np.array([0, 0, 1, -1])
-    keep = exposed(points, owner, plan.size, *boxes_of(plan), 0.03)
+    keep = exposed_points(points, owner, plan.size, *boxes_of(plan), 0.03)
     np.testing.assert_array_equal(keep, [False, True, True, True])
-    assert free(np.array([3.0, 3.0, 1.5]), 0.3, *boxes_of(plan))
-    assert not free(np.array([2.1, 1.5, 0.72]), 0.3, *boxes_of(plan))
+    assert is_position_free(np.array([3.0, 3.0, 1.5]), 0.3, *boxes_of(plan))
+    assert not is_position_free(np.array([2.1, 1.5, 0.72]), 0.3, *boxes_of(plan))
 
 
 def test_windows_return_nothing():
-    plan = box_plan(solid('clutter', (2, 2, 0), (3, 3, 1)))
+    plan = box_plan(make_solid('clutter', (2, 2, 0), (3, 3, 1)))
     plan.windows.append(np.array([[-0.01, 1.0, 1.0], [0.01, 3.0, 2.0]]))
     points, kinds = scan(plan, 12000, np.random.default_rng(0))
     in_glass = (np.abs(points[:, 0]) < 0.05) & (points[:, 1] > 1.1) & (points[:, 1] < 2.9) \
         & (points[:, 2] > 1.1) & (points[:, 2] < 1.9)
     assert not in_glass.any()
-    assert {KINDS[k] for k in np.unique(kinds)} == {'ceiling', 'floor', 'wall', 'clutter'}
+    assert {SOLID_KINDS[k] for k in np.unique(kinds)} == {'ceiling', 'floor', 'wall', 'clutter'}
 
 
 @settings(deadline=None, max_examples=10)
@@ -178,7 +184,7 @@ def test_windows_return_nothing():
 def test_a_mirrored_room_is_the_room_in_a_mirror(seed, flip):
     plan = plan_of(seed)
     there = mesh_of(plan).vertices.reshape(-1, 8, 3)
-    back = mesh_of(mirrored(plan, np.array(flip))).vertices.reshape(-1, 8, 3)
+    back = mesh_of(mirrored_plan(plan, np.array(flip))).vertices.reshape(-1, 8, 3)
     back[..., :2] = np.where(flip, plan.size[:2] - back[..., :2], back[..., :2])
     # Corners come in another order.
     for one, other in zip(there, back):
@@ -203,7 +209,7 @@ def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
 @pytest.mark.system
 def test_generated_rooms_are_as_full_as_real_ones():
     """The figures of the sheet, on a few rooms: walls, furniture and clutter all have a share."""
-    shares = dict(zip(KINDS, shares_of_kinds(range(12), 3000)))
+    shares = dict(zip(SOLID_KINDS, shares_of_kinds(range(12), 3000)))
     assert shares['floor'] + shares['ceiling'] + shares['wall'] < 0.85
     assert shares['bookcase'] > 0.02 and shares['clutter'] > 0.05
     figures = summary(generated(range(6), 4000))

@@ -12,142 +12,164 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Build the fixed parts of a room: walls, columns, ceiling, doors and windows."""
+"""
+Build the fixed parts of a room: walls, columns, ceiling, doors and windows.
+
+Each function draws sizes and positions from the generator of the plan and adds boxes to the plan.
+All lengths are metres.
+"""
+
+from collections.abc import Sequence
 
 import numpy as np
-from ocp_ros.rooms.furniture import placed, solid
+from ocp_ros.rooms.furniture import make_solid, moved_piece
 from ocp_ros.rooms.room_plan import RoomPlan, RoomWall, WALL_GAP_M
 
 
-def shell(plan: RoomPlan, corner: float) -> None:
-    """
-    Build the walls of a rectangular or an L-shaped room.
-
-    :param corner: the probability of an L-shape.
-    """
-    (w, d, _), rng = plan.size, plan.rng
-    if rng.random() < corner:
-        bw, bd = rng.uniform(0.25, 0.6, 2) * (w, d)
+def build_walls(plan: RoomPlan, l_shape_probability: float) -> None:
+    """Build the walls of a rectangular room, or at random of an L-shaped room."""
+    width, depth, _ = plan.size
+    rng = plan.rng
+    if rng.random() < l_shape_probability:
+        cut_width, cut_depth = rng.uniform(0.25, 0.6, 2) * (width, depth)
         if plan.kind == 'hallway':
-            bw, bd = np.array([w, d]) - rng.uniform(1.8, 2.8, 2)
-        _block(plan, (w - bw, d - bd), (w, d))
-        corners = [(0, 0), (w, 0), (w, d - bd), (w - bw, d - bd), (w - bw, d), (0, d)]
+            cut_width, cut_depth = np.array([width, depth]) - rng.uniform(1.8, 2.8, 2)
+        # The inner corner of the L.
+        x, y = width - cut_width, depth - cut_depth
+        _build_box(plan, (x, y), (width, depth))
+        corners = [(0, 0), (width, 0), (width, y), (x, y), (x, depth), (0, depth)]
     else:
-        corners = [(0, 0), (w, 0), (w, d), (0, d)]
+        corners = [(0, 0), (width, 0), (width, depth), (0, depth)]
     corners = np.array(corners, dtype=np.float64)
     for start, end in zip(corners, np.roll(corners, -1, axis=0)):
         length = float(np.linalg.norm(end - start))
         plan.walls.append(RoomWall(start, (end - start) / length, length))
 
 
-def _block(plan: RoomPlan, low, high, kind: str = 'wall', top: float | None = None) -> bool:
-    """Build a box from the floor to the ceiling, or to ``top``, if the floor there is free."""
-    low, high = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
-    if not plan.claim(low, high, 0.0):
-        return False
-    plan.solids.append(solid(kind, (*low, 0.0), (*high, plan.size[2] if top is None else top)))
-    return True
+def _build_box(plan: RoomPlan, low: Sequence[float], high: Sequence[float], kind: str = 'wall',
+               height: float | None = None) -> None:
+    """
+    Build a box over a rectangle of the floor, if this is free.
+
+    :param low: (2,) the lowest corner of the rectangle.
+    :param high: (2,) its highest corner.
+    :param height: the height of the box; None for that of the room.
+    """
+    if plan.claim_floor(low, high, clearance=0.0):
+        plan.add_box(kind, (*low, 0.0), (*high, plan.size[2] if height is None else height))
 
 
-def niches(plan: RoomPlan) -> None:
-    """Build projections along a wall, with niches between them."""
+def build_niches(plan: RoomPlan) -> None:
+    """Build boxes along one wall, with niches between them."""
     wall = plan.walls[plan.rng.integers(len(plan.walls))]
-    depth, shift = plan.rng.uniform(0.2, 0.7), plan.rng.uniform(0.0, 1.0)
-    while shift + 0.5 < wall.length:
-        width = min(plan.rng.uniform(0.4, 1.6), wall.length - shift)
-        start = wall.start + shift * wall.along
+    depth, distance = plan.rng.uniform(0.2, 0.7), plan.rng.uniform(0.0, 1.0)
+    while distance + 0.5 < wall.length:
+        width = min(plan.rng.uniform(0.4, 1.6), wall.length - distance)
+        start = wall.start + distance * wall.along
         end = start + width * wall.along + depth * wall.inward
-        _block(plan, np.minimum(start, end), np.maximum(start, end))
-        shift += width + plan.rng.uniform(0.9, 2.5)
+        _build_box(plan, np.minimum(start, end), np.maximum(start, end))
+        distance += width + plan.rng.uniform(0.9, 2.5)
 
 
-def columns(plan: RoomPlan, count: int) -> None:
-    """Build columns at random positions."""
+def build_columns(plan: RoomPlan, count: int) -> None:
+    """Build up to ``count`` columns at random positions."""
     for _ in range(count):
         side = plan.rng.uniform(0.3, 0.6)
         low = plan.rng.uniform(0.15, 0.85, 2) * (plan.size[:2] - side)
-        _block(plan, low, low + side, 'column')
+        _build_box(plan, low, low + side, 'column')
 
 
-def partition(plan: RoomPlan, top: float | None = None) -> None:
-    """Build a thin wall from one side of the room, across 35 to 65 per cent of it."""
+def build_partition(plan: RoomPlan, height: float | None = None) -> None:
+    """Build a wall 10 cm thick across 35 to 65 % of the room; None: as high as the room."""
     rng = plan.rng
     axis = int(rng.integers(2))
     length = rng.uniform(0.35, 0.65) * plan.size[1 - axis]
-    at = rng.uniform(0.3, 0.7) * plan.size[axis]
+    middle = rng.uniform(0.3, 0.7) * plan.size[axis]
     start = 0.0 if rng.random() < 0.5 else plan.size[1 - axis] - length
     low, high = np.zeros(2), np.zeros(2)
-    low[axis], high[axis] = at - 0.05, at + 0.05
+    low[axis], high[axis] = middle - 0.05, middle + 0.05
     low[1 - axis], high[1 - axis] = start, start + length
-    _block(plan, low, high, top=top)
+    _build_box(plan, low, high, height=height)
 
 
-def ceiling(plan: RoomPlan) -> None:
+def add_beams_and_lamps(plan: RoomPlan) -> None:
     """Add beams, ducts and lamps to the ceiling."""
-    (w, d, h), rng = plan.size, plan.rng
-    along = int(rng.integers(2))
-    for _ in range(rng.choice([0, 0, 1, 2, 3])):
-        wide, deep = rng.uniform(0.2, 0.45, 2)
-        at = rng.uniform(0.1, 0.9) * (plan.size[1 - along] - wide)
-        low, high = np.array([0.0, 0.0, h - deep]), plan.size.copy()
-        low[1 - along], high[1 - along] = at, at + wide
-        plan.solids.append(solid('beam', low, high))
-    for x in np.arange(1.2, w - 0.6, 2.4):
-        for y in np.arange(1.2, d - 0.3, 2.4):
-            if rng.random() < 0.6:
-                plan.solids.append(solid('clutter', (x - 0.6, y - 0.12, h - 0.11),
-                                         (x + 0.6, y + 0.12, h - WALL_GAP_M)))
-
-
-def openings(plan: RoomPlan, doors: int, windows: int, boards: int) -> None:
-    """Add doors, some of them open, windows and boards."""
+    room_width, room_depth, height = plan.size
     rng = plan.rng
-    for _ in range(doors):
-        opened = rng.random() < 0.3
-        angle = rng.uniform(1.0, 1.8) if opened else 0.0
-        leaf = placed([solid('door', (0.0, -0.025, 0.01), (0.9, 0.025, rng.uniform(2.0, 2.15)))],
-                      (-0.45, 0.0), angle)
-        # Metres of floor in front of a door stay free.
-        plan.lean(lambda leaf=leaf: leaf, 0.95, 0.05, 0.9)
-    for _ in range(windows):
-        wall = plan.walls[rng.integers(len(plan.walls))]
-        wide, low = rng.uniform(1.0, 3.0), rng.uniform(0.7, 1.0)
-        if wall.length < wide + 0.4:
-            continue
-        start = wall.start + rng.uniform(0.2, wall.length - wide - 0.2) * wall.along
-        end = start + wide * wall.along
-        high = min(low + rng.uniform(0.9, 1.6), plan.size[2] - 0.2)
-        # Glass gives no returns; a blind, the sill and the frame do.
-        if rng.random() < 0.4:
-            plan.windows.append(np.array([[*(np.minimum(start, end) - 0.01), low],
-                                          [*(np.maximum(start, end) + 0.01), high]]))
-        else:
-            near, far = start + 0.04 * wall.inward, end + 0.07 * wall.inward
-            plan.solids.append(solid('window', (*np.minimum(near, far), low),
-                                     (*np.maximum(near, far), high)))
-        sill = end + 0.15 * wall.inward
-        plan.solids.append(solid('window', (*np.minimum(start, sill), low - 0.05),
-                                 (*np.maximum(start, sill), low)))
-        post = end + 0.05 * wall.inward
-        back = end - 0.06 * wall.along
-        plan.solids.append(solid('window', (*np.minimum(back, post), low),
-                                 (*np.maximum(back, post), high)))
-    for _ in range(boards):
-        wide = rng.uniform(1.2, 3.0)
-        board = solid('board', (-0.5 * wide, -0.02, 0.85), (0.5 * wide, 0.02, 2.05))
-        plan.lean(lambda board=board: [board], wide, 0.04, 0.2)
+    axis = int(rng.integers(2))
+    for _ in range(rng.choice([0, 0, 1, 2, 3])):
+        beam_width, beam_height = rng.uniform(0.2, 0.45, 2)
+        offset = rng.uniform(0.1, 0.9) * (plan.size[1 - axis] - beam_width)
+        low, high = np.array([0.0, 0.0, height - beam_height]), plan.size.copy()
+        low[1 - axis], high[1 - axis] = offset, offset + beam_width
+        plan.add_box('beam', low, high)
+    for x in np.arange(1.2, room_width - 0.6, 2.4):
+        for y in np.arange(1.2, room_depth - 0.3, 2.4):
+            if rng.random() < 0.6:
+                plan.add_box('clutter', (x - 0.6, y - 0.12, height - 0.11),
+                             (x + 0.6, y + 0.12, height - WALL_GAP_M))
 
 
-def fittings(plan: RoomPlan) -> None:
-    """Add objects to the walls: panels, pictures, pipes, heaters, boxes."""
+def add_openings(plan: RoomPlan, doors: int, windows: int, boards: int) -> None:
+    """Add up to a number of doors, some of them open, and of windows and boards."""
+    for add, count in ((_add_door, doors), (_add_window, windows), (_add_board, boards)):
+        for _ in range(count):
+            add(plan)
+
+
+def _add_door(plan: RoomPlan) -> None:
+    """Add a door to a random wall; three of ten are open."""
+    rng = plan.rng
+    is_open = rng.random() < 0.3
+    angle = rng.uniform(1.0, 1.8) if is_open else 0.0
+    leaf = make_solid('door', (0.0, -0.025, 0.01), (0.9, 0.025, rng.uniform(2.0, 2.15)))
+    door = moved_piece([leaf], (-0.45, 0.0), angle)
+    plan.place_at_wall(lambda: door, width=0.95, depth=0.05, front=0.9)
+
+
+def _add_window(plan: RoomPlan) -> None:
+    """Add a window to a random wall: glass or a blind, a sill, a frame; none to a short wall."""
+    rng = plan.rng
+    wall = plan.walls[rng.integers(len(plan.walls))]
+    width, low = rng.uniform(1.0, 3.0), rng.uniform(0.7, 1.0)
+    if wall.length < width + 0.4:
+        return
+    start = wall.start + rng.uniform(0.2, wall.length - width - 0.2) * wall.along
+    end = start + width * wall.along
+    high = min(low + rng.uniform(0.9, 1.6), plan.size[2] - 0.2)
+
+    def add_box(corner: np.ndarray, opposite: np.ndarray, bottom: float, top: float) -> None:
+        plan.add_box('window', (*np.minimum(corner, opposite), bottom),
+                     (*np.maximum(corner, opposite), top))
+
+    # Glass gives no returns; a blind, the sill and the frame do.
+    if rng.random() < 0.4:
+        plan.windows.append(np.array([[*(np.minimum(start, end) - 0.01), low],
+                                      [*(np.maximum(start, end) + 0.01), high]]))
+    else:
+        add_box(start + 0.04 * wall.inward, end + 0.07 * wall.inward, low, high)
+    add_box(start, end + 0.15 * wall.inward, low - 0.05, low)
+    add_box(end - 0.06 * wall.along, end + 0.05 * wall.inward, low, high)
+
+
+def _add_board(plan: RoomPlan) -> None:
+    """Add a board to a random wall."""
+    width = plan.rng.uniform(1.2, 3.0)
+    board = make_solid('board', (-0.5 * width, -0.02, 0.85), (0.5 * width, 0.02, 2.05))
+    plan.place_at_wall(lambda: [board], width, depth=0.04, front=0.2)
+
+
+def add_fittings(plan: RoomPlan) -> None:
+    """Add boxes to all walls, such as panels, pictures, pipes and heaters."""
     rng = plan.rng
     for wall in plan.walls:
         for _ in range(rng.poisson(0.5 * wall.length)):
-            wide, high, deep = rng.uniform([0.2, 0.2, 0.04], [1.3, 1.0, 0.3])
-            if wide + 0.1 > wall.length:
+            width, height, depth = rng.uniform([0.2, 0.2, 0.04], [1.3, 1.0, 0.3])
+            if width + 0.1 > wall.length:
                 continue
-            low = rng.uniform(0.1, plan.size[2] - high - 0.1)
-            at = wall.start + rng.uniform(0.5 * wide, wall.length - 0.5 * wide) * wall.along
-            box = solid('clutter', (-0.5 * wide, WALL_GAP_M, low),
-                        (0.5 * wide, WALL_GAP_M + deep, low + high))
-            plan.solids += placed([box], at, np.arctan2(wall.along[1], wall.along[0]))
+            low = rng.uniform(0.1, plan.size[2] - height - 0.1)
+            distance = rng.uniform(0.5 * width, wall.length - 0.5 * width)
+            position = wall.start + distance * wall.along
+            box = make_solid('clutter', (-0.5 * width, WALL_GAP_M, low),
+                             (0.5 * width, WALL_GAP_M + depth, low + height))
+            plan.solids += moved_piece([box], position, np.arctan2(wall.along[1], wall.along[0]))

@@ -25,18 +25,18 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 
-#: The kinds of solids; the room's shell is ceiling, floor and wall.
-KINDS = ('ceiling', 'floor', 'wall', 'beam', 'column', 'window', 'door', 'table', 'chair', 'sofa',
-         'bookcase', 'board', 'clutter')
+#: The kinds of solids. The shell of a room has the kinds ceiling, floor and wall.
+SOLID_KINDS = ('ceiling', 'floor', 'wall', 'beam', 'column', 'window', 'door', 'table', 'chair',
+               'sofa', 'bookcase', 'board', 'clutter')
 
 
 class Solid(NamedTuple):
     """
     An upright box.
 
-    :ivar kind: one of ``KINDS``.
+    :ivar kind: one of ``SOLID_KINDS``.
     :ivar centre: (3,) metres.
-    :ivar size: (3,) metres, along its own axes.
+    :ivar size: (3,) metres, along the axes of the box.
     :ivar yaw: radians, the rotation about the vertical axis.
     """
 
@@ -46,118 +46,136 @@ class Solid(NamedTuple):
     yaw: float = 0.0
 
 
-#: The solids that a piece consists of.
+#: A piece of furniture: its boxes.
 Piece = list[Solid]
 
 
-def solid(kind: str, low: Sequence[float], high: Sequence[float]) -> Solid:
-    """Return the box between two corners (3,), metres."""
+def make_solid(kind: str, low: Sequence[float], high: Sequence[float]) -> Solid:
+    """Return the upright box from its lowest to its highest corner, both (3,), metres."""
     low, high = np.array(low, dtype=np.float64), np.array(high, dtype=np.float64)
     return Solid(kind, 0.5 * (low + high), high - low)
 
 
-def placed(piece: Piece, at: Sequence[float], yaw: float, lift: float = 0.0) -> Piece:
-    """Return a piece rotated about its origin, radians, and moved to (x, y) and up, metres."""
+def moved_piece(piece: Piece, position: Sequence[float], yaw: float, height: float = 0.0) -> Piece:
+    """
+    Return a piece that is rotated about its origin and then moved.
+
+    :param position: (2,) metres, where the origin of the piece moves to.
+    :param yaw: radians.
+    :param height: metres that the piece moves up.
+    """
     rotation = rotation_matrix(yaw)
-    offset = np.array([at[0], at[1], lift])
-    return [Solid(part.kind, rotation @ part.centre + offset, part.size, part.yaw + yaw)
-            for part in piece]
+    offset = np.array([position[0], position[1], height])
+    return [Solid(box.kind, rotation @ box.centre + offset, box.size, box.yaw + yaw)
+            for box in piece]
 
 
-def table(rng: np.random.Generator, width: float, depth: float) -> Piece:
-    """Build a table: a slab on four legs or on two panels."""
-    top, thick = rng.uniform(0.70, 0.77), 0.04
+def _legs(kind: str, x: float, y: float, half_width: float, height: float) -> Piece:
+    """Return four legs whose centres are at -x or x, and -y or y; all lengths in metres."""
+    return [make_solid(kind, (u - half_width, v - half_width, 0.0),
+                       (u + half_width, v + half_width, height)) for u in (-x, x) for v in (-y, y)]
+
+
+def build_table(rng: np.random.Generator, width: float, depth: float) -> Piece:
+    """Build a table of a width and a depth, metres: a slab on four legs or on two panels."""
+    top = rng.uniform(0.70, 0.77)
+    thickness = 0.04
+    # Its sides are at -x, x, -y and y.
     x, y = 0.5 * width, 0.5 * depth
-    piece = [solid('table', (-x, -y, top - thick), (x, y, top))]
+    piece = [make_solid('table', (-x, -y, top - thickness), (x, y, top))]
     if rng.random() < 0.6:
-        for sign_x, sign_y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            foot = np.array([sign_x * (x - 0.05), sign_y * (y - 0.05)])
-            piece.append(solid('table', (*(foot - 0.03), 0.0), (*(foot + 0.03), top - thick)))
+        piece += _legs('table', x - 0.05, y - 0.05, 0.03, top - thickness)
     else:
         for sign in (-1, 1):
-            middle = sign * (x - 0.15)
-            piece.append(solid('table', (middle - 0.02, -0.8 * y, 0.0),
-                               (middle + 0.02, 0.8 * y, top - thick)))
+            panel_x = sign * (x - 0.15)
+            piece.append(make_solid('table', (panel_x - 0.02, -0.8 * y, 0.0),
+                                    (panel_x + 0.02, 0.8 * y, top - thickness)))
     return piece
 
 
-def desk(rng: np.random.Generator) -> Piece:
+def build_desk(rng: np.random.Generator) -> Piece:
     """Build a desk, mostly with drawers, screens and objects on it; its user sits at +y."""
     width, depth = rng.uniform([1.2, 0.65], [1.8, 0.8])
-    piece = table(rng, width, depth)
+    piece = build_table(rng, width, depth)
     top = float(piece[0].centre[2] + 0.02)
     if rng.random() < 0.7:
-        piece.append(solid('table', (-0.5 * width + 0.06, -0.5 * depth + 0.06, 0.0),
-                           (-0.5 * width + 0.48, 0.5 * depth - 0.08, 0.6)))
+        piece.append(make_solid('table', (-0.5 * width + 0.06, -0.5 * depth + 0.06, 0.0),
+                                (-0.5 * width + 0.48, 0.5 * depth - 0.08, 0.6)))
     for _ in range(rng.integers(0, 3)):
-        wide = rng.uniform(0.45, 0.65)
-        screen = [solid('clutter', (-0.5 * wide, -0.02, 0.1), (0.5 * wide, 0.02, 0.45)),
-                  solid('clutter', (-0.1, -0.08, 0.0), (0.1, 0.08, 0.1))]
-        at = rng.uniform([-0.5 * width + 0.35, -0.2], [0.5 * width - 0.35, -0.05])
-        piece += placed(screen, at, rng.uniform(-0.4, 0.4), top)
-    return piece + things(rng, width, depth, top, rng.integers(1, 6))
+        half_width = 0.5 * rng.uniform(0.45, 0.65)
+        screen = [make_solid('clutter', (-half_width, -0.02, 0.1), (half_width, 0.02, 0.45)),
+                  make_solid('clutter', (-0.1, -0.08, 0.0), (0.1, 0.08, 0.1))]
+        position = rng.uniform([-0.5 * width + 0.35, -0.2], [0.5 * width - 0.35, -0.05])
+        piece += moved_piece(screen, position, rng.uniform(-0.4, 0.4), top)
+    return piece + scatter_boxes(rng, width, depth, top, rng.integers(1, 6))
 
 
-def things(rng: np.random.Generator, width: float, depth: float, lift: float,
-           count: int) -> Piece:
-    """Scatter small boxes over a rectangle around the origin at a height in metres."""
+def scatter_boxes(rng: np.random.Generator, width: float, depth: float, height: float,
+                  count: int) -> Piece:
+    """Return boxes at random positions in a rectangle around the origin; lengths in metres."""
     piece = []
     for _ in range(count):
         size = rng.uniform([0.12, 0.12, 0.05], [0.5, 0.4, 0.45])
-        at = rng.uniform(-0.5, 0.5, 2) * np.maximum([width - 0.4, depth - 0.4], 0.0)
-        box = solid('clutter', (*(-0.5 * size[:2]), 0.0), (*(0.5 * size[:2]), size[2]))
-        piece += placed([box], at, rng.uniform(-0.6, 0.6), lift)
+        position = rng.uniform(-0.5, 0.5, 2) * np.maximum([width - 0.4, depth - 0.4], 0.0)
+        box = make_solid('clutter', (*(-0.5 * size[:2]), 0.0), (*(0.5 * size[:2]), size[2]))
+        piece += moved_piece([box], position, rng.uniform(-0.6, 0.6), height)
     return piece
 
 
-def chair(rng: np.random.Generator) -> Piece:
+def build_chair(rng: np.random.Generator) -> Piece:
     """Build a chair on four legs or on a post; it faces +y."""
-    seat, wide = rng.uniform(0.42, 0.50), rng.uniform(0.42, 0.52)
-    x = 0.5 * wide
-    piece = [solid('chair', (-x, -x, seat - 0.06), (x, x, seat)),
-             solid('chair', (-x, -x, seat), (x, -x + 0.06, seat + rng.uniform(0.35, 0.55)))]
+    seat, width = rng.uniform(0.42, 0.50), rng.uniform(0.42, 0.52)
+    # The sides of the seat are at -x and x along both axes.
+    x = 0.5 * width
+    back_top = seat + rng.uniform(0.35, 0.55)
+    piece = [make_solid('chair', (-x, -x, seat - 0.06), (x, x, seat)),
+             make_solid('chair', (-x, -x, seat), (x, -x + 0.06, back_top))]
     if rng.random() < 0.5:
-        for sign_x, sign_y in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-            foot = (x - 0.03) * np.array([sign_x, sign_y])
-            piece.append(solid('chair', (*(foot - 0.02), 0.0), (*(foot + 0.02), seat - 0.06)))
+        piece += _legs('chair', x - 0.03, x - 0.03, 0.02, seat - 0.06)
     else:
-        piece.append(solid('chair', (-0.04, -0.04, 0.08), (0.04, 0.04, seat - 0.06)))
-        piece.append(solid('chair', (-0.28, -0.03, 0.02), (0.28, 0.03, 0.08)))
-        piece.append(solid('chair', (-0.03, -0.28, 0.02), (0.03, 0.28, 0.08)))
+        piece.append(make_solid('chair', (-0.04, -0.04, 0.08), (0.04, 0.04, seat - 0.06)))
+        piece.append(make_solid('chair', (-0.28, -0.03, 0.02), (0.28, 0.03, 0.08)))
+        piece.append(make_solid('chair', (-0.03, -0.28, 0.02), (0.03, 0.28, 0.08)))
     return piece
 
 
-def bookcase(rng: np.random.Generator, width: float, depth: float, height: float) -> Piece:
-    """Build partly filled open shelves; a low bookcase has a closed front."""
-    x, y, board = 0.5 * width, 0.5 * depth, 0.03
+def build_bookcase(rng: np.random.Generator, width: float, depth: float, height: float) -> Piece:
+    """Build a bookcase: open shelves, partly filled; if lower than 1 m, one closed box. Metres."""
+    # Its sides are at -x, x, -y and y.
+    x, y = 0.5 * width, 0.5 * depth
+    thickness = 0.03
     if height < 1.0:
-        return [solid('bookcase', (-x, -y, 0.0), (x, y, height))]
-    piece = [solid('bookcase', (-x, -y, 0.0), (-x + board, y, height)),
-             solid('bookcase', (x - board, -y, 0.0), (x, y, height)),
-             solid('bookcase', (-x, -y, 0.0), (x, -y + board, height))]
-    levels = np.linspace(0.05, height - board, max(int(height / 0.38), 3))
-    for k, level in enumerate(levels):
-        piece.append(solid('bookcase', (-x, -y, level), (x, y, level + board)))
-        if k + 1 < len(levels) and rng.random() < 0.8:
-            room = levels[k + 1] - level - board
-            end = -x + board + rng.uniform(0.3, 1.0) * (width - 2 * board)
-            piece.append(solid('bookcase', (-x + board, -y + board, level + board),
-                               (end, y - rng.uniform(0.02, 0.12),
-                                level + board + rng.uniform(0.6, 0.95) * room)))
+        return [make_solid('bookcase', (-x, -y, 0.0), (x, y, height))]
+    piece = [make_solid('bookcase', (-x, -y, 0.0), (-x + thickness, y, height)),
+             make_solid('bookcase', (x - thickness, -y, 0.0), (x, y, height)),
+             make_solid('bookcase', (-x, -y, 0.0), (x, -y + thickness, height))]
+    levels = np.linspace(0.05, height - thickness, max(int(height / 0.38), 3))
+    for index, level in enumerate(levels):
+        piece.append(make_solid('bookcase', (-x, -y, level), (x, y, level + thickness)))
+        if index + 1 < len(levels) and rng.random() < 0.8:
+            free_height = levels[index + 1] - level - thickness
+            books_end = -x + thickness + rng.uniform(0.3, 1.0) * (width - 2 * thickness)
+            books_front = y - rng.uniform(0.02, 0.12)
+            books_top = level + thickness + rng.uniform(0.6, 0.95) * free_height
+            books_low = -x + thickness, -y + thickness, level + thickness
+            piece.append(make_solid('bookcase', books_low, (books_end, books_front, books_top)))
     return piece
 
 
-def cabinet(rng: np.random.Generator, width: float, depth: float, height: float) -> Piece:
-    """Build a closed cabinet, sometimes with objects on it."""
-    piece = [solid('clutter', (-0.5 * width, -0.5 * depth, 0.0),
-                   (0.5 * width, 0.5 * depth, height))]
-    return piece + things(rng, width, depth, height, rng.integers(0, 5))
+def build_cabinet(rng: np.random.Generator, width: float, depth: float, height: float) -> Piece:
+    """Build a closed cabinet, mostly with objects on it; lengths in metres."""
+    x, y = 0.5 * width, 0.5 * depth
+    piece = [make_solid('clutter', (-x, -y, 0.0), (x, y, height))]
+    return piece + scatter_boxes(rng, width, depth, height, rng.integers(0, 5))
 
 
-def sofa(rng: np.random.Generator, width: float) -> Piece:
-    """Build a sofa, or an armchair if it is narrow."""
-    x, y, seat = 0.5 * width, 0.42, rng.uniform(0.38, 0.46)
-    return [solid('sofa', (-x, -y, 0.05), (x, y, seat)),
-            solid('sofa', (-x, -y, seat), (x, -y + 0.22, seat + rng.uniform(0.3, 0.45))),
-            solid('sofa', (-x, -y, seat), (-x + 0.18, y, seat + 0.2)),
-            solid('sofa', (x - 0.18, -y, seat), (x, y, seat + 0.2))]
+def build_sofa(rng: np.random.Generator, width: float) -> Piece:
+    """Build a sofa, or an armchair if the width in metres is small."""
+    # Its sides are at -x, x, -y and y.
+    x, y = 0.5 * width, 0.42
+    seat = rng.uniform(0.38, 0.46)
+    back_top = seat + rng.uniform(0.3, 0.45)
+    return [make_solid('sofa', (-x, -y, 0.05), (x, y, seat)),
+            make_solid('sofa', (-x, -y, seat), (x, -y + 0.22, back_top)),
+            make_solid('sofa', (-x, -y, seat), (-x + 0.18, y, seat + 0.2)),
+            make_solid('sofa', (x - 0.18, -y, seat), (x, y, seat + 0.2))]

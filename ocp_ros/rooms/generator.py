@@ -18,11 +18,11 @@ import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.rooms.room_kinds import draw_plan
 from ocp_ros.rooms.room_plan import RoomPlan
-from ocp_ros.rooms.scanning import sample, scan
+from ocp_ros.rooms.scanning import sample_surfaces, scan
 from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene
 from ocp_ros.util.settings import check_whole
 
-#: The triangles of a box; the bits of a corner's number stand for x, y, z.
+#: (12, 3) the triangles of a box. A corner's number is 1 (x high) + 2 (y high) + 4 (z high).
 BOX_TRIANGLES = np.array([(0, 2, 1), (1, 2, 3), (4, 5, 6), (5, 7, 6), (0, 1, 4), (1, 5, 4),
                           (2, 6, 3), (3, 6, 7), (0, 4, 2), (2, 4, 6), (1, 3, 5), (3, 7, 5)])
 
@@ -42,23 +42,23 @@ def generate_room(seed: int, n_points: int = 15000, scanned: bool = True) -> Sce
     :param n_points: the number of points, to a few per cent.
     :param scanned: whether the points are those of a scan, with noise and occlusion, or lie
         exactly and evenly on all surfaces.
-    :returns: a scene with its mesh, called ``room-<seed>``.
+    :returns: a scene that is called ``room-<seed>`` and has the mesh of the room.
     :raises ConfigurationError: for a seed below 0 or too few points.
     """
     check_whole('seed', seed, 0)
     check_whole('n_points', n_points, MIN_POINTS)
     plan = plan_of(seed)
     rng = np.random.default_rng([seed, 1])
-    points = scan(plan, n_points, rng)[0] if scanned else sample(plan, n_points, rng)
+    points = scan(plan, n_points, rng)[0] if scanned else sample_surfaces(plan, n_points, rng)
     return Scene(points, f'room-{seed}', mesh=mesh_of(plan))
 
 
 def mesh_of(plan: RoomPlan) -> Mesh:
-    """Build the triangles of a room's shell and of every solid in it."""
-    bits = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) - 0.5
-    vertices = [(bits + 0.5) * plan.size]
-    for part in plan.solids:
-        vertices.append(bits * part.size @ rotation_matrix(part.yaw).T + part.centre)
+    """Return the mesh of a room: its shell (floor, walls, ceiling) and all solids in it."""
+    unit_corners = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) - 0.5
+    vertices = [(unit_corners + 0.5) * plan.size]
+    for box in plan.solids:
+        vertices.append(unit_corners * box.size @ rotation_matrix(box.yaw).T + box.centre)
     triangles = BOX_TRIANGLES + 8 * np.arange(len(vertices))[:, None, None]
     return Mesh(np.concatenate(vertices).astype(np.float32),
                 triangles.reshape(-1, 3).astype(np.int32))

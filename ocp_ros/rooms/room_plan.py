@@ -18,12 +18,13 @@ The plan of a room: its walls, its solids, and the free floor.
 All lengths are metres; a room spans from the origin to its size.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.rooms.furniture import Piece, placed, Solid
+from numpy.typing import ArrayLike
+from ocp_ros.rooms.furniture import make_solid, moved_piece, Piece, Solid
 
 #: Metres between furniture and the wall behind it.
 WALL_GAP_M = 0.03
@@ -35,10 +36,10 @@ MAX_ATTEMPTS = 25
 
 class RoomWall(NamedTuple):
     """
-    An inner side of a wall.
+    The inner side of a wall, seen from above.
 
-    :ivar start: (2,) the start of the wall.
-    :ivar along: (2,) unit vector; the room is on its left.
+    :ivar start: (2,) metres, one end of the wall.
+    :ivar along: (2,) unit vector to the other end, with the room on its left.
     :ivar length: metres.
     """
 
@@ -55,14 +56,15 @@ class RoomWall(NamedTuple):
 @dataclass
 class RoomPlan:
     """
-    A room.
+    A room that is being built: functions add walls, solids and windows to it.
 
-    :ivar kind: one of :data:`ocp_ros.rooms.room_kinds.ROOMS`.
-    :ivar size: (3,) metres.
+    :ivar kind: one of :data:`ocp_ros.rooms.room_kinds.ROOM_KINDS`.
+    :ivar size: (3,) width along x, depth along y and height, metres.
     :ivar rng: the random generator for the contents of the room.
     :ivar solids: the boxes of the building and the furniture.
-    :ivar windows: (2, 3) boxes around parts of walls that return no light.
-    :ivar walls: inner sides to lean things against.
+    :ivar windows: boxes (2, 3), lowest and highest corner, around parts of walls that return no
+        light to a scanner.
+    :ivar walls: the inner sides that pieces can stand against.
     """
 
     kind: str
@@ -73,79 +75,94 @@ class RoomPlan:
     walls: list[RoomWall] = field(default_factory=list)
     _taken: list[np.ndarray] = field(default_factory=list)
 
-    def claim(self, low: np.ndarray, high: np.ndarray, clearance: float = CLEARANCE_M) -> bool:
-        """Reserve a rectangle of the floor if it is in the room and free."""
+    def add_box(self, kind: str, low: Sequence[float], high: Sequence[float]) -> None:
+        """Add an upright box from its lowest to its highest corner, both (3,), metres."""
+        self.solids.append(make_solid(kind, low, high))
+
+    def claim_floor(self, low: ArrayLike, high: ArrayLike, clearance: float = CLEARANCE_M) -> bool:
+        """
+        Reserve a rectangle of the floor, unless it is outside the room or too near to another.
+
+        :param low: (2,) metres, one corner.
+        :param high: (2,) metres, the opposite corner.
+        :param clearance: metres between this and all other reserved rectangles.
+        :returns: whether the rectangle is now reserved.
+        """
         low, high = np.minimum(low, high), np.maximum(low, high)
         if (low < -1e-9).any() or (high > self.size[:2] + 1e-9).any():
             return False
-        for other in self._taken:
-            if (low - clearance < other[1]).all() and (high + clearance > other[0]).all():
+        for taken in self._taken:
+            if (low - clearance < taken[1]).all() and (high + clearance > taken[0]).all():
                 return False
         self._taken.append(np.stack([low, high]))
         return True
 
-    def stand(self, make: Callable[[], Piece], width: float, depth: float,
-              turns: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5)) -> bool:
+    def place_freestanding(self, build_piece: Callable[[], Piece], width: float, depth: float,
+                           half_turns: tuple[float, ...] = (0.0, 0.5, 1.0, 1.5)) -> None:
         """
-        Place a piece at a random free position.
+        Place a piece at a random free position, if one is found.
 
-        :param make: builds it.
-        :param width: the extent of its footprint along its own x, metres.
-        :param depth: the same along y.
-        :param turns: yaws to choose from, in units of pi.
+        :param build_piece: returns the piece; called only if a position is found.
+        :param width: the extent of the floor below the piece along its own x axis, metres.
+        :param depth: the extent along its own y axis, metres.
+        :param half_turns: yaws to choose from, in units of pi radians.
         """
         for _ in range(MAX_ATTEMPTS):
-            yaw = float(self.rng.choice(turns)) * np.pi
-            half = 0.5 * footprint(width, depth, yaw)
-            if (2.0 * half > self.size[:2] - 0.2).any():
+            yaw = float(self.rng.choice(half_turns)) * np.pi
+            half_extent = 0.5 * rotated_footprint(width, depth, yaw)
+            if (2.0 * half_extent > self.size[:2] - 0.2).any():
                 continue
-            at = self.rng.uniform(0.1 + half, self.size[:2] - 0.1 - half)
-            if self.claim(at - half, at + half):
-                self.solids += placed(make(), at, yaw)
-                return True
-        return False
+            position = self.rng.uniform(0.1 + half_extent, self.size[:2] - 0.1 - half_extent)
+            if self.claim_floor(position - half_extent, position + half_extent):
+                self.solids += moved_piece(build_piece(), position, yaw)
+                return
 
-    def lean(self, make: Callable[[], Piece], width: float, depth: float,
-             front: float = 0.0) -> bool:
+    def place_at_wall(self, build_piece: Callable[[], Piece], width: float, depth: float,
+                      front: float = 0.0) -> None:
         """
-        Place a piece with its back to a wall.
+        Place a piece with its back to a random wall, if a free position is found.
 
-        :param make: builds it.
-        :param width: along the wall, metres.
-        :param depth: the extent away from the wall, metres.
-        :param front: metres of floor in front of it that stay free.
+        :param build_piece: returns the piece; called only if a position is found.
+        :param width: the extent of the piece along the wall, metres.
+        :param depth: the extent of the piece away from the wall, metres.
+        :param front: metres of floor in front of the piece that stay free.
         """
         for _ in range(MAX_ATTEMPTS):
             wall = self.walls[self.rng.integers(len(self.walls))]
             if wall.length < width + 0.1:
                 continue
-            shift = self.rng.uniform(0.05, wall.length - width - 0.05)
-            corner = wall.start + shift * wall.along + WALL_GAP_M * wall.inward
-            far = corner + width * wall.along + (depth + front) * wall.inward
-            if self.claim(corner, far, 0.05):
-                at = corner + 0.5 * width * wall.along + 0.5 * depth * wall.inward
-                self.solids += placed(make(), at, np.arctan2(wall.along[1], wall.along[0]))
-                return True
-        return False
+            distance = self.rng.uniform(0.05, wall.length - width - 0.05)
+            corner = wall.start + distance * wall.along + WALL_GAP_M * wall.inward
+            opposite = corner + width * wall.along + (depth + front) * wall.inward
+            if self.claim_floor(corner, opposite, clearance=0.05):
+                position = corner + 0.5 * width * wall.along + 0.5 * depth * wall.inward
+                yaw = np.arctan2(wall.along[1], wall.along[0])
+                self.solids += moved_piece(build_piece(), position, yaw)
+                return
 
 
-def footprint(width: float, depth: float, yaw: float) -> np.ndarray:
-    """Return the edges (2,) of the axis-aligned rectangle around a rotated rectangle."""
-    c, s = abs(np.cos(yaw)), abs(np.sin(yaw))
-    return np.array([c * width + s * depth, s * width + c * depth])
+def rotated_footprint(width: float, depth: float, yaw: float) -> np.ndarray:
+    """Return the extents (2,) along x and y of a rectangle that is rotated by a yaw, radians."""
+    cosine, sine = abs(np.cos(yaw)), abs(np.sin(yaw))
+    return np.array([cosine * width + sine * depth, sine * width + cosine * depth])
 
 
-def mirrored(plan: RoomPlan, flip: np.ndarray) -> RoomPlan:
-    """Return a room mirrored along x, y or both, (2,) bool; nothing can be added to it."""
-    size, sign = plan.size[:2], np.where(flip, -1.0, 1.0)
+def mirrored_plan(plan: RoomPlan, is_mirrored: np.ndarray) -> RoomPlan:
+    """
+    Return a mirrored copy of a room, without walls and reserved floor, so it cannot be furnished.
+
+    :param is_mirrored: (2,) bool, whether x and whether y are reversed.
+    """
+    size = plan.size[:2]
+    signs = np.where(is_mirrored, -1.0, 1.0)
     solids = []
-    for part in plan.solids:
-        centre = part.centre.copy()
-        centre[:2] = np.where(flip, size - centre[:2], centre[:2])
-        solids.append(part._replace(centre=centre, yaw=part.yaw * sign[0] * sign[1]))
+    for box in plan.solids:
+        centre = box.centre.copy()
+        centre[:2] = np.where(is_mirrored, size - centre[:2], centre[:2])
+        solids.append(box._replace(centre=centre, yaw=box.yaw * signs[0] * signs[1]))
     windows = []
     for window in plan.windows:
         corners = window.copy()
-        corners[:, :2] = np.where(flip, size - corners[:, :2], corners[:, :2])
+        corners[:, :2] = np.where(is_mirrored, size - corners[:, :2], corners[:, :2])
         windows.append(np.stack([corners.min(axis=0), corners.max(axis=0)]))
     return RoomPlan(plan.kind, plan.size, plan.rng, solids, windows)

@@ -20,11 +20,12 @@ and dark surfaces give no returns.
 """
 
 from collections.abc import Callable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.rooms.furniture import KINDS
+from ocp_ros.rooms.furniture import SOLID_KINDS
 from ocp_ros.rooms.room_plan import RoomPlan, WALL_GAP_M
 from ocp_ros.util.kernels import njit
 
@@ -38,255 +39,310 @@ class ScannedSurface(NamedTuple):
 
     :ivar points: (N, 3) float64, metres.
     :ivar normals: (N, 3) unit vectors.
-    :ivar owner: (N,) int64, the number of the solid; -1 for the shell.
-    :ivar kind: (N,) int64, index into ``KINDS``.
+    :ivar solid_numbers: (N,) int64, indices into the plan's solids; -1 for the shell of the room.
+    :ivar kinds: (N,) int64, indices into ``SOLID_KINDS``.
     """
 
     points: np.ndarray
     normals: np.ndarray
-    owner: np.ndarray
-    kind: np.ndarray
+    solid_numbers: np.ndarray
+    kinds: np.ndarray
 
-    def only(self, keep: np.ndarray) -> 'ScannedSurface':
-        """Return the part that a mask keeps."""
-        return ScannedSurface(*(values[keep] for values in self))
+    def only(self, is_kept: np.ndarray) -> 'ScannedSurface':
+        """Return the surface with only the points that a mask (N,) bool marks."""
+        return ScannedSurface(*(values[is_kept] for values in self))
 
 
 class Boxes(NamedTuple):
     """
-    Solids as arrays.
+    The B solids of a plan as arrays, for the kernels below.
 
-    :ivar centre: (B, 3) metres.
-    :ivar half: (B, 3) half their edges.
-    :ivar turn: (B, 2) cosine and sine of their yaw.
+    :ivar centres: (B, 3) metres.
+    :ivar half_sizes: (B, 3) metres, half the edges along the axes of each box.
+    :ivar yaw_vectors: (B, 2) cosine and sine of the yaw of each box.
     """
 
-    centre: np.ndarray
-    half: np.ndarray
-    turn: np.ndarray
+    centres: np.ndarray
+    half_sizes: np.ndarray
+    yaw_vectors: np.ndarray
 
 
 def boxes_of(plan: RoomPlan) -> Boxes:
     """Return the solids of a plan as arrays."""
-    yaw = np.array([part.yaw for part in plan.solids])
-    return Boxes(np.array([part.centre for part in plan.solids]).reshape(-1, 3),
-                 0.5 * np.array([part.size for part in plan.solids]).reshape(-1, 3),
-                 np.stack([np.cos(yaw), np.sin(yaw)], axis=1))
+    yaws = np.array([solid.yaw for solid in plan.solids])
+    return Boxes(np.array([solid.centre for solid in plan.solids]).reshape(-1, 3),
+                 0.5 * np.array([solid.size for solid in plan.solids]).reshape(-1, 3),
+                 np.stack([np.cos(yaws), np.sin(yaws)], axis=1))
 
 
 def scan(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """
-    Scan a room.
+    Return the points that a scan of a room measures.
 
     :param plan: the room.
     :param n_points: the number of returns wanted, to a few per cent.
     :param rng: the random generator for tripods, patches and noise.
-    :returns: (N, 3) float32, metres, and (N,) the kind of surface, an index into ``KINDS``.
+    :returns: (N, 3) float32, metres, and (N,) the kind of surface, an index into ``SOLID_KINDS``.
     """
-    boxes = boxes_of(plan)
-    tripods = _tripods(plan, boxes, rng)
-    patches = _patches(plan, rng)
-    found = _near_count(n_points, rng, lambda pitch, rng: _returns(
-        plan, boxes, tripods, patches, pitch, rng))
-    offset = found.points[:, None] - tripods[None]
-    nearest = np.argmin((offset ** 2).sum(axis=2), axis=1)
-    ray = offset[np.arange(len(nearest)), nearest]
-    distance = np.linalg.norm(ray, axis=1, keepdims=True)
+    tripods = _place_tripods(plan, rng)
+    patches = _draw_patches(plan, rng)
+    surface = _sample_about(n_points, rng, partial(_scanned_surface, plan, tripods, patches))
+    offsets = surface.points[:, None] - tripods[None]
+    nearest_tripods = np.argmin((offsets ** 2).sum(axis=2), axis=1)
+    rays = offsets[np.arange(len(nearest_tripods)), nearest_tripods]
+    distances = np.linalg.norm(rays, axis=1, keepdims=True)
     # The standard deviation along a ray: 2 mm, and 1 mm per metre.
-    noise = rng.normal(0.0, 0.002 + 0.001 * distance)
-    points = found.points + noise * ray / np.maximum(distance, 1e-9)
-    return points.astype(np.float32), found.kind
+    noise = rng.normal(0.0, 0.002 + 0.001 * distances)
+    points = surface.points + noise * rays / np.maximum(distances, 1e-9)
+    return points.astype(np.float32), surface.kinds
 
 
-def sample(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> np.ndarray:
+def sample_surfaces(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> np.ndarray:
     """
-    Sample all exposed surfaces of a room evenly and exactly.
+    Sample all exposed surfaces of a room evenly, without noise and occlusion.
 
+    :param n_points: the number of points wanted, to a few per cent.
     :returns: (N, 3) float32, metres.
     """
-    boxes = boxes_of(plan)
-    found = _near_count(n_points, rng, lambda pitch, rng: _outside(plan, boxes, pitch, rng))
-    return found.points.astype(np.float32)
+    surface = _sample_about(n_points, rng, partial(_exposed_surface, plan))
+    return surface.points.astype(np.float32)
 
 
-def _near_count(n_points: int, rng: np.random.Generator,
-                take: Callable[[float, np.random.Generator], ScannedSurface]) -> ScannedSurface:
-    """Sample points at the pitch that gives about ``n_points`` of them."""
+def _sample_about(n_points: int, rng: np.random.Generator,
+                  sample_at_pitch: Callable[..., ScannedSurface]) -> ScannedSurface:
+    """Find the pitch (distance of points, metres) that gives about ``n_points``; sample at it."""
     pitch = 0.2
     for _ in range(4):
-        found = take(pitch, np.random.default_rng(0))
-        pitch *= np.sqrt(max(len(found.points), 1) / n_points)
-    return take(pitch, rng)
+        surface = sample_at_pitch(pitch, np.random.default_rng(0))
+        pitch *= np.sqrt(max(len(surface.points), 1) / n_points)
+    return sample_at_pitch(pitch, rng)
 
 
-def _outside(plan: RoomPlan, boxes: Boxes, pitch: float,
-             rng: np.random.Generator) -> ScannedSurface:
-    """Sample the surfaces at a pitch, except parts inside or against another solid."""
+def _exposed_surface(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> ScannedSurface:
+    """Sample the surfaces at a pitch, except where another solid or the shell touches them."""
     surface = surface_of(plan, pitch, rng)
-    return surface.only(exposed(surface.points, surface.owner, plan.size, *boxes, WALL_GAP_M))
+    return surface.only(exposed_points(surface.points, surface.solid_numbers, plan.size,
+                                       *boxes_of(plan), WALL_GAP_M))
 
 
-def _returns(plan: RoomPlan, boxes: Boxes, tripods: np.ndarray, patches: np.ndarray, pitch: float,
-             rng: np.random.Generator) -> ScannedSurface:
-    """Sample the surfaces at a pitch and keep the points that return a signal to a tripod."""
-    surface = _outside(plan, boxes, pitch, rng)
-    density = densities(surface.points, surface.normals, surface.owner, tripods, *boxes)
-    for low, high in plan.windows:
-        density[(surface.owner < 0)
-                & ((surface.points > low) & (surface.points < high)).all(axis=1)] = 0.0
+def _scanned_surface(plan: RoomPlan, tripods: np.ndarray, patches: np.ndarray, pitch: float,
+                     rng: np.random.Generator) -> ScannedSurface:
+    """
+    Sample the surfaces at a pitch and keep the points that return a signal to a tripod.
+
+    :param tripods: (T, 3) metres.
+    :param patches: (P, 4) metres, centre and radius of the spheres without returns.
+    :param pitch: the distance between points, metres.
+    """
+    surface = _exposed_surface(plan, pitch, rng)
+    densities = sampling_densities(surface.points, surface.normals, tripods, *boxes_of(plan))
+    for lowest, highest in plan.windows:
+        densities[(surface.solid_numbers < 0)
+                  & ((surface.points > lowest) & (surface.points < highest)).all(axis=1)] = 0.0
     for *centre, radius in patches:
-        density[((surface.points - centre) ** 2).sum(axis=1) < radius ** 2] = 0.0
-    well = np.percentile(density[density > 0.0], 60.0) if density.any() else 1.0
-    chance = np.clip(np.sqrt(density / well), 0.4, 1.0)
-    return surface.only((density > 0.0) & (rng.random(len(chance)) < chance))
+        densities[((surface.points - centre) ** 2).sum(axis=1) < radius ** 2] = 0.0
+    full_density = np.percentile(densities[densities > 0.0], 60.0) if densities.any() else 1.0
+    probabilities = np.clip(np.sqrt(densities / full_density), 0.4, 1.0)
+    return surface.only((densities > 0.0) & (rng.random(len(probabilities)) < probabilities))
 
 
 def surface_of(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> ScannedSurface:
-    """Sample the shell and all faces of all solids on jittered grids."""
-    index = {kind: k for k, kind in enumerate(KINDS)}
-    parts = []
-    for owner in range(-1, len(plan.solids)):
+    """
+    Return points on all faces of the shell and of the solids, on grids with jitter.
+
+    :param pitch: the distance between points, metres.
+    :param rng: the generator for the jitter.
+    """
+    faces = []
+    for solid_number in range(-1, len(plan.solids)):
         for axis in range(3):
+            # The axes along the two faces that are normal to this axis.
             u, v = (axis + 1) % 3, (axis + 2) % 3
-            size = plan.size if owner < 0 else plan.solids[owner].size
+            size = plan.size if solid_number < 0 else plan.solids[solid_number].size
             # Faces narrower than the pitch get a row of points with a probability below 1.
-            count = [int(size[k] / pitch + rng.random()) for k in (u, v)]
-            if not count[0] * count[1]:
+            counts = [int(size[edge] / pitch + rng.random()) for edge in (u, v)]
+            if 0 in counts:
                 continue
-            for sign in (-1.0, 1.0):
-                cells = np.stack(np.meshgrid(*map(np.arange, count), indexing='ij'), axis=-1)
-                unit = (cells.reshape(-1, 2)
-                        + rng.uniform(0.15, 0.85, (count[0] * count[1], 2))) / count - 0.5
-                points, normals = np.empty((len(unit), 3)), np.zeros((len(unit), 3))
-                points[:, axis], normals[:, axis] = 0.5 * sign * size[axis], sign
-                points[:, u], points[:, v] = unit[:, 0] * size[u], unit[:, 1] * size[v]
-                if owner < 0:
+            for side in (-1.0, 1.0):
+                cells = np.stack(np.meshgrid(*map(np.arange, counts), indexing='ij'), axis=-1)
+                # Positions on the face from -0.5 to 0.5 along both edges.
+                shares = (cells.reshape(-1, 2)
+                          + rng.uniform(0.15, 0.85, (counts[0] * counts[1], 2))) / counts - 0.5
+                points = np.empty((len(shares), 3))
+                points[:, axis] = 0.5 * side * size[axis]
+                points[:, [u, v]] = shares * size[[u, v]]
+                normals = np.zeros((len(shares), 3))
+                normals[:, axis] = side
+                if solid_number < 0:
                     points += 0.5 * plan.size
-                    kind = 'wall' if axis < 2 else 'floor' if sign < 0 else 'ceiling'
+                    kind = 'wall' if axis < 2 else 'floor' if side < 0 else 'ceiling'
                 else:
-                    part = plan.solids[owner]
-                    turn = rotation_matrix(part.yaw).T
-                    points, normals = points @ turn + part.centre, normals @ turn
-                    kind = part.kind
-                parts.append((points, normals, np.full(len(points), owner),
-                              np.full(len(points), index[kind])))
-    return ScannedSurface(*(np.concatenate(values) for values in zip(*parts)))
+                    solid = plan.solids[solid_number]
+                    rotation = rotation_matrix(solid.yaw).T
+                    points, normals = points @ rotation + solid.centre, normals @ rotation
+                    kind = solid.kind
+                faces.append((points, normals, np.full(len(points), solid_number),
+                              np.full(len(points), SOLID_KINDS.index(kind))))
+    return ScannedSurface(*(np.concatenate(values) for values in zip(*faces)))
 
 
-def _tripods(plan: RoomPlan, boxes: Boxes, rng: np.random.Generator) -> np.ndarray:
-    """Place tripods where there is room for them: (T, 3) metres."""
-    # One tripod for 10 m2 of floor.
+def _place_tripods(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
+    """Return random positions (T, 3) of tripods, metres, in free air and apart from each other."""
+    # One tripod for 10 m2 of floor, from 2 to 10.
     count = int(np.clip(np.prod(plan.size[:2]) / 10.0, 2, 10))
-    found: list[np.ndarray] = []
+    boxes = boxes_of(plan)
+    tripods: list[np.ndarray] = []
     free_air_m = 0.3
     for trial in range(200 * count):
-        low = min(free_air_m, 0.4 * plan.size[:2].min())
-        at = np.append(rng.uniform(low, plan.size[:2] - low), rng.uniform(1.3, 1.7))
-        # In a crowded room the required free air decreases with the attempts.
-        air = free_air_m * (1.0 - trial / (200.0 * count))
-        apart = min((np.linalg.norm(at[:2] - other[:2]) for other in found), default=np.inf)
-        if free(at, air, *boxes) and apart > 1.2 * (1.0 - trial / (200.0 * count)):
-            found.append(at)
-            if len(found) == count:
+        margin = min(free_air_m, 0.4 * plan.size[:2].min())
+        position = np.append(rng.uniform(margin, plan.size[:2] - margin), rng.uniform(1.3, 1.7))
+        # In a crowded room the required distances decrease with the attempts.
+        relaxation = 1.0 - trial / (200.0 * count)
+        distances = [np.linalg.norm(position[:2] - tripod[:2]) for tripod in tripods]
+        if (is_position_free(position, free_air_m * relaxation, *boxes)
+                and min(distances, default=np.inf) > 1.2 * relaxation):
+            tripods.append(position)
+            if len(tripods) == count:
                 break
-    return np.array(found).reshape(-1, 3)
+    return np.array(tripods).reshape(-1, 3)
 
 
-def _patches(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
-    """Draw patches that give no returns: (P, 4) centre and radius, metres."""
+def _draw_patches(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
+    """Return random patches that give no returns: (P, 4) centre and radius, metres."""
     surface = surface_of(plan, 0.3, rng)
     # One dark or shiny patch for 12 m2 of floor.
     count = rng.poisson(np.prod(plan.size[:2]) / 12.0)
     centres = surface.points[rng.integers(len(surface.points), size=count)]
-    # The radius of a patch, metres.
     return np.column_stack([centres, rng.uniform(0.12, 0.45, count)])
 
 
 @njit(cache=True, nogil=True)
-def exposed(points, owner, size, centre, half, turn, gap):
-    """Return which points (N, 3) are more than ``gap`` metres from other solids and the shell."""
-    keep = np.ones(len(points), dtype=np.bool_)
+def exposed_points(points, solid_numbers, room_size, centres, half_sizes, yaw_vectors, gap):
+    """
+    Return which surface points are not close to another solid, nor to the shell: (N,) bool.
+
+    :param points: (N, 3) metres.
+    :param solid_numbers: (N,) the solid of each point, -1 for the shell.
+    :param room_size: (3,) metres.
+    :param centres: with ``half_sizes`` and ``yaw_vectors``, see :class:`Boxes`.
+    :param gap: metres; points within this distance are close.
+    """
+    is_exposed = np.ones(len(points), dtype=np.bool_)
     for i in range(len(points)):
         x, y, z = points[i]
-        if owner[i] >= 0:
+        if solid_numbers[i] >= 0:
             margin = gap + 1e-6
-            if not (margin < x < size[0] - margin and margin < y < size[1] - margin
-                    and margin < z < size[2] - margin):
-                keep[i] = False
+            if not (margin < x < room_size[0] - margin and margin < y < room_size[1] - margin
+                    and margin < z < room_size[2] - margin):
+                is_exposed[i] = False
                 continue
-        for k in range(len(centre)):
-            if k == owner[i] or abs(z - centre[k, 2]) > half[k, 2] + gap + 1e-6:
+        for k in range(len(centres)):
+            if k == solid_numbers[i] or abs(z - centres[k, 2]) > half_sizes[k, 2] + gap + 1e-6:
                 continue
-            dx, dy = x - centre[k, 0], y - centre[k, 1]
-            along = dx * turn[k, 0] + dy * turn[k, 1]
-            across = dy * turn[k, 0] - dx * turn[k, 1]
-            if abs(along) < half[k, 0] + gap + 1e-6 and abs(across) < half[k, 1] + gap + 1e-6:
-                keep[i] = False
+            # Offsets from the centre along the horizontal axes of the box.
+            dx, dy = x - centres[k, 0], y - centres[k, 1]
+            along = dx * yaw_vectors[k, 0] + dy * yaw_vectors[k, 1]
+            across = dy * yaw_vectors[k, 0] - dx * yaw_vectors[k, 1]
+            if (abs(along) < half_sizes[k, 0] + gap + 1e-6
+                    and abs(across) < half_sizes[k, 1] + gap + 1e-6):
+                is_exposed[i] = False
                 break
-    return keep
+    return is_exposed
 
 
 @njit(cache=True, nogil=True)
-def free(at, air, centre, half, turn):
-    """Return whether a position (3,) is farther than ``air`` metres from all solids."""
-    for k in range(len(centre)):
-        dx, dy = at[0] - centre[k, 0], at[1] - centre[k, 1]
-        along = abs(dx * turn[k, 0] + dy * turn[k, 1]) - half[k, 0]
-        across = abs(dy * turn[k, 0] - dx * turn[k, 1]) - half[k, 1]
-        up = abs(at[2] - centre[k, 2]) - half[k, 2]
-        if max(along, max(across, up)) < air:
+def is_position_free(position, distance, centres, half_sizes, yaw_vectors):
+    """
+    Return whether a position is outside all solids when ``distance`` is added to each side.
+
+    :param position: (3,) metres.
+    :param distance: metres.
+    :param centres: with ``half_sizes`` and ``yaw_vectors``, see :class:`Boxes`.
+    """
+    for k in range(len(centres)):
+        dx, dy = position[0] - centres[k, 0], position[1] - centres[k, 1]
+        along = abs(dx * yaw_vectors[k, 0] + dy * yaw_vectors[k, 1]) - half_sizes[k, 0]
+        across = abs(dy * yaw_vectors[k, 0] - dx * yaw_vectors[k, 1]) - half_sizes[k, 1]
+        height = abs(position[2] - centres[k, 2]) - half_sizes[k, 2]
+        if max(along, max(across, height)) < distance:
             return False
     return True
 
 
 @njit(cache=True, nogil=True)
-def densities(points, normals, owner, tripods, centre, half, turn):
+def sampling_densities(points, normals, tripods, centres, half_sizes, yaw_vectors):
     """
-    Return the sampling density of each point (N,): the sum of cosine over squared distance.
+    Return the density of scan points at each surface point: (N,).
 
-    Distances below half a metre count as half a metre. Points that are occluded from all tripods,
-    or nearly invisible to them, have 0.
+    The density is the sum, over the tripods that see the point, of the cosine between ray and
+    normal over the squared distance. Distances below half a metre count as half a metre. Terms
+    below 1e-4 count as 0.
+
+    :param points: (N, 3) metres.
+    :param normals: (N, 3) unit vectors.
+    :param tripods: (T, 3) metres.
+    :param centres: with ``half_sizes`` and ``yaw_vectors``, see :class:`Boxes`.
     """
-    density = np.zeros(len(points))
-    reach = np.sqrt((half ** 2).sum(axis=1))
-    way, far, cone = np.empty_like(centre), np.empty(len(centre)), np.empty(len(centre))
+    densities = np.zeros(len(points))
+    # Radii of the bounding spheres of the solids.
+    radii = np.sqrt((half_sizes ** 2).sum(axis=1))
+    directions = np.empty_like(centres)
+    centre_distances, cone_cosines = np.empty(len(centres)), np.empty(len(centres))
     for t in range(len(tripods)):
-        for k in range(len(centre)):
-            way[k] = centre[k] - tripods[t]
-            far[k] = np.sqrt((way[k] ** 2).sum())
-            # The cosine of the cone around the bounding sphere of the solid.
-            cone[k] = -1.0 if far[k] <= reach[k] else np.sqrt(1.0 - (reach[k] / far[k]) ** 2)
-            way[k] /= max(far[k], 1e-9)
+        for k in range(len(centres)):
+            directions[k] = centres[k] - tripods[t]
+            centre_distances[k] = np.sqrt((directions[k] ** 2).sum())
+            # The cone from the tripod around the bounding sphere.
+            cone_cosines[k] = -1.0
+            if centre_distances[k] > radii[k]:
+                cone_cosines[k] = np.sqrt(1.0 - (radii[k] / centre_distances[k]) ** 2)
+            directions[k] /= max(centre_distances[k], 1e-9)
         for i in range(len(points)):
-            d0, d1 = points[i, 0] - tripods[t, 0], points[i, 1] - tripods[t, 1]
-            d2 = points[i, 2] - tripods[t, 2]
-            distance = np.sqrt(d0 * d0 + d1 * d1 + d2 * d2)
-            cosine = abs(d0 * normals[i, 0] + d1 * normals[i, 1] + d2 * normals[i, 2])
-            value = cosine / max(distance, 0.5) ** 3
-            if value <= 1e-4:
+            x, y = points[i, 0] - tripods[t, 0], points[i, 1] - tripods[t, 1]
+            z = points[i, 2] - tripods[t, 2]
+            length = np.sqrt(x * x + y * y + z * z)
+            # The length times the cosine.
+            slant = abs(x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2])
+            density = slant / max(length, 0.5) ** 3
+            if density <= 1e-4:
                 continue
-            hidden = False
-            for k in range(len(centre)):
-                ahead = (d0 * way[k, 0] + d1 * way[k, 1] + d2 * way[k, 2])
-                if ahead < cone[k] * distance or far[k] - reach[k] > distance:
+            is_occluded = False
+            for k in range(len(centres)):
+                projection = x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2]
+                distance = centre_distances[k]
+                if projection < cone_cosines[k] * length or distance - radii[k] > length:
                     continue
-                # The ray is inside the solid where it is between all three pairs of faces.
-                along = way[k, 0] * turn[k, 0] + way[k, 1] * turn[k, 1]
-                across = way[k, 1] * turn[k, 0] - way[k, 0] * turn[k, 1]
-                start = (along * far[k], across * far[k], way[k, 2] * far[k])
-                step = (d0 * turn[k, 0] + d1 * turn[k, 1], d1 * turn[k, 0] - d0 * turn[k, 1], d2)
-                enter, leave = 0.0, 1.0 - OCCLUSION_TOLERANCE_M / distance
-                for axis in range(3):
-                    if abs(step[axis]) < 1e-12:
-                        if abs(start[axis]) > half[k, axis]:
-                            leave = -1.0
-                        continue
-                    one = (start[axis] - half[k, axis]) / step[axis]
-                    other = (start[axis] + half[k, axis]) / step[axis]
-                    enter, leave = max(enter, min(one, other)), min(leave, max(one, other))
-                if enter < leave:
-                    hidden = True
+                cosine, sine = yaw_vectors[k]
+                along = directions[k, 0] * cosine + directions[k, 1] * sine
+                across = directions[k, 1] * cosine - directions[k, 0] * sine
+                centre = along * distance, across * distance, directions[k, 2] * distance
+                ray = x * cosine + y * sine, y * cosine - x * sine, z
+                if _enters_box(ray, centre, half_sizes[k], 1.0 - OCCLUSION_TOLERANCE_M / length):
+                    is_occluded = True
                     break
-            if not hidden:
-                density[i] += value
-    return density
+            if not is_occluded:
+                densities[i] += density
+    return densities
+
+
+@njit(cache=True, nogil=True)
+def _enters_box(ray, centre, half_size, end):
+    """
+    Return whether a ray from the origin enters a box before ``end``, a share of its length.
+
+    :param ray: (3,) metres, in the axes of the box.
+    :param centre: (3,) metres, the centre of the box, in the same axes.
+    :param half_size: (3,) metres.
+    """
+    # The ray is inside the box where it is between all three pairs of faces.
+    begin = 0.0
+    for axis in range(3):
+        if abs(ray[axis]) < 1e-12:
+            if abs(centre[axis]) > half_size[axis]:
+                return False
+            continue
+        low_face = (centre[axis] - half_size[axis]) / ray[axis]
+        high_face = (centre[axis] + half_size[axis]) / ray[axis]
+        begin = max(begin, min(low_face, high_face))
+        end = min(end, max(low_face, high_face))
+    return begin < end

@@ -26,7 +26,7 @@ from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import MAX_ROOM_POINTS, MAX_SEED, MIN_ROOM_POINTS, setting
 
-#: The options of reading a scan, as in command lines, parameters and placement files.
+#: The names of the options of reading a scan, in commands, parameters and placement files.
 READING = ('scale', 'up', 'drop_nonfinite', 'all_rooms')
 #: The default number of points of a room in which placements are evaluated.
 ROOM_POINTS = 60_000
@@ -34,7 +34,7 @@ ROOM_POINTS = 60_000
 
 @dataclass(frozen=True)
 class SceneConfig:
-    """Settings of a room: a file, or the generator if no file is named."""
+    """Settings of a room: a scan in a file, or a generated room if no file is named."""
 
     file: str = setting('', 'scan to read; empty for a generated room')
     seed: int = setting(1, 'seed of the generated room', 0, MAX_SEED)
@@ -65,24 +65,24 @@ def make_scene(config: SceneConfig) -> Scene:
 
 def seed_named(name: str) -> int:
     """
-    Read the seed of a generated room.
+    Return the seed of a generated room, given its decimal digits.
 
-    :raises SceneError: if it is too large.
+    :raises SceneError: if the seed is too large.
     """
     # Python refuses to convert numbers of thousands of digits.
     if len(name) > 20 or int(name) > MAX_SEED:
-        shown = name if len(name) <= 20 else f'{name[:20]}...'
-        raise SceneError(f'{shown}: found no seed of a room; expected one of at most '
+        short_name = name if len(name) <= 20 else f'{name[:20]}...'
+        raise SceneError(f'{short_name}: found no seed of a room; expected one of at most '
                          f'{MAX_SEED}, or the path of a scan; name another')
     return int(name)
 
 
 def make_room(name: str, rotation: float, points: int = 15000, **reading: Any) -> Scene:
     """
-    Make a room from its name.
+    Read or generate the room with a name.
 
     :param name: the seed of a generated room, or the path of a scan.
-    :param rotation: degrees about the vertical axis.
+    :param rotation: degrees by which the room is rotated about the vertical axis.
     :param points: the number of points of a generated room; larger scans are thinned to it.
     :param reading: options of a scan, those of ``READING``; see
         :func:`~ocp_ros.scenes.scene_files.load_scene`.
@@ -98,23 +98,25 @@ def make_room(name: str, rotation: float, points: int = 15000, **reading: Any) -
 def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
                ) -> tuple[Scene, dict[str, Any]]:
     """
-    Read or generate a room, and return its description for placement files too.
+    Read or generate the room with a name; return it and its entry in placement files.
 
-    :param name: path of a scan, or seed of a generated room.
-    :param reading: options of a scan; see :func:`make_room`.
+    :param name: the path of a scan, or the seed of a generated room.
+    :param points: the number of points, as for :func:`make_room`.
+    :param reading: options of a scan, as for :func:`make_room`.
+    :returns: the room, and the data under the key ``entry`` of a placement file.
     :raises SceneError: if the scan cannot be used.
     """
     scene = make_room(name, 0.0, points, **reading)
     if name.isdecimal():
         return scene, {'seed': int(name), 'points': points,
                        'sha256': sha256_of(scene)}
-    room = {'file': name, 'sha256': sha256_of_file(name), 'points': points, **reading,
-            'scale': scene.source.scale, 'up': scene.source.up}
+    entry = {'file': name, 'sha256': sha256_of_file(name), 'points': points, **reading,
+             'scale': scene.source.scale, 'up': scene.source.up}
     if not scene.source.is_map:
-        room['source_from_map'] = scene.source.matrix.tolist()
-    return scene, room
+        entry['source_from_map'] = scene.source.matrix.tolist()
+    return scene, entry
 
 
 def sha256_of(scene: Scene) -> str:
-    """Return the SHA-256 of a room's points, for rooms without a file."""
+    """Return the SHA-256 of a room's points, as 64 hexadecimal digits."""
     return hashlib.sha256(scene.points.tobytes()).hexdigest()

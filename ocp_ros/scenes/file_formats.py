@@ -32,53 +32,53 @@ from ocp_ros.util.terminal_text import printable
 MEASURED = ('.yaml', '.yml')
 
 
-def _from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
-    """Return the points, and the normals if the file has them, from named columns."""
+def _rows_from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
+    """Return the points (N, 3), or points and normals (N, 6), from columns (N,) by name."""
     missing = [axis for axis in 'xyz' if axis not in fields]
     if missing:
         raise SceneError(f'{name}: found the fields {" ".join(fields) or "(none)"} and no '
                          f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
     for axis in 'xyz':
         _check_rounding(np.ravel(fields[axis]), axis, name)
-    columns = ('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')
-    normals = next((names for names in columns if all(axis in fields for axis in names)), ())
+    normal_names = ('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')
+    normals = next((names for names in normal_names if all(name in fields for name in names)), ())
     return np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in (*'xyz', *normals)],
                     axis=-1)
 
 
 def _check_rounding(column: np.ndarray, axis: str, name: str) -> None:
-    """Refuse float32 coordinates that are rounded because they are far from the origin."""
+    """Refuse float32 coordinates (N,) that are far from the origin, where float32 rounds them."""
     if column.dtype.kind != 'f' or column.dtype.itemsize > 4:
         return
-    finite = column[np.isfinite(column)].astype(np.float64)
-    if len(finite) == 0:
+    values = column[np.isfinite(column)].astype(np.float64)
+    if len(values) == 0:
         return
-    step = float(np.spacing(np.float32(np.abs(finite).max())))
-    # float32 steps of 2 mm in 10 m are too coarse.
-    if step > 2e-4 * np.ptp(finite) and np.ptp(finite) > 0.0:
+    step = float(np.spacing(np.float32(np.abs(values).max())))
+    # Steps of more than 2 mm for an extent of 10 m are too coarse.
+    if step > 2e-4 * np.ptp(values) and np.ptp(values) > 0.0:
         raise SceneError(
-            f'{name}: found {axis} of {finite.max():.0f} as float32, which rounds it to steps of '
+            f'{name}: found {axis} of {values.max():.0f} as float32, which rounds it to steps of '
             f'{step:.3g}; expected coordinates that are not rounded; export them as float64 '
             '(double), or moved near the origin')
 
 
 def _read_ply(path: Path) -> np.ndarray:
-    """Read the vertices of a PLY file, or its faces if it has any."""
+    """Read the faces (T, 9) of a PLY file if it has any, otherwise its vertices, (N, 3 or 6)."""
     if has_faces(path):
         return read_mesh(path)
     fields = read_ply_fields(path)
     if not fields:
         raise SceneError(f'{path.name}: found no vertices; expected the element vertex with x, y '
                          'and z; export the points, not only faces')
-    return _from_fields(fields, path.name)
+    return _rows_from_fields(fields, path.name)
 
 
 def _read_npy(path: Path) -> np.ndarray:
-    """Read a NumPy array of x y z and more columns, or of records; never unpickle."""
+    """Read a NumPy array of x y z and more columns, or of records with fields; never unpickle."""
     with path.open('rb') as file:
         array = np.lib.format.read_array(file, allow_pickle=False)
     if array.dtype.names:
-        return _from_fields({field: array[field] for field in array.dtype.names}, path.name)
+        return _rows_from_fields({field: array[field] for field in array.dtype.names}, path.name)
     if array.ndim != 2 or array.shape[1] < 3 or array.dtype.kind not in 'fiu':
         raise SceneError(f'{path.name}: found {array.dtype} of shape {array.shape}; expected '
                          'numbers of shape (N, 3) or wider, one row x y z per point; save it so')
@@ -87,7 +87,7 @@ def _read_npy(path: Path) -> np.ndarray:
 
 def _read_pcd(path: Path) -> np.ndarray:
     """Read a PCD file: ascii, binary or binary_compressed."""
-    return _from_fields(read_pcd_fields(path), path.name)
+    return _rows_from_fields(read_pcd_fields(path), path.name)
 
 
 class Declared(NamedTuple):
@@ -107,7 +107,7 @@ class Declared(NamedTuple):
 
 
 def declared_by(path: Path) -> Declared:
-    """Return the unit and the axes that a file declares; the default is metres and z up."""
+    """Return what a file declares; the default is metres, z up and no solids."""
     suffix = path.suffix.lower()
     if suffix in ('.glb', '.gltf'):
         return Declared(up='y', remark='up: y (glTF)')

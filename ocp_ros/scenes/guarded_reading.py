@@ -20,27 +20,30 @@ from pathlib import Path
 import numpy as np
 from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 
-COSTS = {'e57': ReadingCost(600_000_000, 20, 10), 'las': ReadingCost(600_000_000, 3, 10),
-         'mesh': ReadingCost(700_000_000, 40, 20), 'ply': ReadingCost(400_000_000, 40, 10)}
+#: The limits of each kind of file: bytes of memory, the same per byte of the file, and seconds.
+READING_COSTS = {
+    'e57': ReadingCost(600_000_000, 20, 10), 'las': ReadingCost(600_000_000, 3, 10),
+    'mesh': ReadingCost(700_000_000, 40, 20), 'ply': ReadingCost(400_000_000, 40, 10)}
 
 
-def read_guarded(kind: str, path: Path, columns: int, rows: int, more: Sequence[str] = ()
-                 ) -> np.ndarray:
+def read_guarded(kind: str, path: Path, columns: int, max_rows: int,
+                 reader_arguments: Sequence[str] = ()) -> np.ndarray:
     """
     Read a file in a separate process, which takes about half a second.
 
-    :param kind: the kind of file, a key of ``COSTS`` and of ``READ`` in
+    :param kind: the kind of file, a key of ``READING_COSTS`` and of ``READERS`` in
         :mod:`~ocp_ros.scenes.reading_process`.
     :param columns: the number of columns of each row.
-    :param rows: the largest number of rows accepted.
-    :param more: more arguments for the reader of this kind.
+    :param max_rows: the largest number of rows accepted.
+    :param reader_arguments: the arguments of the reader after the path.
     :returns: (N, columns) float64.
     :raises ValueError: if the file cannot be read, or exceeds a limit.
     """
-    most = 8 * columns * rows
-    with GuardedProcess('ocp_ros.scenes.reading_process', [kind, str(path.absolute()), *more],
-                        COSTS[kind], path.stat().st_size) as process:
-        content = process.read(most + 1)
-    if len(content) > most:
-        raise ValueError(f'more than {rows:,} points')
+    max_bytes = 8 * columns * max_rows
+    arguments = [kind, str(path.absolute()), *reader_arguments]
+    with GuardedProcess('ocp_ros.scenes.reading_process', arguments, READING_COSTS[kind],
+                        path.stat().st_size) as process:
+        content = process.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        raise ValueError(f'more than {max_rows:,} points')
     return np.frombuffer(content).reshape(-1, columns)

@@ -32,7 +32,7 @@ from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.geometry.visibility import FINE, SurfelVisibility
 from ocp_ros.geometry.voxels import CellGrid
-from ocp_ros.scenes.mesh_files import sampled
+from ocp_ros.scenes.mesh_files import sample_faces
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene, SceneError
 from ocp_ros.util.kernels import njit
@@ -54,14 +54,14 @@ class InnerSurface(NamedTuple):
     remarks: tuple[str, ...]
 
 
-def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
+def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
                   solids: np.ndarray | None = None) -> InnerSurface | None:
     """
     Find the surface of a mesh that is visible from its enclosed air.
 
     :param mesh: metres, z up.
-    :param samples: the number of points wanted.
-    :param apart: the distance between points, metres; 0 uses ``samples`` alone.
+    :param point_count: the largest number of points.
+    :param spacing: the distance between points, metres; 0 gives ``point_count`` points.
     :param name: the name of the room in messages.
     :param solids: (S, 2, 3) metres, two opposite corners of each solid box, if nothing else in the
         room is solid; None if the solids are not given.
@@ -69,312 +69,363 @@ def inner_surface(mesh: Mesh, samples: int, apart: float, name: str,
     :raises SceneError: if no air is enclosed and the mesh consists of solid bodies: these have
         only an outside.
     """
-    rays, corners = MeshRays(mesh), mesh.corners
-    area = _area(corners)
+    rays = MeshRays(mesh)
+    corners = mesh.corners
+    area = _total_area(corners)
     max_points = 2_000_000
-    # The air is found between 60 points per square metre, and 150,000 at least.
-    pilot = sampled(corners, int(np.clip(60.0 * area, 150_000, max_points)))
-    air = EnclosedAir.of(pilot[:, :3], float(np.sqrt(area / len(pilot))), solids)
-    some = pilot[::len(pilot) // 4000]
+    # The air is found between 60 points per square metre, and 150,000 at least. Rows hold a point
+    # on a face and the normal of the face.
+    coarse_rows = sample_faces(corners, int(np.clip(60.0 * area, 150_000, max_points)))
+    air = EnclosedAir.of(coarse_rows[:, :3], float(np.sqrt(area / len(coarse_rows))), solids)
+    test_rows = coarse_rows[::len(coarse_rows) // 4000]
     if air is None:
-        if solids is None and _is_solid(some, rays):
+        if solids is None and _is_solid(test_rows, rays):
             raise SceneError(
                 f'{name}: found solid bodies and no air that is closed in above, below and '
                 'around; expected a room; cut the room out of the model, or add the walls and '
                 'the ceiling that it lacks')
         return None
-    seen = air.seen_from(some, rays)
-    # Mean number of visible sides per point on a face.
-    share = float(seen.sum(axis=1).mean())
-    if share == 0.0:
+    is_visible = air.visible_sides(test_rows, rays)
+    # The mean number of visible sides per point on a face.
+    sides_per_point = float(is_visible.sum(axis=1).mean())
+    if sides_per_point == 0.0:
         return None
-    if apart:
-        samples = min(int(share * area / apart ** 2), samples)
+    if spacing:
+        point_count = min(int(sides_per_point * area / spacing ** 2), point_count)
     # Five per cent more than the estimate requires.
-    rows = sampled(corners, int(min(1.05 * samples / share, max_points)))
-    hidden, seen = 1.0 - float(seen.any(axis=1).mean()), air.seen_from(rows, rays)
-    sides = [np.hstack([_in_front(rows[kept], sign), sign * rows[kept, 3:]])
-             for kept, sign in zip(seen.T, (1.0, -1.0))]
-    found = np.vstack(sides)
-    count = min(samples, len(found))
-    points, normals = np.hsplit(found[np.arange(count) * len(found) // count], 2)
+    rows = sample_faces(corners, int(min(1.05 * point_count / sides_per_point, max_points)))
+    invisible_share = 1.0 - float(is_visible.any(axis=1).mean())
+    visible_rows = np.vstack([
+        np.hstack([_start_points(rows[is_kept], sign), sign * rows[is_kept, 3:]])
+        for is_kept, sign in zip(air.visible_sides(rows, rays).T, (1.0, -1.0))])
+    count = min(point_count, len(visible_rows))
+    points, normals = np.hsplit(visible_rows[np.arange(count) * len(visible_rows) // count], 2)
     # Hidden faces of given boxes, such as the underside of a cupboard, need no remark.
-    remarks = () if hidden < 0.005 or solids is not None else (
-        f'{100.0 * hidden:.0f} % of the faces left out: the air of the room does not see them',)
-    if air.rooms:
-        remarks += (f'{len(air.rooms)} other closed space{"s" * (len(air.rooms) > 1)} left out, '
-                    f'the largest of {air.rooms[0]:.0f} m3: no opening connects with the room',)
+    remarks = () if invisible_share < 0.005 or solids is not None else (
+        f'{100.0 * invisible_share:.0f} % of the faces left out: the air of the room does not see '
+        'them',)
+    if volumes := air.other_volumes:
+        remarks += (f'{len(volumes)} other closed space{"s" * (len(volumes) > 1)} left out, the '
+                    f'largest of {volumes[0]:.0f} m3: no opening connects with the room',)
     return InnerSurface(points, normals, remarks)
 
 
-def _area(corners: np.ndarray) -> float:
+def _total_area(corners: np.ndarray) -> float:
     """Return the area of triangles (T, 3, 3), square metres."""
     return 0.5 * float(np.linalg.norm(np.cross(
         corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum())
 
 
 def _is_solid(rows: np.ndarray, rays: MeshRays) -> bool:
-    """Return whether most faces have a closed-in side, given points and normals (N, 6)."""
-    enclosed = [
-        np.all([np.isfinite(rays.lengths(_in_front(rows, sign), _ray_directions(rows, sign, *way)))
-                for way in _test_angles()], axis=0) for sign in (1.0, -1.0)]
-    return float(np.logical_or(*enclosed).mean()) >= 0.9
+    """
+    Return whether nearly all faces have a side from which every ray hits the mesh.
+
+    :param rows: (N, 6) points on the faces, metres, and their normals.
+    """
+    is_closed_in = [
+        np.all([np.isfinite(rays.lengths(_start_points(rows, sign),
+                                         _ray_directions(rows, sign, *angles)))
+                for angles in _test_angles()], axis=0) for sign in (1.0, -1.0)]
+    return float(np.logical_or(*is_closed_in).mean()) >= 0.9
 
 
 def _test_angles() -> list[tuple[float, float]]:
-    """Return directions from one side of a face: angles to the normal and around it, radians."""
-    # Radians to the normal, and the number of directions at this angle.
-    tilts = ((0.0, 1), (np.deg2rad(35.0), 4), (np.deg2rad(65.0), 7))
-    return [(tilt, 2.0 * np.pi * k / count) for tilt, count in tilts for k in range(count)]
+    """Return directions of rays: their angles to the normal of a face and around it, radians."""
+    # The angle to the normal, and the number of directions at this angle.
+    tilt_counts = ((0.0, 1), (np.deg2rad(35.0), 4), (np.deg2rad(65.0), 7))
+    return [(tilt, 2.0 * np.pi * k / count) for tilt, count in tilt_counts for k in range(count)]
 
 
 @njit(cache=True, nogil=True)
-def _ray_directions(rows, sign, tilt, turn):
-    """Return unit vectors (N, 3) from one side of faces, given points and normals (N, 6)."""
-    ways = np.empty((len(rows), 3))
-    up, one, two = np.cos(tilt), np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn)
+def _ray_directions(rows, sign, tilt, rotation):
+    """
+    Return the unit vectors (N, 3) of rays from one side of faces.
+
+    :param rows: (N, 6) points on the faces, metres, and their normals.
+    :param sign: 1 for the side of the normal, -1 for the other side.
+    :param tilt: the angle to the normal, radians.
+    :param rotation: the angle around the normal, radians.
+    """
+    directions = np.empty((len(rows), 3))
+    along_normal = np.cos(tilt)
+    along_first, along_second = np.sin(tilt) * np.cos(rotation), np.sin(tilt) * np.sin(rotation)
     for row in range(len(rows)):
         x, y, z = sign * rows[row, 3], sign * rows[row, 4], sign * rows[row, 5]
-        # Any vector that is not parallel to the normal gives a direction along the face.
+        # Two unit vectors along the face, at right angles.
         if abs(z) < 0.9:
-            level = np.sqrt(x * x + y * y)
-            along = (y / level, -x / level, 0.0)
+            length = np.sqrt(x * x + y * y)
+            first = (y / length, -x / length, 0.0)
         else:
-            level = np.sqrt(y * y + z * z)
-            along = (0.0, z / level, -y / level)
-        across = (y * along[2] - z * along[1], z * along[0] - x * along[2],
-                  x * along[1] - y * along[0])
+            length = np.sqrt(y * y + z * z)
+            first = (0.0, z / length, -y / length)
+        second = (y * first[2] - z * first[1], z * first[0] - x * first[2],
+                  x * first[1] - y * first[0])
         for axis, normal in enumerate((x, y, z)):
-            ways[row, axis] = up * normal + one * along[axis] + two * across[axis]
-    return ways
+            directions[row, axis] = (along_normal * normal + along_first * first[axis]
+                                     + along_second * second[axis])
+    return directions
 
 
-def _in_front(rows: np.ndarray, sign: float) -> np.ndarray:
-    """Return points (N, 3) in front of one side of faces, given points and normals (N, 6)."""
+def _start_points(rows: np.ndarray, sign: float) -> np.ndarray:
+    """Return points (N, 3) just in front of a side of faces, given points and normals (N, 6)."""
     # A millimetre separates the two sides of a thin face.
     return rows[:, :3] + sign * 0.001 * rows[:, 3:]
 
 
 class EnclosedAir(NamedTuple):
     """
-    The enclosed air of a room as cells of a grid.
+    The enclosed air of a room as cells of a grid of X x Y x Z cells.
 
     :ivar grid: the grid of the cells.
-    :ivar cells: (X, Y, Z) bool, the cells of the largest connected part.
-    :ivar beside: (X, Y) metres from each column to the nearest column that contains such cells.
-    :ivar others: (X, Y, Z) bool, the cells of the other connected parts that are large enough for
-        a room.
-    :ivar rooms: the volume of each of these other parts, cubic metres, the largest first.
-    :ivar roofed: whether the air was found under a ceiling.
-    :ivar ball: the least distance of the air from surfaces, metres.
+    :ivar cells: (X, Y, Z) bool, the cells of the largest connected part: the air of the room.
+    :ivar column_distance: (X, Y) metres from each column of the grid to the nearest column that
+        contains air of the room.
+    :ivar other_cells: (X, Y, Z) bool, the cells of the other connected parts that are large enough
+        for a room.
+    :ivar other_volumes: the volume of each of these other parts, cubic metres, the largest first.
+    :ivar is_roofed: whether the air of the room has a surface above it.
+    :ivar min_distance: the least distance of the air from surfaces, metres.
     """
 
     grid: CellGrid
     cells: np.ndarray
-    beside: np.ndarray
-    others: np.ndarray
-    rooms: tuple[float, ...]
-    roofed: bool
-    ball: float
+    column_distance: np.ndarray
+    other_cells: np.ndarray
+    other_volumes: tuple[float, ...]
+    is_roofed: bool
+    min_distance: float
 
     @classmethod
     def of(cls, points: np.ndarray, spacing: float, solids: np.ndarray | None = None
            ) -> 'EnclosedAir | None':
         """
-        Find the enclosed air between surface points (N, 3) with a given spacing, metres.
+        Find the enclosed air between points on surfaces.
 
-        :param solids: see :func:`inner_surface`.
-        :returns: None if no part is large enough for a room.
+        :param points: (N, 3) metres.
+        :param spacing: the distance between points, metres.
+        :param solids: (S, 2, 3) metres or None, see :func:`inner_surface`.
+        :returns: the air; None if no connected part of it is large enough for a room.
         """
         grid = CellGrid.over(corners_of(points))
         edge = grid.edge
-        away = ndimage.distance_transform_edt(~grid.taken(points)) * edge
+        surface_distance = ndimage.distance_transform_edt(~grid.taken(points)) * edge
         # Sparse points still close the gaps between them.
-        ball = max(0.2, 1.5 * spacing)
-        taken, free = away <= 1.5 * spacing, away > ball
-        free &= np.logical_or.accumulate(taken, axis=2)
+        min_distance = max(0.2, 1.5 * spacing)
+        is_surface = surface_distance <= 1.5 * spacing
+        is_air = surface_distance > min_distance
+        # Air has a surface below it.
+        is_air &= np.logical_or.accumulate(is_surface, axis=2)
         for corners in () if solids is None else solids:
             low, high = grid.cells(np.sort(corners, axis=0)).T
-            free[tuple(slice(a, b + 1) for a, b in zip(low, high))] = False
-        roofed = free & np.logical_or.accumulate(taken[:, :, ::-1], axis=2)[:, :, ::-1]
+            is_air[tuple(slice(a, b + 1) for a, b in zip(low, high))] = False
+        is_roofed = is_air & np.logical_or.accumulate(is_surface[:, :, ::-1], axis=2)[:, :, ::-1]
         # Most of the eight level directions have to end at a surface.
         level_steps = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
-        enclosed = sum(_ends_at_surface(taken, x, y).astype(np.int8) for x, y in level_steps) >= 5
-        found = [_connected_parts(cells & enclosed, edge) for cells in (roofed, free)]
+        is_enclosed = sum(
+            _ends_at_surface(is_surface, x, y).astype(np.int8) for x, y in level_steps) >= 5
+        candidates = [_label_parts(cells & is_enclosed, edge) for cells in (is_roofed, is_air)]
         # Without the roof condition, rooms without a ceiling are found. With it, hollow furniture
         # in such a room could count as the room: hence the comparison of volumes.
-        most = [volumes.max(initial=0.0) for _, volumes in found]
-        parts, volumes = found[0 if most[0] >= 0.4 * most[1] else 1]
-        order = np.argsort(-volumes, kind='stable')
-        # A volume of less than 2 m3 is not a room.
-        order = order[volumes[order] > (2.0 if solids is None else 0.0)]
-        if len(order) == 0:
+        largest_volumes = [volumes.max(initial=0.0) for _, volumes in candidates]
+        parts, volumes = candidates[0 if largest_volumes[0] >= 0.4 * largest_volumes[1] else 1]
+        part_numbers = np.argsort(-volumes, kind='stable')
+        # The largest part comes first. A volume of less than 2 m3 is not a room.
+        part_numbers = part_numbers[volumes[part_numbers] > (2.0 if solids is None else 0.0)]
+        if len(part_numbers) == 0:
             return None
-        room = parts == order[0]
-        beside = edge * ndimage.distance_transform_edt(~room.any(axis=2))
-        return cls(grid, room, beside, np.isin(parts, order[1:]),
-                   tuple(volumes[order[1:]].tolist()), parts is found[0][0], ball)
+        room = parts == part_numbers[0]
+        column_distance = edge * ndimage.distance_transform_edt(~room.any(axis=2))
+        others = part_numbers[1:]
+        return cls(grid, room, column_distance, np.isin(parts, others),
+                   tuple(volumes[others].tolist()), parts is candidates[0][0], min_distance)
 
-    def seen_from(self, rows: np.ndarray, rays: MeshRays) -> np.ndarray:
+    def visible_sides(self, rows: np.ndarray, rays: MeshRays) -> np.ndarray:
         """
-        Return from which sides of faces the air is visible.
+        Return which sides of faces are visible from the air of the room.
 
-        :param rows: (N, 6) metres: points on the faces and their unit normals.
+        :param rows: (N, 6) points on the faces, metres, and their unit normals.
+        :param rays: casts rays at the mesh of the faces.
         :returns: (N, 2) bool: the side of the normal, and the opposite side.
         """
-        found = np.zeros((len(rows), 2), dtype=bool)
-        column = self.grid.cells(rows[:, :3])
+        is_visible = np.zeros((len(rows), 2), dtype=bool)
+        cells = self.grid.cells(rows[:, :3])
         # Surfaces outside that are visible through doors and windows do not belong to the room.
-        near = np.flatnonzero(self.beside[tuple(column[:2])] <= max(
-            0.45, self.ball + 2.5 * self.grid.edge))
+        near_rows = np.flatnonzero(self.column_distance[tuple(cells[:2])] <= max(
+            0.45, self.min_distance + 2.5 * self.grid.edge))
         for side, sign in enumerate((1.0, -1.0)):
-            left = near
-            for way in _test_angles():
-                some = rows[left]
-                ways = _ray_directions(some, sign, *way)
-                first = self._air_distance(some[:, :3], ways)
+            remaining = near_rows
+            for angles in _test_angles():
+                test_rows = rows[remaining]
+                directions = _ray_directions(test_rows, sign, *angles)
+                air_distances = self._air_distance(test_rows[:, :3], directions)
                 # Ray casting is the slowest step: only rays that would reach the air are cast.
-                reached = np.isfinite(first)
-                reached[reached] = first[reached] < rays.lengths(
-                    _in_front(some[reached], sign), ways[reached])
-                found[left[reached], side] = True
-                left = left[~reached]
-            if self.roofed:
-                found[:, side] &= _under_a_roof(rows, sign, found[:, side], rays)
-        return found
+                is_reached = np.isfinite(air_distances)
+                is_reached[is_reached] = air_distances[is_reached] < rays.lengths(
+                    _start_points(test_rows[is_reached], sign), directions[is_reached])
+                is_visible[remaining[is_reached], side] = True
+                remaining = remaining[~is_reached]
+            if self.is_roofed:
+                is_visible[:, side] &= _is_below_surface(rows, sign, is_visible[:, side], rays)
+        return is_visible
 
-    def _air_distance(self, points: np.ndarray, ways: np.ndarray) -> np.ndarray:
-        """Return how far rays from points (N, 3) go until they enter the air, metres; else inf."""
-        reach = max(2.0, 3.0 * (self.ball + self.grid.edge))
-        return self.grid.edge * _steps_into(
-            self.cells, (points - self.grid.low) / self.grid.edge, ways, reach / self.grid.edge)
+    def _air_distance(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Return the lengths (N,) of rays until they enter the air, metres; inf for no entry."""
+        edge = self.grid.edge
+        max_length = max(2.0, 3.0 * (self.min_distance + edge))
+        return edge * _count_steps_into(
+            self.cells, (points - self.grid.low) / edge, directions, max_length / edge)
 
 
 @njit(cache=True, nogil=True)
-def _steps_into(cells, points, ways, most):
+def _count_steps_into(cells, points, directions, max_steps):
     """
     Count the steps along rays until they enter marked cells.
 
     :param cells: (X, Y, Z) bool.
     :param points: (N, 3) the start points, in cell edges from the lowest corner of the grid.
-    :param ways: (N, 3) unit direction vectors; a step is one cell edge long.
-    :param most: the steps of a ray stay below this number.
-    :returns: (N,) steps; inf for rays that do not enter a marked cell.
+    :param directions: (N, 3) unit direction vectors; a step is one cell edge long.
+    :param max_steps: the steps of a ray stay below this number.
+    :returns: (N,) numbers of steps; inf for rays that do not enter a marked cell.
     """
     steps = np.full(len(points), np.inf)
-    shape = np.array(cells.shape)
+    last = np.array(cells.shape) - 1
     for row in range(len(points)):
         step = 1.0
-        while step < most and steps[row] == np.inf:
-            x = min(max(int(np.floor(points[row, 0] + step * ways[row, 0])), 0), shape[0] - 1)
-            y = min(max(int(np.floor(points[row, 1] + step * ways[row, 1])), 0), shape[1] - 1)
-            z = min(max(int(np.floor(points[row, 2] + step * ways[row, 2])), 0), shape[2] - 1)
+        while step < max_steps and steps[row] == np.inf:
+            x = min(max(int(np.floor(points[row, 0] + step * directions[row, 0])), 0), last[0])
+            y = min(max(int(np.floor(points[row, 1] + step * directions[row, 1])), 0), last[1])
+            z = min(max(int(np.floor(points[row, 2] + step * directions[row, 2])), 0), last[2])
             if cells[x, y, z]:
                 steps[row] = step
             step += 1.0
     return steps
 
 
-def _under_a_roof(rows: np.ndarray, sign: float, asked: np.ndarray, rays: MeshRays) -> np.ndarray:
-    """Return which of the sides of faces (N, 6) that ``asked`` marks have a surface above them."""
-    starts, count = _in_front(rows[asked], sign), np.zeros(len(rows), int)
-    upwards = np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0.5, 1)])
-    for way in upwards:
-        count[asked] += np.isfinite(rays.lengths(starts, np.broadcast_to(way, starts.shape)))
+def _is_below_surface(rows: np.ndarray, sign: float, is_tested: np.ndarray, rays: MeshRays
+                      ) -> np.ndarray:
+    """
+    Return which faces have a surface above one of their sides: (N,) bool.
+
+    :param rows: (N, 6) points on the faces, metres, and their normals.
+    :param sign: 1 for the side of the normal, -1 for the other side.
+    :param is_tested: (N,) bool, the faces to test; False is returned for the others.
+    """
+    starts = _start_points(rows[is_tested], sign)
+    hit_counts = np.zeros(len(rows), int)
+    for direction in np.array([(0, 0, 1), (0.5, 0, 1), (-0.5, 0, 1), (0, 0.5, 1), (0, -0.5, 1)]):
+        lengths = rays.lengths(starts, np.broadcast_to(direction, starts.shape))
+        hit_counts[is_tested] += np.isfinite(lengths)
     # Three of the five upward directions have to hit a surface.
-    return count >= 3
+    return hit_counts >= 3
 
 
-def _connected_parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """Number the connected parts of cells; return the numbers and the volumes, 0 for number 0."""
+def _label_parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Number the connected parts of cells.
+
+    :param cells: (X, Y, Z) bool.
+    :param edge: the edge of a cell, metres.
+    :returns: (X, Y, Z) the number of the part of each cell, 0 for no part; and the volume of each
+        part by its number, cubic metres.
+    """
     parts, _ = ndimage.label(cells)
     volumes = np.bincount(parts.ravel()) * edge ** 3
     volumes[0] = 0.0
     return parts, volumes
 
 
-def _ends_at_surface(taken: np.ndarray, x: int, y: int) -> np.ndarray:
-    """Return from which cells a level path in steps of (x, y) cells ends at a taken cell."""
+def _ends_at_surface(is_surface: np.ndarray, x: int, y: int) -> np.ndarray:
+    """
+    Return from which cells a level path ends at a surface: (X, Y, Z) bool.
+
+    :param is_surface: (X, Y, Z) bool.
+    :param x: with ``y``, the step of the path in cells, each -1, 0 or 1.
+    """
     if x == 0:
-        return _ends_at_surface(taken.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
-    ends = taken.copy()
-    rows = range(1, len(taken)) if x < 0 else range(len(taken) - 2, -1, -1)
+        return _ends_at_surface(is_surface.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
+    is_ended = is_surface.copy()
+    rows = range(1, len(is_surface)) if x < 0 else range(len(is_surface) - 2, -1, -1)
     for row in rows:
-        before = ends[row + x]
+        next_row = is_ended[row + x]
         if y < 0:
-            ends[row, 1:] |= before[:-1]
+            is_ended[row, 1:] |= next_row[:-1]
         elif y > 0:
-            ends[row, :-1] |= before[1:]
+            is_ended[row, :-1] |= next_row[1:]
         else:
-            ends[row] |= before
-    return ends
+            is_ended[row] |= next_row
+    return is_ended
 
 
 def without_outside(scene: Scene) -> Scene:
     """
-    Leave out points of a solid model that are not visible from the air of the room.
+    Leave out the points of a solid model that the air of the room does not see; add a remark.
 
     :returns: the same scene if its points are those of a scan, since a scanner stands in the air.
     """
-    points, area = scene.points.astype(np.float64), scene.pitch.astype(np.float64) ** 2
+    points, areas = scene.points.astype(np.float64), scene.pitch.astype(np.float64) ** 2
     air = EnclosedAir.of(points, float(np.median(scene.pitch)))
     if air is None:
         return scene
-    cells = np.argwhere(air.cells | air.others)
+    cells = np.argwhere(air.cells | air.other_cells)
     # One test position per cubic metre.
     test_count = int(np.clip(len(cells) * air.grid.edge ** 3, 40, 300))
-    chosen = cells[np.random.default_rng(0).permutation(len(cells))[:test_count]]
-    count = _view_counts(scene, air.grid.middles(chosen))
-    invisible_area = area[count == 0].sum()
+    test_cells = cells[np.random.default_rng(0).permutation(len(cells))[:test_count]]
+    view_counts = _count_views(scene, air.grid.middles(test_cells))
+    invisible_area = areas[view_counts == 0].sum()
     # From real scans, 8 % of the surface or less was invisible.
-    if invisible_area < 0.14 * area.sum():
+    if invisible_area < 0.14 * areas.sum():
         return scene
-    hidden, across = _occluded(scene, air)
+    is_hidden, is_behind_face = _find_occluded(scene, air)
     # A point that is visible from half of the test positions is not hidden.
-    kept = ~(hidden & (count < 0.5 * len(chosen)))
+    is_kept = ~(is_hidden & (view_counts < 0.5 * len(test_cells)))
     # Points of a yard that was scanned too are invisible from the air, but do not lie behind a
     # wall.
-    back_area = area[hidden & across & (count == 0)].sum()
-    if back_area < 0.4 * invisible_area or np.count_nonzero(kept) < MIN_POINTS:
+    back_area = areas[is_hidden & is_behind_face & (view_counts == 0)].sum()
+    if back_area < 0.4 * invisible_area or np.count_nonzero(is_kept) < MIN_POINTS:
         return scene
-    remark = (f'{100.0 * (1.0 - kept.mean()):.0f} % of the points left out: those of a solid '
+    remark = (f'{100.0 * (1.0 - is_kept.mean()):.0f} % of the points left out: those of a solid '
               'model that the air of the room does not see')
-    return replace(scene.only(kept), remarks=(*scene.remarks, remark))
+    return replace(scene.only(is_kept), remarks=(*scene.remarks, remark))
 
 
-def _view_counts(scene: Scene, places: np.ndarray) -> np.ndarray:
-    """Return the number of positions (M, 3), metres, from which each point is visible: (N,)."""
+def _count_views(scene: Scene, positions: np.ndarray) -> np.ndarray:
+    """Return from how many of the positions (M, 3), metres, each point is visible: (N,)."""
     visibility = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch,
                                   np.empty((0, 3), dtype=np.float32), FINE)
-    lens, count = CameraModel(0.0, 2.0 * scene.diameter).lens, np.zeros(len(scene), dtype=int)
-    for place in places:
-        seen = no_bits(len(scene))
-        visibility.look(Pose(place, LEVEL), lens, seen)
-        count[visibility.order] += unpack(seen, len(scene))
-    return count
+    lens = CameraModel(0.0, 2.0 * scene.diameter).lens
+    counts = np.zeros(len(scene), dtype=int)
+    for position in positions:
+        visible_bits = no_bits(len(scene))
+        visibility.look(Pose(position, LEVEL), lens, visible_bits)
+        counts[visibility.order] += unpack(visible_bits, len(scene))
+    return counts
 
 
-def _occluded(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
+def _find_occluded(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarray]:
     """
-    Return which points have other points between them and the nearest enclosed air.
+    Find the points that other points separate from the nearest enclosed air.
 
-    :returns: (N,) bool, and (N,) bool: whether that air lies across the plane of the point.
+    :returns: (N,) bool, whether each point is so occluded; and (N,) bool, whether the nearest air
+        lies in front of or behind the surface of the point, not beside it.
     """
     points, pitch = scene.points.astype(np.float64), scene.pitch
-    index = ndimage.distance_transform_edt(
-        ~(air.cells | air.others), return_distances=False, return_indices=True)
-    goals = air.grid.middles(index[(slice(None), *air.grid.cells(points))].T)
-    length = np.linalg.norm(goals - points, axis=1)
-    ways, tree = (goals - points) / length[:, None], cKDTree(points)
-    hidden, away = np.zeros(len(points), dtype=bool), 0.05
-    across = np.abs(np.einsum('nk,nk->n', ways, scene.normals_or_estimate)) >= 0.7
+    air_cells = ndimage.distance_transform_edt(
+        ~(air.cells | air.other_cells), return_distances=False, return_indices=True)
+    air_positions = air.grid.middles(air_cells[(slice(None), *air.grid.cells(points))].T)
+    air_distances = np.linalg.norm(air_positions - points, axis=1)
+    directions = (air_positions - points) / air_distances[:, None]
+    is_across = np.abs(np.einsum('nk,nk->n', directions, scene.normals_or_estimate)) >= 0.7
+    tree = cKDTree(points)
+    is_hidden = np.zeros(len(points), dtype=bool)
+    distance = 0.05
     # The largest thickness of a wall or slab is 0.6 m.
-    while len(left := np.flatnonzero(~hidden & (length > away + air.grid.edge))) and away < 0.6:
-        nearest, _ = tree.query(points[left] + away * ways[left],
-                                distance_upper_bound=2.0 * float(np.median(pitch)))
+    while distance < 0.6:
+        remaining = np.flatnonzero(~is_hidden & (air_distances > distance + air.grid.edge))
+        point_distances, _ = tree.query(points[remaining] + distance * directions[remaining],
+                                        distance_upper_bound=2.0 * float(np.median(pitch)))
         # A point hides another if it is near the line to the air, in proportion to its distance,
         # and within the square that the hidden point stands for.
-        hidden[left] = nearest < np.minimum(0.6 * away, pitch[left])
-        away *= 1.25
+        is_hidden[remaining] = point_distances < np.minimum(0.6 * distance, pitch[remaining])
+        distance *= 1.25
     # Some hidden points pass the test through gaps between the points in front of them.
-    return hidden | (hidden[tree.query(points, 9)[1]].mean(axis=1) > 0.6), across
+    return is_hidden | (is_hidden[tree.query(points, 9)[1]].mean(axis=1) > 0.6), is_across

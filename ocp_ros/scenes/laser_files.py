@@ -30,17 +30,17 @@ _log = logging.getLogger(__name__)
 LAS_HEADER_BYTES = 255
 #: Bytes of a page of an E57 file.
 PAGE_BYTES = 1024
-#: The least size in bytes of a record before the points.
+#: The least size in bytes of a record (variable length record) before the points.
 MIN_RECORD_BYTES = 54
-METRE = ('metre', 1.0)
-#: The units of length by their codes in GeoTIFF keys.
-GEO_KEY_UNITS = {9001: METRE, 9002: ('foot', 0.3048),
+METRE_UNIT = ('metre', 1.0)
+#: Names and metres of the units of length, by their codes in GeoTIFF keys.
+GEO_KEY_UNITS = {9001: METRE_UNIT, 9002: ('foot', 0.3048),
                  9003: ('US survey foot', 1200.0 / 3937.0)}
 
 
 def read_las_points(path: Path) -> np.ndarray:
     """
-    Read a LAS file, compressed or not.
+    Read a LAS file, or a LAZ file, which is compressed; leave out noise and withheld points.
 
     Wrong sizes are found before anything is read. The file is read in a separate process, since
     lazrs ends its process if a file asks for more memory than there is.
@@ -50,75 +50,76 @@ def read_las_points(path: Path) -> np.ndarray:
     :raises ImportError: if there is no laspy or, for a LAZ file, no lazrs or laszip.
     """
     size = path.stat().st_size
-    count, compressed = _declared(path, size)
-    if not find_spec('laspy') or compressed and not (find_spec('lazrs') or find_spec('laszip')):
+    count, is_compressed = _declared_count(path, size)
+    if not find_spec('laspy') or is_compressed and not (find_spec('lazrs') or find_spec('laszip')):
         raise ImportError('laspy and lazrs; pip install "laspy[lazrs]"')
     points = read_guarded('las', path, 4, count)
     if len(points) != count:
         raise ValueError(f'{len(points):,} of {count:,} points')
-    kept = points[:, 3] > 0.0
-    if not kept.all():
+    is_kept = points[:, 3] > 0.0
+    if not is_kept.all():
         _log.warning('%s: %s points that it calls noise or withheld left out',
-                     printable(path.name), f'{np.count_nonzero(~kept):,}')
-    return points[kept, :3]
+                     printable(path.name), f'{np.count_nonzero(~is_kept):,}')
+    return points[is_kept, :3]
 
 
 def las_unit(path: Path) -> tuple[str, float]:
     """
     Return the unit of length that a LAS file names.
 
-    :returns: the name of the unit and its length in metres; the metre if the file names none, or
-        is broken.
+    :returns: the name of the unit, and its length in metres; the metre if the file names no unit,
+        or is broken.
     """
     with path.open('rb') as file:
-        head = file.read(LAS_HEADER_BYTES)
-        if head[:4] != b'LASF' or len(head) < 104:
-            return METRE
-        size, = struct.unpack_from('<H', head, 94)
-        offset, records = struct.unpack_from('<II', head, 96)
-        file.seek(size)
-        content = file.read(min(max(offset - size, 0), 1_000_000))
-    at, named = 0, METRE
+        header = file.read(LAS_HEADER_BYTES)
+        if header[:4] != b'LASF' or len(header) < 104:
+            return METRE_UNIT
+        header_bytes, = struct.unpack_from('<H', header, 94)
+        points_offset, record_count = struct.unpack_from('<II', header, 96)
+        file.seek(header_bytes)
+        content = file.read(min(max(points_offset - header_bytes, 0), 1_000_000))
+    position = 0
+    unit = METRE_UNIT
     wkt_unit = re.compile(r'UNIT\s*\[\s*"([^"]*)"\s*,\s*([0-9.]+(?:[eE][+-]?[0-9]+)?)')
     length_name = re.compile('met(?:er|re)|f(?:oo|ee)t|ft', re.IGNORECASE)
-    for _ in range(records):
-        if at + MIN_RECORD_BYTES > len(content):
+    for _ in range(record_count):
+        if position + MIN_RECORD_BYTES > len(content):
             break
-        user, kind, length = struct.unpack_from('<2x16sHH', content, at)
-        body = content[at + MIN_RECORD_BYTES:at + MIN_RECORD_BYTES + length]
-        at += MIN_RECORD_BYTES + length
-        if user.rstrip(b'\0') != b'LASF_Projection':
+        user_id, record_id, body_bytes = struct.unpack_from('<2x16sHH', content, position)
+        body = content[position + MIN_RECORD_BYTES:position + MIN_RECORD_BYTES + body_bytes]
+        position += MIN_RECORD_BYTES + body_bytes
+        if user_id.rstrip(b'\0') != b'LASF_Projection':
             continue
-        # The projection as text (WKT).
-        if kind == 2112:
-            found = wkt_unit.findall(body.decode('latin-1'))
-            units = [(name, float(metres)) for name, metres in found if length_name.search(name)]
-            named = units[-1] if units else named
-        # The projection as numbers (GeoTIFF keys); key 3076 is the unit of length.
-        elif kind == 34735:
+        # Record 2112 is the projection as text (WKT).
+        if record_id == 2112:
+            matches = wkt_unit.findall(body.decode('latin-1'))
+            units = [(name, float(metres)) for name, metres in matches if length_name.search(name)]
+            unit = units[-1] if units else unit
+        # Record 34735 is the projection as numbers (GeoTIFF keys); key 3076 is the unit of length.
+        elif record_id == 34735:
             keys = np.frombuffer(body[:len(body) // 8 * 8], '<u2').reshape(-1, 4)
-            named = next((GEO_KEY_UNITS[code] for key, place, _, code in keys.tolist()
-                          if key == 3076 and place == 0 and code in GEO_KEY_UNITS), named)
-    return named if 1e-3 < named[1] < 1e3 else METRE
+            unit = next((GEO_KEY_UNITS[code] for key, location, _, code in keys.tolist()
+                         if key == 3076 and location == 0 and code in GEO_KEY_UNITS), unit)
+    return unit if 1e-3 < unit[1] < 1e3 else METRE_UNIT
 
 
-def _declared(path: Path, size: int) -> tuple[int, bool]:
-    """Return the declared number of points, if plausible, and whether they are compressed."""
+def _declared_count(path: Path, file_bytes: int) -> tuple[int, bool]:
+    """Return the declared number of points and whether they are compressed; refuse wrong sizes."""
     with path.open('rb') as file:
-        head = file.read(LAS_HEADER_BYTES)
-    if head[:4] != b'LASF' or len(head) < 227:
+        header = file.read(LAS_HEADER_BYTES)
+    if header[:4] != b'LASF' or len(header) < 227:
         raise ValueError('no LAS header')
-    offset, records, form, length, count = struct.unpack_from('<IIBHI', head, 96)
-    if head[25] >= 4:
-        count, = struct.unpack_from('<Q', head.ljust(LAS_HEADER_BYTES, b'\0'), 247)
-    if offset > size or MIN_RECORD_BYTES * records > offset:
-        raise ValueError(f'{records:,} records in the {offset:,} bytes before the points')
-    compressed = form >= 64
+    offset, record_count, format_id, point_bytes, count = struct.unpack_from('<IIBHI', header, 96)
+    if header[25] >= 4:
+        count, = struct.unpack_from('<Q', header.ljust(LAS_HEADER_BYTES, b'\0'), 247)
+    if offset > file_bytes or MIN_RECORD_BYTES * record_count > offset:
+        raise ValueError(f'{record_count:,} records in the {offset:,} bytes before the points')
+    is_compressed = format_id >= 64
     # Real scans need one byte or more per compressed point.
-    least = count // 4 if compressed else count * length
-    if least > size - offset:
-        raise ValueError(f'{size - offset:,} bytes for {count:,} points')
-    return count, compressed
+    min_bytes = count // 4 if is_compressed else count * point_bytes
+    if min_bytes > file_bytes - offset:
+        raise ValueError(f'{file_bytes - offset:,} bytes for {count:,} points')
+    return count, is_compressed
 
 
 def read_e57_points(path: Path) -> np.ndarray:
@@ -131,48 +132,48 @@ def read_e57_points(path: Path) -> np.ndarray:
     :raises ValueError: if the file is broken.
     :raises ImportError: if there is no pye57.
     """
-    size = path.stat().st_size
+    file_bytes = path.stat().st_size
     header_bytes = 48
     with path.open('rb') as file:
-        head = file.read(header_bytes)
-    if len(head) < header_bytes or head[:8] != b'ASTM-E57':
+        header = file.read(header_bytes)
+    if len(header) < header_bytes or header[:8] != b'ASTM-E57':
         raise ValueError('no E57 header')
-    length, start, xml, page = struct.unpack_from('<QQQQ', head, 16)
-    if length != size:
-        raise ValueError(f'{size:,} of {length:,} bytes')
-    if page != PAGE_BYTES:
-        raise ValueError(f'pages of {page:,} bytes, not {PAGE_BYTES:,}')
-    _check_xml(_xml_of(path, start, xml))
+    declared_bytes, xml_start, xml_bytes, page_bytes = struct.unpack_from('<QQQQ', header, 16)
+    if declared_bytes != file_bytes:
+        raise ValueError(f'{file_bytes:,} of {declared_bytes:,} bytes')
+    if page_bytes != PAGE_BYTES:
+        raise ValueError(f'pages of {page_bytes:,} bytes, not {PAGE_BYTES:,}')
+    _check_xml(_read_xml(path, xml_start, xml_bytes))
     if not find_spec('pye57'):
         raise ImportError('pye57; pip install pye57')
-    # Real files pack a point in 6 bytes or more.
-    return read_guarded('e57', path, 3, size)
+    # Real files pack a point in 6 bytes or more, so the file has fewer points than bytes.
+    return read_guarded('e57', path, 3, file_bytes)
 
 
-def _xml_of(path: Path, start: int, length: int) -> bytes:
-    """Return ``length`` bytes of XML of an E57 file from ``start`` on, without checksums."""
-    # Files with thousands of scans need a tenth of it.
+def _read_xml(path: Path, start: int, length: int) -> bytes:
+    """Return the XML of an E57 file: ``length`` bytes from ``start`` on, without checksums."""
+    # Files with thousands of scans have a tenth of this.
     if length > 50_000_000:
         raise ValueError(f'{length:,} bytes of XML')
     checksum_bytes = 4
     with path.open('rb') as file:
         file.seek(start - start % PAGE_BYTES)
         pages = file.read((length // (PAGE_BYTES - checksum_bytes) + 2) * PAGE_BYTES)
-    logical = b''.join(pages[at:at + PAGE_BYTES - checksum_bytes]
-                       for at in range(0, len(pages), PAGE_BYTES))
-    xml = logical[start % PAGE_BYTES:][:length]
+    content = b''.join(pages[page_start:page_start + PAGE_BYTES - checksum_bytes]
+                       for page_start in range(0, len(pages), PAGE_BYTES))
+    xml = content[start % PAGE_BYTES:][:length]
     if len(xml) < length:
         raise ValueError(f'{len(xml):,} of {length:,} bytes of XML')
     return xml
 
 
 def _check_xml(content: bytes) -> None:
-    """Refuse XML that names other files, or has an encoding in which this cannot be checked."""
+    """Refuse XML that names other files, or is not UTF-8, so that it cannot be checked."""
     text = content.decode('utf-8')
     encoding = re.match(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)', text)
     if '\0' in text or encoding and encoding[1].lower() != 'utf-8':
         raise ValueError('XML that is not UTF-8')
-    # These refer to other files, which the reader would open, also on other machines. XML without
+    # These refer to other files, also on other machines, which the reader would open. XML without
     # a DOCTYPE has no entities.
     if found := re.search('<!DOCTYPE|<!ENTITY|schemaLocation', text, re.IGNORECASE):
         raise ValueError(f'XML with {found[0]}, which names other files')

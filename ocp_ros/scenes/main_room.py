@@ -38,214 +38,258 @@ MIN_HALF_WIDTH_M = 0.6
 
 def main_room(scene: Scene, points: np.ndarray) -> Scene:
     """
-    Leave out the points of other rooms and add a note; return the same scene if there are none.
+    Leave out the points of other rooms and add a note.
 
     :param points: (N, 3) metres, the points of the file before merging.
+    :returns: the same scene if there are no other rooms, or they cannot be separated. A scan of
+        many rooms stays whole and gets a remark.
     """
-    thin = voxel_downsample(points, 0.04)
-    corner = np.append(thin[:, :2].min(axis=0) - 2.0 * MAX_FLOOR_GAP_M,
-                       np.percentile(thin[:, 2], 1))
-    thin = thin - corner
-    tree = cKDTree(thin)
+    thin_points = voxel_downsample(points, 0.04)
+    corner = np.append(thin_points[:, :2].min(axis=0) - 2.0 * MAX_FLOOR_GAP_M,
+                       np.percentile(thin_points[:, 2], 1))
+    thin_points = thin_points - corner
+    tree = cKDTree(thin_points)
     neighbours = 9
-    reach = float(np.median(tree.query(thin[::max(len(thin) // 2000, 1)], k=neighbours)[0][:, -1]))
-    cell = max(0.1, 1.5 * reach * np.sqrt(np.pi / (neighbours - 1)))
+    some_points = thin_points[::max(len(thin_points) // 2000, 1)]
+    # The median distance to the eighth neighbour; the first found point is the point itself.
+    point_distance = float(np.median(tree.query(some_points, k=neighbours)[0][:, -1]))
+    cell = max(0.1, 1.5 * point_distance * np.sqrt(np.pi / (neighbours - 1)))
     # Rooms cannot be separated with coarser cells, nor on a plan of more than 5000 m2.
-    if cell > 0.2 or np.prod(np.ptp(thin[:, :2], axis=0)) > 5000.0:
+    if cell > 0.2 or np.prod(np.ptp(thin_points[:, :2], axis=0)) > 5000.0:
         return scene
-    rooms, closed = _rooms(thin, cell)
+    rooms, wall_shares = _separate_rooms(thin_points, cell)
     if rooms.max() < 2:
         return scene
-    nearest = _room_finder(rooms, cell)
-    counts = np.bincount(nearest(thin), minlength=rooms.max() + 1)
-    # A part of a room that is visible only through a door has few walls around it.
-    weights = counts * closed
-    main, floors = int(weights.argmax()), np.bincount(rooms.ravel()) * cell * cell
+    find_rooms = _room_finder(rooms, cell)
+    counts = np.bincount(find_rooms(thin_points), minlength=rooms.max() + 1)
+    # A room of which only a part is visible, through a door, has few walls around that part.
+    weights = counts * wall_shares
+    main_number = int(weights.argmax())
+    floor_areas = np.bincount(rooms.ravel()) * cell * cell
     # A room has 2 % of the points and 1 m2 of floor at least.
-    others = [room for room in np.flatnonzero(counts >= 0.02 * len(thin))
-              if room != main and floors[room] >= 1.0]
+    other_numbers = [number for number in np.flatnonzero(counts >= 0.02 * len(thin_points))
+                     if number != main_number and floor_areas[number] >= 1.0]
     # A scan with many rooms, or without a main one, shows a building.
-    if len(others) >= 4 or others and weights[main] < 0.45 * weights.sum():
-        remark = f'{len(others) + 1} rooms with openings between them: all are planned for'
+    if len(other_numbers) >= 4 or other_numbers and weights[main_number] < 0.45 * weights.sum():
+        remark = f'{len(other_numbers) + 1} rooms with openings between them: all are planned for'
         return replace(scene, remarks=(*scene.remarks, remark))
-    places = scene.points - corner
-    kept = ~np.isin(nearest(places), others)
-    kept[~kept] = _facing_points(places[~kept], rooms == main, cell, tree, 0.6 * reach)
-    if kept.all() or kept.sum() < MIN_POINTS:
+    positions = scene.points - corner
+    is_kept = ~np.isin(find_rooms(positions), other_numbers)
+    is_kept[~is_kept] = _facing_points(positions[~is_kept], rooms == main_number, cell, tree,
+                                       0.6 * point_distance)
+    if is_kept.all() or is_kept.sum() < MIN_POINTS:
         return scene
-    note = (f'found {len(scene) - kept.sum():,} points of another room behind an opening; '
+    note = (f'found {len(scene) - is_kept.sum():,} points of another room behind an opening; '
             'expected one room; that part of the scan is not planned for: --all-rooms includes it')
-    return replace(scene.only(kept), notes=(*scene.notes, note))
+    return replace(scene.only(is_kept), notes=(*scene.notes, note))
 
 
 def _room_finder(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarray]:
     """
-    Return a function that finds the nearest room of positions.
+    Return a function that finds the nearest room of each position.
 
-    :param rooms: (X, Y) room numbers on the plan.
+    :param rooms: (X, Y) room numbers on the plan, 0 for no room.
+    :param cell: the edge of a cell, metres.
     :returns: a function from positions (N, 3), metres from the corner of the plan, to room numbers
         (N,).
     """
     # The two faces of a wall belong to two rooms, so the cells are subdivided.
-    finer = int(np.clip(np.sqrt(4_000_000 / rooms.size), 1, 4))
-    fine = rooms.repeat(finer, axis=0).repeat(finer, axis=1)
-    _, (x, y) = ndimage.distance_transform_edt(fine == 0, return_indices=True)
-    fine = fine[x, y]
+    subdivisions = int(np.clip(np.sqrt(4_000_000 / rooms.size), 1, 4))
+    nearest_rooms = rooms.repeat(subdivisions, axis=0).repeat(subdivisions, axis=1)
+    _, (x, y) = ndimage.distance_transform_edt(nearest_rooms == 0, return_indices=True)
+    nearest_rooms = nearest_rooms[x, y]
 
-    def nearest(places: np.ndarray) -> np.ndarray:
-        at = (places[:, :2] * (finer / cell)).astype(int)
-        return fine[tuple(np.clip(at, 0, np.array(fine.shape) - 1).T)]
-    return nearest
+    def find_rooms(positions: np.ndarray) -> np.ndarray:
+        cells = (positions[:, :2] * (subdivisions / cell)).astype(int)
+        return nearest_rooms[tuple(np.clip(cells, 0, np.array(nearest_rooms.shape) - 1).T)]
+    return find_rooms
 
 
-def _facing_points(points: np.ndarray, room: np.ndarray, cell: float, tree: cKDTree,
+def _facing_points(points: np.ndarray, is_room: np.ndarray, cell: float, tree: cKDTree,
                    radius: float) -> np.ndarray:
     """
-    Return which wall points beside a room have no points between them and the room.
+    Return which points beside a room have no points between them and the room: (N,) bool.
 
-    :param points: (N, 3) metres from the corner of the plan, in the frame of ``tree``.
-    :param room: (X, Y) bool.
+    :param points: (N, 3) metres from the corner of the plan.
+    :param is_room: (X, Y) bool, the cells of the room.
+    :param cell: the edge of a cell, metres.
+    :param tree: all points of the scan, in the same frame.
+    :param radius: metres; points this near to the line to the room are between.
     """
-    away, (x, y) = ndimage.distance_transform_edt(~room, return_indices=True)
-    at = tuple(np.clip((points[:, :2] / cell).astype(int), 0, np.array(room.shape) - 1).T)
+    room_distance, (x, y) = ndimage.distance_transform_edt(~is_room, return_indices=True)
+    last_cell = np.array(is_room.shape) - 1
+    point_cells = tuple(np.clip((points[:, :2] / cell).astype(int), 0, last_cell).T)
     # Points up to 3.5 cells from the room may be on its walls.
-    found = away[at] <= 3.5
-    way = np.column_stack([x[at], y[at]])[found] * cell + 0.5 * cell - points[found, :2]
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
-    way = np.column_stack([way, np.zeros(len(way))])
-    open_to = np.ones(len(way), dtype=bool)
-    # The largest thickness in metres of a wall whose two faces are separated.
+    is_facing = room_distance[point_cells] <= 3.5
+    room_cells = np.column_stack([x[point_cells], y[point_cells]])[is_facing]
+    directions = room_cells * cell + 0.5 * cell - points[is_facing, :2]
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
+    directions = np.column_stack([directions, np.zeros(len(directions))])
+    is_open = np.ones(len(directions), dtype=bool)
+    # The two faces of a wall are at most 0.3 m apart.
     for step in np.arange(1.4 * radius, 0.3, radius):
-        nearest, _ = tree.query(points[found] + step * way, distance_upper_bound=radius)
-        open_to &= ~np.isfinite(nearest)
-    found[found] = open_to
-    return found
+        gaps, _ = tree.query(points[is_facing] + step * directions, distance_upper_bound=radius)
+        is_open &= ~np.isfinite(gaps)
+    is_facing[is_facing] = is_open
+    return is_facing
 
 
-def _ceiling(height: np.ndarray) -> float:
+def _ceiling_height(heights: np.ndarray) -> float:
     """Return the height of the ceiling, given heights of points above the floor, metres."""
-    top = float(np.percentile(height, 99))
+    top = float(np.percentile(heights, 99))
     layer_m = 0.1
     lowest_m = 1.9
-    above = height[height > lowest_m] - lowest_m
-    layers = np.bincount((above / layer_m).astype(int), minlength=2)
+    upper_heights = heights[heights > lowest_m] - lowest_m
+    layer_counts = np.bincount((upper_heights / layer_m).astype(int), minlength=2)
     # The ceiling may lie across the border of two layers.
-    layers[1:] += layers[:-1].copy()
+    layer_counts[1:] += layer_counts[:-1].copy()
     # The layer of the ceiling has three times as many points as the median layer.
-    if layers.max() <= 3.0 * np.median(layers):
+    if layer_counts.max() <= 3.0 * np.median(layer_counts):
         return top
-    return min(top, lowest_m + layer_m * (int(layers.argmax()) + 0.5))
+    return min(top, lowest_m + layer_m * (int(layer_counts.argmax()) + 0.5))
 
 
-def _rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+def _separate_rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Separate rooms on a plan of points.
+    Separate rooms on a plan of X x Y cells.
 
     :param points: (N, 3) metres, from the lowest corner of the plan, z above the floor.
-    :returns: (X, Y) room numbers from 1, 0 in walls and outside; and per room the share of its
-        border that is wall.
+    :param cell: the edge of a cell, metres.
+    :returns: (X, Y) room numbers from 1, 0 in walls and outside; and by room number the share of
+        the room's border that is wall.
     """
-    place = (points[:, :2] / cell).astype(int)
-    shape = tuple(place.max(axis=0) + 1 + int(2.0 * MAX_FLOOR_GAP_M / cell))
-    height, top = points[:, 2], _ceiling(points[:, 2])
-
-    def occupied(low: float = -np.inf, high: float = np.inf) -> np.ndarray:
-        cells = np.zeros(shape, dtype=bool)
-        cells[tuple(place[(height >= low) & (height < high)].T)] = True
-        return cells
-
-    disc = _disc(1.0)
-    # Walls have points 12 to 50 cm under the ceiling.
-    high = ndimage.binary_dilation(occupied(top - 0.5, top - 0.12), disc)
-    # A wall has points in three of the four bands that begin at these heights.
-    bands_m = (0.9, 1.2, 1.5, 1.8)
-    bands = [ndimage.binary_dilation(occupied(low, low + 0.3), disc) for low in bands_m]
-    upright = np.sum(bands, axis=0) >= len(bands_m) - 1
-    walls = upright & high
-    wall_distance = ndimage.distance_transform_edt(~walls) * cell
-    # The range above the floor that contains lintels but not beams.
-    lintel_m = (2.0, 2.35)
-    # Under a low ceiling lintels begin lower.
-    lowest = min(lintel_m[0], top - 0.35)
-    part = (height >= lowest) & (height < top - 0.03)
-    ends = np.full((2, *shape), -np.inf)
-    for end, way in zip(ends, (1.0, -1.0), strict=True):
-        np.maximum.at(end, tuple(place[part].T), way * height[part])
-    # In a high room lintels reach higher. A face is higher than a cell, since a ceiling is flat.
-    faces = (occupied(lowest, max(lintel_m[1], 0.78 * top))
-             & (ends.sum(axis=0) >= 1.3 * cell))
-    # A lintel is at most a metre from the nearest wall.
-    lintels = ndimage.binary_dilation(faces, disc) & high & ~upright & (wall_distance <= 1.0)
-    floor = ndimage.binary_closing(occupied(), _disc(MAX_FLOOR_GAP_M / cell))
-    holes, _ = ndimage.label(ndimage.binary_fill_holes(floor) & ~floor)
-    # A hole of more than 1 m2 consists of walls and rooms that were not scanned.
-    small = np.bincount(holes.ravel()) * cell * cell <= 1.0
-    floor |= small[holes] & (holes > 0)
-    barrier = walls | lintels
-    free = floor & ~barrier
-    barrier_distance = ndimage.distance_transform_edt(~barrier) * cell
+    cells = (points[:, :2] / cell).astype(int)
+    shape = tuple(cells.max(axis=0) + 1 + int(2.0 * MAX_FLOOR_GAP_M / cell))
+    walls, lintels = _walls_and_lintels(points[:, 2], cells, shape, cell)
+    floor = _floor(_occupied_cells(cells, shape), cell)
+    is_barrier = walls | lintels
+    is_free = floor & ~is_barrier
+    barrier_distance = ndimage.distance_transform_edt(~is_barrier) * cell
     # Half the width of the narrowest opening up to the ceiling that still joins two spaces.
     min_half_opening_m = 0.25
-    rooms, count = ndimage.label(free & (barrier_distance >= min_half_opening_m))
+    rooms, count = ndimage.label(is_free & (barrier_distance >= min_half_opening_m))
     half_width = ndimage.distance_transform_edt(floor & ~walls) * cell
     numbers = np.arange(1, count + 1)
-    widths = np.append(0.0, ndimage.maximum(half_width, rooms, numbers))
-    joined = _joined(rooms, lintels, half_width, widths, min_half_opening_m / cell + 1.5)
-    # A part that is visible only through a door is narrower than the room that it belongs to.
-    widths = np.append(0.0, ndimage.maximum(wall_distance, rooms, numbers))
+    room_half_widths = np.append(0.0, ndimage.maximum(half_width, rooms, numbers))
+    joined = _join_rooms(rooms, lintels, half_width, room_half_widths,
+                         min_half_opening_m / cell + 1.5)
+    # A space that is visible only through a door is narrower than the room that it belongs to.
+    wall_distance = ndimage.distance_transform_edt(~walls) * cell
+    room_half_widths = np.append(0.0, ndimage.maximum(wall_distance, rooms, numbers))
     rooms = joined[rooms]
-    wide = np.zeros(count + 1, dtype=bool)
-    wide[joined[widths >= MIN_HALF_WIDTH_M]] = True
-    rooms[~wide[rooms]] = 0
+    is_wide = np.zeros(count + 1, dtype=bool)
+    is_wide[joined[room_half_widths >= MIN_HALF_WIDTH_M]] = True
+    rooms[~is_wide[rooms]] = 0
     _, (x, y) = ndimage.distance_transform_edt(rooms == 0, return_indices=True)
     # The inside of a thick wall is not a room.
-    parts, _ = ndimage.label(free)
-    rooms = np.where(np.isin(parts, parts[rooms > 0]) & free, rooms[x, y], 0)
-    border = np.zeros((2, rooms.max() + 1))
-    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        beside = np.roll(rooms, step, axis)
-        edge = (beside > 0) & (beside != rooms)
-        border += [np.bincount(beside[cells], minlength=border.shape[1])
-                   for cells in (edge & barrier, edge)]
-    return rooms, border[0] / np.maximum(border[1], 1.0)
+    spaces, _ = ndimage.label(is_free)
+    rooms = np.where(np.isin(spaces, spaces[rooms > 0]) & is_free, rooms[x, y], 0)
+    return rooms, _wall_shares(rooms, is_barrier)
 
 
-def _joined(rooms: np.ndarray, lintels: np.ndarray, half_width: np.ndarray, widths: np.ndarray,
-            reach: float) -> np.ndarray:
+def _occupied_cells(cells: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Return a mask of a shape (X, Y) that is True in the given cells (N, 2)."""
+    is_occupied = np.zeros(shape, dtype=bool)
+    is_occupied[tuple(cells.T)] = True
+    return is_occupied
+
+
+def _walls_and_lintels(heights: np.ndarray, cells: np.ndarray, shape: tuple[int, ...], cell: float
+                       ) -> tuple[np.ndarray, np.ndarray]:
     """
-    Join spaces that are separated only by beams.
+    Return the cells (X, Y) bool of walls, and those of lintels (the walls above doors).
+
+    :param heights: (N,) metres of points above the floor.
+    :param cells: (N, 2) the cells of the points.
+    :param shape: (X, Y).
+    :param cell: the edge of a cell, metres.
+    """
+    def occupied_between(low: float, high: float) -> np.ndarray:
+        return _occupied_cells(cells[(heights >= low) & (heights < high)], shape)
+
+    ceiling = _ceiling_height(heights)
+    disc = _disc(1.0)
+    # Walls have points 12 to 50 cm under the ceiling.
+    is_high = ndimage.binary_dilation(occupied_between(ceiling - 0.5, ceiling - 0.12), disc)
+    # A wall has points in three of the four bands of 0.3 m that begin at these heights.
+    bands_m = (0.9, 1.2, 1.5, 1.8)
+    bands = [ndimage.binary_dilation(occupied_between(low, low + 0.3), disc) for low in bands_m]
+    is_upright = np.sum(bands, axis=0) >= len(bands_m) - 1
+    walls = is_upright & is_high
+    wall_distance = ndimage.distance_transform_edt(~walls) * cell
+    # The range above the floor that contains lintels but not beams. Under a low ceiling lintels
+    # begin lower, and in a high room they reach higher.
+    lowest, highest = min(2.0, ceiling - 0.35), max(2.35, 0.78 * ceiling)
+    is_in_range = (heights >= lowest) & (heights < ceiling - 0.03)
+    # The highest point of each cell, and the negative of its lowest point.
+    extremes = np.full((2, *shape), -np.inf)
+    for extreme, sign in zip(extremes, (1.0, -1.0), strict=True):
+        np.maximum.at(extreme, tuple(cells[is_in_range].T), sign * heights[is_in_range])
+    # A face is higher than a cell, since a ceiling is flat.
+    faces = occupied_between(lowest, highest) & (extremes.sum(axis=0) >= 1.3 * cell)
+    # A lintel is at most a metre from the nearest wall.
+    is_near_wall = wall_distance <= 1.0
+    return walls, ndimage.binary_dilation(faces, disc) & is_high & ~is_upright & is_near_wall
+
+
+def _floor(is_occupied: np.ndarray, cell: float) -> np.ndarray:
+    """Return the cells (X, Y) bool with points, with gaps and small holes filled."""
+    floor = ndimage.binary_closing(is_occupied, _disc(MAX_FLOOR_GAP_M / cell))
+    holes, _ = ndimage.label(ndimage.binary_fill_holes(floor) & ~floor)
+    # A hole of more than 1 m2 consists of walls and rooms that were not scanned.
+    is_small = np.bincount(holes.ravel()) * cell * cell <= 1.0
+    return floor | (is_small[holes] & (holes > 0))
+
+
+def _wall_shares(rooms: np.ndarray, is_barrier: np.ndarray) -> np.ndarray:
+    """Return for each room number in ``rooms`` (X, Y) the share of its border that is barrier."""
+    # In the first row the cells of the border that are barrier, in the second row all its cells.
+    counts = np.zeros((2, rooms.max() + 1))
+    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        next_rooms = np.roll(rooms, step, axis)
+        is_border = (next_rooms > 0) & (next_rooms != rooms)
+        counts += [np.bincount(next_rooms[is_counted], minlength=counts.shape[1])
+                   for is_counted in (is_border & is_barrier, is_border)]
+    return counts[0] / np.maximum(counts[1], 1.0)
+
+
+def _join_rooms(rooms: np.ndarray, lintels: np.ndarray, half_width: np.ndarray,
+                room_half_widths: np.ndarray, radius: float) -> np.ndarray:
+    """
+    Join rooms that are separated only by beams.
 
     :param rooms: (X, Y) room numbers.
     :param lintels: (X, Y) bool, cells of possible lintels or beams.
     :param half_width: (X, Y) metres to the nearest wall.
-    :param widths: the largest value of ``half_width`` in each room, by room number.
-    :param reach: the distance in cells from a lintel to the spaces that it separates.
-    :returns: for each number, the number of the joined room.
+    :param room_half_widths: the largest value of ``half_width`` in each room, by room number.
+    :param radius: the distance in cells from a lintel to the rooms that it separates.
+    :returns: by room number, the number of the joined room.
     """
-    joined = np.arange(len(widths))
-    disc, margin = _disc(reach), int(reach) + 1
+    joined = np.arange(len(room_half_widths))
+    disc = _disc(radius)
+    margin = int(radius) + 1
     # A beam has two faces and an underside between them; cells inside thick walls are excluded.
-    inside = ndimage.binary_closing(half_width == 0.0, disc)
-    between = ndimage.binary_closing(lintels, disc) & ~inside
-    blobs, _ = ndimage.label(lintels | between)
-    openings: dict[tuple[int, int], float] = {}
-    for number, box in enumerate(ndimage.find_objects(blobs), start=1):
-        around = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
-        blob = blobs[around] == number
-        parted = np.setdiff1d(rooms[around][ndimage.binary_dilation(blob, disc)], [0])
-        for pair in combinations(parted.tolist(), 2):
+    is_inside_wall = ndimage.binary_closing(half_width == 0.0, disc)
+    undersides = ndimage.binary_closing(lintels, disc) & ~is_inside_wall
+    beams, _ = ndimage.label(lintels | undersides)
+    opening_widths: dict[tuple[int, int], float] = {}
+    for number, box in enumerate(ndimage.find_objects(beams), start=1):
+        window = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
+        is_beam = beams[window] == number
+        separated = np.setdiff1d(rooms[window][ndimage.binary_dilation(is_beam, disc)], [0])
+        width = half_width[window][is_beam & lintels[window]].max(initial=0.0)
+        for pair in combinations(separated.tolist(), 2):
             # The openings of several beams between columns add up.
-            opening = half_width[around][blob & lintels[around]].max(initial=0.0)
-            openings[pair] = openings.get(pair, 0.0) + opening
-    for pair, opening in openings.items():
-        one, other = pair
+            opening_widths[pair] = opening_widths.get(pair, 0.0) + width
+    for (room, other), width in opening_widths.items():
         # The width of an opening, as a share of the narrower room, above which both are one room.
-        if opening > widths[[one, other]].min() * (0.75 if opening <= MIN_HALF_WIDTH_M else 0.5):
-            joined[joined == joined[other]] = joined[one]
+        share = 0.75 if width <= MIN_HALF_WIDTH_M else 0.5
+        if width > room_half_widths[[room, other]].min() * share:
+            joined[joined == joined[other]] = joined[room]
     return joined
 
 
 def _disc(radius: float) -> np.ndarray:
-    """Return the mask of a disc with a radius in cells."""
-    reach = np.arange(-int(radius), int(radius) + 1)
-    return np.hypot(reach[:, None], reach) <= radius
+    """Return the mask of a disc with a radius in cells: (D, D) bool, D = 2 int(radius) + 1."""
+    offsets = np.arange(-int(radius), int(radius) + 1)
+    return np.hypot(offsets[:, None], offsets) <= radius

@@ -23,45 +23,36 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from ocp_ros.util.yaml_files import (
-    array,
-    check,
-    Document,
-    many,
-    mapping,
-    number,
-    one_of,
-    read_document,
-    Schema,
-)
+from ocp_ros.util import yaml_files as schema
+from ocp_ros.util.yaml_files import check, Document, read_document, Schema
 from scipy.spatial import ConvexHull, QhullError
 
-#: The walls: the axis normal to each, and whether the wall is at the far end of that axis.
+#: For each wall, the axis normal to it, and whether it is at the far end of that axis.
 WALLS = {'south': (1, False), 'east': (0, True), 'north': (1, True), 'west': (0, False)}
 #: The number of corners of a room.
 CORNERS = 8
 #: Metres: the largest room.
 MAX_ROOM_M = 100.0
 LENGTH: Schema = {'type': 'number', 'minimum': 0.0, 'maximum': MAX_ROOM_M}
-OPENING = mapping(
+OPENING = schema.mapping(
     'a wall, and at, width and height', {'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1},
-    ('wall', 'at', 'width', 'height'), wall=one_of(WALLS, 'south'),
-    at=number('metres along the wall, 0 or more, from the corner with the lower x or y', 1.0,
-              minimum=0, maximum=MAX_ROOM_M),
-    width=number('metres above 0', 0.9, exclusiveMinimum=0, maximum=MAX_ROOM_M),
-    height=number('metres above 0', 2.1, exclusiveMinimum=0, maximum=MAX_ROOM_M),
-    sill=number('metres above the floor, 0 or more', 0.9, minimum=0, maximum=MAX_ROOM_M))
-BOX = mapping(
+    ('wall', 'at', 'width', 'height'), wall=schema.one_of(WALLS, 'south'),
+    at=schema.number('metres along the wall, 0 or more, from the corner with the lower x or y',
+                     1.0, minimum=0, maximum=MAX_ROOM_M),
+    width=schema.number('metres above 0', 0.9, exclusiveMinimum=0, maximum=MAX_ROOM_M),
+    height=schema.number('metres above 0', 2.1, exclusiveMinimum=0, maximum=MAX_ROOM_M),
+    sill=schema.number('metres above the floor, 0 or more', 0.9, minimum=0, maximum=MAX_ROOM_M))
+BOX = schema.mapping(
     'a mapping with the key box', {'box': [[1, 1, 0], [2, 1.8, 0.75]]}, ('box',),
-    box=many('the lowest and the highest corner, metres', array(LENGTH, 3, 3),
-             [[1, 1, 0], [2, 1.8, 0.75]], 2, 2))
-ROOM = mapping(
+    box=schema.many('the lowest and the highest corner, metres', schema.array(LENGTH, 3, 3),
+                    [[1, 1, 0], [2, 1.8, 0.75]], 2, 2))
+ROOM = schema.mapping(
     'a room with the key size', {'size': [6, 4.5, 2.7]}, ('size',),
-    size=many('length, width and height in metres, each from 1 to 100',
-              {'type': 'number', 'minimum': 1.0, 'maximum': MAX_ROOM_M}, [6, 4.5, 2.7], 3, 3),
-    openings=many('a list of doors and windows that let one look out', OPENING,
-                  [{'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1}], 0, 100),
-    boxes=many('a list of boxes', BOX, [{'box': [[1, 1, 0], [2, 1.8, 0.75]]}], 0, 1000))
+    size=schema.many('length, width and height in metres, each from 1 to 100',
+                     {**LENGTH, 'minimum': 1.0}, [6, 4.5, 2.7], 3, 3),
+    openings=schema.many('a list of doors and windows that let one look out', OPENING,
+                         [{'wall': 'south', 'at': 1.0, 'width': 0.9, 'height': 2.1}], 0, 100),
+    boxes=schema.many('a list of boxes', BOX, [{'box': [[1, 1, 0], [2, 1.8, 0.75]]}], 0, 1000))
 #: Corners of each face of a box. The number of a corner is 1 (x high) + 2 (y high) + 4 (z high).
 FACES = np.array([[0, 2, 3, 1], [4, 5, 7, 6], [0, 1, 5, 4], [2, 6, 7, 3], [0, 4, 6, 2],
                   [1, 3, 7, 5]])
@@ -78,22 +69,24 @@ def read_measured_room(path: Path) -> np.ndarray:
 
 
 def solids_in(path: Path) -> np.ndarray:
-    """Return the boxes of a room file: (S, 2, 3) metres, the lowest and the highest corners."""
+    """Return the S boxes in a room file: (S, 2, 3) metres, their lowest and highest corners."""
     boxes = read_document(path, ROOM).data.get('boxes', ())
     return np.array([data['box'] for data in boxes], dtype=np.float64).reshape(-1, 2, 3)
 
 
 def triangles_of(document: Document) -> np.ndarray:
     """
-    Return the surfaces of a room.
+    Return the surfaces of a measured room as triangles.
 
-    :param document: a document that is valid under :data:`ROOM`.
-    :returns: (T, 3, 3) metres, the corners of triangles.
+    :param document: a room that is valid under the schema :data:`ROOM`.
+    :returns: (T, 3, 3) metres, the corners of each triangle.
     :raises ConfigurationError: if a box or an opening is not inside the room.
     """
     size = np.array(document.data['size'], dtype=np.float64)
-    floor, ceiling = _box(np.zeros(3), size)[:2]
-    quads = [floor, ceiling, *(quad for wall in WALLS for quad in _wall(document, wall, size))]
+    floor, ceiling = _box_faces(np.zeros(3), size)[:2]
+    quads = [floor, ceiling]
+    for wall in WALLS:
+        quads += _wall_rectangles(document, wall, size)
     for k, data in enumerate(document.data.get('boxes', ())):
         low, high = np.array(data['box'], dtype=np.float64)
         if not (low < high).all() or (high > size).any():
@@ -101,20 +94,26 @@ def triangles_of(document: Document) -> np.ndarray:
                 ('boxes', k, 'box'), f'corners from {low.tolist()} to {high.tolist()}',
                 f'the lowest corner first, and the highest within {size.tolist()}',
                 'correct those that are not')
-        quads += list(_box(low, high)[int(low[2] == 0.0):])
+        # A box on the floor has no visible underside.
+        quads += list(_box_faces(low, high)[int(low[2] == 0.0):])
     corners = np.array(quads)
     return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
-def _box(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def _box_faces(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return the faces of a box, the lower one first: (6, 4, 3) metres."""
-    bits = (np.arange(8)[:, None] >> np.arange(3)) & 1
-    return np.where(bits, high, low)[FACES]
+    is_high = (np.arange(8)[:, None] >> np.arange(3)) & 1
+    return np.where(is_high, high, low)[FACES]
 
 
-def _wall(document: Document, wall: str, size: np.ndarray) -> list[np.ndarray]:
-    """Return a wall without its openings, as rectangles (4, 3), metres."""
-    axis, far = WALLS[wall]
+def _wall_rectangles(document: Document, wall: str, size: np.ndarray) -> list[np.ndarray]:
+    """
+    Return a wall without its openings, as a list of rectangles (4, 3), metres.
+
+    :param wall: a key of ``WALLS``.
+    :param size: (3,) the size of the room, metres.
+    """
+    axis, is_far = WALLS[wall]
     length, height = size[1 - axis], size[2]
     openings = []
     for k, data in enumerate(document.data.get('openings', ())):
@@ -126,19 +125,19 @@ def _wall(document: Document, wall: str, size: np.ndarray) -> list[np.ndarray]:
                 f'{high:g} m up', f'one within its {length:g} x {height:g} m', 'correct it')
         if data['wall'] == wall:
             openings.append((left, right, low, high))
-    across = np.unique([0.0, length, *(edge for one in openings for edge in one[:2])])
-    up = np.unique([0.0, height, *(edge for one in openings for edge in one[2:])])
-    found = []
-    for left, right in zip(across, across[1:]):
-        for low, high in zip(up, up[1:]):
-            if not any(one[0] <= left and right <= one[1] and one[2] <= low and high <= one[3]
-                       for one in openings):
+    edges_along = np.unique([0.0, length, *(edge for opening in openings for edge in opening[:2])])
+    edges_up = np.unique([0.0, height, *(edge for opening in openings for edge in opening[2:])])
+    rectangles = []
+    for left, right in zip(edges_along, edges_along[1:]):
+        for low, high in zip(edges_up, edges_up[1:]):
+            if not any(start <= left and right <= end and bottom <= low and high <= top
+                       for start, end, bottom, top in openings):
                 quad = np.zeros((4, 3))
-                quad[:, axis] = far * size[axis]
+                quad[:, axis] = is_far * size[axis]
                 quad[:, 1 - axis] = left, right, right, left
                 quad[:, 2] = low, low, high, high
-                found.append(quad)
-    return found
+                rectangles.append(quad)
+    return rectangles
 
 
 def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
@@ -146,8 +145,8 @@ def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
     Return the surfaces of a convex room, given its eight corners.
 
     :param points: (8, 3), in any unit.
-    :returns: (T, 3, 3) corners of triangles, and whether they form six flat sides; None if the
-        points are not the corners of a convex room.
+    :returns: (T, 3, 3) the corners of triangles, and whether each triangle is one of two in a flat
+        side; None if the points are not the corners of a convex room.
     """
     try:
         hull = ConvexHull(points)
@@ -156,14 +155,14 @@ def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
     if len(hull.vertices) < CORNERS:
         return None
     # The two triangles of a flat side have the same normal, within 3 degrees.
-    alike = hull.equations[:, :3] @ hull.equations[:, :3].T >= np.cos(np.deg2rad(3.0))
-    return points[hull.simplices], bool((alike.sum(axis=1) >= 2).all())
+    is_parallel = hull.equations[:, :3] @ hull.equations[:, :3].T >= np.cos(np.deg2rad(3.0))
+    return points[hull.simplices], bool((is_parallel.sum(axis=1) >= 2).all())
 
 
 def document_of(size: Sequence[str], openings: Sequence[Sequence[str]],
                 boxes: Sequence[Sequence[str]]) -> Document:
     """
-    Return the room document of typed values.
+    Return the document of a room whose values were typed as text, for example in a command.
 
     :param size: length, width and height, metres.
     :param openings: the wall of each opening, then at, width, height and, optionally, sill,
@@ -174,10 +173,10 @@ def document_of(size: Sequence[str], openings: Sequence[Sequence[str]],
     document = Document('room', {
         'size': list(map(_number, size)),
         'openings': [{'wall': wall, **dict(zip(('at', 'width', 'height', 'sill'),
-                                               map(_number, numbers)))}
-                     for wall, *numbers in openings],
-        'boxes': [{'box': [list(map(_number, box[:3])), list(map(_number, box[3:]))]}
-                  for box in boxes]})
+                                               map(_number, lengths)))}
+                     for wall, *lengths in openings],
+        'boxes': [{'box': [list(map(_number, corners[:3])), list(map(_number, corners[3:]))]}
+                  for corners in boxes]})
     check(document, ROOM)
     return document
 

@@ -37,24 +37,24 @@ def read_mesh(path: Path) -> np.ndarray:
     All parts are placed as the scene graph says; textures are ignored. Open3D runs in a separate
     process, which takes about two seconds.
 
-    :returns: (T, 9) float64, the three corners of each triangle in the file's unit and axes; for
-        an OBJ file without faces, its vertices (N, 3).
+    :returns: (T, 9) float64, the three corners of each triangle in the unit and axes of the file;
+        for an OBJ file without faces, the vertices (N, 3).
     :raises ValueError: if the file is broken or has no faces.
-    :raises ImportError: if there is no Open3D.
+    :raises ImportError: if Open3D is not installed.
     """
-    if path.suffix.lower() == '.obj' and (vertices := _bare_vertices(path)) is not None:
+    if path.suffix.lower() == '.obj' and (vertices := _vertices_without_faces(path)) is not None:
         return vertices
     if not find_spec('open3d'):
         raise ImportError('open3d; pip install open3d')
     # This process casts rays at the faces later, so it imports Open3D while the other process
     # reads.
-    ahead = Thread(target=_import_open3d)
-    ahead.start()
+    import_thread = Thread(target=_import_open3d)
+    import_thread.start()
     try:
         # A face takes a byte or more, unless one part is placed many times.
         return read_guarded('mesh', path, 9, max(path.stat().st_size, 2_000_000))
     finally:
-        ahead.join()
+        import_thread.join()
 
 
 def _import_open3d() -> None:
@@ -63,29 +63,29 @@ def _import_open3d() -> None:
         import_module('open3d')
 
 
-def _bare_vertices(path: Path) -> np.ndarray | None:
-    """Return the vertices (N, 3) of an OBJ file without faces or lines; None if it has any."""
-    found = []
+def _vertices_without_faces(path: Path) -> np.ndarray | None:
+    """Return the vertices (N, 3) of an OBJ file; None if it has faces, lines or no vertices."""
+    vertices = []
     with path.open('rb') as file:
         for line in file:
             if line[:2] in (b'f ', b'f\t', b'l '):
                 return None
             if line[:2] == b'v ':
-                found.append(line.split()[1:4])
-    if not found:
+                vertices.append(line.split()[1:4])
+    if not vertices:
         return None
-    return np.array(found, dtype=np.float64).reshape(-1, 3)
+    return np.array(vertices, dtype=np.float64).reshape(-1, 3)
 
 
-def sampled(corners: np.ndarray, samples: int = MESH_SAMPLES) -> np.ndarray:
+def sample_faces(corners: np.ndarray, count: int = MESH_SAMPLES) -> np.ndarray:
     """
     Sample points evenly by area over the faces of a mesh; the same mesh gives the same points.
 
-    A face with NaN or inf gives one point of NaN, which the caller refuses or leaves out.
+    A face with NaN or inf gives one row of NaN, which the caller refuses or leaves out.
 
     :param corners: (T, 3, 3), the corners of the triangles, in any unit.
-    :param samples: the number of points.
-    :returns: (N, 6) float64, points and the unit normals of their faces.
+    :param count: the number of points, without the rows of NaN.
+    :returns: (N, 6) float64, the points and the unit normals of their faces.
     :raises ValueError: if there are no faces, or no face has an area.
     """
     if len(corners) == 0:
@@ -94,30 +94,36 @@ def sampled(corners: np.ndarray, samples: int = MESH_SAMPLES) -> np.ndarray:
     with np.errstate(over='ignore', invalid='ignore'):
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         areas = np.linalg.norm(normals, axis=1)
-    finite = np.isfinite(areas)
-    kept = finite & (areas > 0.0)
-    if finite.any() and not kept.any():
+    is_finite = np.isfinite(areas)
+    has_area = is_finite & (areas > 0.0)
+    if is_finite.any() and not has_area.any():
         raise ValueError('faces without area')
-    points, faces = _spread(corners[kept], areas[kept], samples)
-    normals = (normals[kept] / areas[kept, None])[faces]
-    broken = np.full((np.count_nonzero(~finite), 6), np.nan)
-    return np.concatenate([np.hstack([points, normals]), broken])
+    points, point_faces = _spread_points(corners[has_area], areas[has_area], count)
+    normals = (normals[has_area] / areas[has_area, None])[point_faces]
+    nan_rows = np.full((np.count_nonzero(~is_finite), 6), np.nan)
+    return np.concatenate([np.hstack([points, normals]), nan_rows])
 
 
-def _spread(corners: np.ndarray, areas: np.ndarray, samples: int
-            ) -> tuple[np.ndarray, np.ndarray]:
-    """Return points (N, 3) on triangles with areas (T,), and the triangle of each point."""
+def _spread_points(corners: np.ndarray, areas: np.ndarray, count: int
+                   ) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Spread points over triangles, evenly by area.
+
+    :param corners: (T, 3, 3), the corners of the triangles.
+    :param areas: (T,) their areas.
+    :returns: (N, 3) the points, and (N,) the index of the triangle of each point.
+    """
     if len(areas) == 0:
         return np.empty((0, 3)), np.empty(0, dtype=np.int64)
-    ends = np.cumsum(areas / areas.max())
-    # The area is split into ``samples`` equal shares in the order of the faces, with one point in
-    # each.
-    within = np.random.default_rng(0).random(samples)
-    places = (np.arange(samples) + within) * (ends[-1] / samples)
-    faces = np.minimum(np.searchsorted(ends, places, side='right'), len(ends) - 1)
-    # The multiples fill the unit square evenly (M. Roberts, 2018: the sequence R2).
+    area_sums = np.cumsum(areas / areas.max())
+    # The total area is split, in the order of the faces, into ``count`` equal parts with one
+    # point each.
+    offsets = np.random.default_rng(0).random(count)
+    positions = (np.arange(count) + offsets) * (area_sums[-1] / count)
+    faces = np.minimum(np.searchsorted(area_sums, positions, side='right'), len(area_sums) - 1)
+    # The multiples of these increments fill the unit square evenly (M. Roberts, 2018: R2).
     increments = np.array([0.7548776662466927, 0.5698402909980532])
-    shares = np.arange(samples)[:, None] * increments % 1.0
+    shares = np.arange(count)[:, None] * increments % 1.0
     # Points beyond the diagonal of the square are mirrored into the triangle.
     shares = np.where(shares.sum(axis=1, keepdims=True) > 1.0, 1.0 - shares, shares)
     first, second, third = (corners[faces, corner] for corner in range(3))

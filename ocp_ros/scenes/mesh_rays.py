@@ -20,17 +20,17 @@ from ocp_ros.scenes.scene import Mesh
 
 class MeshRays:
     """
-    Cast rays at a mesh.
+    Cast rays at the triangles of a mesh.
 
-    :param mesh: the surfaces.
+    :param mesh: metres, map frame.
     """
 
     def __init__(self, mesh: Mesh) -> None:
         # Open3D takes long to import, and code that only reads scenes does not need it.
         import open3d as o3d
         self._tensor = o3d.core.Tensor
-        # Metres by which a ray may miss: three times the noise of a scan, or rounding.
-        self._tolerance = 0.0005 if mesh.exact else 0.03
+        # A ray may end this much before a point: rounding, or three times the noise of a scan.
+        self._tolerance_m = 0.0005 if mesh.exact else 0.03
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._tensor(mesh.vertices),
                                   self._tensor(mesh.triangles.astype(np.uint32)))
@@ -39,10 +39,10 @@ class MeshRays:
         """
         Measure the lengths of rays until they hit the mesh.
 
-        :param origin: (3,), or (..., 3) with one for each direction, metres.
-        :param directions: (..., 3).
-        :returns: (...) float32, in multiples of the length of the direction, which is metres for
-            unit vectors; inf if nothing is hit.
+        :param origin: (3,) metres, or (..., 3) with one origin for each direction.
+        :param directions: (..., 3), of any length.
+        :returns: (...) float32, in multiples of the length of the direction, so metres for unit
+            vectors; inf if nothing is hit.
         """
         rays = np.empty((*directions.shape[:-1], 6), dtype=np.float32)
         rays[..., :3], rays[..., 3:] = origin, directions
@@ -50,14 +50,14 @@ class MeshRays:
 
     def visible(self, points: np.ndarray, position: np.ndarray, max_range: float) -> np.ndarray:
         """
-        Return which points are visible from a camera position, with the mesh as the occluder.
+        Return which points the mesh does not occlude from a camera position.
 
         :param points: (N, 3) float32, metres.
         :param position: (3,), metres.
         :param max_range: metres.
         :returns: (N,) bool.
         """
-        offset = points - np.asarray(position, dtype=np.float32)
-        distance = np.linalg.norm(offset, axis=1)
-        hit = self.lengths(position, offset / np.maximum(distance, 1e-9)[:, None])
-        return (hit >= distance - self._tolerance) & (distance <= max_range)
+        offsets = points - np.asarray(position, dtype=np.float32)
+        distances = np.linalg.norm(offsets, axis=1)
+        hit_distances = self.lengths(position, offsets / np.maximum(distances, 1e-9)[:, None])
+        return (hit_distances >= distances - self._tolerance_m) & (distances <= max_range)

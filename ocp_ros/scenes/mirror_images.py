@@ -30,73 +30,84 @@ from scipy.spatial import cKDTree
 
 
 def without_mirror_images(scene: Scene) -> Scene:
-    """Leave out the points behind mirrors, with a note; return the same scene if none."""
+    """Leave out the points behind mirrors and add a note; return the same scene if none."""
     points, normals = scene.points.astype(np.float64), scene.normals_or_estimate
-    area = scene.pitch.astype(np.float64) ** 2
-    # The largest distance of a mirrored point from its counterpart, metres.
-    near = max(0.08, 1.5 * float(np.median(scene.pitch)))
+    areas = scene.pitch.astype(np.float64) ** 2
+    # The largest distance in metres of a mirrored point from its counterpart.
+    match_distance = max(0.08, 1.5 * float(np.median(scene.pitch)))
     # With a larger match distance, mirror images look like a real room.
-    if near > 0.3:
+    if match_distance > 0.3:
         return scene
-    kept = np.ones(len(points), dtype=bool)
+    is_kept = np.ones(len(points), dtype=bool)
     # A point farther behind a plane than this counts as behind it.
     behind_m = 0.1
-    for normal, offset in _planes(points, normals, area):
-        away = points @ normal - offset
-        behind = kept & (away > behind_m)
-        count = np.count_nonzero(behind)
+    for normal, offset in _vertical_planes(points, normals, areas):
+        distances = points @ normal - offset
+        is_behind = is_kept & (distances > behind_m)
+        count = np.count_nonzero(is_behind)
         if (not 0.005 * len(points) <= count < 0.5 * len(points)
-                or np.median(away[behind]) < 0.5):
+                or np.median(distances[is_behind]) < 0.5):
             # Too few points are behind the plane, or they are too near to it.
             continue
         # A real passage has about as much floor and wall within 0.4 m of the plane on both sides.
-        across = kept & (np.abs(normals @ normal) < 0.9)
-        sides = [np.count_nonzero(across & (side > behind_m) & (side < 0.4))
-                 for side in (away, -away)]
-        if sides[0] > 0.6 * sides[1]:
+        crosses_plane = is_kept & (np.abs(normals @ normal) < 0.9)
+        count_behind, count_before = (
+            np.count_nonzero(crosses_plane & (side > behind_m) & (side < 0.4))
+            for side in (distances, -distances))
+        if count_behind > 0.6 * count_before:
             continue
         # Floors and ceilings match their mirror images everywhere, so they are excluded.
-        some = np.flatnonzero(behind & (np.abs(normals[:, 2]) < LEVEL))
-        some = some[np.random.default_rng(0).permutation(len(some))[:4000]]
-        if len(some) < 50:
+        tested = np.flatnonzero(is_behind & (np.abs(normals[:, 2]) < LEVEL))
+        tested = tested[np.random.default_rng(0).permutation(len(tested))[:4000]]
+        if len(tested) < 50:
             continue
-        before = cKDTree(points[kept & (away <= behind_m)])
-        # Metres from a wall to a mirror on it.
-        for hung in (0.0, 0.03, 0.06):
-            mirrored = points[some] - 2.0 * (away[some, None] + hung) * normal
-            if (before.query(mirrored, distance_upper_bound=near)[0] <= near).mean() >= 0.85:
-                kept &= ~behind
+        front_tree = cKDTree(points[is_kept & (distances <= behind_m)])
+        # A mirror may hang up to 6 cm before its wall.
+        for mirror_offset_m in (0.0, 0.03, 0.06):
+            mirrored = points[tested] - 2.0 * (distances[tested, None] + mirror_offset_m) * normal
+            match_distances, _ = front_tree.query(mirrored, distance_upper_bound=match_distance)
+            if (match_distances <= match_distance).mean() >= 0.85:
+                is_kept &= ~is_behind
                 break
-    left_out = len(points) - np.count_nonzero(kept)
-    if left_out == 0 or len(points) - left_out < MIN_POINTS:
+    removed_count = len(points) - np.count_nonzero(is_kept)
+    if removed_count == 0 or len(points) - removed_count < MIN_POINTS:
         return scene
-    note = (f'found {left_out:,} points behind a wall that mirror the room before it; expected no '
-            'mirror image; they are left out: cover mirrors when you scan')
-    return replace(scene.only(kept), notes=(*scene.notes, note))
+    note = (f'found {removed_count:,} points behind a wall that mirror the room before it; '
+            'expected no mirror image; they are left out: cover mirrors when you scan')
+    return replace(scene.only(is_kept), notes=(*scene.notes, note))
 
 
-def _planes(points: np.ndarray, normals: np.ndarray, area: np.ndarray
-            ) -> Iterator[tuple[np.ndarray, float]]:
-    """Yield the largest vertical planes, each from both sides: unit normal (3,) and offset."""
+def _vertical_planes(points: np.ndarray, normals: np.ndarray, areas: np.ndarray
+                     ) -> Iterator[tuple[np.ndarray, float]]:
+    """
+    Yield the largest vertical planes, each twice: with its normal, and with the opposite normal.
+
+    :param points: (N, 3) metres.
+    :param normals: (N, 3) unit vectors.
+    :param areas: (N,) the area that each point stands for, square metres.
+    :returns: for each plane a unit normal (3,), and its product with the points of the plane.
+    """
     steep = np.flatnonzero(np.abs(normals[:, 2]) <= STEEP)
-    angle = np.rad2deg(np.arctan2(normals[steep, 1], normals[steep, 0])) % 180.0
-    turn_deg = 2.0
-    bins = np.round(angle / turn_deg).astype(int) % round(180.0 / turn_deg)
-    turns = np.deg2rad(turn_deg * bins)
-    offset = points[steep, 0] * np.cos(turns) + points[steep, 1] * np.sin(turns)
+    angles = np.rad2deg(np.arctan2(normals[steep, 1], normals[steep, 0])) % 180.0
+    bin_deg = 2.0
+    bins = np.round(angles / bin_deg).astype(int) % round(180.0 / bin_deg)
+    bin_angles = np.deg2rad(bin_deg * bins)
+    offsets = points[steep, 0] * np.cos(bin_angles) + points[steep, 1] * np.sin(bin_angles)
     # Candidate planes are 10 cm apart.
-    cells, place = np.unique(np.stack([bins, np.floor(offset / 0.1).astype(int)], axis=1),
-                             axis=0, return_inverse=True)
-    areas = np.bincount(place, area[steep], len(cells))
+    cells, cell_of_point = np.unique(np.stack([bins, np.floor(offsets / 0.1).astype(int)], axis=1),
+                                     axis=0, return_inverse=True)
+    cell_areas = np.bincount(cell_of_point, areas[steep], len(cells))
     # The 24 largest planes of at least 1 m2 are tested.
-    for cell in np.argsort(-areas, kind='stable')[:24]:
-        if areas[cell] < 1.0:
+    for cell in np.argsort(-cell_areas, kind='stable')[:24]:
+        if cell_areas[cell] < 1.0:
             return
-        own = steep[place == cell]
-        turn, flat = turns[place == cell][0], normals[own, :2]
-        flat = flat * np.sign(flat @ [np.cos(turn), np.sin(turn)])[:, None]
-        way = np.append(np.average(flat, axis=0, weights=area[own]), 0.0)
-        way /= np.linalg.norm(way)
-        middle = float(np.median(points[own] @ way))
-        yield way, middle
-        yield -way, -middle
+        cell_points = steep[cell_of_point == cell]
+        angle = bin_angles[cell_of_point == cell][0]
+        horizontal = normals[cell_points, :2]
+        # All normals of the plane point to the same side.
+        horizontal = horizontal * np.sign(horizontal @ [np.cos(angle), np.sin(angle)])[:, None]
+        plane_normal = np.append(np.average(horizontal, axis=0, weights=areas[cell_points]), 0.0)
+        plane_normal /= np.linalg.norm(plane_normal)
+        plane_offset = float(np.median(points[cell_points] @ plane_normal))
+        yield plane_normal, plane_offset
+        yield -plane_normal, -plane_offset

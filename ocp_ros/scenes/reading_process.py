@@ -34,26 +34,26 @@ from urllib.parse import unquote
 import numpy as np
 from ocp_ros.util.confinement import confine, limit
 
-#: Bytes of points that are processed at once.
-BYTES_AT_ONCE = 1 << 25
+#: The number of bytes of points that are processed at once.
+BLOCK_BYTES = 1 << 25
 
 
 def las_rows(path: str) -> Iterator[np.ndarray]:
     """
-    Yield the points (N, 4) of a LAS or LAZ file, in the file's unit.
+    Yield the points of a LAS or LAZ file as rows (N, 4): x, y, z in the unit of the file, a flag.
 
-    The last column is 1 for points of a surface, 0 for noise and withheld points.
+    The flag is 1 for points of a surface, 0 for noise and withheld points.
     """
     import laspy
     with laspy.open(path, read_evlrs=False) as file:
-        for points in file.chunk_iterator(max(BYTES_AT_ONCE // file.header.point_format.size, 1)):
+        for points in file.chunk_iterator(max(BLOCK_BYTES // file.header.point_format.size, 1)):
             # Classes 7 and 18 are noise, not surfaces.
-            kept = ~np.isin(points.classification, (7, 18)) & (np.asarray(points.withheld) == 0)
-            yield np.stack([points.x, points.y, points.z, kept], axis=1)
+            is_kept = ~np.isin(points.classification, (7, 18)) & (np.asarray(points.withheld) == 0)
+            yield np.stack([points.x, points.y, points.z, is_kept], axis=1)
 
 
 def e57_rows(path: str) -> Iterator[np.ndarray]:
-    """Yield the valid points (N, 3) of each scan of an E57 file, in the file's frame."""
+    """Yield the valid points (N, 3) of each scan of an E57 file, all in the frame of the file."""
     from pye57 import E57
     with E57(path) as file:
         for index in range(file.scan_count):
@@ -62,40 +62,42 @@ def e57_rows(path: str) -> Iterator[np.ndarray]:
 
 
 def mesh_rows(path: str) -> Iterator[np.ndarray]:
-    """Yield the corners (T, 9) of the triangles of a mesh, in the file's unit and axes."""
+    """Yield the corners (T, 9) of triangles of a mesh, in the unit and the axes of the file."""
     # The web server of Open3D's viewer is not used, and takes a third of the import time.
     sys.modules['dash'] = SimpleNamespace(html=None, dcc=None, Dash=None)
     import open3d
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
-    vertices, triangles = _mesh(open3d.io, path)
+    vertices, triangles = _read_triangles(open3d.io, path)
     if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
         raise ValueError('faces with vertices that are not there')
-    for first in range(0, len(triangles), BYTES_AT_ONCE // 72):
-        yield vertices[triangles[first:first + BYTES_AT_ONCE // 72]].reshape(-1, 9)
+    # A triangle is 9 numbers of 8 bytes.
+    block_rows = BLOCK_BYTES // 72
+    for start in range(0, len(triangles), block_rows):
+        yield vertices[triangles[start:start + block_rows]].reshape(-1, 9)
 
 
-def _mesh(io, path: str) -> tuple[np.ndarray, np.ndarray]:
-    """Read the vertices (V, 3) and triangles (T, 3) of a file, all its parts in one frame."""
-    # Open3D reads these with its own, better reader; all others go through the library Assimp,
-    # which stores coordinates as float32.
+def _read_triangles(open3d_io, path: str) -> tuple[np.ndarray, np.ndarray]:
+    """Read the vertices (V, 3) and triangles (T, 3) of a mesh, all of its parts in one frame."""
+    # Open3D reads these formats with its own, better reader, and all others with the library
+    # Assimp, which stores coordinates as float32.
     if path.lower().endswith(('.ply', '.off')):
-        meshes = [io.read_triangle_mesh(path)]
+        meshes = [open3d_io.read_triangle_mesh(path)]
     else:
         # read_triangle_mesh is not used: it leaves out faces with more than three corners (0.20).
-        meshes = [part.mesh for part in io.read_triangle_model(path).meshes]
+        meshes = [model_part.mesh for model_part in open3d_io.read_triangle_model(path).meshes]
     parts = [(np.asarray(mesh.vertices), np.asarray(mesh.triangles)) for mesh in meshes]
     if not parts:
         raise ValueError('no faces')
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     vertices = np.concatenate([vertices for vertices, _ in parts])
     if not path.lower().endswith('.ply'):
         _check_rounding(vertices)
     return vertices, np.concatenate([
-        start + triangles for start, (_, triangles) in zip(starts, parts)])
+        offset + triangles for offset, (_, triangles) in zip(offsets, parts)])
 
 
 def _check_rounding(vertices: np.ndarray) -> None:
-    """Refuse coordinates so far from the origin that float32 has rounded them."""
+    """Refuse vertices (V, 3) that are so far from the origin that float32 has rounded them."""
     vertices = vertices[np.isfinite(vertices).all(axis=1)]
     if len(vertices):
         step = abs(vertices).max() * np.finfo(np.float32).eps
@@ -105,36 +107,37 @@ def _check_rounding(vertices: np.ndarray) -> None:
 
 
 def ply_rows(path: str, *columns: str) -> Iterator[np.ndarray]:
-    """Yield columns of the vertices (N, C) of a PLY file."""
+    """Yield the vertices of a PLY file as rows (N, C), with C columns of the given names."""
     from plyfile import PlyData
     vertices = PlyData.read(path)['vertex'].data
     yield np.stack([vertices[name] for name in columns], axis=1)
 
 
-def named_files(path: str) -> list[str]:
+def buffer_files(path: str) -> list[str]:
     """
-    Return the files in the folder of a glTF file that contain its buffers.
+    Return the paths of the files that contain the buffers of a glTF file; [] for other formats.
 
     :raises ValueError: if a buffer is outside of the folder or does not exist.
     """
     if not path.lower().endswith(('.gltf', '.glb')):
         return []
-    content = Path(path).read_bytes()
-    if content[:4] == b'glTF':
-        content = content[20:20 + int.from_bytes(content[12:16], 'little')]
-    folder, found = Path(path).resolve().parent, []
-    for buffer in json.loads(content).get('buffers', ()):
+    document = Path(path).read_bytes()
+    if document[:4] == b'glTF':
+        document = document[20:20 + int.from_bytes(document[12:16], 'little')]
+    folder = Path(path).resolve().parent
+    files = []
+    for buffer in json.loads(document).get('buffers', ()):
         uri = buffer.get('uri', 'data:')
         if uri.startswith('data:'):
             continue
         # Some readers do not decode %20 as a blank.
-        named = [(folder / name).resolve() for name in (uri, unquote(uri))]
-        if not all(name.parent == folder for name in named):
+        candidates = [(folder / file).resolve() for file in (uri, unquote(uri))]
+        if not all(file.parent == folder for file in candidates):
             raise ValueError(f'it names {uri[:60]!r}, which is not in its folder')
-        if not any(name.is_file() for name in named):
+        if not any(file.is_file() for file in candidates):
             raise ValueError(f'it names {uri[:60]!r}, where there is no file')
-        found += [str(name) for name in named if name.is_file()]
-    return found
+        files += [str(file) for file in candidates if file.is_file()]
+    return files
 
 
 #: The reader of each kind, and the packages that it imports before the process gives up its
@@ -146,25 +149,25 @@ READERS = {'e57': (e57_rows, 'pye57'), 'las': (las_rows, 'laspy', 'lazrs', 'lasz
 
 def main(arguments: list[str]) -> int:
     """
-    Read a file.
+    Apply the limits, read a file and write its rows to the standard output.
 
     :param arguments: the limits (bytes of memory, seconds of all cores, bytes written), a key of
-        ``READERS``, the path, and more arguments of the reader.
-    :returns: the exit code: 1 if the file cannot be read.
+        ``READERS``, the path, and the other arguments of the reader.
+    :returns: the exit status: 0, or 1 if the file cannot be read.
     """
     limit(*map(int, arguments[:3]))
-    kind, path, *more = arguments[3:]
-    read, *packages = READERS[kind]
-    with os.fdopen(os.dup(1), 'wb') as rows:
+    kind, path, *reader_arguments = arguments[3:]
+    read_rows, *packages = READERS[kind]
+    with os.fdopen(os.dup(1), 'wb') as output:
         # Text that libraries print must not mix with the rows.
         os.dup2(2, 1)
         try:
             for package in packages:
                 with suppress(ImportError):
                     import_module(package)
-            confine([path, *named_files(path)])
-            for part in read(path, *more):
-                rows.write(np.ascontiguousarray(part, dtype=np.float64))
+            confine([path, *buffer_files(path)])
+            for block in read_rows(path, *reader_arguments):
+                output.write(np.ascontiguousarray(block, dtype=np.float64))
         except MemoryError:
             print('more memory than such a file needs', file=sys.stderr)
             return 1

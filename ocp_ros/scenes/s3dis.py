@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Rooms of S3DIS (Armeni et al., 2016), if the user has them, chosen by the rules of the paper.
+Rooms of the data set S3DIS (Armeni et al., 2016), if the user has it.
 
 The terms of the data set forbid passing it on. ``S3DIS_DIR`` names the folder it was unpacked to,
 ``Stanford3dDataset_v1.2``, with ``Area_1`` to ``Area_6`` in it.
@@ -27,14 +27,14 @@ import numpy as np
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 
-#: The areas for tests; the others are for training.
+#: The areas (floors of buildings) whose rooms are for tests; the others are for training.
 TEST_AREAS = (6,)
 
 
 def s3dis_folder() -> Path | None:
     """Return the folder that ``S3DIS_DIR`` names; None if it is not set."""
-    named = os.environ.get('S3DIS_DIR')
-    return Path(named) if named else None
+    folder = os.environ.get('S3DIS_DIR')
+    return Path(folder) if folder else None
 
 
 def rooms_of_area(folder: Path, area: int) -> list[Path]:
@@ -42,10 +42,12 @@ def rooms_of_area(folder: Path, area: int) -> list[Path]:
     List the rooms of an area.
 
     :param folder: the folder that contains ``Area_1`` to ``Area_6``.
-    :returns: their files in numeric order: ``Area_1/office_2/office_2.txt`` before ``office_10``.
-    :raises SceneError: if there are none.
+    :param area: 1 to 6.
+    :returns: the files of the rooms in numeric order, such as ``Area_1/office_2/office_2.txt``
+        before ``Area_1/office_10/office_10.txt``.
+    :raises SceneError: if there are no rooms.
     """
-    # One of them is called Area_6/copyRoom_1/copy_Room_1.txt.
+    # One room is called Area_6/copyRoom_1/copy_Room_1.txt.
     rooms = [path for path in (folder / f'Area_{area}').glob('*/*.txt')
              if path.stem.replace('_', '') == path.parent.name.replace('_', '')]
     if not rooms:
@@ -58,30 +60,33 @@ def rooms_of_area(folder: Path, area: int) -> list[Path]:
 
 def chosen_rooms(folder: Path, area: int) -> list[Path]:
     """
-    Choose the rooms of an area in which cameras on a plane can be compared.
+    Choose the ten rooms of an area in which to compare cameras on a plane, as the paper does.
 
-    Their floor is flat and neither too small nor too large; training rooms are closed as well. Of
-    these, the ten rooms with the largest bounding boxes are taken.
+    A fitting room has a flat floor that is neither too small nor too large; a room for training is
+    closed too. Of the fitting rooms, those with the largest floors are chosen.
 
-    :raises SceneError: if the area is not there or a room cannot be read.
+    :param folder: see :func:`rooms_of_area`.
+    :param area: 1 to 6.
+    :returns: the files of the rooms, the largest first.
+    :raises SceneError: if the area has no rooms or a room cannot be read.
     """
-    fitting = []
+    fitting_rooms = []
     for path in rooms_of_area(folder, area):
-        # These have no flat floor.
+        # Rooms of these kinds have no flat floor.
         if path.parent.name.rpartition('_')[0] in ('stairs', 'auditorium'):
             continue
         scene = load_cached(path, max_points=15000)
-        floor = float(np.prod(scene.size[:2]))
+        floor_area = float(np.prod(scene.size[:2]))
         # Four cameras roughly cover this floor area in square metres.
-        if 20.0 <= floor <= 130.0 and (area in TEST_AREAS or is_closed(scene)):
-            fitting.append((-floor, path))
-    return [path for _, path in sorted(fitting)[:10]]
+        if 20.0 <= floor_area <= 130.0 and (area in TEST_AREAS or is_closed(scene)):
+            fitting_rooms.append((-floor_area, path))
+    return [path for _, path in sorted(fitting_rooms)[:10]]
 
 
 def is_closed(scene: Scene) -> bool:
-    """Return whether a room has a ceiling above nearly all of its floor."""
+    """Return whether a room has a ceiling above at least 90 % of its floor."""
     points, (low, high) = scene.points, scene.bounds
     cells = np.floor((points[:, :2] - low[:2]) / 0.25).astype(np.int64)
-    below = {tuple(cell) for cell in cells[points[:, 2] < low[2] + 0.3]}
-    above = {tuple(cell) for cell in cells[points[:, 2] > 0.5 * (low[2] + high[2]) + 0.5]}
-    return len(below & above) >= 0.9 * max(len(below), 1)
+    floor_cells = {tuple(cell) for cell in cells[points[:, 2] < low[2] + 0.3]}
+    ceiling_cells = {tuple(cell) for cell in cells[points[:, 2] > 0.5 * (low[2] + high[2]) + 0.5]}
+    return len(floor_cells & ceiling_cells) >= 0.9 * max(len(floor_cells), 1)

@@ -28,12 +28,13 @@ from ocp_ros.util.settings import UserError
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
 
+#: The least number of points of a scene.
 MIN_POINTS = 100
-#: The number of nearest points, including the point, to which its plane is fitted.
+#: The number of nearest points, with the point itself, to which the plane at a point is fitted.
 PLANE_NEIGHBOURS = 14
 #: Metres: the upper limit of the largest extent of a scene.
 MAX_EXTENT_M = 500.0
-#: Length in metres of units that scanners export.
+#: The length in metres of the other units of length that scanners export.
 UNITS_M = {'millimetres': 0.001, 'centimetres': 0.01, 'inches': 0.0254}
 
 
@@ -44,7 +45,7 @@ class SceneError(UserError):
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """
-    A triangle mesh: the surfaces behind the points of a room.
+    A triangle mesh: the surfaces that the points of a room lie on.
 
     :ivar vertices: (V, 3) float32, metres, map frame.
     :ivar triangles: (T, 3) int32, indices into the vertices.
@@ -69,8 +70,8 @@ class Scene:
 
     :ivar points: (N, 3) float32, metres, map frame, z up.
     :ivar name: the name in tables and file names.
-    :ivar normals: (N, 3) float32 unit vectors, or None.
-    :ivar mesh: the surfaces behind the points where they are known.
+    :ivar normals: (N, 3) float32 unit vectors, or None if they are not known.
+    :ivar mesh: the surfaces that the points lie on, or None if they are not known.
     :ivar source: the frame of the file that the points were read from.
     :ivar notes: problems that reading the file found, one sentence each.
     :ivar remarks: corrections that reading the file made, one sentence each.
@@ -100,10 +101,10 @@ class Scene:
         """Return the number of points."""
         return len(self.points)
 
-    def only(self, kept: np.ndarray) -> 'Scene':
-        """Return the room with only the points that ``kept`` (N,) bool marks."""
-        return replace(self, points=self.points[kept],
-                       normals=None if self.normals is None else self.normals[kept])
+    def only(self, is_kept: np.ndarray) -> 'Scene':
+        """Return the room with only the points that ``is_kept`` (N,) bool marks."""
+        return replace(self, points=self.points[is_kept],
+                       normals=None if self.normals is None else self.normals[is_kept])
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -119,20 +120,20 @@ class Scene:
     def diameter(self) -> float:
         """Return the largest distance between two points, metres."""
         try:
-            ends = self.points[ConvexHull(self.points).vertices]
+            corners = self.points[ConvexHull(self.points).vertices]
         except QhullError:
             # The points nearly lie in a plane: use the diagonal of their box.
             return float(np.linalg.norm(self.size))
-        return float(pdist(ends.astype(np.float64)).max())
+        return float(pdist(corners.astype(np.float64)).max())
 
     @cached_property
     def _neighbours(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return distances and indices of the nearest points, the point itself first."""
+        """Return distances and indices (N, K) of the nearest points; the first is the point."""
         return nearest(self.points, PLANE_NEIGHBOURS)
 
     @cached_property
     def normals_or_estimate(self) -> np.ndarray:
-        """Return the normals, fitted to the nearest neighbours where none are given."""
+        """Return the normals (N, 3), or those of planes fitted to neighbours if none are known."""
         if self.normals is not None:
             return self.normals
         return edge_aware_normals(self.points, self._neighbours[1])
@@ -145,10 +146,9 @@ class Scene:
     @cached_property
     def pitch(self) -> np.ndarray:
         """
-        Return the edge of the square that each point stands for: (N,) float32, metres.
+        Return the edge of the square of surface that each point stands for: (N,) float32, metres.
 
-        An isolated point stands for at most four times the median edge, since it is a speck, not a
-        wall.
+        The edge is at most four times the median, since an isolated point is a speck, not a wall.
         """
         # A disc up to the eighth neighbour has the area of the squares of eight points.
         pitch = self._neighbours[0][:, 8] * np.sqrt(np.pi / 8.0)
@@ -157,9 +157,8 @@ class Scene:
 
 def turned(scene: Scene, degrees: float) -> Scene:
     """
-    Rotate a room about the vertical axis through the origin.
+    Return a room that is rotated about the vertical axis through the origin.
 
-    :param scene: the room.
     :param degrees: counter-clockwise seen from above.
     """
     rotation = rotation_matrix(np.deg2rad(degrees))
@@ -167,12 +166,12 @@ def turned(scene: Scene, degrees: float) -> Scene:
     if mesh is not None:
         mesh = replace(mesh, vertices=(mesh.vertices @ rotation.T).astype(np.float32))
     normals = None if scene.normals is None else scene.normals @ rotation.T
-    made = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
-                 scene.source.rotated(rotation), scene.notes, scene.remarks)
+    rotated = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
+                    scene.source.rotated(rotation), scene.notes, scene.remarks)
     # A rotation keeps distances.
-    made.__dict__.update((name, value) for name, value in scene.__dict__.items()
-                         if name in ('_neighbours', 'spacing', 'pitch', 'diameter'))
-    return made
+    rotated.__dict__.update((name, value) for name, value in scene.__dict__.items()
+                            if name in ('_neighbours', 'spacing', 'pitch', 'diameter'))
+    return rotated
 
 
 def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
@@ -188,12 +187,12 @@ def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
     check_numbers(points, name)
     # Coordinates such as 1e308 are refused as too large, without a NumPy warning.
     with np.errstate(over='ignore', invalid='ignore'):
-        _check_size(np.asarray(points, dtype=np.float64), name, axis_of(up))
+        _check_extent(np.asarray(points, dtype=np.float64), name, axis_of(up))
 
 
 def check_numbers(points: np.ndarray, name: str) -> None:
     """
-    Refuse an array that is not a list of points.
+    Refuse an array that is not at least 100 finite points.
 
     :param points: (N, 3) array.
     :param name: the name of the points in the message.
@@ -206,18 +205,18 @@ def check_numbers(points: np.ndarray, name: str) -> None:
     if len(points) == 0:
         raise SceneError(f'{name}: found no points; expected a room of at least {MIN_POINTS}; '
                          'check that the file was written completely')
-    broken = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
-    if broken:
+    broken_count = int(np.count_nonzero(~np.isfinite(points).all(axis=1)))
+    if broken_count:
         raise SceneError(
-            f'{name}: found {broken:,} of {len(points):,} points with NaN or inf; expected finite '
-            'metres; remove them first or leave them out (--drop-nonfinite)')
+            f'{name}: found {broken_count:,} of {len(points):,} points with NaN or inf; expected '
+            'finite metres; remove them first or leave them out (--drop-nonfinite)')
     if len(points) < MIN_POINTS:
         raise SceneError(f'{name}: found {len(points)} points; expected at least {MIN_POINTS} to '
                          'describe a room; use a denser scan')
 
 
-def _check_size(points: np.ndarray, name: str, up: int) -> None:
-    """Refuse a bounding box that is flat or does not have the size of a room in metres."""
+def _check_extent(points: np.ndarray, name: str, up: int) -> None:
+    """Refuse points (N, 3) that are flat or not of the size of a room; axis ``up`` is vertical."""
     size = np.ptp(corners_of(points), axis=0)
     found = f'{name}: found a bounding box of ' + ' x '.join(f'{s:.4g}' for s in size)
     # The smallest extent of a room, its height or its width, is at most 40 m.
@@ -226,7 +225,7 @@ def _check_size(points: np.ndarray, name: str, up: int) -> None:
         if size.max() > MAX_EXTENT_M and core.max() <= 0.1 * size.max():
             raise SceneError(f'{found} m around points that mostly lie within {core.max():.3g}; '
                              'expected one room; remove the stray points')
-        units = _units_of(core, up)
+        units = _likely_units(core, up)
         if not units:
             raise SceneError(f'{found}; expected metres, and no room is that large, nor in '
                              f'{", ".join(UNITS_M)}; scale it to metres (--scale), or cut one '
@@ -243,11 +242,11 @@ def _check_size(points: np.ndarray, name: str, up: int) -> None:
                          'that shows more than one wall')
 
 
-def _units_of(size: np.ndarray, up: int) -> list[str]:
-    """Return the units in which an extent (3,) is that of a room, the most likely first."""
+def _likely_units(size: np.ndarray, up: int) -> list[str]:
+    """Return the units in which ``size`` (3,) is that of a room, the most likely first."""
     heights = {unit: scale * size[up] for unit, scale in UNITS_M.items()
                if scale * size.max() <= MAX_EXTENT_M}
-    # A room is usually 2.7 m high, and 1.5 to 12 m at all.
+    # A room is usually 2.7 m high, and always 1.5 to 12 m.
     return sorted((unit for unit, height in heights.items() if 1.5 <= height <= 12.0),
                   key=lambda unit: abs(np.log(heights[unit] / 2.7)))
 

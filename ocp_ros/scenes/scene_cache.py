@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Cache the scenes that were read from scans, beside the user's other caches."""
+"""Cache the scenes that were read from scans in the cache folder of the user."""
 
 import hashlib
 import io
@@ -37,27 +37,25 @@ def load_cached(path: str | Path, **options) -> Scene:
     Read a room from a file, or from the cache if the file was read before.
 
     The result is that of :func:`~ocp_ros.scenes.scene_files.load_scene`. The file is read again if
-    it has changed, and for other options or another version of the package. Warnings are shown
-    only the first time; the notes of the scene contain them.
+    the file, the options or the version of the package have changed. Warnings are shown only when
+    the file is read; the notes of the scene contain them.
 
     :param options: the options of ``load_scene``.
     :raises SceneError: if the file or an option cannot be used.
     """
     path = Path(path)
     try:
-        state = path.stat()
+        file_state = path.stat()
     except OSError:
         return load_scene(path, **options)
-    if state.st_size < MIN_CACHED_BYTES:
+    if file_state.st_size < MIN_CACHED_BYTES or (folder := cache_folder()) is None:
         return load_scene(path, **options)
-    known = [__version__, CACHE_VERSION, path.absolute(), state.st_size, state.st_mtime_ns,
-             sorted(options.items())]
-    folder = cache_folder()
-    if folder is None:
-        return load_scene(path, **options)
-    kept = folder / 'scans' / f'{hashlib.sha256(str(known).encode()).hexdigest()[:24]}.npz'
+    identity = [__version__, CACHE_VERSION, path.absolute(), file_state.st_size,
+                file_state.st_mtime_ns, sorted(options.items())]
+    digest = hashlib.sha256(str(identity).encode()).hexdigest()
+    cached_file = folder / 'scans' / f'{digest[:24]}.npz'
     try:
-        with kept.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
+        with cached_file.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
             source = SourceFrame(float(arrays['scale']), arrays['rotation'], arrays['shift'])
             mesh = None if 'vertices' not in arrays else Mesh(
                 arrays['vertices'], arrays['triangles'], exact=True)
@@ -67,11 +65,11 @@ def load_cached(path: str | Path, **options) -> Scene:
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
         # The cached file is missing or incomplete.
         scene = load_scene(path, **options)
-    _keep(kept, scene)
+    _write_to_cache(cached_file, scene)
     return scene
 
 
-def _keep(path: Path, scene: Scene) -> None:
+def _write_to_cache(path: Path, scene: Scene) -> None:
     """Write a scene to the cache atomically; ignore errors such as a full disk."""
     arrays = {'points': scene.points, 'name': np.array(scene.name),
               'notes': np.array(scene.notes, dtype=str),

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Transform between the map frame and the frame of the file that a room was read from."""
+"""The transform between the map frame and the frame of the file that a room was read from."""
 
 from dataclasses import dataclass, field
 
@@ -26,7 +26,7 @@ class SourceFrame:
     The transform from file to map coordinates: ``map = scale * rotation @ file - shift``.
 
     :ivar scale: metres per unit of the file.
-    :ivar rotation: (3, 3), axes of the file to axes of the map, z up.
+    :ivar rotation: (3, 3), from the axes of the file to those of the map, z up.
     :ivar shift: (3,) metres, subtracted after scaling and rotation.
     """
 
@@ -54,14 +54,14 @@ class SourceFrame:
         return up_of(self.rotation)
 
     def to_source(self, positions: np.ndarray) -> np.ndarray:
-        """Return positions (..., 3) of the map, metres, in the axes and units of the file."""
+        """Return positions (..., 3) in the map, metres, as positions in the frame of the file."""
         return (np.asarray(positions, dtype=np.float64) + self.shift) @ self.rotation / self.scale
 
     def to_map(self, positions: np.ndarray) -> np.ndarray:
-        """Return positions (..., 3) of the file in the map, metres."""
+        """Return positions (..., 3) in the frame of the file as positions in the map, metres."""
         positions = np.asarray(positions, dtype=np.float64)
         return self.scale * (positions @ self.rotation.T) - self.shift
 
     def rotated(self, rotation: np.ndarray) -> 'SourceFrame':
-        """Return the frame after the map was rotated about its origin by (3, 3)."""
+        """Return the transform after a rotation (3, 3) of the map about its origin."""
         return SourceFrame(self.scale, rotation @ self.rotation, rotation @ self.shift)

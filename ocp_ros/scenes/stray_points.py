@@ -15,13 +15,7 @@
 """Find points of a scan outside the room: reflections, dust, views through windows."""
 
 import numpy as np
-from ocp_ros.geometry.clouds import (
-    away_from,
-    cell_numbers,
-    cells_numbered,
-    corners_of,
-    MAX_CELL,
-)
+from ocp_ros.geometry.clouds import away_from, cell_numbers, cells_numbered, corners_of, MAX_CELL
 from ocp_ros.scenes.neighbours import nearest
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
@@ -32,35 +26,36 @@ def isolated_points(points: np.ndarray) -> np.ndarray:
     """
     Find isolated points in the air of a room: dust, rain, edge pixels with mixed depths.
 
-    A point is isolated if it is in very few neighbour lists of other points, or if its neighbours
-    are far away and lie on no plane.
+    A point is isolated if very few other points have it among their nearest points, or if its own
+    nearest points are far away and lie on no plane.
 
     :param points: (N, 3) float32, metres.
-    :returns: (N,) bool; all False if there would be too many.
+    :returns: (N,) bool; all False if more than 5 % would be isolated.
     """
-    left = np.ones(len(points), dtype=bool)
+    is_kept = np.ones(len(points), dtype=bool)
     neighbours = 12
     for _ in range(2):
-        rest = points[left]
-        if len(rest) <= 10 * neighbours:
+        kept_points = points[is_kept]
+        if len(kept_points) <= 10 * neighbours:
             break
-        distances, indices = nearest(rest, neighbours + 1)
-        listed = np.bincount(indices[:, 1:].ravel(), minlength=len(rest))
-        # The eighth neighbour of a far point is three times as far as usual.
-        far = distances[:, 8] > 3.0 * np.median(distances[:, 8])
-        # A point in fewer than three neighbour lists is alone.
-        lone = listed < 3
-        asked = np.flatnonzero(far | lone)
-        around = rest[indices[asked]].astype(np.float64)
-        around -= around.mean(axis=1, keepdims=True)
-        values = np.linalg.eigvalsh(np.einsum('mpi,mpj->mij', around, around))
+        distances, indices = nearest(kept_points, neighbours + 1)
+        list_counts = np.bincount(indices[:, 1:].ravel(), minlength=len(kept_points))
+        # The eighth neighbour of a far point is more than three times as far as usual.
+        is_far = distances[:, 8] > 3.0 * np.median(distances[:, 8])
+        # A point in fewer than three lists of nearest points is alone.
+        is_isolated = list_counts < 3
+        candidates = np.flatnonzero(is_far | is_isolated)
+        neighbourhoods = kept_points[indices[candidates]].astype(np.float64)
+        neighbourhoods -= neighbourhoods.mean(axis=1, keepdims=True)
+        variances = np.linalg.eigvalsh(np.einsum('mpi,mpj->mij', neighbourhoods, neighbourhoods))
         # Points on a line, such as the far rings of a laser scanner, are not isolated.
-        on_line = values[:, 1] <= 0.05 * values[:, 2]
-        lone[asked] = ~on_line & (lone[asked] | (values[:, 0] >= 0.1 * values[:, 1]))
-        left[np.flatnonzero(left)[lone]] = False
-    isolated = ~left
-    # A larger share is a property of the scanner.
-    return isolated if isolated.mean() <= 0.05 else np.zeros(len(points), dtype=bool)
+        on_line = variances[:, 1] <= 0.05 * variances[:, 2]
+        off_plane = variances[:, 0] >= 0.1 * variances[:, 1]
+        is_isolated[candidates] = ~on_line & (is_isolated[candidates] | off_plane)
+        is_kept[np.flatnonzero(is_kept)[is_isolated]] = False
+    is_removed = ~is_kept
+    # More isolated points are a property of the scanner.
+    return is_removed if is_removed.mean() <= 0.05 else np.zeros(len(points), dtype=bool)
 
 
 def stray_points(points: np.ndarray) -> np.ndarray:
@@ -71,7 +66,7 @@ def stray_points(points: np.ndarray) -> np.ndarray:
     group has few points and lies outside the bounds of the room. Groups in the air inside the
     bounds, such as a lamp, stay.
 
-    :param points: (N, 3), finite, in any unit.
+    :param points: (N, 3), finite, in metres, or in another unit if that is not known yet.
     :returns: (N,) bool.
     """
     points = np.asarray(points, dtype=np.float64)
@@ -84,22 +79,22 @@ def stray_points(points: np.ndarray) -> np.ndarray:
             return np.zeros(len(points), dtype=bool)
         cells = (points - np.median(points, axis=0)) / edge
     cells = np.clip(np.floor(cells), 1 - MAX_CELL, MAX_CELL - 1).astype(np.int64)
-    numbers, cell = np.unique(cell_numbers(cells), return_inverse=True)
-    group = _groups(cells_numbered(numbers))[cell]
-    sizes = np.bincount(group)
-    corners = corners_of(points[group == np.argmax(sizes)])
-    away = np.full(len(sizes), np.inf)
+    numbers, cell_of_point = np.unique(cell_numbers(cells), return_inverse=True)
+    groups = _connected_groups(cells_numbered(numbers))[cell_of_point]
+    sizes = np.bincount(groups)
+    corners = corners_of(points[groups == np.argmax(sizes)])
+    distances = np.full(len(sizes), np.inf)
     with np.errstate(over='ignore'):
-        np.minimum.at(away, group, away_from(points, corners))
+        np.minimum.at(distances, groups, away_from(points, corners))
     # A group farther away than the diagonal of the room may have more points.
-    share = np.where(away > np.linalg.norm(corners[1] - corners[0]), 0.05, 0.002)
-    # A stray group is a metre away, or the edge of a cell.
-    return ((away > max(1.0, edge)) & (sizes <= share * len(points)))[group]
+    max_shares = np.where(distances > np.linalg.norm(corners[1] - corners[0]), 0.05, 0.002)
+    # A stray group is more than a metre away, and more than the edge of a cell.
+    return ((distances > max(1.0, edge)) & (sizes <= max_shares * len(points)))[groups]
 
 
-def _groups(cells: np.ndarray) -> np.ndarray:
-    """Number the groups of cells (M, 3) that touch each other, also at a corner only: (M,)."""
+def _connected_groups(cells: np.ndarray) -> np.ndarray:
+    """Return the group number (M,) of each cell (M, 3); touching cells are in one group."""
     pairs = cKDTree(cells).query_pairs(1.5, p=np.inf, output_type='ndarray')
-    joined = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])),
-                       shape=(len(cells), len(cells)))
-    return connected_components(joined, directed=False)[1]
+    graph = coo_array((np.ones(len(pairs), dtype=bool), (pairs[:, 0], pairs[:, 1])),
+                      shape=(len(cells), len(cells)))
+    return connected_components(graph, directed=False)[1]

@@ -17,16 +17,16 @@
 import numpy as np
 from ocp_ros.geometry.voxels import voxel_downsample
 
-# The axes of the file, and their signs, that become x, y and z of the map; all are rotations.
-_MAP_FROM_FILE = {
+#: For each up direction: the axes of the file, and their signs, that become x, y, z of the map.
+_AXES_AND_SIGNS = {
     'x': ([1, 2, 0], [1, 1, 1]), '-x': ([2, 1, 0], [1, 1, -1]),
     'y': ([0, 2, 1], [1, -1, 1]), '-y': ([0, 2, 1], [1, 1, -1]),
     'z': ([0, 1, 2], [1, 1, 1]), '-z': ([0, 1, 2], [1, -1, -1])}
 #: The directions of a file that may point up.
-UP_AXES = tuple(_MAP_FROM_FILE)
+UP_AXES = tuple(_AXES_AND_SIGNS)
 #: The option for the direction that the file format declares, else z.
 BY_FILE = 'file'
-#: The option for a guess.
+#: The option for a direction that is guessed from the points.
 AUTO = 'auto'
 UP_CHOICES = (*UP_AXES, AUTO, BY_FILE)
 
@@ -38,24 +38,24 @@ def map_from_file(up: str) -> np.ndarray:
     :param up: one of :data:`UP_AXES`.
     :returns: (3, 3), determinant 1.
     """
-    axes, signs = _MAP_FROM_FILE[up]
+    axes, signs = _AXES_AND_SIGNS[up]
     return np.eye(3)[axes] * np.array(signs)[:, None]
 
 
 def up_of(rotation: np.ndarray) -> str:
-    """Return the direction of a file that becomes up under a rotation (3, 3) from file to map."""
+    """Return the up direction of a file, given the rotation (3, 3) from the file to the map."""
     axis = int(np.argmax(np.abs(rotation[2])))
     return ('-' if rotation[2, axis] < 0.0 else '') + 'xyz'[axis]
 
 
 def axis_of(up: str) -> int:
-    """Return the number of the axis of a direction: 0, 1 or 2."""
+    """Return the number of the axis, 0, 1 or 2, of a direction such as ``-y``."""
     return 'xyz'.index(up[-1])
 
 
 def likely_up_axis(points: np.ndarray) -> str:
     """
-    Guess the vertical axis of a room: the axis between its two fullest layers.
+    Guess the vertical axis of a room: the axis along which floor and ceiling stand out.
 
     Floor and ceiling extend over the whole room, while walls have openings. The score of an axis
     is the geometric mean of the shares of points in its lowest and highest decimetre. The guess
@@ -70,11 +70,11 @@ def likely_up_axis(points: np.ndarray) -> str:
     :returns: ``'x'``, ``'y'`` or ``'z'``.
     """
     low, high = np.percentile(points, [0.5, 99.5], axis=0)
-    score = np.sqrt((points < low + 0.1).mean(axis=0) * (points > high - 0.1).mean(axis=0))
-    best = int(score.argmax())
+    scores = np.sqrt((points < low + 0.1).mean(axis=0) * (points > high - 0.1).mean(axis=0))
+    best = int(scores.argmax())
     size = high - low
-    clear = score[best] > 1.5 * score[2] and 2.0 < size[best] < size[2]
-    return 'xyz'[best] if clear else 'z'
+    is_clear = scores[best] > 1.5 * scores[2] and 2.0 < size[best] < size[2]
+    return 'xyz'[best] if is_clear else 'z'
 
 
 def likely_up(points: np.ndarray) -> str:
@@ -91,13 +91,14 @@ def likely_up(points: np.ndarray) -> str:
     axis = likely_up_axis(points)
     # Cubes of 10 cm count as one point.
     cubes = voxel_downsample(np.asarray(points - points.mean(axis=0), dtype=np.float32), 0.1)
-    along = cubes[:, axis_of(axis)]
-    low, high = np.percentile(along, [0.5, 99.5])
-    # The distances from floor and ceiling at which furniture is compared.
-    furniture_m = (0.15, 1.2)
-    counts = [np.count_nonzero((away > furniture_m[0]) & (away < furniture_m[1]))
-              for away in (along - low, high - along)]
+    heights = cubes[:, axis_of(axis)]
+    low, high = np.percentile(heights, [0.5, 99.5])
+    # Furniture is counted at these distances from either end of the axis.
+    min_distance_m, max_distance_m = 0.15, 1.2
+    count_low, count_high = (
+        np.count_nonzero((distances > min_distance_m) & (distances < max_distance_m))
+        for distances in (heights - low, high - heights))
     # Added to both counts, since few cubes are no evidence.
     added_cubes = 20
-    evidence = np.log((added_cubes + counts[0]) / (added_cubes + counts[1]))
+    evidence = np.log((added_cubes + count_low) / (added_cubes + count_high))
     return axis if evidence > (-0.25 if axis == 'z' else 0.0) else f'-{axis}'

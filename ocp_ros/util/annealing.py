@@ -23,12 +23,12 @@ State = TypeVar('State')
 
 
 def between(first: float, last: float, share: float | np.ndarray) -> float | np.ndarray:
-    """Return the value at a share (0: first, 1: last) of the way on a geometric scale."""
+    """Return a value that goes geometrically from ``first`` at share 0 to ``last`` at share 1."""
     return first * (last / first) ** share
 
 
-def accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:
-    """Return whether annealing accepts a step that raises the objective by ``rise``."""
+def is_accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:
+    """Return whether annealing takes a step that raises the objective by ``rise``; random."""
     return rise <= 0.0 or rng.random() < np.exp(-rise / temperature)
 
 
@@ -40,8 +40,10 @@ def annealed(state: State, judge: Callable[[State], float],
 
     :param state: the start state.
     :param judge: returns the objective of a state; less is better.
-    :param propose: returns a state near the given one, or None if there is none.
+    :param propose: returns a random state near the given state, or None if there is none; a state
+        and its neighbour propose each other with equal probability (symmetric).
     :param temperatures: the temperature of each step, in units of the objective.
+    :param rng: decides which steps that raise the objective are taken.
     :returns: the best state found, which may be the start.
     """
     value = best_value = judge(state)
@@ -51,7 +53,7 @@ def annealed(state: State, judge: Callable[[State], float],
         if trial is None:
             continue
         trial_value = judge(trial)
-        if accepted(trial_value - value, temperature, rng):
+        if is_accepted(trial_value - value, temperature, rng):
             state, value = trial, trial_value
             if value < best_value:
                 best, best_value = state, value

@@ -17,8 +17,8 @@ Confine a process before it reads untrusted files.
 
 Libraries that read scans, meshes and bags resolve references, and broken files can make some of
 them execute anything. A process that calls :func:`confine` cannot open other files (Landlock,
-Linux 5.13 and later) or sockets, and cannot start programs (seccomp). If the kernel lacks one of
-the two, the other one and the limits remain.
+Linux 5.13 and later) or sockets, and cannot start programs (seccomp). If the kernel lacks Landlock
+or seccomp, the other one and the limits of :func:`limit` remain.
 """
 
 from collections.abc import Iterable
@@ -31,45 +31,45 @@ import signal
 import struct
 import time
 
-#: The right to read a file.
+#: The right of Landlock to read a file, see landlock(7).
 READ_FILE = 1 << 2
-#: Rights to write, read, list, remove, make and truncate files in the process's own folder.
-USE_FOLDER = 1 << 1 | READ_FILE | 1 << 3 | 1 << 4 | 1 << 5 | 1 << 7 | 1 << 8
-#: For each machine: its architecture mark, the numbers of seccomp and tgkill (which may only
-#: signal the process itself), and the numbers of the refused calls: socket, execve, execveat,
-#: ptrace, process_vm_readv, process_vm_writev, kill, tkill, rt_sigqueueinfo, rt_tgsigqueueinfo,
-#: pidfd_send_signal, pidfd_getfd, io_uring_setup, which could bypass the filter, fchmod, fchmodat,
-#: fchmodat2, fchown, fchownat, utimensat, and older variants of these.
+#: Rights in a folder: write (bit 1) and read files, list (3), remove folders (4) and files (5),
+#: make folders (7) and files (8), truncate files (14).
+USE_FOLDER = 1 << 1 | READ_FILE | 1 << 3 | 1 << 4 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 14
+#: For each machine: its constant in seccomp(2); the numbers of the calls seccomp and tgkill (which
+#: may only signal the process itself); and the numbers of the refused calls: socket, execve,
+#: execveat, ptrace, process_vm_readv, process_vm_writev, kill, tkill, rt_sigqueueinfo,
+#: rt_tgsigqueueinfo, pidfd_send_signal, pidfd_getfd, io_uring_setup (which could bypass the
+#: filter), fchmod, fchmodat, fchmodat2, fchown, fchownat, utimensat, and older variants of these.
 MACHINES = {
-    'x86_64': (0xC000003E, 317, 234,
-               (41, 59, 322, 101, 310, 311, 62, 200, 129, 297, 424, 438, 425, 91, 268, 452, 93,
-                260, 280, 90, 92, 94, 132, 235, 261)),
-    'aarch64': (0xC00000B7, 277, 131,
-                (198, 221, 281, 117, 270, 271, 129, 130, 138, 240, 424, 438, 425, 52, 53, 452, 55,
-                 54, 88))}
+    'x86_64': (0xC000003E, 317, 234, (
+        41, 59, 322, 101, 310, 311, 62, 200, 129, 297, 424, 438, 425, 91, 268, 452, 93, 260, 280,
+        90, 92, 94, 132, 235, 261)),
+    'aarch64': (0xC00000B7, 277, 131, (
+        198, 221, 281, 117, 270, 271, 129, 130, 138, 240, 424, 438, 425, 52, 53, 452, 55, 54, 88))}
 
 _libc = ctypes.CDLL(None, use_errno=True)
 
 
-def limit(memory: int, seconds: int, written: int) -> None:
+def limit(memory_bytes: int, processor_seconds: int, file_bytes: int) -> None:
     """
-    Limit memory, time and files of this process; end it with its parent, not by Ctrl-C.
+    Limit memory, time and files of this process, and ignore Ctrl-C: the parent ends it.
 
-    :param memory: bytes.
-    :param seconds: seconds of all cores together; :func:`allow_seconds` allows more.
-    :param written: bytes of each file that it writes.
+    :param memory_bytes: the largest memory.
+    :param processor_seconds: seconds of all cores together; :func:`allow_seconds` allows more.
+    :param file_bytes: the largest size of each file that it writes.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for kind, value in ((resource.RLIMIT_DATA, memory), (resource.RLIMIT_FSIZE, written),
-                        (resource.RLIMIT_CORE, 0)):
-        resource.setrlimit(kind, (value, value))
-    allow_seconds(seconds)
+    for kind, maximum in ((resource.RLIMIT_DATA, memory_bytes),
+                          (resource.RLIMIT_FSIZE, file_bytes), (resource.RLIMIT_CORE, 0)):
+        resource.setrlimit(kind, (maximum, maximum))
+    allow_seconds(processor_seconds)
 
 
 def allow_seconds(seconds: int) -> None:
     """Allow this process ``seconds`` more seconds of all cores together, from now on."""
-    most = resource.getrlimit(resource.RLIMIT_CPU)[1]
-    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + seconds, most))
+    hard_limit = resource.getrlimit(resource.RLIMIT_CPU)[1]
+    resource.setrlimit(resource.RLIMIT_CPU, (int(time.process_time()) + seconds, hard_limit))
 
 
 def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> None:
@@ -89,51 +89,51 @@ def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> No
 
 
 def _allow_files(rights: dict[str | Path, int]) -> None:
-    """Restrict file access to some files with Landlock."""
+    """Restrict file access with Landlock to some files and folders, each with its rights."""
     # System calls of Landlock, the same on all machines, see landlock(7).
     create_ruleset = 444
-    # Flag 1 asks for the version.
+    # Flag 1 asks for the version of Landlock.
     version = _libc.syscall(create_ruleset, None, 0, 1)
     if version < 1:
         return
     # The number of rights of each version, from the first on.
     rights_of_version = (13, 14, 15, 15, 16)
-    known = (1 << rights_of_version[min(version, len(rights_of_version)) - 1]) - 1
-    attribute = struct.pack('<Q', known)
+    known_rights = (1 << rights_of_version[min(version, len(rights_of_version)) - 1]) - 1
+    attribute = struct.pack('<Q', known_rights)
     # From version 6 on, Landlock also restricts signals to the process itself: flag 2.
     if version >= 6:
-        attribute = struct.pack('<QQQ', known, 0, 2)
-    rules = _libc.syscall(create_ruleset, attribute, len(attribute), 0)
-    for path, right in rights.items():
+        attribute = struct.pack('<QQQ', known_rights, 0, 2)
+    ruleset = _libc.syscall(create_ruleset, attribute, len(attribute), 0)
+    for path, path_rights in rights.items():
         handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
-        # Bit 14 is the right to truncate.
-        right |= 1 << 14 if right == USE_FOLDER else 0
         # Call 445 adds a rule of kind 1, for files below a path.
-        _libc.syscall(445, rules, 1, struct.pack('<Qi', right & known, handle), 0)
+        rule = struct.pack('<Qi', path_rights & known_rights, handle)
+        _libc.syscall(445, ruleset, 1, rule, 0)
         os.close(handle)
     # Call 446 restricts this process.
-    _libc.syscall(446, rules, 0)
-    os.close(rules)
+    _libc.syscall(446, ruleset, 0)
+    os.close(ruleset)
 
 
 def _refuse_calls() -> None:
     """Refuse sockets, programs and access to other processes with seccomp."""
     if platform.machine() not in MACHINES:
         return
-    mark, seccomp, signal_thread, refused = MACHINES[platform.machine()]
-    # A filter of classic BPF: load a word, jump by its value, return.
+    architecture, seccomp, tgkill, refused = MACHINES[platform.machine()]
+    # Instructions of a filter in classic BPF: load a word, compare it and jump, return an answer.
+    # Each row has the instruction, the rows to skip if equal, those if not, and a value.
     load, equal, at_least, answer = 0x20, 0x15, 0x35, 0x06
-    # The answers of a filter, see seccomp(2).
+    # The answers, see seccomp(2).
     allow = 0x7FFF0000
     refuse = 0x00050000 | 1
     kill = 0x80000000
-    # System calls from here on are those of another ABI of x86_64.
-    rows = [(load, 0, 0, 4), (equal, 1, 0, mark), (answer, 0, 0, kill), (load, 0, 0, 0),
-            (at_least, 0, 1, 0x40000000), (answer, 0, 0, refuse)]
+    # Bytes in the filter's data: the call at 0, the architecture at 4, the first argument at 16.
+    # Calls from 0x40000000 on are those of another ABI of x86_64.
+    rows = [(load, 0, 0, 4), (equal, 1, 0, architecture), (answer, 0, 0, kill),
+            (load, 0, 0, 0), (at_least, 0, 1, 0x40000000), (answer, 0, 0, refuse)]
     for number in refused:
         rows += [(equal, 0, 1, number), (answer, 0, 0, refuse)]
-    # In the data, the first argument follows the number, the machine and the address.
-    rows += [(equal, 0, 3, signal_thread), (load, 0, 0, 16), (equal, 1, 0, os.getpid()),
+    rows += [(equal, 0, 3, tgkill), (load, 0, 0, 16), (equal, 1, 0, os.getpid()),
              (answer, 0, 0, refuse), (answer, 0, 0, allow)]
     code = ctypes.create_string_buffer(b''.join(struct.pack('<HBBI', *row) for row in rows))
     program = struct.pack('<HxxxxxxQ', len(rows), ctypes.addressof(code))

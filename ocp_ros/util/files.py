@@ -30,9 +30,9 @@ from typing import BinaryIO
 
 from ocp_ros.util.settings import ConfigurationError
 
-#: The list of the file names of a complete set, in its folder.
+#: The file in a complete set that lists the names of its other files.
 NAMES_FILE = '.names.json'
-#: The folder of a complete set that has to be swapped in.
+#: The folder of a complete set that will replace the previous one.
 COMPLETE_FOLDER = '.ocp_complete'
 #: Prefix of a folder with an unfinished set of files.
 UNFINISHED_PREFIX = '.ocp_unfinished_'
@@ -40,38 +40,38 @@ UNFINISHED_PREFIX = '.ocp_unfinished_'
 MAX_BYTES = 1_000_000_000
 
 
-def read_regular(path: str | Path, most: int = MAX_BYTES) -> bytes:
+def read_regular(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
     """
     Read a file that should not be large; pipes and devices, which may never end, are refused.
 
-    :param most: the largest size in bytes.
-    :raises OSError: if it cannot be read, is not a regular file, or is larger; ``EFBIG`` with the
-        number of bytes for the last.
+    :raises OSError: if the file cannot be read, is not a regular file, or is larger than
+        ``max_bytes``; then ``errno`` is ``EFBIG``, and ``strerror`` gives the number of bytes.
     """
-    with _regular(path, most) as file:
+    with _opened_regular(path, max_bytes) as file:
         # The size of files in /proc is unknown before they are read.
-        content = file.read(most + 1)
-    if len(content) > most:
+        content = file.read(max_bytes + 1)
+    if len(content) > max_bytes:
         raise OSError(errno.EFBIG, f'{len(content):,} bytes')
     return content
 
 
-def check_regular(path: str | Path, most: int) -> None:
-    """Refuse the files that :func:`read_regular` refuses, before a library reads the file."""
-    with _regular(path, most):
+def check_regular(path: str | Path, max_bytes: int) -> None:
+    """Refuse a file that :func:`read_regular` refuses, before a library reads it."""
+    with _opened_regular(path, max_bytes):
         pass
 
 
 @contextmanager
-def _regular(path: str | Path, most: float) -> Iterator[BinaryIO]:
-    """Open a regular file of at most ``most`` bytes; see :func:`read_regular`."""
+def _opened_regular(path: str | Path, max_bytes: float) -> Iterator[BinaryIO]:
+    """Yield an open regular file of at most ``max_bytes``; see :func:`read_regular`."""
     if '\0' in str(path):
         raise OSError(errno.EINVAL, 'its name has a zero byte')
-    with open(path, 'rb', opener=_open_at_once) as file:
+    # With O_NONBLOCK, opening a pipe does not wait for its writer.
+    with open(path, 'rb', opener=lambda name, flags: os.open(name, flags | os.O_NONBLOCK)) as file:
         state = os.fstat(file.fileno())
         if not stat.S_ISREG(state.st_mode):
             raise OSError(errno.EINVAL, 'it is a pipe or a device, not a regular file')
-        if state.st_size > most:
+        if state.st_size > max_bytes:
             raise OSError(errno.EFBIG, f'{state.st_size:,} bytes')
         yield file
 
@@ -80,26 +80,22 @@ def sha256_of_file(path: str | Path) -> str:
     """
     Return the SHA-256 of a file of any size.
 
-    :raises OSError: if it cannot be read, or is a pipe or a device.
+    :returns: 64 hexadecimal digits.
+    :raises OSError: if the file cannot be read, or is a pipe or a device.
     """
-    found = hashlib.sha256()
-    with _regular(path, math.inf) as file:
-        while piece := file.read(1 << 20):
-            found.update(piece)
-    return found.hexdigest()
-
-
-def _open_at_once(path: str, flags: int) -> int:
-    """Open a file without waiting for a writer, if it is a pipe."""
-    return os.open(path, flags | os.O_NONBLOCK)
+    with _opened_regular(path, math.inf) as file:
+        digest = hashlib.sha256()
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
 
 
 def cache_folder() -> Path | None:
     """
     Return the cache folder of the package: ``OCP_ROS_CACHE``, or a folder in the user's cache.
 
-    :returns: an absolute path, created with access for this user only; None if it cannot be
-        created, or the path is relative.
+    :returns: an absolute path, created with access for this user only; None if the folder cannot
+        be created, or ``OCP_ROS_CACHE`` is a relative path.
     """
     base = os.environ.get('XDG_CACHE_HOME', '')
     if not os.path.isabs(base):
@@ -115,26 +111,28 @@ def cache_folder() -> Path | None:
 
 def write_atomically(path: str | Path, content: bytes | str, private: bool = False) -> None:
     """
-    Write a file atomically: readers find the old content or the new, never a part.
+    Write a file atomically: readers find all of the old content or all of the new.
 
     :param path: the path of the file; its folder is created if necessary.
     :param content: text is written as UTF-8; bytes of file names that are not text become escapes.
     :param private: whether other users must not read it, independently of the umask.
-    :raises OSError: if it cannot be written; the old content stays.
+    :raises OSError: if the file cannot be written; the old content stays.
     """
     content = content.encode(errors='backslashreplace') if isinstance(content, str) else content
-    with whole_or_absent(path, private) as beside:
-        beside.write_bytes(content)
+    with whole_or_absent(path, private) as temporary:
+        temporary.write_bytes(content)
 
 
 @contextmanager
 def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
     """
-    Yield a temporary path that replaces a file at the end, or is removed after an error.
+    Yield the path of an empty temporary file beside a file.
+
+    At the end of the block the temporary file replaces the file; after an error it is removed.
 
     :param path: the path of the file; its folder is created if necessary.
     :param private: see :func:`write_atomically`.
-    :raises OSError: if it cannot be written; the old content stays.
+    :raises OSError: if the file cannot be written; the old content stays.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -145,8 +143,10 @@ def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
         with open(name, 'rb') as file:
             os.fsync(file.fileno())
         if not private:
-            # Temporary files are private; other files follow the umask.
-            os.chmod(name, 0o666 & ~_umask())
+            # Temporary files are private; other files follow the umask. Setting it reads it.
+            umask = os.umask(0o077)
+            os.umask(umask)
+            os.chmod(name, 0o666 & ~umask)
         os.replace(name, path)
     except BaseException as error:
         Path(name).unlink(missing_ok=True)
@@ -156,27 +156,20 @@ def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
         raise
 
 
-def _umask() -> int:
-    """Return the umask; reading it requires setting it."""
-    umask = os.umask(0o077)
-    os.umask(umask)
-    return umask
-
-
 class FileSet:
     """
     A set of files that is written to a temporary folder and replaces the previous set at the end.
 
-    Use it in a ``with`` statement. Whenever the process ends, the folder contains all files of the
-    new set or all files of the previous one, at the latest after the next run has begun (see
-    :func:`recover`). If the block fails, the files written so far are the set if the mark is among
-    them.
+    Use it in a ``with`` statement, and write the files to ``aside``. Whenever the process ends,
+    the folder contains all files of the new set or all files of the previous one, at the latest
+    after the next run has begun (see :func:`recover`). If the block fails after the file ``mark``
+    was written, the files written so far are the new set.
 
-    :param folder: the folder; it is created if necessary.
-    :param names: the names of all files that a set may have; those missing in this set are
-        removed.
-    :param mark: the name of the file that every set must have.
-    :ivar aside: the folder to write to.
+    :param folder: the folder of the set; it is created if necessary.
+    :param names: the names of all files that a set may have. Files of the previous set that the
+        new set does not have are removed.
+    :param mark: the name of the file that makes a set complete: every set must have it.
+    :ivar aside: the temporary folder to write to.
     :raises OSError: if nothing can be written.
     """
 
@@ -197,7 +190,7 @@ class FileSet:
         return self
 
     def __exit__(self, *exception) -> None:
-        """Replace the previous set by the new one."""
+        """Replace the previous set by the new one, if the new one is complete."""
         written = [name for name in self._names if (self.aside / name).exists()]
         try:
             if self._mark in written:
@@ -224,21 +217,22 @@ def _locked(folder: Path) -> Iterator[None]:
 
 def recover(folder: Path, names: Collection[str], mark: str) -> None:
     """
-    Finish the work of a killed run: swap in a complete set, remove an incomplete one.
+    Finish the work of a killed run in a folder: swap in a complete set, remove incomplete ones.
 
     :param names: the names of all files that a set may have.
-    :param mark: see :class:`FileSet`.
-    :raises OSError: if a complete set cannot be swapped in; it stays in its folder.
+    :param mark: the name of the file that makes a set complete, see :class:`FileSet`.
+    :raises OSError: if a complete set cannot be swapped in; it stays in its own folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with _locked(folder):
         _swap_in(folder, names, mark)
-        for aside in folder.glob(f'{UNFINISHED_PREFIX}*'):
+        for unfinished in folder.glob(f'{UNFINISHED_PREFIX}*'):
+            # The folder of a process that still writes is locked, which raises OSError.
             with suppress(OSError):
-                handle = os.open(aside, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
+                handle = os.open(unfinished, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
                 try:
                     fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    shutil.rmtree(aside, ignore_errors=True)
+                    shutil.rmtree(unfinished, ignore_errors=True)
                 finally:
                     os.close(handle)
 
@@ -247,21 +241,21 @@ def complete_set(folder: Path, names: Collection[str], mark: str) -> list[str]:
     """Return the file names of a complete set that is not swapped in yet; [] without one."""
     complete = folder / COMPLETE_FOLDER
     try:
-        # Bytes of the longest list of names.
-        kept = json.loads(read_regular(complete / NAMES_FILE, 10_000))
+        set_names = json.loads(read_regular(complete / NAMES_FILE, max_bytes=10_000))
         # Files that are missing here have been swapped in already.
-        whole = mark in kept and set(kept) <= set(names) and all(
-            (complete / name).is_file() or (folder / name).is_file() for name in kept)
+        is_complete = mark in set_names and set(set_names) <= set(names) and all(
+            (complete / name).is_file() or (folder / name).is_file() for name in set_names)
     except (OSError, ValueError, TypeError, RecursionError):
         return []
-    return list(kept) if whole and isinstance(kept, list) else []
+    return list(set_names) if is_complete and isinstance(set_names, list) else []
 
 
 def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:
     """Replace the previous set by a complete one; remove an incomplete one."""
-    complete, kept = folder / COMPLETE_FOLDER, complete_set(folder, names, mark)
-    for name in names if kept else ():
-        if name not in kept:
+    complete = folder / COMPLETE_FOLDER
+    set_names = complete_set(folder, names, mark)
+    for name in names if set_names else ():
+        if name not in set_names:
             (folder / name).unlink(missing_ok=True)
         elif (complete / name).exists():
             os.replace(complete / name, folder / name)
@@ -272,7 +266,7 @@ def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:
 
 
 def remove_unfinished(folder: Path) -> None:
-    """Remove weights and states whose writing process was killed."""
+    """Remove the temporary files of weights and states whose writing process was killed."""
     for path in folder.glob('.*.safetensors.*'):
         path.unlink(missing_ok=True)
 
@@ -282,11 +276,12 @@ def file_to_write(path: Path, what: str, option: str = '--out') -> Path:
     Make the folder of a file, and check that it can be written to.
 
     :param what: the kind of file, for the message.
-    :param option: the option that names it, for the message.
-    :raises ConfigurationError: if it cannot be written.
+    :param option: the option that names the file, for the message.
+    :returns: ``path``.
+    :raises ConfigurationError: if the file cannot be written.
     """
     try:
-        _try_folder(path.parent)
+        _write_trial(path.parent)
         if path.is_dir():
             raise IsADirectoryError(0, 'it is a folder')
     except OSError as error:
@@ -300,13 +295,14 @@ def folder_to_write(path: Path, option: str = '--out') -> Path:
     """
     Make a folder, and check that it can be written to.
 
-    :param option: the option that names it, for the message.
-    :raises ConfigurationError: if it cannot be written to.
+    :param option: the option that names the folder, for the message.
+    :returns: ``path``.
+    :raises ConfigurationError: if nothing can be written to the folder.
     """
     try:
         if path.exists() and not path.is_dir():
             raise NotADirectoryError(0, 'it is a file')
-        _try_folder(path)
+        _write_trial(path)
     except OSError as error:
         raise ConfigurationError(
             f'{option}: found {path}, where nothing can be written ({error.strerror}); expected a '
@@ -314,8 +310,8 @@ def folder_to_write(path: Path, option: str = '--out') -> Path:
     return path
 
 
-def _try_folder(path: Path) -> None:
-    """Make a folder, and write a temporary file to it."""
-    path.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=path) as file:
+def _write_trial(folder: Path) -> None:
+    """Make a folder, and write a temporary file to it; raise OSError if that fails."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryFile(dir=folder) as file:
         file.write(b'ocp')

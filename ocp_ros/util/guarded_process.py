@@ -27,19 +27,19 @@ from typing import NamedTuple
 
 #: Seconds to wait for a process beyond its own time limit.
 GRACE_SECONDS = 60
-#: The default largest size in bytes of a file that it writes.
+#: The default largest size in bytes of a file that the process writes.
 MAX_WRITTEN_BYTES = 1 << 20
-TOO_SLOW = 'it takes its reader too long'
+TOO_SLOW_ERROR = 'it takes its reader too long'
 
 
 class ReadingCost(NamedTuple):
     """
     The limits of reading a file of some kind.
 
-    :ivar memory: bytes, independent of the file.
-    :ivar memory_per_byte: bytes for each byte of a file.
-    :ivar seconds: seconds of all cores together, independent of the file; ``SECONDS_PER_MB`` is
-        added.
+    :ivar memory: bytes, for a file of any size.
+    :ivar memory_per_byte: additional bytes for each byte of a file.
+    :ivar seconds: seconds of all cores together, for a file of any size;
+        :class:`GuardedProcess` adds seconds for each million bytes.
     """
 
     memory: int
@@ -52,33 +52,34 @@ class GuardedProcess:
     A process that reads files and answers with bytes; use it in a ``with`` statement.
 
     Nothing is unpickled. The first arguments of the process are its limits: bytes of memory,
-    seconds of all cores, and bytes of each file that it may write. It has to apply them itself,
-    see :mod:`~ocp_ros.util.confinement`.
+    seconds of all cores, and bytes of each file that it may write. The process has to apply these
+    limits itself, see :mod:`~ocp_ros.util.confinement`.
 
-    :param module: the module whose ``main`` it runs.
+    :param module: the module whose ``main(arguments)`` the process runs.
     :param arguments: the arguments of the module.
     :param cost: the limits for the kind of file.
-    :param size: the size of the file in bytes.
-    :param written: bytes of each file that it may write.
-    :param more: more environment variables.
+    :param file_bytes: the size of the file that the process reads.
+    :param max_written_bytes: the largest size of each file that the process may write.
+    :param more_environment: environment variables in addition to those of this process.
     """
 
-    def __init__(self, module: str, arguments: list[str], cost: ReadingCost, size: int,
-                 written: int = MAX_WRITTEN_BYTES, more: Mapping[str, str] | None = None) -> None:
+    def __init__(self, module: str, arguments: list[str], cost: ReadingCost, file_bytes: int,
+                 max_written_bytes: int = MAX_WRITTEN_BYTES,
+                 more_environment: Mapping[str, str] | None = None) -> None:
         # Seconds of all cores: 4 for each million bytes of a file.
-        seconds = cost.seconds + 4 * size // 1_000_000
-        limits = cost.memory + cost.memory_per_byte * size, seconds, written
-        self._patience = seconds + GRACE_SECONDS
-        self._words = tempfile.TemporaryFile()  # noqa: SIM115
+        seconds = cost.seconds + 4 * file_bytes // 1_000_000
+        limits = cost.memory + cost.memory_per_byte * file_bytes, seconds, max_written_bytes
+        self._timeout_s = seconds + GRACE_SECONDS
+        self._error_file = tempfile.TemporaryFile()  # noqa: SIM115
         # The process must not import modules from the user's current folder.
         program = ('import sys; sys.path = [folder for folder in sys.path if folder]; '
                    'from importlib import import_module; '
                    'sys.exit(import_module(sys.argv[1]).main(sys.argv[2:]))')
         self._process = subprocess.Popen(
             [sys.executable, '-c', program, module, *map(str, limits), *arguments],
-            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._words,
-            env={**_environment(), **(more or {})})
-        self._out = self._process.stdout.fileno()
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self._error_file,
+            env={**_environment(), **(more_environment or {})})
+        self._output_handle = self._process.stdout.fileno()
 
     def __enter__(self) -> 'GuardedProcess':
         """Return itself."""
@@ -91,7 +92,7 @@ class GuardedProcess:
         self._process.stdout.close()
         with suppress(BrokenPipeError):
             self._process.stdin.close()
-        self._words.close()
+        self._error_file.close()
 
     def ask(self, line: str) -> None:
         """Send a line to the process; a dead process is noticed at the next read."""
@@ -101,42 +102,43 @@ class GuardedProcess:
 
     def read(self, count: int) -> bytearray:
         """
-        Return the next bytes: fewer than ``count`` only at the end.
+        Return the next ``count`` bytes of the output; fewer only at its end.
 
         :raises ValueError: if the process reports that it cannot read its file, has died, or takes
             too long.
         """
-        parts, left = [], count
-        while left:
-            if not select.select([self._out], [], [], self._patience)[0]:
-                raise ValueError(TOO_SLOW)
-            part = os.read(self._out, min(left, 1 << 20))
-            if not part:
-                self._check_end()
+        blocks = []
+        missing_bytes = count
+        while missing_bytes:
+            if not select.select([self._output_handle], [], [], self._timeout_s)[0]:
+                raise ValueError(TOO_SLOW_ERROR)
+            block = os.read(self._output_handle, min(missing_bytes, 1 << 20))
+            if not block:
+                self._check_exit()
                 break
-            parts.append(part)
-            left -= len(part)
-        return bytearray().join(parts)
+            blocks.append(block)
+            missing_bytes -= len(block)
+        return bytearray().join(blocks)
 
-    def _check_end(self) -> None:
-        """Raise a short error if the process failed."""
+    def _check_exit(self) -> None:
+        """Wait for the end of the process; raise a short ValueError if it failed."""
         try:
             code = self._process.wait(GRACE_SECONDS)
         except subprocess.TimeoutExpired:
-            raise ValueError(TOO_SLOW) from None
+            raise ValueError(TOO_SLOW_ERROR) from None
         if code in (-signal.SIGXCPU, -signal.SIGKILL):
-            raise ValueError(TOO_SLOW)
+            raise ValueError(TOO_SLOW_ERROR)
         if code < 0:
             raise ValueError('it makes its reader crash')
         if code:
-            # The last 4096 bytes of the error output.
-            self._words.seek(-min(4096, self._words.seek(0, os.SEEK_END)), os.SEEK_END)
-            lines = self._words.read().decode(errors='replace').splitlines()
+            # Of a long error output only the end is read.
+            self._error_file.seek(max(self._error_file.seek(0, os.SEEK_END) - 4096, 0))
+            lines = self._error_file.read().decode(errors='replace').splitlines()
             raise ValueError(lines[-1] if lines else f'its reader ended with {code}')
 
 
 def _environment() -> dict[str, str]:
     """Return an environment in which the process finds the modules of this one."""
-    places = [*filter(None, sys.path), str(Path(__file__).absolute().parents[2])]
-    return {**os.environ, 'PYTHONPATH': os.pathsep.join(places), 'OMP_NUM_THREADS': '1',
+    module_folders = [*filter(None, sys.path), str(Path(__file__).absolute().parents[2])]
+    return {**os.environ, 'PYTHONPATH': os.pathsep.join(module_folders), 'OMP_NUM_THREADS': '1',
             'OPENBLAS_NUM_THREADS': '1'}

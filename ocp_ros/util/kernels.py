@@ -33,35 +33,34 @@ def import_elsewhere(name: str) -> ModuleType:
     """
     Import a package without reading files of the current folder.
 
-    A thread with its own current folder imports it, so that the folder of other threads does not
-    change. In containers that forbid this, all threads change the folder for a moment.
+    A new thread changes to the root folder and imports the package there. The current folder of
+    other threads does not change, except in containers that forbid a folder per thread; there it
+    changes for a moment.
 
-    :param name: the name of the package.
-    :returns: the package.
-    :raises ImportError: if it cannot be imported.
+    :raises ImportError: if the package cannot be imported.
     """
     if name not in sys.modules:
-        thread = Thread(target=_import, args=(name,))
+        thread = Thread(target=_import_in_root, args=(name,))
         thread.start()
         thread.join()
     return import_module(name)
 
 
-def _import(name: str) -> None:
+def _import_in_root(name: str) -> None:
     """Import a package in the root folder; the caller reports import errors."""
     unshare = getattr(ctypes.CDLL(None), 'unshare', None)
-    # Flag 0x200 of unshare(2) gives the calling thread a current folder of its own.
-    alone = unshare is not None and unshare(0x200) == 0
-    before = os.open('.', os.O_RDONLY)
+    # CLONE_FS, 0x200, of unshare(2) gives the calling thread a current folder of its own.
+    has_own_folder = unshare is not None and unshare(0x200) == 0
+    previous_folder = os.open('.', os.O_RDONLY)
     os.chdir('/')
     try:
         import_module(name)
     except ImportError:
         pass
     finally:
-        if not alone:
-            os.fchdir(before)
-        os.close(before)
+        if not has_own_folder:
+            os.fchdir(previous_folder)
+        os.close(previous_folder)
 
 
 if (_folder := cache_folder()) is not None:

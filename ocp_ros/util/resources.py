@@ -28,13 +28,13 @@ def share_folder() -> Path:
 
     The folder of the running code comes first, so that both have the same version: the source
     tree, or the nearest ``share/ocp_ros`` above the package, as pip (in a virtual environment,
-    ``--user``, ``--prefix`` or ``--target``), colcon and Debian install it. Then the ROS index is
-    searched.
+    ``--user``, ``--prefix`` or ``--target``), colcon and Debian install it. Then the folder in the
+    index of ROS packages is tried.
 
-    :raises FileNotFoundError: if there is none: the package is incomplete.
+    :raises FileNotFoundError: if there is no such folder: the package is incomplete.
     """
-    # Only this folder contains the file.
-    for folder in _places():
+    # No other folder contains this file.
+    for folder in _candidate_folders():
         if (folder / 'config' / 'fastdds_local.xml').is_file():
             return folder
     raise FileNotFoundError(
@@ -42,14 +42,14 @@ def share_folder() -> Path:
         'with the models and the configuration of the package; install the package again')
 
 
-def _places() -> Iterator[Path]:
-    """Yield possible paths of this folder, the most likely first."""
+def _candidate_folders() -> Iterator[Path]:
+    """Yield paths that may be the folder with ``models`` and ``config``, the most likely first."""
     # Some installers link to files elsewhere, without the rest of the prefix.
     for file in (Path(__file__).absolute(), Path(__file__).resolve()):
         # At most four folders up: site-packages, python3.x, lib, and the installation prefix.
-        above = file.parents[2:6]
-        yield above[0]
-        yield from (folder / 'share' / 'ocp_ros' for folder in above)
+        parents = file.parents[2:6]
+        yield parents[0]
+        yield from (folder / 'share' / 'ocp_ros' for folder in parents)
     try:
         from ament_index_python.packages import get_package_share_directory
         yield Path(get_package_share_directory('ocp_ros'))
@@ -63,10 +63,11 @@ def find_config(path: str | Path) -> Path:
     Find a file by its path or, if it does not exist, among those of the package.
 
     :param path: such as ``config/train/map.yaml``.
-    :returns: the path itself if there is no such file, so that its reader reports the error.
+    :returns: the path of the file that was found; ``path`` itself if there is none, so that the
+        reader of the file reports the error.
     """
     path = Path(path)
     if path.exists():
         return path
-    shipped = share_folder() / path
-    return shipped if shipped.is_file() else path
+    packaged_file = share_folder() / path
+    return packaged_file if packaged_file.is_file() else path

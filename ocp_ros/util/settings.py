@@ -19,6 +19,7 @@ Nodes declare their parameters from these classes, YAML and JSON files are read 
 values used are saved with each result.
 """
 
+from collections.abc import Collection, Iterable
 from dataclasses import asdict, Field, field, fields, is_dataclass
 import difflib
 from numbers import Integral, Real
@@ -67,72 +68,79 @@ def group(cls: type[T]) -> Any:
 
 
 def leaves(cls: type, prefix: str = '') -> dict[str, Field]:
-    """Return every setting of a configuration dataclass by its dotted name."""
-    found = {}
+    """Return the dataclass field of every setting by its dotted name, such as ``rig.cameras``."""
+    settings = {}
     for item in fields(cls):
         if is_dataclass(item.type):
-            found.update(leaves(item.type, f'{prefix}{item.name}.'))
+            settings.update(leaves(item.type, f'{prefix}{item.name}.'))
         else:
-            found[prefix + item.name] = item
-    return found
+            settings[prefix + item.name] = item
+    return settings
 
 
-def check_known(names, known, what: str) -> None:
+def check_known(names: Iterable[str], known: Collection[str], what: str) -> None:
     """
-    Refuse names that do not exist, with the nearest one that does.
+    Refuse names that do not exist; the message suggests the most similar known name.
 
+    :param names: the names to check.
+    :param known: the names that exist.
+    :param what: the source of the names, for the message.
     :raises ConfigurationError: for the first unknown name.
     """
     for name in names:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
-            hint = f'; did you mean {near[0]!r}?' if near else f'; expected one of {sorted(known)}'
-            raise ConfigurationError(f'{what}: found the unknown name {_brief(name)}{hint}')
+            similar = difflib.get_close_matches(name, known, n=1, cutoff=0.5)
+            hint = f'; did you mean {similar[0]!r}?' if similar else (
+                f'; expected one of {sorted(known)}')
+            raise ConfigurationError(f'{what}: found the unknown name {_short_text(name)}{hint}')
 
 
 def check_positive(name: str, value: Any) -> None:
     """
     Refuse a value that is neither a finite number above 0 nor None.
 
-    :raises ConfigurationError: if it is something else.
+    :param name: the name of the value, for the message.
+    :raises ConfigurationError: for any other value.
     """
     if value is not None and (isinstance(value, bool) or not isinstance(value, Real)
                               or not 0.0 < value < float('inf')):
-        raise ConfigurationError(f'{name}: found {_brief(value)}; expected a number above 0')
+        raise ConfigurationError(f'{name}: found {_short_text(value)}; expected a number above 0')
 
 
 def check_whole(name: str, value: Any, least: int = 1, most: int | None = None) -> None:
     """
-    Refuse a value that is neither a whole number in a range nor None.
+    Refuse a value that is neither a whole number from ``least`` to ``most`` nor None.
 
-    :raises ConfigurationError: if it is something else.
+    :param name: the name of the value, for the message.
+    :param most: the largest number allowed; None for no limit.
+    :raises ConfigurationError: for any other value.
     """
     if value is not None and (isinstance(value, bool) or not isinstance(value, Integral)
                               or value < least or (most is not None and value > most)):
         limit = 'or more' if most is None else f'to {most}'
-        raise ConfigurationError(f'{name}: found {_brief(value)}; expected a whole number, '
+        raise ConfigurationError(f'{name}: found {_short_text(value)}; expected a whole number, '
                                  f'{least} {limit}')
 
 
-def _brief(value: Any) -> str:
+def _short_text(value: Any) -> str:
     """Return a value as short text for messages."""
     text = repr(value)
     return text if len(text) <= 60 else f'{text[:57]}...'
 
 
-def _checked(name: str, item: Field, value: Any) -> Any:
-    """Return a value in the setting's type; refuse invalid values."""
-    kind: Any = item.type
-    if kind is float and isinstance(value, int) and not isinstance(value, bool):
+def _checked_value(name: str, item: Field, value: Any) -> Any:
+    """Return a value in the type of its setting, the field ``item``; refuse invalid values."""
+    expected: Any = item.type
+    if expected is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
-    if not isinstance(value, kind) or (isinstance(value, bool) and kind is not bool):
-        raise ConfigurationError(
-            f'{name}: found {_brief(value)} ({type(value).__name__}); expected {kind.__name__}')
+    found = f'{name}: found {_short_text(value)}'
+    if not isinstance(value, expected) or isinstance(value, bool) and expected is not bool:
+        raise ConfigurationError(f'{found} ({type(value).__name__}); expected {expected.__name__}')
     low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
     if choices and value not in choices:
-        raise ConfigurationError(f'{name}: found {_brief(value)}; expected one of {list(choices)}')
+        raise ConfigurationError(f'{found}; expected one of {list(choices)}')
     if (low is not None and not value >= low) or (high is not None and not value <= high):
-        raise ConfigurationError(f'{name}: found {_brief(value)}; expected {low} to {high}')
+        raise ConfigurationError(f'{found}; expected {low} to {high}')
     return value
 
 
@@ -146,25 +154,25 @@ def from_flat(cls: type[T], values: dict[str, Any], what: str = 'configuration')
     """
     known = leaves(cls)
     check_known(values, known, what)
-    checked = {name: _checked(f'{what}: {name}', known[name], value)
+    checked = {name: _checked_value(f'{what}: {name}', known[name], value)
                for name, value in values.items()}
-    return _build(cls, checked, '')
+    return _build_config(cls, checked, '')
 
 
-def _build(cls: type[T], values: dict[str, Any], prefix: str) -> T:
-    """Build a dataclass and its nested dataclasses from dotted names."""
+def _build_config(cls: type[T], values: dict[str, Any], prefix: str) -> T:
+    """Build a dataclass and its nested dataclasses from values by dotted name."""
     arguments = {}
     for item in fields(cls):
         name = prefix + item.name
         if is_dataclass(item.type):
-            arguments[item.name] = _build(item.type, values, name + '.')
+            arguments[item.name] = _build_config(item.type, values, name + '.')
         elif name in values:
             arguments[item.name] = values[name]
     return cls(**arguments)
 
 
 def flatten(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Turn nested dictionaries into dotted names."""
+    """Return the values of nested dictionaries by dotted name, such as ``{'rig.cameras': 4}``."""
     flat = {}
     for key, value in nested.items():
         if isinstance(value, dict):

@@ -19,14 +19,14 @@ def printable(text: str) -> str:
     """
     Return a text as one line without terminal control or text direction characters.
 
-    Undecodable bytes of file names, control characters and direction marks are shown as escapes;
-    other blanks become spaces.
+    Undecodable bytes of file names, control characters and text direction characters become
+    hexadecimal escapes; tabs, line ends and other blanks become spaces.
     """
-    return ''.join(_shown(letter) for letter in text)
+    return ''.join(_printable_letter(letter) for letter in text)
 
 
-def _shown(letter: str) -> str:
-    """Return a letter or its printable replacement."""
+def _printable_letter(letter: str) -> str:
+    """Return a letter, or its replacement if it is not printable."""
     # Several scripts need these invisible characters, which join or separate letters.
     if letter.isprintable() or letter in '\u200c\u200d':
         return letter

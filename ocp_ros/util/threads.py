@@ -22,8 +22,9 @@ from typing import TypeVar
 T = TypeVar('T')
 U = TypeVar('U')
 
+#: The threads besides the calling thread; None if there is only that thread.
 _helpers: ThreadPoolExecutor | None = None
-_count = 1
+_thread_count = 1
 
 
 def cores() -> int:
@@ -37,32 +38,36 @@ def set_threads(count: int) -> None:
 
     :param count: the number of threads; 0 for one per available core.
     """
-    global _helpers, _count
+    global _helpers, _thread_count
     count = count or cores()
-    if count != _count:
+    if count != _thread_count:
         if _helpers is not None:
             _helpers.shutdown()
-        _helpers, _count = ThreadPoolExecutor(count - 1) if count > 1 else None, count
+        _helpers = ThreadPoolExecutor(count - 1) if count > 1 else None
+        _thread_count = count
 
 
-def _forked() -> None:
-    """Reset to one thread, since a forked process has no threads of its parent."""
-    global _helpers, _count
-    _helpers, _count = None, 1
+def _reset_after_fork() -> None:
+    """Reset to one thread, since a forked process does not have the threads of its parent."""
+    global _helpers, _thread_count
+    _helpers = None
+    _thread_count = 1
 
 
-os.register_at_fork(after_in_child=_forked)
+os.register_at_fork(after_in_child=_reset_after_fork)
 
 
 def mapped(function: Callable[[T], U], items: Sequence[T]) -> list[U]:
-    """Apply a function to all items in order; it must not call ``mapped`` itself."""
-    helpers, count = _helpers, min(_count, len(items))
-    if helpers is None or count < 2:
+    """Return a function's results for all items, in order; it must not call ``mapped`` itself."""
+    helpers = _helpers
+    share_count = min(_thread_count, len(items))
+    if helpers is None or share_count < 2:
         return [function(item) for item in items]
-    ends = [len(items) * k // count for k in range(count + 1)]
+    starts = [len(items) * share // share_count for share in range(share_count + 1)]
 
-    def part(k: int) -> list[U]:
-        return [function(item) for item in items[ends[k]:ends[k + 1]]]
+    def apply_to_share(share: int) -> list[U]:
+        return [function(item) for item in items[starts[share]:starts[share + 1]]]
 
-    others = [helpers.submit(part, k) for k in range(1, count)]
-    return part(0) + [result for other in others for result in other.result()]
+    # The calling thread takes the first share.
+    futures = [helpers.submit(apply_to_share, share) for share in range(1, share_count)]
+    return apply_to_share(0) + [result for future in futures for result in future.result()]

@@ -41,26 +41,26 @@ class WorkerPool:
     """
 
     def __init__(self, workers: int = 0, ray_address: str | None = None) -> None:
-        self._ray = _connected(ray_address) if ray_address else None
+        self._ray = _connect_to_ray(ray_address) if ray_address else None
         # Processes are spawned: a forked process would inherit locked locks of the parent's
         # threads.
         self._processes = None if ray_address else ProcessPoolExecutor(
-            workers or cores(), mp_context=get_context('spawn'), initializer=_work_alone)
+            workers or cores(), mp_context=get_context('spawn'), initializer=_prepare_worker)
 
     def unordered(self, function: Callable[[T], U], tasks: Sequence[T]
                   ) -> Iterator[tuple[int, U]]:
-        """Yield the number and the result of each task, in the order in which they end."""
+        """Yield the index and the result of each task, in the order in which the tasks end."""
         if self._ray is not None:
             yield from self._on_ray(function, tasks)
             return
         # Ctrl-C must not interrupt processes before they have set their signal handling.
-        before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        signal_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            numbers = {self._processes.submit(function, task): number
-                       for number, task in enumerate(tasks)}
+            task_indices = {self._processes.submit(function, task): index
+                            for index, task in enumerate(tasks)}
         finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        for future in as_completed(numbers):
+            signal.pthread_sigmask(signal.SIG_SETMASK, signal_mask)
+        for future in as_completed(task_indices):
             try:
                 result = future.result()
             except BrokenProcessPool as error:
@@ -68,49 +68,49 @@ class WorkerPool:
                     'workers: found that a process has ended in the middle of its work; expected '
                     'it to live; there may have been no memory left for it: use fewer, and start '
                     'again: what was saved is kept') from error
-            yield numbers[future], result
+            yield task_indices[future], result
 
     def map(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[U]:  # noqa: A003
         """Yield the results of a function for the tasks, in the order of the tasks."""
-        waiting: dict[int, U] = {}
-        due = 0
-        for number, result in self.unordered(function, tasks):
-            waiting[number] = result
-            while due in waiting:
-                yield waiting.pop(due)
-                due += 1
+        finished_results: dict[int, U] = {}
+        next_index = 0
+        for index, result in self.unordered(function, tasks):
+            finished_results[index] = result
+            while next_index in finished_results:
+                yield finished_results.pop(next_index)
+                next_index += 1
 
     def _on_ray(self, function: Callable[[T], U], tasks: Sequence[T]) -> Iterator[tuple[int, U]]:
-        """Run tasks on the cluster; a task whose machine is lost runs again on another."""
-        # Ray accepts plain functions only, and the function may be a partial one.
-        remote = self._ray.remote(num_cpus=1, max_retries=2)(_applied)
-        numbers = {remote.remote(function, task): number for number, task in enumerate(tasks)}
-        while numbers:
-            for reference in self._ray.wait(list(numbers))[0]:
-                yield numbers.pop(reference), self._ray.get(reference)
+        """Do the work of ``unordered`` on Ray; tasks of a lost machine run again on another."""
+        # Ray accepts plain functions only, and ``function`` may be a functools.partial.
+        remote_apply = self._ray.remote(num_cpus=1, max_retries=2)(_apply)
+        indices = {remote_apply.remote(function, task): index for index, task in enumerate(tasks)}
+        while indices:
+            for reference in self._ray.wait(list(indices))[0]:
+                yield indices.pop(reference), self._ray.get(reference)
 
     def __enter__(self) -> 'WorkerPool':
         """Return the pool itself."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_) -> None:
-        """End the processes, after an error immediately; tasks not yet begun are dropped."""
+        """End the processes, immediately after an error; drop the tasks that have not begun."""
         if self._processes is None:
             return
         if kind is not None:
-            # The attribute is None after they have ended.
+            # The attribute of the executor is None after its processes have ended.
             for process in (getattr(self._processes, '_processes', None) or {}).copy().values():
                 process.terminate()
         self._processes.shutdown(wait=True, cancel_futures=True)
 
 
-def _applied(function: Callable[[T], U], task: T) -> U:
-    """Run a function on a task."""
+def _apply(function: Callable[[T], U], task: T) -> U:
+    """Return the result of a function for a task."""
     return function(task)
 
 
-def _connected(address: str) -> Any:
-    """Return the module ``ray``, connected to a cluster."""
+def _connect_to_ray(address: str) -> Any:
+    """Connect to a Ray cluster; return the module ``ray``."""
     try:
         import ray
     except ImportError as error:
@@ -121,20 +121,20 @@ def _connected(address: str) -> Any:
     return ray
 
 
-def _work_alone() -> None:
+def _prepare_worker() -> None:
     """
-    Use one core only, since other processes use the others; end with the parent.
+    Set up a worker process: use one core, ignore Ctrl-C, end when the parent process ends.
 
-    A terminal interrupts all processes of a command, so these ignore Ctrl-C and the parent ends
-    them. A process that ends by itself may hold the lock of the queue that the others wait for.
+    A terminal sends Ctrl-C to all processes of a command. If a worker ended by itself, it might
+    hold the lock of the queue that other workers wait for; so only the parent ends workers.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     # PyTorch reads this variable when it is imported, which may be never.
     os.environ['OMP_NUM_THREADS'] = '1'
-    threading.Thread(target=_end_with, args=(parent_process(),), daemon=True).start()
+    threading.Thread(target=_exit_with_parent, args=(parent_process(),), daemon=True).start()
 
 
-def _end_with(parent: Any) -> None:
-    """End with the parent, also if it was killed."""
+def _exit_with_parent(parent: Any) -> None:
+    """Wait until the parent process ends, also if it is killed; then end this process."""
     parent.join()
     os._exit(1)

@@ -19,7 +19,7 @@ Only those parts of YAML that JSON has are read: mappings, lists, texts, numbers
 null. ``on`` and ``no`` are texts, 010 is ten, and tags and aliases are refused.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 import difflib
@@ -37,21 +37,21 @@ from ocp_ros.util.settings import ConfigurationError
 import yaml
 
 
-def _matches(_, pattern: str, value: Any, __) -> Iterator[ValidationError]:
-    """Match a whole text with a pattern, since Python's ``$`` also matches before a line's end."""
+def _check_pattern(_, pattern: str, value: Any, __) -> Iterator[ValidationError]:
+    """Yield an error unless a whole text matches; a ``$`` would also match before a line end."""
     if isinstance(value, str) and not re.fullmatch(pattern, value):
         yield ValidationError(f'{value!r} does not match {pattern!r}')
 
 
 #: JSON Schema accepts 3.0 as an integer; code that counts with the value does not.
-Validator = extend(
-    Draft202012Validator, {'pattern': _matches},
+SchemaValidator = extend(
+    Draft202012Validator, {'pattern': _check_pattern},
     type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
         'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
-#: The path to a value: keys and indices of lists.
+#: The path to a value in nested data: keys of mappings and indices of lists.
 Way = tuple[str | int, ...]
 Schema = dict[str, Any]
-PLAIN_WORDS = {'': None, '~': None, 'null': None, 'true': True, 'false': False}
+YAML_CONSTANTS = {'': None, '~': None, 'null': None, 'true': True, 'false': False}
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,11 @@ class Document:
     """
     Plain data with the line of each value.
 
-    :ivar name: its name in messages: the name of its file.
+    :ivar name: the name of the document in messages: the name of its file.
     :ivar data: mappings, lists, texts, numbers, booleans and None.
-    :ivar lines: the line of each value, from 1; empty without a file.
-    :ivar written: the paths in the file of the values that the data were made from.
+    :ivar lines: the line of each value, from 1, by the path to the value; empty without a file.
+    :ivar written: for values that were made from other values of the file: the path to the value
+        in ``data``, and the path to the other value in the file.
     """
 
     name: str
@@ -70,57 +71,58 @@ class Document:
     lines: dict[Way, int] = field(default_factory=dict, repr=False)
     written: dict[Way, Way] = field(default_factory=dict, repr=False)
 
-    def where(self, *way: str | int) -> str:
+    def where(self, *key_path: str | int) -> str:
         """Return the file, the line and the key of a value, such as ``a.yaml: line 3, b[0].c``."""
-        way = self.written.get(way, way)
-        key = ''.join(f'[{step}]' if isinstance(step, int) else f'.{_word(step)}' for step in way)
-        place = [f'line {self.line(way)}'] if self.lines else []
-        return f'{self.name}: ' + ', '.join([*place, *filter(None, [key.lstrip('.')])])
+        key_path = self.written.get(key_path, key_path)
+        key = ''.join(f'[{step}]' if isinstance(step, int) else f'.{_short_key(step)}'
+                      for step in key_path)
+        line = f'line {self.line(key_path)}' if self.lines else ''
+        return f'{self.name}: ' + ', '.join(filter(None, [line, key.lstrip('.')]))
 
-    def line(self, way: Way) -> int:
-        """Return the line of a value, or of the nearest one around it."""
-        while way and way not in self.lines:
-            way = way[:-1]
-        return self.lines.get(way, 1)
+    def line(self, key_path: Way) -> int:
+        """Return the line of a value, or of the innermost mapping or list around it."""
+        while key_path and key_path not in self.lines:
+            key_path = key_path[:-1]
+        return self.lines.get(key_path, 1)
 
-    def error(self, way: Way, found: str, expected: str, remedy: str) -> ConfigurationError:
-        """Return the error, in one sentence, about an unusable value."""
+    def error(self, key_path: Way, found: str, expected: str, remedy: str) -> ConfigurationError:
+        """Return an error, in one sentence, about the unusable value at a path."""
         return ConfigurationError(
-            f'{self.where(*way)}: found {found}; expected {expected}; {remedy}')
+            f'{self.where(*key_path)}: found {found}; expected {expected}; {remedy}')
 
-    def value(self, *way: str | int) -> Any:
-        """Return a value."""
+    def value(self, *key_path: str | int) -> Any:
+        """Return the value at a path."""
         data = self.data
-        for step in way:
+        for step in key_path:
             data = data[step]
         return data
 
-    def part(self, *way: str | int) -> 'Document':
-        """Return a value as a separate document that keeps its lines."""
-        lines = {other[len(way):]: line for other, line in self.lines.items()
-                 if other[:len(way)] == way}
-        return Document(self.name, self.value(*way), lines)
+    def part(self, *key_path: str | int) -> 'Document':
+        """Return the value at a path as a separate document that keeps the lines of the file."""
+        lines = {path[len(key_path):]: line for path, line in self.lines.items()
+                 if path[:len(key_path)] == key_path}
+        return Document(self.name, self.value(*key_path), lines)
 
 
-class _Refused(Exception):
-    """Report what was found at a line of a file, what was expected, and what to do."""
+class _BadLine(Exception):
+    """An error in a file; its arguments: line, what was found, what was expected, what to do."""
 
 
 class _Loader(yaml.BaseLoader):
-    """A loader that limits the number of nodes and refuses aliases."""
+    """A YAML loader that limits the number of nodes and refuses aliases."""
 
     nodes = 0
 
     def compose_node(self, parent: yaml.Node, index: Any) -> yaml.Node:
-        """Refuse too many nodes and aliases."""
+        """Return the next node; refuse an alias, and a node beyond the largest number of nodes."""
         self.nodes += 1
         line = self.peek_event().start_mark.line + 1
         max_nodes = 20_000
         if self.nodes > max_nodes:
-            raise _Refused(line, f'more than {max_nodes:,} keys and values', 'fewer',
+            raise _BadLine(line, f'more than {max_nodes:,} keys and values', 'fewer',
                            'name the right file')
         if self.check_event(yaml.AliasEvent):
-            raise _Refused(line, 'an alias', 'each value where it belongs',
+            raise _BadLine(line, 'an alias', 'each value where it belongs',
                            'write it out in place of *')
         return super().compose_node(parent, index)
 
@@ -129,9 +131,9 @@ def read_document(path: str | Path, schema: dict[str, Any]) -> Document:
     """
     Read a YAML or JSON file.
 
-    :param path: the path of the file, in UTF-8.
-    :param schema: its schema, JSON Schema 2020-12; see :func:`check`.
-    :raises ConfigurationError: if it cannot be read or is invalid, in one sentence.
+    :param path: the path of the file, which is UTF-8.
+    :param schema: the schema of the file, JSON Schema 2020-12; see :func:`check`.
+    :raises ConfigurationError: if the file cannot be read or is invalid, in one sentence.
     """
     document = read_plain(path)
     if document.data is None:
@@ -145,20 +147,20 @@ def read_plain(path: str | Path) -> Document:
     """
     Read a YAML or JSON file of any content.
 
-    :param path: the path of the file, in UTF-8.
-    :returns: its data; None if it is empty.
-    :raises ConfigurationError: if it cannot be read, in one sentence.
+    :param path: the path of the file, which is UTF-8.
+    :returns: the document; its data are None if the file is empty.
+    :raises ConfigurationError: if the file cannot be read, in one sentence.
     """
     if not isinstance(path, (str, PathLike)):
         raise ConfigurationError(f'path: found {type(path).__name__}; expected the path of a YAML '
                                  'or JSON file')
     path = Path(path)
     lines: dict[Way, int] = {}
-    text = _text(path)
+    text = _read_text(path)
     try:
         node = yaml.compose(text, Loader=_Loader)
-        data = None if node is None else _plain(node, (), lines)
-    except _Refused as error:
+        data = None if node is None else _plain_data(node, (), lines)
+    except _BadLine as error:
         line, found, expected, remedy = error.args
         raise ConfigurationError(f'{path.name}: line {line}: found {found}; expected {expected}; '
                                  f'{remedy}') from error
@@ -176,8 +178,8 @@ def read_plain(path: str | Path) -> Document:
     return Document(path.name, data, lines)
 
 
-def _text(path: Path) -> str:
-    """Read a file that should be text of a reasonable length."""
+def _read_text(path: Path) -> str:
+    """Return the text of a file; refuse more than a million bytes."""
     max_bytes = 1_000_000
     try:
         return read_regular(path, max_bytes).decode('utf-8-sig')
@@ -195,37 +197,37 @@ def _text(path: Path) -> str:
             ) from error
 
 
-def _plain(node: yaml.Node, way: Way, lines: dict[Way, int]) -> Any:
-    """Convert a YAML node to plain data and record its lines."""
+def _plain_data(node: yaml.Node, key_path: Way, lines: dict[Way, int]) -> Any:
+    """Return a YAML node as plain data; add the lines of its values to ``lines``."""
     line = node.start_mark.line + 1
     if node.tag not in {f'tag:yaml.org,2002:{kind}' for kind in ('str', 'seq', 'map')}:
-        raise _Refused(line, f'the tag {_word(node.tag)}', 'a plain value', 'remove the tag')
-    lines.setdefault(way, line)
+        raise _BadLine(line, f'the tag {_short_key(node.tag)}', 'a plain value', 'remove the tag')
+    lines.setdefault(key_path, line)
     if isinstance(node, yaml.SequenceNode):
-        return [_plain(item, (*way, k), lines) for k, item in enumerate(node.value)]
+        return [_plain_data(item, (*key_path, k), lines) for k, item in enumerate(node.value)]
     if isinstance(node, yaml.ScalarNode):
-        return _scalar(node)
+        return _scalar_value(node)
     data: dict[str, Any] = {}
     for key, value in node.value:
         line = key.start_mark.line + 1
         if not isinstance(key, yaml.ScalarNode):
-            raise _Refused(line, 'a list or mapping as a key', 'a word',
+            raise _BadLine(line, 'a list or mapping as a key', 'a word',
                            'write one, such as count: 3')
         if key.value in data:
-            raise _Refused(line, f'the key {describe(key.value)} twice', 'it once',
+            raise _BadLine(line, f'the key {describe(key.value)} twice', 'it once',
                            'remove one of the two')
-        lines[(*way, key.value)] = line
-        data[key.value] = _plain(value, (*way, key.value), lines)
+        lines[(*key_path, key.value)] = line
+        data[key.value] = _plain_data(value, (*key_path, key.value), lines)
     return data
 
 
-def _scalar(node: yaml.ScalarNode) -> Any:
-    """Return a text, a number, a boolean or None."""
+def _scalar_value(node: yaml.ScalarNode) -> Any:
+    """Return the value of a YAML scalar: a text, a number, a boolean or None."""
     text = node.value
     if node.style is not None:
         return text
-    if text.lower() in PLAIN_WORDS:
-        return PLAIN_WORDS[text.lower()]
+    if text.lower() in YAML_CONSTANTS:
+        return YAML_CONSTANTS[text.lower()]
     if re.fullmatch(r'[-+]?(\d{1,300}(\.\d*)?|\.\d+)([eE][-+]?\d{1,2})?', text):
         return float(text) if re.search(r'[.eE]', text) else int(text)
     return text
@@ -235,68 +237,70 @@ def check(document: Document, schema: dict[str, Any]) -> None:
     """
     Check a document against a schema.
 
-    The messages use the schema's own words: ``description`` says what is expected and ``examples``
-    what to write, both from the innermost part that has them.
+    The messages use texts of the schema: ``description`` says what is expected, and ``examples``
+    what to write. Each is taken from the innermost subschema around the error that has it.
 
     :param document: the data.
     :param schema: JSON Schema 2020-12 without references.
     :raises ConfigurationError: for the first error in the file, in one sentence.
     """
-    errors = list(Validator(schema).iter_errors(document.data))
+    errors = list(SchemaValidator(schema).iter_errors(document.data))
     if errors:
         # An unknown key is often a misspelt required key.
-        first = min(errors, key=lambda error: (document.line(_way(error)),
-                                               error.validator != 'additionalProperties'))
-        raise _refused(document, schema, first)
+        first_error = min(errors, key=lambda error: (
+            document.line(_error_key_path(error)), error.validator != 'additionalProperties'))
+        raise _error_from_schema(document, schema, first_error)
 
 
-def _way(error: ValidationError) -> Way:
-    """Return the path of the value of a schema error."""
-    way = tuple(error.absolute_path)
+def _error_key_path(error: ValidationError) -> Way:
+    """Return the path to the value, or to the unknown key, that a schema error is about."""
+    key_path = tuple(error.absolute_path)
     if error.validator == 'additionalProperties':
-        return (*way, next(key for key in error.instance if key not in error.schema['properties']))
-    return way
+        return (*key_path, next(key for key in error.instance
+                                if key not in error.schema['properties']))
+    return key_path
 
 
-def _refused(document: Document, schema: dict[str, Any], error: ValidationError
-             ) -> ConfigurationError:
-    """Return the error of the package for an error of the schema."""
-    way, part = _way(error), error.schema
+def _error_from_schema(document: Document, schema: dict[str, Any], error: ValidationError
+                       ) -> ConfigurationError:
+    """Return an error of this package for an error that the schema validator has found."""
+    key_path = _error_key_path(error)
     if error.validator == 'additionalProperties':
-        known = list(part['properties'])
-        return document.error(way, f'the unknown key {describe(way[-1])}',
-                              'one of ' + ', '.join(known),
-                              nearest(way[-1], known, 'remove it'))
+        known_keys = list(error.schema['properties'])
+        return document.error(key_path, f'the unknown key {describe(key_path[-1])}',
+                              'one of ' + ', '.join(known_keys),
+                              nearest(key_path[-1], known_keys, 'remove it'))
     if error.validator == 'required':
         key = next(key for key in error.validator_value if key not in error.instance)
-        needed = part['properties'][key]
-        return document.error(way, f'no {key}', needed['description'],
-                              f'add, for example, {key}: {shown(needed["examples"][0])}')
-    if error.validator == 'maxItems' and part['minItems'] < error.validator_value:
-        return document.error(way, f'{len(error.instance)} entries',
+        missing_schema = error.schema['properties'][key]
+        return document.error(key_path, f'no {key}', missing_schema['description'],
+                              f'add, for example, {key}: {shown(missing_schema["examples"][0])}')
+    if error.validator == 'maxItems' and error.schema['minItems'] < error.validator_value:
+        return document.error(key_path, f'{len(error.instance)} entries',
                               f'at most {error.validator_value}', 'remove some')
-    expected, remedy = _words(schema, error)
+    expected, remedy = _expected_and_remedy(schema, error)
     if error.validator == 'enum' and isinstance(error.instance, str):
         remedy = nearest(error.instance, error.validator_value, remedy)
-    return document.error(way, describe(error.instance), expected, remedy)
+    return document.error(key_path, describe(error.instance), expected, remedy)
 
 
-def _words(schema: dict[str, Any], error: ValidationError) -> tuple[str, str]:
-    """Return what was expected and what to write, from the innermost parts with these texts."""
-    part: Any = schema
-    key, expected = '', schema['description']
+def _expected_and_remedy(schema: dict[str, Any], error: ValidationError) -> tuple[str, str]:
+    """Return what was expected and what to write, each from the innermost subschema with it."""
+    subschema: Any = schema
+    key = ''
+    expected = schema['description']
     remedy = f'write, for example, {shown(schema["examples"][0])[1:-1]}'
     path = list(error.absolute_schema_path)
-    for before, step in zip([None, *path], path):
-        part = part[step]
-        if before == 'properties':
+    for previous_step, step in zip([None, *path], path):
+        subschema = subschema[step]
+        if previous_step == 'properties':
             key = step
-        if isinstance(part, dict) and step != 'properties':
-            expected = part.get('description', expected)
-            if 'examples' in part:
+        if isinstance(subschema, dict) and step != 'properties':
+            expected = subschema.get('description', expected)
+            if 'examples' in subschema:
                 # An item of a list has no key.
-                named = '' if step == 'items' else f'{key}: '
-                remedy = f'write, for example, {named}{shown(part["examples"][0])}'
+                prefix = '' if step == 'items' else f'{key}: '
+                remedy = f'write, for example, {prefix}{shown(subschema["examples"][0])}'
     return expected, remedy
 
 
@@ -305,9 +309,9 @@ class _Dumper(yaml.SafeDumper):
 
 
 def _represent_text(dumper: _Dumper, text: str) -> yaml.ScalarNode:
-    """Return the node of a text, quoted if necessary."""
-    plain = yaml.ScalarNode('tag:yaml.org,2002:str', text)
-    style = None if isinstance(_scalar(plain), str) else '"'
+    """Return the node of a text, with quotes if it would not be read as text without them."""
+    unquoted = yaml.ScalarNode('tag:yaml.org,2002:str', text)
+    style = None if isinstance(_scalar_value(unquoted), str) else '"'
     return dumper.represent_scalar('tag:yaml.org,2002:str', text, style=style)
 
 
@@ -316,7 +320,7 @@ _Dumper.add_representer(str, _represent_text)
 
 def written(data: Any, suffix: str) -> str:
     """
-    Return plain data as the text of a file for :func:`read_document`.
+    Return plain data as the text of a YAML or JSON file that :func:`read_document` reads.
 
     :param suffix: ``.json`` for JSON, YAML for any other.
     """
@@ -326,29 +330,29 @@ def written(data: Any, suffix: str) -> str:
 
 
 def timestamp() -> str:
-    """Return the date and the time in UTC, to the second, for files of results."""
+    """Return the present date and time in UTC, to the second, in ISO 8601."""
     return datetime.now(timezone.utc).isoformat(timespec='seconds')
 
 
-def nearest(word: str, known, otherwise: str) -> str:
-    """Return a question for the most similar known word, or another text if there is none."""
-    near = difflib.get_close_matches(word, known, n=1, cutoff=0.5) or [
-        other for other in known if word and word in other]
-    return f'did you mean {near[0]!r}?' if near else otherwise
+def nearest(word: str, known: Collection[str], otherwise: str) -> str:
+    """Return "did you mean X?" with the known word most similar; ``otherwise`` if none is."""
+    similar = difflib.get_close_matches(word, known, n=1, cutoff=0.5) or [
+        known_word for known_word in known if word and word in known_word]
+    return f'did you mean {similar[0]!r}?' if similar else otherwise
 
 
 def shown(value: Any) -> str:
-    """Return a value as it is written in YAML."""
+    """Return a value as it is written in YAML, in one line without quotes."""
     return json.dumps(value).replace('"', '')
 
 
-def _word(text: str) -> str:
-    """Return a key or tag as short text in one line for messages."""
+def _short_key(text: str) -> str:
+    """Return a key or tag for messages, shortened if it is long or not printable."""
     return text if text.isprintable() and len(text) <= 60 else describe(text)
 
 
 def describe(value: Any) -> str:
-    """Return a value as short text for messages."""
+    """Return a value as text of at most 60 letters for messages."""
     if value is None:
         return 'nothing'
     text = repr(value) if isinstance(value, str) else shown(value)
@@ -371,29 +375,29 @@ def text(description: str, example: str, **limits: str) -> Schema:
 
 
 def one_of(choices: Iterable[str], example: str) -> Schema:
-    """Return the schema of one of some words."""
+    """Return the schema of a text that is one of ``choices``."""
     return {'description': f'one of {", ".join(choices)}', 'enum': list(choices),
             'examples': [example]}
 
 
 def array(items: Schema, least: int, most: int) -> Schema:
-    """Return the schema of a list without a description."""
+    """Return the schema of a list of ``least`` to ``most`` items, without a description."""
     return {'type': 'array', 'items': items, 'minItems': least, 'maxItems': most}
 
 
 def one_or_two(description: str, example: Any, low: float, high: float) -> Schema:
-    """Return the schema of a number or of the lowest and highest of a range."""
-    one = {'type': 'number', 'minimum': low, 'maximum': high}
-    return {'description': description, 'examples': [example], 'anyOf': [one, array(one, 2, 2)]}
+    """Return the schema of a number from ``low`` to ``high``, or of a list of two such numbers."""
+    item = {'type': 'number', 'minimum': low, 'maximum': high}
+    return {'description': description, 'examples': [example], 'anyOf': [item, array(item, 2, 2)]}
 
 
 def many(description: str, items: Schema, example: Any, least: int = 0, most: int = 64) -> Schema:
-    """Return the schema of a list."""
+    """Return the schema of a list of ``least`` to ``most`` items."""
     return {'description': description, **array(items, least, most), 'examples': [example]}
 
 
 def mapping(description: str, example: Any, required: tuple[str, ...] = (), **keys: Schema
             ) -> Schema:
-    """Return the schema of a mapping without other keys."""
+    """Return the schema of a mapping whose only keys, and their schemas, are ``keys``."""
     return {'description': description, 'type': 'object', 'properties': keys,
             'required': list(required), 'additionalProperties': False, 'examples': [example]}
