@@ -21,7 +21,7 @@ from itertools import islice
 
 import numpy as np
 from ocp_ros.geometry.clouds import corners_of
-from ocp_ros.geometry.plane_cells import close_near, moved_into, nearest_rows
+from ocp_ros.geometry.plane_cells import close_cells, move_into_open_cells, nearest_rows
 from ocp_ros.rig.motion import kept_inside, ROUNDING, towards
 from ocp_ros.scenes.scene import MAX_EXTENT_M
 from scipy import ndimage
@@ -66,7 +66,7 @@ class Floor:
     def inside(self, positions: np.ndarray) -> np.ndarray:
         """Move positions (..., 2) that are over a closed cell into the nearest open one."""
         moved = np.array(positions, dtype=np.float64, order='C')
-        moved_into(moved.reshape(-1, 2), self.low, self.edge, self._nearest)
+        move_into_open_cells(moved.reshape(-1, 2), self.low, self.edge, self._nearest)
         return moved
 
     @property
@@ -124,7 +124,7 @@ class Floor:
             cell stays open.
         """
         cells = self.open.copy()
-        close_near(points, heights, clearance + SLACK_M, self.low, self.edge, cells)
+        close_cells(points, heights, clearance + SLACK_M, self.low, self.edge, cells)
         parts, count = ndimage.label(cells)
         if count == 0:
             return None

@@ -70,7 +70,7 @@ class Placed(NamedTuple):
     mount: str
     planned: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
-    def found_at(self, pose: np.ndarray) -> 'Placed':
+    def at_measured_pose(self, pose: np.ndarray) -> 'Placed':
         """Return the camera at its measured pose (6,), metres and radians."""
         return _rounded(self.camera, pose, self.mount)._replace(
             planned=self.planned or (self.position, self.angles))
