@@ -20,7 +20,7 @@ from benchmarks.calibration_bench import cast, off
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, OPTICAL_TO_BODY, Pose
-from ocp_ros.registration.alignment import match_points, Matches, Patches, Poses, Surfaces
+from ocp_ros.registration.alignment import Matches, matches_of, Patches, Poses, Surfaces
 from ocp_ros.registration.calibration import as_built, calibrate
 from ocp_ros.registration.camera_registration import (
     _behind_shares,
@@ -229,7 +229,7 @@ def test_the_back_of_a_scanned_surface_is_no_match():
     here = Poses(np.eye(3)[None], np.zeros((1, 3)))
     for side, oriented, matches in ((-1.0, True, True), (1.0, True, False), (1.0, False, True)):
         normals = np.tile([0.0, side, 0.0], (len(wall), 1))
-        found = match_points(Surfaces.of(wall, normals, oriented), seen, here, 0.1).found
+        found = matches_of(Surfaces.of(wall, normals, oriented), seen, here, 0.1).found
         assert found.all() == found.any() == matches
 
 

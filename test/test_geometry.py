@@ -21,7 +21,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
-from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, MAX_HALF_SIDE_SPACINGS
+from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, MAX_HALF_SIDE
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.packed_bits import (
     block_bounds,
@@ -204,7 +204,7 @@ def small():
 
 def half_sides(scene):
     """Return half the sides of the points' cubes, metres."""
-    return SHARE * np.minimum(scene.spacing, MAX_HALF_SIDE_SPACINGS * np.median(scene.spacing))
+    return SHARE * np.minimum(scene.spacing, MAX_HALF_SIDE * np.median(scene.spacing))
 
 
 def drawn(scene, seed, *shares):

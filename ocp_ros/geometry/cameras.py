@@ -71,7 +71,7 @@ class Pose(NamedTuple):
                              'or x, y, z, yaw, pitch, roll with angles in radians, all finite')
         return cls(camera[:3], rotation_matrix(*camera[3:]) if len(camera) == 6 else LEVEL)
 
-    def separation_from(self, other: 'Pose') -> tuple[float, float]:
+    def away_from(self, other: 'Pose') -> tuple[float, float]:
         """Return the distance and the rotation angle to another pose: metres and radians."""
         return (float(np.linalg.norm(self.position - other.position)),
                 angle_between(self.rotation, other.rotation))
@@ -232,8 +232,7 @@ def mark_headings(points, position, rotations, lens, bits):
     offsets = points.astype(np.float64) - position
     for heading in range(rotations.shape[0]):
         pose = Pose(position, rotations[heading])
-        word = heading >> 6
         flag = np.uint64(1) << np.uint64(heading & 63)
         for i in range(offsets.shape[0]):
             if in_cone(offsets[i, 0], offsets[i, 1], offsets[i, 2], pose, lens):
-                bits[i, word] |= flag
+                bits[i, heading >> 6] |= flag

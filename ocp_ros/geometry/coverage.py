@@ -52,8 +52,7 @@ def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
     """
     if not cell > 0.0:
         raise ValueError(f'coverage cell: found {cell}; expected metres above 0')
-    size = bounds[1] - bounds[0]
-    counts = _counts(bounds, cell)
+    size, counts = bounds[1] - bounds[0], _counts(bounds, cell)
     if counts.prod(dtype=np.float64) > MAX_CELLS:
         raise ValueError(f'coverage cell: found {cell} m, which makes {counts.prod():,} cells; '
                          f'expected at most {MAX_CELLS:,}; use larger cells')

@@ -35,7 +35,7 @@ from ocp_ros.util.threads import mapped
 
 #: The largest half side of a point's cube, in multiples of the median spacing of all points: a
 #: stray point must not cover as much as a wall.
-MAX_HALF_SIDE_SPACINGS = 3.0
+MAX_HALF_SIDE = 3.0
 
 
 def five_viewpoints(corners: np.ndarray, height: float) -> np.ndarray:
@@ -52,7 +52,7 @@ def five_viewpoints(corners: np.ndarray, height: float) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _list_covering_points(projection, order, half_sides, rows, columns, ends, indices):
+def _list_points(projection, order, half_sides, rows, columns, ends, indices):
     """
     Write the points that cover each pixel of a map of H rows and W columns, in the given order.
 
@@ -179,7 +179,8 @@ def unsettled(trees, seen):
         points, :func:`lost_depth` of all trees equals that of the remaining trees plus this sum.
     """
     size = trees.point.shape[0]
-    kept_before, kept = np.empty(size + 1, dtype=np.uint32), np.empty(size, dtype=np.uint32)
+    # The number of kept nodes before each node, and the kept nodes.
+    ranks, kept = np.empty(size + 1, dtype=np.uint32), np.empty(size, dtype=np.uint32)
     rest = np.empty(size, dtype=np.float32)
     # The kept nodes above the current one, by their indices among the kept ones.
     path = np.empty(size, dtype=np.uint32)
@@ -189,7 +190,7 @@ def unsettled(trees, seen):
     while node < size:
         while path_length and trees.end[kept[path[path_length - 1]]] <= node:
             path_length -= 1
-        kept_before[node] = count
+        ranks[node] = count
         point = trees.point[node]
         if (seen[point >> np.uint32(6)] >> np.uint64(point & np.uint32(63))) & np.uint64(1):
             # The pixels below have this error if no point above is visible.
@@ -199,14 +200,12 @@ def unsettled(trees, seen):
                 total += trees.gap[node]
             node = trees.end[node]
         else:
-            kept[count], path[path_length] = node, count
-            rest[count] = trees.rest[node]
+            kept[count], rest[count], path[path_length] = node, trees.rest[node], count
             path_length += 1
             count, node = count + np.uint32(1), node + np.uint32(1)
-    kept_before[size] = count
+    ranks[size] = count
     kept = kept[:count]
-    return (Trees(trees.point[kept], kept_before[trees.end[kept]], trees.gap[kept], rest[:count]),
-            total)
+    return Trees(trees.point[kept], ranks[trees.end[kept]], trees.gap[kept], rest[:count]), total
 
 
 @njit(cache=True, nogil=True)
@@ -257,8 +256,7 @@ class DepthError:
         self.pixels = rows * 2 * rows * len(viewpoints) / 5
         # Half the side of the paper's cube is the spacing of the points. Smaller cubes leave holes
         # in the maps of a whole room.
-        half_sides = np.minimum(
-            spacing, MAX_HALF_SIDE_SPACINGS * np.median(spacing)).astype(np.float32)
+        half_sides = np.minimum(spacing, MAX_HALF_SIDE * np.median(spacing)).astype(np.float32)
         # Folds are assigned in the order of distance from the first viewpoint, which does not
         # change when the scan is rotated.
         order = np.argsort(np.linalg.norm(points - viewpoints[0], axis=1), kind='stable')
@@ -299,12 +297,11 @@ class DepthError:
         order = np.argsort(projection.distance, kind='stable')
         order = order[np.isfinite(projection.distance[order])]
         counts = np.zeros(rows * columns, dtype=np.int64)
-        _list_covering_points(projection, order, half_sides, rows, columns, counts,
-                              np.empty(0, dtype=np.int32))
+        _list_points(projection, order, half_sides, rows, columns, counts,
+                     np.empty(0, dtype=np.int32))
         starts = np.concatenate([[0], np.cumsum(counts)])
         indices = np.empty(starts[-1], dtype=np.int32)
-        _list_covering_points(projection, order, half_sides, rows, columns, starts[:-1].copy(),
-                              indices)
+        _list_points(projection, order, half_sides, rows, columns, starts[:-1].copy(), indices)
         depth_map = np.full(rows * columns, self.far, dtype=np.float32)
         covered = counts > 0
         depth_map[covered] = projection.distance[indices[starts[:-1][covered]]]
@@ -321,9 +318,8 @@ class DepthError:
         keys = [np.where(counts[pixels] > k, padded[starts[pixels] + k], -1)
                 for k in range(sort_keys)]
         pixels = pixels[np.lexsort(keys[::-1])]
-        trees = Trees(*_build_trees(pixels, starts, indices, depths, self.far,
-                                    int(counts.max())))
-        return trees, depth_map.reshape(self.shape)
+        fields = _build_trees(pixels, starts, indices, depths, self.far, int(counts.max()))
+        return Trees(*fields), depth_map.reshape(self.shape)
 
     def depth_map(self, viewpoint: int) -> np.ndarray:
         """
@@ -369,8 +365,7 @@ class DepthError:
         """
         seen = np.bitwise_or.reduce([no_bits(self._count), *given_views])
         floor = floor_share * self.worst
-        error_with = self.given(seen)
-        errors = np.array([error_with(view) for view in views])
+        errors = np.array([*map(self.given(seen), views)])
         return np.log((errors + floor) / (self(seen) + floor))
 
     def error_by_point(self, seen: np.ndarray) -> np.ndarray:

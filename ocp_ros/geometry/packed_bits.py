@@ -62,8 +62,6 @@ def block_bounds(points: np.ndarray, radius: np.ndarray) -> np.ndarray:
     :returns: (B, 2, 3) float32: the lowest and the highest corner of each of B blocks, metres.
     """
     starts = np.arange(0, len(points), POINTS_PER_BLOCK)
-    if len(starts) == 0:
-        return np.empty((0, 2, 3), dtype=np.float32)
     margin = radius[:, None]
     return np.stack([np.minimum.reduceat(points - margin, starts),
                      np.maximum.reduceat(points + margin, starts)], axis=1).astype(np.float32)
@@ -85,17 +83,16 @@ def find_blocks_in_view(bounds, pose, lens, found):
     side_length = np.sqrt(1.0 + lens.half_horizontal * lens.half_horizontal)
     top_length = np.sqrt(1.0 + lens.half_vertical * lens.half_vertical)
     for b in range(bounds.shape[0]):
-        squared_distance = squared_radius = x = y = z = 0.0
+        squared_gap = squared_radius = x = y = z = 0.0
         for axis in range(3):
             low, high = bounds[b, 0, axis], bounds[b, 1, axis]
-            squared_distance += max(
-                low - pose.position[axis], pose.position[axis] - high, 0.0) ** 2
+            squared_gap += max(low - pose.position[axis], pose.position[axis] - high, 0.0) ** 2
             squared_radius += (0.5 * (high - low)) ** 2
             offset = 0.5 * (low + high) - pose.position[axis]
             x += pose.rotation[axis, 0] * offset
             y += pose.rotation[axis, 1] * offset
             z += pose.rotation[axis, 2] * offset
-        if squared_distance > lens.max_range * lens.max_range:
+        if squared_gap > lens.max_range * lens.max_range:
             continue
         if lens.kind == PINHOLE:
             # The largest distance of the block's centre outside a plane of the viewing cone.

@@ -101,18 +101,15 @@ def move_into_open_cells(positions, low, edge, nearest):
         i = int(min(max(math.floor((positions[m, 0] - low[0]) / edge), 0), rows - 1))
         j = int(min(max(math.floor((positions[m, 1] - low[1]) / edge), 0), columns - 1))
         # The least squared distance of an open cell so far, in cells.
-        least = rows * rows + columns * columns
-        best_row, best_column = i, j
+        least, best_row, best_column = rows * rows + columns * columns, i, j
         for gap in range(max(j, columns - 1 - j) + 1):
             if gap * gap > least:
                 break
             for column in (j - gap, j + gap):
                 if 0 <= column < columns and nearest[i, column] != NO_ROW:
-                    squared_distance = gap * gap + (nearest[i, column] - i) ** 2
-                    if squared_distance < least or (
-                            squared_distance == least and column < best_column):
-                        least = squared_distance
-                        best_row, best_column = nearest[i, column], column
+                    squared = gap * gap + (nearest[i, column] - i) ** 2
+                    if squared < least or (squared == least and column < best_column):
+                        least, best_row, best_column = squared, nearest[i, column], column
         for k, cell in enumerate((best_row, best_column)):
             corner = low[k] + edge * cell
             positions[m, k] = min(max(positions[m, k], corner + inset_m), corner + edge - inset_m)

@@ -179,18 +179,16 @@ class Workspace(NamedTuple):
     @classmethod
     def of(cls, rows: int, count: int) -> 'Workspace':
         """Allocate memory for maps with ``rows`` rows and ``count`` points."""
-        cells = (rows + 2) * (2 * rows + 2)
-        octets = np.zeros(POINTS_PER_BLOCK // 8, dtype=np.uint64)
+        cells, size = (rows + 2) * (2 * rows + 2), POINTS_PER_BLOCK
+        octets = np.zeros(size // 8, u64)
         # Writing a whole vector may go beyond the end of the last row.
-        maps = [np.full(cells + LANES, np.inf, dtype=np.float32)[:cells] for _ in range(2)]
-        block = [np.empty(POINTS_PER_BLOCK, dtype=np.float32) for _ in range(8)]
-        own_cell, quad_cell = (np.empty(POINTS_PER_BLOCK, dtype=np.uint32) for _ in range(2))
-        return cls._make([*maps, *block, own_cell, np.empty(POINTS_PER_BLOCK, dtype=np.float32),
-                          np.zeros((3, POINTS_PER_BLOCK + 1), dtype=np.uint32),
-                          np.empty((4, POINTS_PER_BLOCK), dtype=np.float32), quad_cell,
-                          octets.view(np.uint8), octets,
-                          np.empty(count, dtype=np.float32), np.empty(count, dtype=np.uint32),
-                          np.empty(-(-count // POINTS_PER_BLOCK), dtype=np.uint32)])
+        maps = [np.full(cells + LANES, np.inf, f32)[:cells] for _ in range(2)]
+        block = [np.empty(size, f32) for _ in range(8)]
+        own_cell, quad_cell = (np.empty(size, u32) for _ in range(2))
+        return cls._make([
+            *maps, *block, own_cell, np.empty(size, f32), np.zeros((3, size + 1), u32),
+            np.empty((4, size), f32), quad_cell, octets.view(np.uint8), octets,
+            np.empty(count, f32), np.empty(count, u32), np.empty(-(-count // size), u32)])
 
 
 @njit(nogil=True, inline='always', fastmath=FASTMATH)
@@ -267,7 +265,7 @@ def project_block(surfels, number, position, max_range, settings, work):
 
 
 @njit(nogil=True, inline='always', fastmath=FASTMATH)
-def _clamped_value(value, inverse):
+def _clamped(value, inverse):
     """Return the inverse distance of a disc, limited to values near that of its point."""
     return min(max(value, MIN_INVERSE_RATIO * inverse), MAX_INVERSE_RATIO * inverse)
 
@@ -292,7 +290,7 @@ def _sort_block(surfels, number, settings, work):
         value = (inverse + work.step_row[j] * (f32(own_row) + HALF - row)
                  + work.step_column[j] * (f32(own_column) + HALF - column))
         work.own_cell[j] = u32(own_row + 1) * stride + u32(own_column + 1)
-        work.own_value[j] = _clamped_value(value, inverse)
+        work.own_value[j] = _clamped(value, inverse)
     singles = quads = ellipses = u64(0)
     for j in range(count):
         # The next disc overwrites the entries in the two rows that this disc does not belong to.
@@ -308,7 +306,7 @@ def _sort_block(surfels, number, settings, work):
 @njit(nogil=True, fastmath=FASTMATH, error_model='numpy')
 def _splat_quads(discs, stride, work, inverse_map):
     """Fill those of the four cells nearest to each disc whose centre is within its radius."""
-    nothing, values = f32(0.0), work.quad_values
+    zero, values = f32(0.0), work.quad_values
     for k in range(len(discs)):
         j = discs[k]
         inverse, row, column = work.inverse[j], work.row[j] + HALF, work.column[j] + HALF
@@ -322,13 +320,11 @@ def _splat_quads(discs, stride, work, inverse_map):
         in_next_row = ONE - row_offset <= radius_rows
         in_next_column = ONE - column_offset <= radius_columns
         work.quad_cell[k] = u32(first_row) * u32(stride) + u32(first_column)
-        values[0, k] = _clamped_value(value, inverse) if in_row & in_column else nothing
-        values[1, k] = (_clamped_value(value + step_column, inverse) if in_row & in_next_column
-                        else nothing)
-        values[2, k] = (_clamped_value(value + step_row, inverse) if in_next_row & in_column
-                        else nothing)
-        values[3, k] = (_clamped_value(value + step_row + step_column, inverse)
-                        if in_next_row & in_next_column else nothing)
+        values[0, k] = _clamped(value, inverse) if in_row & in_column else zero
+        values[1, k] = _clamped(value + step_column, inverse) if in_row & in_next_column else zero
+        values[2, k] = _clamped(value + step_row, inverse) if in_next_row & in_column else zero
+        values[3, k] = (_clamped(value + step_row + step_column, inverse)
+                        if in_next_row & in_next_column else zero)
     for k in range(len(discs)):
         cell = u64(work.quad_cell[k])
         next_cell = cell + u64(stride)
@@ -346,17 +342,16 @@ def _ceil(value):
 
 
 @njit(nogil=True, fastmath=FASTMATH, error_model='numpy')
-def _splat_ellipse(inverse, row, column, elevation_cosine, radius, step_row, step_column, rows,
-                   inverse_map):
+def _splat_ellipse(inverse, row, column, cosine, radius, step_row, step_column, rows, inverse_map):
     """
     Fill the cells whose centre is within the disc, an ellipse in the map, and its own cell.
 
     The disc contains an offset w from its point, perpendicular to the ray u, if
     |w|^2 + (n.w / n.u)^2 <= radius^2. This is solved for the columns of each row. The parameters
-    are those of one disc in :class:`Workspace`; ``radius`` is in rows.
+    are those of one disc in :class:`Workspace`: ``radius`` in rows, ``cosine`` of the elevation.
     """
     columns, stride = 2 * rows, 2 * rows + 2
-    columns_per_row = ONE / elevation_cosine
+    columns_per_row = ONE / cosine
     tilt_scale = f32(rows) / (PI * inverse)
     # The components of n / n.u along rows and columns.
     tilt_row, tilt_column = step_row * tilt_scale, step_column * tilt_scale * columns_per_row
@@ -374,13 +369,13 @@ def _splat_ellipse(inverse, row, column, elevation_cosine, radius, step_row, ste
         row_offset = f32(r) + HALF - row
         # A disc that extends over the pole covers these rows on both sides of the pole.
         if min(row + f32(r) + HALF, f32(2 * rows) - row - f32(r) - HALF) <= radius:
-            value = _clamped_value(inverse + step_row * row_offset, inverse)
+            value = _clamped(inverse + step_row * row_offset, inverse)
             for cell in range(u64((r + 1) * stride + 1), u64((r + 1) * stride + 1 + columns)):
                 inverse_map[cell] = max(inverse_map[cell], value)
             continue
         centre = column - centre_step * row_offset
-        half_columns = math.sqrt(max(
-            squared_radius - row_offset * row_offset * determinant, f32(0.0))) * column_scale
+        inside = squared_radius - row_offset * row_offset * determinant
+        half_columns = math.sqrt(max(inside, f32(0.0))) * column_scale
         first, last = _ceil(centre - half_columns - HALF), -_ceil(HALF - centre - half_columns)
         if r == own_row:
             first, last = min(first, own_column), max(last, own_column)
@@ -396,7 +391,7 @@ def _splat_ellipse(inverse, row, column, elevation_cosine, radius, step_row, ste
         else:
             for c in range(first, last + 1):
                 cell = u64((r + 1) * stride + 1 + c % columns)
-                inverse_map[cell] = max(inverse_map[cell], _clamped_value(value, inverse))
+                inverse_map[cell] = max(inverse_map[cell], _clamped(value, inverse))
                 value += step_column
 
 
@@ -497,8 +492,7 @@ def mark_visible_points(points, blocks, pose, lens, settings, work, seen):
     :param work: :class:`Workspace` after :func:`splat_surfels` for the same camera.
     :param seen: (W,) uint64, packed bits, in and out: set for visible points, otherwise unchanged.
     """
-    base_tolerance = f32(settings.base_tolerance)
-    radius_tolerance = f32(settings.radius_tolerance)
+    base_tolerance, radius_tolerance = f32(settings.base_tolerance), f32(settings.radius_tolerance)
     min_range, max_range = max(f32(lens.min_range), MIN_DISTANCE_M), f32(lens.max_range)
     flags = work.flags
     for number in blocks:

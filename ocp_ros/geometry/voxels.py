@@ -51,8 +51,7 @@ class CellGrid(NamedTuple):
             mirrored cells.
         """
         size = bounds[1] - bounds[0]
-        min_edge_m = 0.1
-        edge = max(min_edge_m, float((size.prod() / 4_000_000) ** (1.0 / 3.0)))
+        edge = max(0.1, float((size.prod() / 4_000_000) ** (1.0 / 3.0)))
         shape = np.floor(size / edge).astype(int) + 1
         low = bounds.mean(axis=0) - 0.5 * edge * shape if centred else bounds[0]
         return cls(low, edge, shape)
@@ -121,15 +120,14 @@ def voxel_size_for(points: np.ndarray, max_points: int) -> float:
     while high / low > 1.02:
         trial = np.clip(trial, low * 1.004, high / 1.004)
         attempt += 1
-        occupied = grid.assign_points(trial)
-        if occupied > max_points:
+        count = grid.assign_points(trial)
+        if count > max_points:
             low = trial
         else:
             high = trial
         # The number of cubes on a surface falls with the square of their edge. Every fourth step
         # is a bisection, which converges even if steps by this rule do not.
-        trial *= np.sqrt(occupied / max_points) * (
-            1.005 if occupied > max_points else 1.0 / 1.005)
+        trial *= np.sqrt(count / max_points) * (1.005 if count > max_points else 1.0 / 1.005)
         if attempt % 4 == 0:
             trial = np.sqrt(low * high)
     return float(high)

@@ -120,10 +120,9 @@ class Matches(NamedTuple):
     indices: np.ndarray
 
 
-def match_points(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance: float
-                 ) -> Matches:
+def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance: float) -> Matches:
     """
-    Match each measured point to the nearest surface point, if that faces the camera as well.
+    Return the match of each measured point: the nearest surface point, if that faces the camera.
 
     :param surfaces: the surfaces of the scan.
     :param patches: the measured points of the camera.
@@ -182,7 +181,7 @@ def aligned_poses(surfaces: Surfaces, patches: Patches, poses: Poses, stage: Ali
         progress = min(number / max(0.7 * stage.max_steps, 1.0), 1.0)
         max_distance, kernel_width = (first * (last / first) ** progress for first, last in (
             stage.max_distances, stage.kernel_widths))
-        matches = match_points(surfaces, patches, poses, max_distance)
+        matches = matches_of(surfaces, patches, poses, max_distance)
         weights = weights_of(matches, patches.deviation, kernel_width)
         steps = best_steps(matches, weights)
         poses = moved_poses(poses, steps)

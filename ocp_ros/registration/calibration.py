@@ -22,11 +22,7 @@ from typing import Any
 
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose, rotation_matrix
-from ocp_ros.registration.camera_registration import (
-    register,
-    registered_nearby,
-    Registration,
-)
+from ocp_ros.registration.camera_registration import register, registered_nearby, Registration
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.rig.placement_file import ANGLES, created_by, FIXED, Placed, Placement
@@ -55,13 +51,12 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     :returns: the registrations, and for unusable clouds the reasons, both by the camera's name.
     """
     registrations, reasons = {}, {}
-    for placed in placement.cameras:
+    for placed in [one for one in placement.cameras if one.camera.name in clouds]:
         name = placed.camera.name
-        if name in clouds:
-            try:
-                registrations[name] = _register_camera(scan, clouds[name], placed)
-            except SceneError as error:
-                reasons[name] = str(error)
+        try:
+            registrations[name] = _register_camera(scan, clouds[name], placed)
+        except SceneError as error:
+            reasons[name] = str(error)
     return registrations, reasons
 
 
@@ -86,8 +81,7 @@ def _register_camera(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> R
     return first
 
 
-def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
-          ) -> list[str]:
+def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]) -> list[str]:
     """
     Return a sentence for each camera that has moved since it was calibrated.
 
@@ -99,10 +93,8 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
     """
     sentences = []
-    for placed in placement.cameras:
+    for placed in [one for one in placement.cameras if one.camera.name in clouds]:
         name = placed.camera.name
-        if name not in clouds:
-            continue
         try:
             view = LiveView(clouds[name], placed.camera.model, name)
         except SceneError as error:
@@ -110,7 +102,7 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
             continue
         start = Pose.of(placed.pose)
         found = registered_nearby(scan, view, start, placed.camera.model)
-        metres, radians = found.pose.separation_from(start)
+        metres, radians = found.pose.away_from(start)
         degrees = float(np.rad2deg(radians))
         if found.mismatched:
             sentences.append(f'{name} no longer fits the scan: {found.refused}')
@@ -140,7 +132,7 @@ def as_built(placement: Placement, found: Mapping[str, Registration], command: s
     # The scores of the plan do not hold for the placement as built.
     scores = {} if any(placed.planned for placed in cameras) else placement.scores
     return replace(placement, cameras=cameras, rig=rig, scores=scores, created=created,
-                   document=None, ways=())
+                   document=None, key_paths=())
 
 
 def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
@@ -155,7 +147,7 @@ def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
                *({'about': axis.tolist(), 'degrees': float(value)}
                  for axis, value in zip(certainty.turn_axes, certainty.degrees))]}
     if not found.refused:
-        metres, radians = found.pose.separation_from(Pose.of(placed.pose))
+        metres, radians = found.pose.away_from(Pose.of(placed.pose))
         row |= {'position': found.pose.position.round(4).tolist(),
                 **dict(zip(ANGLES, np.rad2deg(heading_of(found.pose.rotation)).round(3).tolist())),
                 'moved_metres': metres, 'moved_degrees': float(np.rad2deg(radians))}

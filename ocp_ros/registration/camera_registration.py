@@ -34,8 +34,8 @@ from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.registration.alignment import (
     aligned_poses,
     AlignmentStage,
-    match_points,
     Matches,
+    matches_of,
     MIN_NORMAL_COSINE,
     moved_poses,
     Patches,
@@ -158,8 +158,7 @@ def _coarse_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:
     few_patches, patches = (_sampled(view.patches, count) for count in (160, OUTLINE_PATCHES))
     poses = aligned_poses(scan.coarse, few_patches, _start_poses(start),
                           AlignmentStage((1.0, 0.3), (40.0, 8.0), 14))
-    shares = _explained_shares(scan.coarse, few_patches, poses, 5.0)
-    best = np.argsort(-shares, kind='stable')[:12]
+    best = np.argsort(-_explained_shares(scan.coarse, few_patches, poses, 5.0), kind='stable')[:12]
     # Few points rank poses badly, so the result for the planned pose is always included.
     best = np.union1d(best, 0)
     return aligned_poses(scan.coarse, patches, poses.subset(best),
@@ -188,7 +187,7 @@ def _sampled(patches: Patches, count: int) -> Patches:
 def _explained_shares(surfaces: Surfaces, patches: Patches, poses: Poses, kernel_width: float
                       ) -> np.ndarray:
     """Return the share of patches that surfaces explain at each of S poses, 0 to 1: (S,)."""
-    matches = match_points(surfaces, patches, poses, 0.3)
+    matches = matches_of(surfaces, patches, poses, 0.3)
     weights = weights_of(matches, patches.deviation, kernel_width)
     return (weights * patches.deviation ** 2).mean(axis=1)
 
@@ -218,7 +217,7 @@ def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
 
 def _differ(pose: Pose, other: Pose, limits: tuple[float, float] = DISTINCT_POSE_LIMITS) -> bool:
     """Return whether two poses differ by more than given metres or by more than given radians."""
-    metres, radians = pose.separation_from(other)
+    metres, radians = pose.away_from(other)
     return metres > limits[0] or radians > limits[1]
 
 
@@ -254,7 +253,7 @@ def _evaluated(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraMode
 
 def _fine_matches(surfaces: Surfaces, patches: Patches, pose: Pose) -> tuple[Matches, np.ndarray]:
     """Return the matches of a finely registered pose, and their weights."""
-    matches = match_points(surfaces, patches, _as_poses(pose), FINEST_STAGE.max_distances[1])
+    matches = matches_of(surfaces, patches, _as_poses(pose), FINEST_STAGE.max_distances[1])
     return matches, weights_of(matches, patches.deviation, FINEST_STAGE.kernel_widths[1])
 
 
@@ -292,9 +291,8 @@ def _best_shift(in_view: SurfacesInView, patches: Patches, pose: Pose) -> tuple[
     distinct = np.array([_differ(Pose(position, rotation), pose, (0.01, np.deg2rad(0.5)))
                          for rotation, position in zip(*ends)])
     other_scores = np.where(distinct, scores, -np.inf)
-    if other_scores.max() > (1.0 - LIMITS.min_near_lead) * scores.max():
-        return pose, _first_pose(ends.subset([other_scores.argmax()]))
-    return pose, None
+    ambiguous = other_scores.max() > (1.0 - LIMITS.min_near_lead) * scores.max()
+    return pose, _first_pose(ends.subset([other_scores.argmax()])) if ambiguous else None
 
 
 def _fit_scores(in_view: SurfacesInView, patches: Patches, poses: Poses) -> np.ndarray:
@@ -344,8 +342,7 @@ def _overlap_and_displaced(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tu
     scanned = found & (cosine > MIN_NORMAL_COSINE)
     # More than two standard deviations and 1 cm from its plane, a surface has been displaced.
     displaced = scanned & (plane_distance > 2.0 * patches.deviation + 0.01)
-    return (float(explained.mean()),
-            np.count_nonzero(displaced) / max(np.count_nonzero(scanned), 1))
+    return float(explained.mean()), np.count_nonzero(displaced) / max(np.count_nonzero(scanned), 1)
 
 
 def _behind_shares(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.ndarray:
@@ -355,14 +352,14 @@ def _behind_shares(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.nda
     A camera can see neither side of a panel there, and objects moved since the scan are mostly
     farther away.
     """
-    matches = match_points(surfaces, patches, poses, MAX_MATCH_DISTANCE_M)
+    matches = matches_of(surfaces, patches, poses, MAX_MATCH_DISTANCE_M)
     behind = -matches.residuals > 2.0 * patches.deviation + 0.006
     return (matches.found & behind).mean(axis=1)
 
 
 def _ambiguity_reason(pose: Pose, alternative: Pose) -> str:
     """Return the message that another pose fits as well."""
-    metres, radians = alternative.separation_from(pose)
+    metres, radians = alternative.away_from(pose)
     return (f'another pose, {metres:.2f} m and {np.rad2deg(radians):.0f} degrees away, explains '
             'what it sees as well')
 

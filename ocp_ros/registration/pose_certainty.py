@@ -129,9 +129,8 @@ def estimate_certainty(points: np.ndarray, normals: np.ndarray, matches: Matches
 def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
     """Return the common deviation of a block, metres, from residuals (M,) and blocks (M,)."""
     ends = np.cumsum(np.bincount(blocks))[:-1]
-    block_residuals = np.split(residuals[np.argsort(blocks, kind='stable')], ends)
-    medians = [np.median(values) for values in block_residuals
-               if len(values) >= WHOLE_BLOCK_POINTS]
+    groups = np.split(residuals[np.argsort(blocks, kind='stable')], ends)
+    medians = [np.median(group) for group in groups if len(group) >= WHOLE_BLOCK_POINTS]
     # Fewer than four whole blocks do not show how accurate the scan is: 2 cm are assumed.
     if len(medians) < 4:
         return 0.02

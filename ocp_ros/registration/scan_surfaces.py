@@ -95,16 +95,14 @@ class ScanSurfaces:
     @cached_property
     def _two_sided(self) -> np.ndarray:
         """Return whether points have a parallel surface behind, in front of them: (2, N) bool."""
-        # The largest thickness of an object with two sides.
-        thickness_m = 0.4
-        return np.stack([self._have_other_side(sign, thickness_m) for sign in (-1.0, 1.0)])
+        # Objects with two sides are at most 0.4 m thick.
+        return np.stack([self._have_other_side(sign, max_m=0.4) for sign in (-1.0, 1.0)])
 
     @cached_property
     def _thin(self) -> np.ndarray:
         """Return whether points belong to objects too thin for fused scans: (N,) bool."""
-        # A fused scan mixes both sides of objects thinner than this.
-        thickness_m = 0.15
-        thin = self._have_other_side(-1.0, thickness_m)
+        # A fused scan mixes both sides of objects thinner than 0.15 m.
+        thin = self._have_other_side(-1.0, max_m=0.15)
         if not thin.any():
             return thin
         # If one face has erased the other in the fusion, remnants of the other are left around
@@ -116,17 +114,17 @@ class ScanSurfaces:
         similar = np.einsum('ij,ikj->ik', self.normals, normals) > 0.9
         return thin | (found & similar).any(axis=1)
 
-    def _have_other_side(self, sign: float, thickness: float) -> np.ndarray:
+    def _have_other_side(self, sign: float, max_m: float) -> np.ndarray:
         """
         Return whether points have a parallel surface near them along their normals: (N,) bool.
 
         :param sign: 1 to search along the normals, -1 against them.
-        :param thickness: the largest distance of the surface, metres.
+        :param max_m: the largest distance of the surface, metres.
         """
         step_m = 0.04
         radius = max(0.5 * step_m, 1.5 * float(np.median(self._pitch)))
         with_surface = np.zeros(len(self.points), dtype=bool)
-        for offset in np.arange(0.5 * step_m + radius, thickness, step_m):
+        for offset in np.arange(0.5 * step_m + radius, max_m, step_m):
             distance, index = self.fine.tree.query(self.points + sign * offset * self.normals,
                                                    distance_upper_bound=radius)
             found = np.isfinite(distance)

@@ -16,8 +16,8 @@
 Depth sensors on the market, as camera models.
 
 Each number is the manufacturer's, with its source. The range is the ideal range if a data sheet
-gives one: beyond it a sensor still measures, but less accurately than promised. A field of view
-without tolerance is the nominal one.
+gives one: beyond the ideal range, a sensor still measures, but less accurately. A field of view is
+the nominal one, without tolerance.
 """
 
 from dataclasses import dataclass
@@ -36,9 +36,9 @@ class Sensor:
     """
     A depth sensor.
 
-    :ivar title: maker, model and mode.
-    :ivar model: its camera model.
-    :ivar source: the source of its numbers.
+    :ivar title: maker, product and mode.
+    :ivar model: the camera model.
+    :ivar source: the source of the numbers.
     """
 
     title: str
@@ -48,7 +48,7 @@ class Sensor:
 
 def _sensor(title: str, ranges: tuple[float, float], degrees: tuple[float, float],
             resolution: tuple[int, int], source: str) -> Sensor:
-    """Describe a sensor by ranges in metres and fields of view in degrees."""
+    """Return a sensor, given the least and the largest range, metres, and both fields of view."""
     horizontal, vertical = np.deg2rad(degrees)
     return Sensor(title, CameraModel(*ranges, float(horizontal), float(vertical), resolution),
                   source)
