@@ -22,7 +22,7 @@ MAX_CELLS = 8_000_000
 
 
 def _counts(bounds: np.ndarray, cell: float) -> np.ndarray:
-    """Return the numbers of cells of an edge in metres along x, y and z of a box: (3,) int64."""
+    """Return the number of cells along each axis of a box (2, 3), with edges in metres: (3,)."""
     return np.maximum(np.round((bounds[1] - bounds[0]) / cell).astype(np.int64), 1)
 
 

@@ -148,8 +148,7 @@ class CubeVisibility:
              covered: np.ndarray = NO_BITS) -> None:
         """Set the bits of what is visible to a camera; see :meth:`SurfelVisibility.look`."""
         projection = projected(self._points, pose, lens)
-        rows = self.settings.rows
-        shadow_map = np.empty((rows, 2 * rows), dtype=np.float32)
+        shadow_map = np.empty((self.settings.rows, 2 * self.settings.rows), dtype=np.float32)
         splat(projection, self._spacing, self.settings.cube_scale, lens.max_range, shadow_map)
         seen |= self._visible_bits(projection, shadow_map)
         if len(covered):

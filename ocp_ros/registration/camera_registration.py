@@ -154,7 +154,7 @@ def registered_nearby(scan: ScanSurfaces, view: LiveView, pose: Pose, model: Cam
 
 
 def _coarse_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:
-    """Register start poses around a planned pose coarsely; return the results of the best ones."""
+    """Return the best of the coarsely registered poses, from start poses around a planned one."""
     few_patches, patches = (_sampled(view.patches, count) for count in (160, OUTLINE_PATCHES))
     poses = aligned_poses(scan.coarse, few_patches, _start_poses(start),
                           AlignmentStage((1.0, 0.3), (40.0, 8.0), 14))
@@ -187,9 +187,8 @@ def _sampled(patches: Patches, count: int) -> Patches:
 def _explained_shares(surfaces: Surfaces, patches: Patches, poses: Poses, kernel_width: float
                       ) -> np.ndarray:
     """Return the share of patches that surfaces explain at each of S poses, 0 to 1: (S,)."""
-    matches = matches_of(surfaces, patches, poses, 0.3)
-    weights = weights_of(matches, patches.deviation, kernel_width)
-    return (weights * patches.deviation ** 2).mean(axis=1)
+    weight = weights_of(matches_of(surfaces, patches, poses, 0.3), patches.deviation, kernel_width)
+    return (weight * patches.deviation ** 2).mean(axis=1)
 
 
 def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
@@ -209,7 +208,7 @@ def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pos
 
 
 def _score(scan: ScanSurfaces, view: LiveView, pose: Pose) -> float:
-    """Return the score of a refined pose, at most 1."""
+    """Return the score of a finely registered pose, at most 1; see the module's text."""
     return float(_explained_shares(scan.fine, view.patches, _as_poses(pose), 3.0)[0]
                  - BEHIND_WEIGHT * _behind_shares(scan.fine, view.patches, _as_poses(pose))[0]
                  - view.violated_shares(scan.points, _as_poses(pose))[0])
@@ -222,7 +221,7 @@ def _differ(pose: Pose, other: Pose, limits: tuple[float, float] = DISTINCT_POSE
 
 
 def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Pose:
-    """Return the finely registered pose near a given pose."""
+    """Return a pose after fine registration: to sided surfaces, then to all in view."""
     for stage in (AlignmentStage((0.15, 0.08), (4.0, 2.0), 16),
                   AlignmentStage((0.1, 0.08), (2.0, 1.0), 16)):
         surfaces = scan.in_view(pose, model).sided
@@ -234,7 +233,7 @@ def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel)
 
 
 def _evaluated(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Registration:
-    """Register a finely registered pose once more; measure its quality and decide about it."""
+    """Improve a finely registered pose, measure its quality, and accept or refuse it."""
     in_view = scan.in_view(pose, model)
     pose, alternative = _best_shift(in_view, view.patches, pose)
     surfaces = in_view.every

@@ -88,13 +88,13 @@ class ScanSurfaces:
 
     @cached_property
     def _visibility(self) -> SurfelVisibility:
-        """Return what computes which points a camera sees."""
+        """Return the visibility of the points as surfels."""
         return SurfelVisibility(self.points.astype(np.float32), self.normals.astype(np.float32),
                                 self._pitch, np.empty((0, 3), dtype=np.float32), FAST)
 
     @cached_property
     def _two_sided(self) -> np.ndarray:
-        """Return whether points have a parallel surface behind, in front of them: (2, N) bool."""
+        """Return whether points have a parallel surface: (2, N) bool, behind and in front."""
         # Objects with two sides are at most 0.4 m thick.
         return np.stack([self._have_other_side(sign, max_m=0.4) for sign in (-1.0, 1.0)])
 
@@ -152,7 +152,7 @@ class ScanSurfaces:
         return SurfacesInView(self._subset(kept & sided), self._subset(kept))
 
     def _subset(self, kept: np.ndarray) -> Surfaces:
-        """Return the points that ``kept`` (N,) marks; if there are none, one without matches."""
+        """Return the surfaces of the points that ``kept`` (N,) marks; if none, a far point."""
         if not kept.any():
             # A point so far away has no matches.
             return Surfaces.of(np.full((1, 3), 1e6), np.array([[0.0, 0.0, 1.0]]), False)

@@ -379,9 +379,8 @@ class FeasibleRegion:
         points = self.scene.points
         height = points[:, 2] - self.floor
         # Points up to this height above the floor are no obstacles, such as skirting boards.
-        skirting_m = 0.15
-        obstacles = points[(height > skirting_m)
-                           & (height < self.rig.mount.heights[1] - skirting_m), :2]
+        min_m = 0.15
+        obstacles = points[(height > min_m) & (height < self.rig.mount.heights[1] - min_m), :2]
         # One point in each small cell is enough.
         cell_m = 0.02
         return cKDTree(cell_m * np.unique(np.rint(obstacles / cell_m), axis=0))

@@ -40,7 +40,7 @@ def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
 
 
 def order_of(turn: int, cameras: int) -> np.ndarray:
-    """Return the order of the cameras at a turn, (K,) numbers; another one is first each turn."""
+    """Return the numbers (K,) of the cameras in their order at a turn; the first one rotates."""
     return np.roll(np.arange(cameras), turn)
 
 
@@ -151,10 +151,9 @@ def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
         allowed position.
     """
     def usable_positions(positions: np.ndarray) -> np.ndarray:
-        mounted_positions = move_onto_mount(positions)
-        distance = np.linalg.norm(mounted_positions - position, axis=1)
-        near = mounted_positions[distance <= reach + ROUNDING]
-        return near[are_allowed(near)] if len(near) else near
+        moved = move_onto_mount(positions)
+        reached = moved[np.linalg.norm(moved - position, axis=1) <= reach + ROUNDING]
+        return reached[are_allowed(reached)] if len(reached) else reached
 
     if len(mounted_target := usable_positions(target[None])):
         return mounted_target[0]

@@ -69,7 +69,7 @@ class Placed(NamedTuple):
 
     @property
     def pose(self) -> np.ndarray:
-        """Return (6,) x, y, z in metres and yaw, pitch, roll in radians."""
+        """Return the pose (6,): x, y, z in metres and yaw, pitch, roll in radians."""
         return np.array([*self.position, *np.deg2rad(self.angles)])
 
 
@@ -201,7 +201,7 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
     key_paths = [*movable, *fixed]
     names = dict(zip(key_paths, names_of(document, key_paths)))
     if rig is not None:
-        rig = _named(document, rig, movable, names)
+        rig = _renamed_rig(document, rig, movable, names)
         _check_fixed(document, rig, fixed)
     elif not movable:
         raise document.error(('cameras',), 'fixed cameras only', 'one at least that may be '
@@ -232,15 +232,21 @@ def _position_and_angles(data: dict[str, Any]) -> tuple[tuple[float, ...], tuple
             tuple(float(data.get(angle, 0.0)) for angle in ANGLES))
 
 
-def _named(document: Document, rig: Rig, key_paths: Sequence[Way], names: dict[Way, str]) -> Rig:
-    """Return a rig with the cameras' names in a placement, whose cameras must match in order."""
-    if len(key_paths) != len(rig.cameras):
+def _renamed_rig(document: Document, rig: Rig, paths: Sequence[Way], names: dict[Way, str]) -> Rig:
+    """
+    Return a rig with the names that its cameras have in a placement.
+
+    :param paths: the keys that lead to each camera to be placed, in the order of the rig.
+    :param names: the name of each camera.
+    :raises ConfigurationError: if the cameras do not match those of the rig.
+    """
+    if len(paths) != len(rig.cameras):
         raise document.error(
-            ('cameras',), f'{len(key_paths)} cameras that may be moved',
+            ('cameras',), f'{len(paths)} cameras that may be moved',
             f'{len(rig.cameras)}, as in {rig.document.name}',
             f'add or remove some, or mark those in place by mount: {FIXED}')
     cameras = []
-    for keys, camera in zip(key_paths, rig.cameras):
+    for keys, camera in zip(paths, rig.cameras):
         data = document.value(*keys)
         if any(key in data for key in MODEL) and not _has_model(document, keys, camera.model):
             raise document.error(

@@ -36,35 +36,35 @@ UNIT_FACTORS = {0.3048: 'feet', 0.1: 'a unit ten times smaller', 0.01: 'centimet
                 0.001: 'millimetres', 0.0254: 'inches'}
 
 
-class _LevelSurfaces(NamedTuple):
+class _LevelPoints(NamedTuple):
     """
     The M points of a room that are on level surfaces.
 
     :ivar z: (M,) the heights of the points, metres.
     :ivar areas: (M,) the area that each point stands for, square metres.
-    :ivar plan_area: the area of the whole room seen from above, square metres.
+    :ivar plan_m2: the area of the whole room seen from above.
     """
 
     z: np.ndarray
     areas: np.ndarray
-    plan_area: float
+    plan_m2: float
 
 
 def missing_surfaces(scene: Scene) -> tuple[str, ...]:
     """Return which of ``ceiling`` and ``floor`` are missing in a scan."""
-    return _missing(scene, _level_surfaces(scene), ceiling_of(scene).points, _tilt_deg(scene))
+    return _missing_names(scene, _level_points(scene), ceiling_of(scene).points, _tilt_deg(scene))
 
 
-def _missing(scene: Scene, level: _LevelSurfaces, ceiling: np.ndarray, tilt_deg: float
-             ) -> tuple[str, ...]:
-    """Return the missing surfaces, given ceiling points (C, 3) and the tilt in degrees."""
+def _missing_names(scene: Scene, level: _LevelPoints, ceiling: np.ndarray, tilt_deg: float
+                   ) -> tuple[str, ...]:
+    """Return the names of missing surfaces, given ceiling points (C, 3), metres, and the tilt."""
     floor = floor_height(scene)
     # A sloping floor covers a range of heights.
     margin = LAYER_M if tilt_deg < MAX_TILT_DEG else SLAB_M
     at_floor = (level.z >= floor - margin) & (level.z <= floor + margin)
-    areas = {'ceiling': _surface_area(scene, ceiling), 'floor': level.areas[at_floor].sum()}
+    areas = {'ceiling': _area(scene, ceiling), 'floor': level.areas[at_floor].sum()}
     # A floor or a ceiling fills at least a fifth of the floor plan.
-    return tuple(name for name, area in areas.items() if area < 0.2 * level.plan_area)
+    return tuple(name for name, area in areas.items() if area < 0.2 * level.plan_m2)
 
 
 def room_notes(scene: Scene) -> list[str]:
@@ -74,10 +74,10 @@ def room_notes(scene: Scene) -> list[str]:
     :returns: sentences that say what was found, what was expected and what to do; none for a usual
         room.
     """
-    level, floor = _level_surfaces(scene), floor_height(scene)
+    level, floor = _level_points(scene), floor_height(scene)
     top = float(np.percentile(scene.points[:, 2], 99.5))
     ceiling, tilt_deg = ceiling_of(scene).points, _tilt_deg(scene)
-    missing = _missing(scene, level, ceiling, tilt_deg)
+    missing = _missing_names(scene, level, ceiling, tilt_deg)
     no_floor, no_ceiling = 'floor' in missing, 'ceiling' in missing
     # If the walls are plumb, the floor itself slopes, as in a lecture room or on a ramp.
     scan_tilted = tilt_deg >= MAX_TILT_DEG and not _walls_are_plumb(scene)
@@ -93,14 +93,13 @@ def room_notes(scene: Scene) -> list[str]:
                      'up (--up), or scan the floor as well')
     walls = standing_of(scene).points
     # A large scan without a ceiling and with few walls is outdoors.
-    outdoors = (no_ceiling and level.plan_area > 300.0
-                and _surface_area(scene, walls) < 0.3 * level.plan_area)
+    outdoors = no_ceiling and level.plan_m2 > 300.0 and _area(scene, walls) < 0.3 * level.plan_m2
     if not (no_floor or outdoors or scan_tilted) and (share := _open_share(scene, walls)) > 0.2:
         notes.append(f'found no wall along {100.0 * share:.0f} % of the edge of the floor; '
                      'expected walls all around; what is behind the open side counts as far away, '
                      'and whether cameras see its wall is not known; scan it as well')
     if outdoors:
-        notes.append(f'found neither ceiling nor walls around {level.plan_area:.0f} m²; expected '
+        notes.append(f'found neither ceiling nor walls around {level.plan_m2:.0f} m²; expected '
                      'a room; depth errors mean little outdoors')
     elif no_ceiling and not scan_tilted:
         notes.append('found no ceiling; expected one above most of the floor; cameras on ceilings '
@@ -124,23 +123,23 @@ def _open_share(scene: Scene, walls: np.ndarray) -> float:
     return float(np.mean(distance > max_distance_m * np.ones(len(border))))
 
 
-def _level_surfaces(scene: Scene) -> _LevelSurfaces:
-    """Return the level surfaces of a room."""
+def _level_points(scene: Scene) -> _LevelPoints:
+    """Return the points of a room that are on level surfaces."""
     level = np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
     cells = np.floor(scene.points[:, :2] / CELL_M).astype(np.int64)
     # In sparse scans some cells have no point; each point stands for its square.
-    plan_area = max(len(np.unique(cells, axis=0)) * CELL_M ** 2, 1e-9)
+    plan_m2 = max(len(np.unique(cells, axis=0)) * CELL_M ** 2, 1e-9)
     areas = scene.pitch[level].astype(np.float64) ** 2
-    return _LevelSurfaces(scene.points[level, 2], areas, plan_area)
+    return _LevelPoints(scene.points[level, 2], areas, plan_m2)
 
 
-def _surface_area(scene: Scene, points: np.ndarray) -> float:
+def _area(scene: Scene, points: np.ndarray) -> float:
     """Return the area that some points of a room stand for, square metres."""
     return len(points) * float(np.median(scene.pitch)) ** 2
 
 
 def _tilt_deg(scene: Scene) -> float:
-    """Return the tilt of most of the level surfaces in the lower half of a room, degrees."""
+    """Return the main tilt of the level surfaces in the lower half of a room, degrees."""
     normals = scene.normals_or_estimate * np.sign(scene.normals_or_estimate[:, 2:])
     upright = normals[:, 2] > np.cos(np.deg2rad(MAX_LEAN_DEG))
     upright &= scene.points[:, 2] < scene.bounds[:, 2].mean()
@@ -181,14 +180,14 @@ def _height_notes(height: float) -> list[str]:
     return [f'found a room {height:.1f} m high; expected at most {max_height_m:g} m{remedy}']
 
 
-def _storey_notes(level: _LevelSurfaces) -> list[str]:
+def _storey_notes(level: _LevelPoints) -> list[str]:
     """Return a note if there are more large level layers than a floor and a ceiling."""
     if len(level.z) == 0:
         return []
     bins = np.arange(level.z.min() - 0.5 * LAYER_M, level.z.max() + LAYER_M, LAYER_M)
     areas = np.histogram(level.z, np.append(bins, bins[-1] + LAYER_M), weights=level.areas)[0]
     # A level layer of a storey fills two fifths of the floor plan, in two neighbouring bins.
-    large = bins[areas + np.append(0.0, areas[:-1]) >= 0.4 * level.plan_area]
+    large = bins[areas + np.append(0.0, areas[:-1]) >= 0.4 * level.plan_m2]
     count = 0 if len(large) == 0 else 1 + int(np.count_nonzero(np.diff(large) > SLAB_M))
     return [] if count < 3 else [
         f'found {count} large level layers; expected a floor and a ceiling; the scan seems to '

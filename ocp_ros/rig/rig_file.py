@@ -246,8 +246,7 @@ class Rig:
         :param expected: the value that fits this rig.
         :raises ConfigurationError: if the rig has such poses or zones, and a room is rotated.
         """
-        if any(degrees) and (
-                self.fixed or self.keep_out or self.keep_in or self.regions):
+        if any(degrees) and (self.fixed or self.keep_out or self.keep_in or self.regions):
             raise ConfigurationError(
                 f'{found} with {self.document.name}, whose fixed, keep_out, keep_in or regions '
                 f'are places in the map; expected {expected}: they do not turn with the room')
@@ -472,7 +471,7 @@ def _mount(document: Document) -> Mount:
 
 
 def _range(document: Document, keys: Way, value: Any) -> tuple[float, float]:
-    """Return a range; of one number, the range from it to itself."""
+    """Return the low and the high end of a value: one number, or two in a list."""
     low, high = value if isinstance(value, list) else (value, value)
     if low > high:
         raise document.error(keys, describe(value), 'the lower number first',

@@ -172,7 +172,7 @@ class _Columns:
         self.shape = tuple(np.floor(scene.size[:2] / self.edge).astype(int) + 1)
 
     def indices(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the column of each of M points (M, 3): indices along x (M,) and along y (M,)."""
+        """Return the columns of points (M, 3): their indices along x (M,) and along y (M,)."""
         cells = np.floor((points[:, :2] - self.low) / self.edge).astype(int)
         x, y = np.clip(cells, 0, np.array(self.shape) - 1).T
         return x, y
@@ -277,10 +277,10 @@ class Air:
         free &= space.contains(columns)[..., None]
         parts, count = ndimage.label(free)
         largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else -1
-        self._in_air = parts == largest
+        self._free = parts == largest
         # The distance of each cell from the air, metres; 0 if there is no air.
-        self._distance = edge * ndimage.distance_transform_edt(
-            ~self._in_air) if count else np.zeros(shape)
+        self._distance = (edge * ndimage.distance_transform_edt(~self._free) if count
+                          else np.zeros(shape))
 
     def cells(self, height: float | None = None) -> np.ndarray:
         """
@@ -290,10 +290,10 @@ class Air:
         :returns: (M, 3) metres.
         """
         if height is None:
-            return self.grid.middles(np.argwhere(self._in_air))
+            return self.grid.middles(np.argwhere(self._free))
         low, edge = self.grid.low, self.grid.edge
-        level = int(np.clip((height - low[2]) / edge, 0, self._in_air.shape[2] - 1))
-        centres_xy = low[:2] + edge * (np.argwhere(self._in_air[:, :, level]) + 0.5)
+        level = int(np.clip((height - low[2]) / edge, 0, self._free.shape[2] - 1))
+        centres_xy = low[:2] + edge * (np.argwhere(self._free[:, :, level]) + 0.5)
         return np.column_stack([centres_xy, np.full(len(centres_xy), height)])
 
     def closed(self, positions: np.ndarray) -> np.ndarray:
