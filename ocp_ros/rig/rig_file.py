@@ -54,7 +54,7 @@ class Camera(NamedTuple):
     model: CameraModel
 
 
-class Fixed(NamedTuple):
+class FixedCamera(NamedTuple):
     """
     A camera that is in place already and stays.
 
@@ -85,9 +85,9 @@ class Mount(NamedTuple):
     footprint: float = 0.0
 
 
-class Watched(NamedTuple):
+class SightCondition(NamedTuple):
     """
-    The condition for a position in the air to count as seen.
+    The condition of lines of sight for a position in the air to count as seen.
 
     :ivar seen_by: the number of cameras that have to see the position.
     :ivar angle: the least angle between the lines of sight of any two of these cameras, radians.
@@ -115,7 +115,7 @@ class Region(NamedTuple):
     weight: float
     must_see: float
     where: str
-    air: Watched | None = None
+    air: SightCondition | None = None
 
     @property
     def parts(self) -> str:
@@ -159,7 +159,7 @@ class Rig:
     """
 
     cameras: tuple[Camera, ...]
-    fixed: tuple[Fixed, ...]
+    fixed: tuple[FixedCamera, ...]
     mount: Mount
     pitch: tuple[float, float]
     rolls: tuple[float, ...]
@@ -181,8 +181,10 @@ class Rig:
         """
         models = config.models * (config.cameras // len(config.models))
         cameras = tuple(Camera(f'camera_{k}', '', model) for k, model in enumerate(models))
-        return cls(cameras, (), Mount('box', (config.height, config.height)), (0.0, 0.5 * np.pi),
-                   (0.0,), 0.0, 0.0, (), (), (), 1, None, Document('rig', {}))
+        return cls(
+            cameras, (), Mount('box', (config.height, config.height)), pitch=(0.0, 0.5 * np.pi),
+            rolls=(0.0,), keep_clear=0.0, spacing=0.0, keep_out=(), keep_in=(), regions=(),
+            seen_by=1, calibratable=None, document=Document('rig', {}))
 
     @property
     def free(self) -> bool:
@@ -394,15 +396,16 @@ def rig_from(document: Document) -> Rig:
     if seen_by > len(cameras) + len(fixed):
         raise document.error(('seen_by',), str(seen_by), f'at most {len(cameras) + len(fixed)}, '
                              'as many as there are cameras', 'lower it or add cameras')
-    low, high = _range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))
-    return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
-               tuple(map(float, np.deg2rad(data.get('roll', [0.0])))),
-               float(data.get('keep_clear', 0.2)), float(data.get('spacing', 0.2)),
-               zones_of(document, 'keep_out'), zones_of(document, 'keep_in'), regions, seen_by,
-               _calibratable(data), document)
+    low, high = np.deg2rad(_range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))).tolist()
+    return Rig(
+        cameras, fixed, _mount(document), pitch=(low, high),
+        rolls=tuple(np.deg2rad(data.get('roll', [0.0])).tolist()),
+        keep_clear=float(data.get('keep_clear', 0.2)), spacing=float(data.get('spacing', 0.2)),
+        keep_out=zones_of(document, 'keep_out'), keep_in=zones_of(document, 'keep_in'),
+        regions=regions, seen_by=seen_by, calibratable=_calibratable(data), document=document)
 
 
-def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]:
+def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[FixedCamera, ...]]:
     """Return the cameras to be placed and those in place, with unique names."""
     groups, fixed = document.data['cameras'], document.data.get('fixed', [])
     movable = [('cameras', k) for k, group in enumerate(groups)
@@ -412,7 +415,7 @@ def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]
                              f'at most {MAX_CAMERAS}, fixed ones included', 'lower a count')
     cameras = tuple(cameras_at(document, [*movable, *(('fixed', k) for k in range(len(fixed)))]))
     return cameras[:len(movable)], tuple(
-        Fixed(camera, pose_of(data), document.where('fixed', k))
+        FixedCamera(camera, pose_of(data), document.where('fixed', k))
         for k, (camera, data) in enumerate(zip(cameras[len(movable):], fixed)))
 
 
@@ -498,10 +501,10 @@ def _regions(document: Document, cameras: int) -> Iterator[Region]:
         share = MUST_SEE_SHARE * must_see if isinstance(must_see, bool) else float(must_see)
         yield Region(data['name'], zone_of(document, ('regions', k)),
                      float(data.get('weight', 1.0)), share, document.where('regions', k),
-                     _watched(document, ('regions', k, 'air'), cameras))
+                     _sight_condition(document, ('regions', k, 'air'), cameras))
 
 
-def _watched(document: Document, keys: Way, cameras: int) -> Watched | None:
+def _sight_condition(document: Document, keys: Way, cameras: int) -> SightCondition | None:
     """Return the condition for the air of a region to count as seen; None if there is none."""
     data = document.value(*keys[:-1]).get('air')
     if data is None:
@@ -510,4 +513,4 @@ def _watched(document: Document, keys: Way, cameras: int) -> Watched | None:
     if seen_by > cameras:
         raise document.error((*keys, 'seen_by'), str(seen_by), f'at most {cameras}, as many as '
                              'there are cameras', 'lower it or add cameras')
-    return Watched(seen_by, float(np.deg2rad(data.get('angle', 0.0))))
+    return SightCondition(seen_by, float(np.deg2rad(data.get('angle', 0.0))))
