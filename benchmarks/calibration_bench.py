@@ -229,8 +229,8 @@ def measured_in(room: BenchRoom) -> Iterator[dict]:
                 yield {'kind': room.kind, 'room': room.name, 'sensor': sensor, 'camera': number,
                        'start': metres, 'metres': metre, 'degrees': degree,
                        'right': metre <= RIGHT[0] and degree <= RIGHT[1],
-                       'overlap': found.overlap, 'beside': found.beside,
-                       'behind': found.behind,
+                       'overlap': found.overlap, 'beside': found.displaced_share,
+                       'behind': found.behind_share,
                        'expected': float(found.certainty.metres[0]),
                        'refused': found.refused}
 

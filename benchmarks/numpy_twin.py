@@ -19,7 +19,12 @@ The kernels of :mod:`ocp_ros.geometry.surfels` have to agree with it, and to be 
 """
 
 import numpy as np
-from ocp_ros.geometry.surfels import MAX_DEPTH_RATIO, MIN_COSINE, MIN_DEPTH_RATIO, SurfelSettings
+from ocp_ros.geometry.surfels import (
+    MAX_INVERSE_RATIO,
+    MIN_COSINE,
+    MIN_INVERSE_RATIO,
+    SurfelSettings,
+)
 
 
 class Twin:
@@ -43,11 +48,11 @@ class Twin:
         self._project(np.asarray(points, dtype=np.float64) - position, normals)
         self.shadow = np.full((self.rows, self.columns), 1.0 / max_range)
         size, inside = self.size, self.distance <= max_range
-        self._splat_single(inside & (size < self.flat * settings.single))
-        self._splat_quad(inside & (size >= self.flat * settings.single)
-                         & (size < self.flat * settings.quad))
+        self._splat_single(inside & (size < self.flat * settings.single_limit))
+        self._splat_quad(inside & (size >= self.flat * settings.single_limit)
+                         & (size < self.flat * settings.quad_limit))
         self._splat_ellipse(np.flatnonzero(
-            inside & (size >= self.flat * max(settings.single, settings.quad))))
+            inside & (size >= self.flat * max(settings.single_limit, settings.quad_limit))))
 
     def _project(self, offset: np.ndarray, normals: np.ndarray) -> None:
         """Compute where points appear and how their planes lean: one step is one cell."""
@@ -79,8 +84,8 @@ class Twin:
             self.slope_row[which] * cell * (row + 0.5 - self.row[which])
             + (not over) * self.slope_column[which] * self.flat[which] * cell
             * (column + 0.5 - self.column[which]))
-        value = np.clip(value, MIN_DEPTH_RATIO * self.inverse[which],
-                        MAX_DEPTH_RATIO * self.inverse[which])
+        value = np.clip(value, MIN_INVERSE_RATIO * self.inverse[which],
+                        MAX_INVERSE_RATIO * self.inverse[which])
         np.maximum.at(self.shadow, (row, column % self.columns), value)
 
     def _splat_single(self, small: np.ndarray) -> None:
@@ -138,5 +143,5 @@ class Twin:
         column = np.floor(self.column + 0.5).astype(int)
         deepest = 1.0 / np.min([around[row + k, column + m] for k in (0, 1) for m in (0, 1)],
                                axis=0)
-        behind = self.settings.base + self.settings.share * self.radius
+        behind = self.settings.base_tolerance + self.settings.radius_tolerance * self.radius
         return (self.distance <= self.max_range) & (self.distance <= deepest + behind)

@@ -20,17 +20,17 @@ from benchmarks.calibration_bench import cast, off
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import angle_between, CameraModel, heading_of, OPTICAL_TO_BODY, Pose
-from ocp_ros.registration.alignment import matched, Matches, Patches, Poses, Surfaces
+from ocp_ros.registration.alignment import Matches, matches_of, Patches, Poses, Surfaces
 from ocp_ros.registration.calibration import as_built, calibrate
 from ocp_ros.registration.camera_registration import (
-    _behind_share,
+    _behind_shares,
     _best_shift,
-    checked,
     LIMITS,
     register,
+    registered_nearby,
 )
 from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.pose_certainty import certainty
+from ocp_ros.registration.pose_certainty import estimate_certainty
 from ocp_ros.registration.scan_surfaces import inward_sign, ScanSurfaces
 from ocp_ros.rig.placement_file import load_placement, placement_of
 from ocp_ros.rig.rig_file import rig_of
@@ -79,7 +79,7 @@ def test_a_camera_is_found_from_far_off(scan, metres, degrees):
     away, turn = errors(found.pose, true)
     assert away < 0.01 and turn < 0.5
     assert found.overlap > 0.8 and found.residual < 0.03
-    assert found.certainty.metres[0] > 0.3 * away and found.certainty.loose == []
+    assert found.certainty.metres[0] > 0.3 * away and found.certainty.loose_directions == []
 
 
 @pytest.mark.parametrize('roll, axes, words', [
@@ -92,18 +92,19 @@ def test_a_camera_that_is_mounted_otherwise_than_said_is_found_and_that_is_named
     placement = placement_of(rig_of(1, SENSOR), said[None])
     name = placement.cameras[0].camera.name
     found, broken = calibrate(scan, placement, {name: seen_by(true) @ axes})
-    assert not broken and not found[name].refused and words in found[name].otherwise
+    assert not broken and not found[name].refused and words in found[name].actual_setup
     away, turn = errors(found[name].pose, true)
     assert away < 0.01 and turn < 0.5
     # What is as it was said is found as ever.
     found, _ = calibrate(scan, placement, {name: seen_by(Pose.of(said))})
-    assert found[name].otherwise == ''
+    assert found[name].actual_setup == ''
 
 
 def test_who_hardly_moved_is_checked_cheaply(scan):
     true = Pose.of(TRUE)
     start = off(true, 0.05, 1.0, np.random.default_rng(1))
-    away, turn = errors(checked(scan, LiveView(seen_by(true), MODEL), start, MODEL).pose, true)
+    found = registered_nearby(scan, LiveView(seen_by(true), MODEL), start, MODEL)
+    away, turn = errors(found.pose, true)
     assert away < 0.01 and turn < 0.5
 
 
@@ -128,10 +129,10 @@ def test_a_bare_wall_holds_three_directions_and_says_which_not():
     surfaces = ScanSurfaces(Scene(np.concatenate([plane(3.0), corner]).astype(np.float32)))
     pose = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0]))
     depth = 3.0 + np.random.default_rng(1).normal(0.0, 2e-3, (60, 80))
-    found = checked(surfaces, LiveView(cloud_of(depth, 0.5), MODEL), pose, MODEL)
+    found = registered_nearby(surfaces, LiveView(cloud_of(depth, 0.5), MODEL), pose, MODEL)
     for loose in ('slide along the x', 'slide along the vertical', 'turn about the y'):
         assert loose in found.refused
-    assert len(found.certainty.loose) == 3
+    assert len(found.certainty.loose_directions) == 3
     assert found.pose.position[1] == pytest.approx(0.0, abs=0.01)
 
 
@@ -162,7 +163,7 @@ def test_a_near_pose_that_fits_as_well_is_named(nearer, named):
     seen = np.concatenate([wall, floor, right * [nearer, 1.0, 1.0], right * [-nearer, 1.0, 1.0]])
     pose, model = Pose.of(np.array([0.0, 0.0, 0.0, 0.5 * np.pi, 0.0, 0.0])), CameraModel(0.1, 6.0)
     view = LiveView((seen - pose.position) @ pose.rotation, model)
-    assert ('another pose' in checked(surfaces, view, pose, model).refused) == named
+    assert ('another pose' in registered_nearby(surfaces, view, pose, model).refused) == named
 
 
 def test_a_pose_beside_the_best_one_is_left(scan):
@@ -173,14 +174,14 @@ def test_a_pose_beside_the_best_one_is_left(scan):
     assert away < 0.005 and turn < 0.3
 
 
-@pytest.mark.parametrize('find', [register, checked])
+@pytest.mark.parametrize('find', [register, registered_nearby])
 def test_a_cloud_of_another_room_and_a_camera_outside_of_the_scan_are_refused(scan, find):
     pose = Pose.of(TRUE)
     other = cast(MeshRays(mesh_of(plan_of(505))), pose, SENSOR, np.random.default_rng(0))
     assert find(scan, LiveView(other, MODEL), pose, MODEL).refused
     outside = Pose.of(TRUE + [100.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     found = find(scan, LiveView(seen_by(pose), MODEL), outside, MODEL)
-    assert found.refused and found.overlap == 0.0 and len(found.certainty.loose) == 6
+    assert found.refused and found.overlap == 0.0 and len(found.certainty.loose_directions) == 6
 
 
 def test_points_behind_a_scanned_surface_are_held_against_a_pose(scan):
@@ -188,7 +189,7 @@ def test_points_behind_a_scanned_surface_are_held_against_a_pose(scan):
     view = LiveView(seen_by(true), MODEL)
     forward = Pose(true.position + 0.08 * true.rotation[:, 0], true.rotation)
     back = Pose(true.position - 0.08 * true.rotation[:, 0], true.rotation)
-    shares = _behind_share(scan.fine, view.patches, Poses(
+    shares = _behind_shares(scan.fine, view.patches, Poses(
         *(np.stack([getattr(pose, part) for pose in (true, back, forward)])
           for part in ('rotation', 'position'))))
     assert shares[0] < shares[1] < LIMITS.max_behind < shares[2]
@@ -212,7 +213,8 @@ def test_a_scan_that_is_bent_makes_a_pose_less_certain():
         matches = Matches(residuals[None], np.concatenate(
             [np.cross(points, normals), normals], axis=1)[None],
             np.ones((1, len(points)), bool), np.arange(len(points))[None])
-        found.append(certainty(points, normals, matches, 1.0 / deviation[None] ** 2).metres[0])
+        found.append(estimate_certainty(points, normals, matches,
+                                        1.0 / deviation[None] ** 2).metres[0])
     assert found[1] > 3.0 * found[0]
 
 
@@ -227,7 +229,7 @@ def test_the_back_of_a_scanned_surface_is_no_match():
     here = Poses(np.eye(3)[None], np.zeros((1, 3)))
     for side, oriented, matches in ((-1.0, True, True), (1.0, True, False), (1.0, False, True)):
         normals = np.tile([0.0, side, 0.0], (len(wall), 1))
-        found = matched(Surfaces.of(wall, normals, oriented), seen, here, 0.1).found
+        found = matches_of(Surfaces.of(wall, normals, oriented), seen, here, 0.1).found
         assert found.all() == found.any() == matches
 
 
@@ -318,7 +320,7 @@ def test_cameras_in_place_are_moved_in_the_rig_as_well(files, scan):
     from ocp_ros.rig.rig_file import load_rig
     placement = load_placement('plan.yaml', load_rig('rig.yaml'))
     pose = Pose.of(TRUE)
-    found = checked(scan, LiveView(seen_by(pose), MODEL), pose, MODEL)
+    found = registered_nearby(scan, LiveView(seen_by(pose), MODEL), pose, MODEL)
     save_placement('built.yaml', as_built(placement, {'hung': found}, 'a test'))
     again = load_placement('built.yaml')
     assert again.cameras[1].position == pytest.approx(found.pose.position, abs=1e-4)

@@ -21,7 +21,7 @@ from hypothesis import given, settings, strategies
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.plane_cells import close_near
+from ocp_ros.geometry.plane_cells import close_cells
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online, settings_of
 from ocp_ros.online.rig_state import clearance_of, Limits, RigState
@@ -133,7 +133,7 @@ def test_exactly_the_cells_are_closed_that_a_ball_reaches(seed, clearance, edge)
     points = rng.uniform([-0.5, -0.5, 0.0], [2.5, 1.5, 3.0], (12, 3)).astype(np.float32)
     low, shape, heights = np.array([0.1, -0.2]), (9, 7), np.array([1.4, 1.6])
     cells = np.ones(shape, dtype=bool)
-    close_near(points, heights, clearance, low, edge, cells)
+    close_cells(points, heights, clearance, low, edge, cells)
     for i, j in np.ndindex(shape):
         corner = low + edge * np.array([i, j])
         nearest = np.column_stack([np.clip(points[:, :2], corner, corner + edge),

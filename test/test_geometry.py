@@ -21,15 +21,15 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.clouds import fixed_size
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
-from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, MAX_CUBE
+from ocp_ros.geometry.depth_error import DepthError, five_viewpoints, MAX_HALF_SIDE
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.packed_bits import (
-    BLOCK,
     block_bounds,
-    blocks_in_view,
     count_bits,
+    find_blocks_in_view,
     no_bits,
     pack,
+    POINTS_PER_BLOCK,
     seen_by,
     spatial_order,
     Subset,
@@ -93,7 +93,7 @@ def blocks_seen(points, radius, pose, model):
     """Return the numbers of the blocks of points that a camera may see."""
     bounds = block_bounds(points, np.full(len(points), radius, np.float32))
     numbers = np.empty(len(bounds), dtype=np.uint32)
-    return numbers[:blocks_in_view(bounds, pose, model.lens, numbers)]
+    return numbers[:find_blocks_in_view(bounds, pose, model.lens, numbers)]
 
 
 @pytest.mark.parametrize('model', MODELS.values(), ids=MODELS)
@@ -110,14 +110,14 @@ def test_no_block_with_a_point_in_view_is_passed_over(model, seed, count, radius
     distance, _, _ = twins.project(points, *pose, model)
     # Single precision may round a point out of the very edge of its block.
     inside = np.isfinite(distance) & (distance < model.max_range - 1e-4)
-    assert set(np.flatnonzero(inside) // BLOCK) <= set(found.tolist())
+    assert set(np.flatnonzero(inside) // POINTS_PER_BLOCK) <= set(found.tolist())
 
 
 def test_a_narrow_camera_passes_over_most_blocks():
     points = np.random.default_rng(0).uniform(-4, 4, (50000, 3)).astype(np.float32)
     points = points[spatial_order(points)]
     seen = blocks_seen(points, 0.0, Pose.of(np.zeros(3)), SENSORS['realsense_d435'].model)
-    assert 0 < len(seen) < 0.5 * len(points) / BLOCK
+    assert 0 < len(seen) < 0.5 * len(points) / POINTS_PER_BLOCK
 
 
 @given(flags=st.lists(st.booleans(), max_size=700))
@@ -125,7 +125,7 @@ def test_a_narrow_camera_passes_over_most_blocks():
 def test_packed_bits_are_the_flags(flags):
     flags = np.array(flags, dtype=bool)
     words = pack(flags)
-    assert len(words) * 64 % BLOCK == 0
+    assert len(words) * 64 % POINTS_PER_BLOCK == 0
     assert np.array_equal(unpack(words, len(flags)), flags)
     assert count_bits(words) == flags.sum()
 
@@ -204,7 +204,7 @@ def small():
 
 def half_sides(scene):
     """Return half the sides of the points' cubes, metres."""
-    return SHARE * np.minimum(scene.spacing, MAX_CUBE * np.median(scene.spacing))
+    return SHARE * np.minimum(scene.spacing, MAX_HALF_SIDE * np.median(scene.spacing))
 
 
 def drawn(scene, seed, *shares):

@@ -174,4 +174,4 @@ def test_a_camera_that_hangs_upside_down_is_calibrated():
     np.testing.assert_allclose(door.pose.position, [0.25, 0.24, 2.14], atol=0.01)
     np.testing.assert_allclose(np.rad2deg(heading_of(door.pose.rotation)) % 360.0,
                                [48.0, 28.0, 184.0], atol=0.5)
-    assert 'upside down' in door.otherwise
+    assert 'upside down' in door.actual_setup

@@ -24,7 +24,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
 from ocp_ros.geometry.packed_bits import no_bits, Subset
-from ocp_ros.geometry.shadow_maps import project, projected, Projection, splat, visible
+from ocp_ros.geometry.shadow_maps import mark_visible, project, projected, Projection, splat
 from ocp_ros.geometry.surfels import (
     project_block,
     splat_surfels,
@@ -130,7 +130,7 @@ def test_cubes_agree_with_their_twins(seed):
     # A cell whose centre lies on the rectangle's edge may fall to either side.
     assert (~np.isclose(shadow, expected, rtol=1e-6)).mean() < 2e-3
     seen = np.zeros(len(points), dtype=bool)
-    visible(where, 0.2, shadow, seen)
+    mark_visible(where, 0.2, shadow, seen)
     assert np.array_equal(seen, twins.visible(*parts, 0.2, shadow))
 
 
@@ -139,7 +139,8 @@ def test_cubes_agree_with_their_twins(seed):
 @budget(max_examples=40, deadline=None)
 def test_a_surfel_is_a_disc_on_its_plane(seed):
     rng = np.random.default_rng(seed)
-    settings = SurfelSettings(rows=128, base=0.02, share=0.3, single=0.0, quad=0.0)
+    settings = SurfelSettings(rows=128, base_tolerance=0.02, radius_tolerance=0.3,
+                              single_limit=0.0, quad_limit=0.0)
     point, normal = rng.normal(size=3), rng.normal(size=3)
     point[2] *= 0.5
     point *= rng.uniform(1.5, 3.5) / np.linalg.norm(point)
@@ -189,7 +190,8 @@ def test_a_look_at_a_room_agrees_with_its_twin(preset):
 
 
 def test_small_discs_fill_up_to_four_cells():
-    settings = SurfelSettings(rows=64, base=0.0, share=0.0, single=0.5, quad=2.0)
+    settings = SurfelSettings(rows=64, base_tolerance=0.0, radius_tolerance=0.0,
+                              single_limit=0.5, quad_limit=2.0)
     cell = np.pi / 64
     counts = []
     for size in (0.3, 0.9, 1.6):

@@ -31,8 +31,11 @@ class Frustum(NamedTuple):
     A camera model as plain numbers for the kernels.
 
     :ivar kind: ``OMNIDIRECTIONAL``, ``PINHOLE`` or ``SPHERICAL``.
-    :ivar half_horizontal: pinhole: tangent of half the angle; spherical: half the angle, radians.
-    :ivar half_vertical: the same for the vertical angle.
+    :ivar min_range: metres.
+    :ivar max_range: metres.
+    :ivar half_horizontal: half the horizontal field of view: its tangent for a pinhole camera,
+        radians otherwise.
+    :ivar half_vertical: half the vertical field of view, in the same form.
     """
 
     kind: int
@@ -79,15 +82,15 @@ class CameraModel:
     """
     The viewing cone of a depth camera, F_i in equation 5 of arXiv 2110.11106.
 
-    A field of view of 180 degrees or more has no image plane. Such a model is bounded by azimuth
-    and elevation instead (a spinning lidar), and 360 x 180 degrees is omnidirectional.
+    A field of view of 180 degrees or more has no image plane. Limits of azimuth and elevation
+    bound such a cone, as for a spinning lidar; 360 x 180 degrees is omnidirectional.
 
     :param min_range: metres; nearer points are not measured.
     :param max_range: metres; the effective range.
     :param horizontal_fov: radians, in (0, 2 pi].
     :param vertical_fov: radians, in (0, pi].
     :param resolution: pixels across and down; None if unknown.
-    :raises ValueError: if a range, an angle or the resolution makes no sense.
+    :raises ValueError: if a range, an angle or the resolution is out of its limits.
     """
 
     min_range: float = 0.0
@@ -133,7 +136,7 @@ class CameraModel:
 
 def rotation_matrix(yaw: float = 0.0, pitch: float = 0.0, roll: float = 0.0) -> np.ndarray:
     """
-    Rotate from the camera's body frame (x forward, y left, z up) to the map frame.
+    Return the rotation from a camera's body frame (x forward, y left, z up) to the map frame.
 
     :param yaw: radians about z, counter-clockwise seen from above.
     :param pitch: radians about y; positive looks down (REP-103).
@@ -152,13 +155,14 @@ def pose_features(poses: np.ndarray, metres_per_radian: float) -> np.ndarray:
     """
     Return vectors whose distance is small for poses with similar views.
 
-    :param poses: (M, 6) metres and radians.
-    :param metres_per_radian: distance for which a small rotation of the viewing direction counts.
-    :returns: (M, 6): positions and scaled viewing directions.
+    :param poses: (M, 6) x, y, z in metres and yaw, pitch, roll in radians of M cameras.
+    :param metres_per_radian: the distance in metres that counts as much as a rotation of the
+        viewing direction by one radian.
+    :returns: (M, 6) metres: positions and scaled viewing directions.
     """
     yaw, pitch = poses[:, 3], poses[:, 4]
-    ahead = np.stack([np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)])
-    return np.hstack([poses[:, :3], metres_per_radian * ahead.T])
+    ahead_xyz = np.cos(pitch) * np.cos(yaw), np.cos(pitch) * np.sin(yaw), -np.sin(pitch)
+    return np.hstack([poses[:, :3], metres_per_radian * np.stack(ahead_xyz).T])
 
 
 def heading_of(rotation: np.ndarray) -> np.ndarray:
@@ -170,20 +174,20 @@ def heading_of(rotation: np.ndarray) -> np.ndarray:
         looks straight up or down, the yaw is the whole rotation about the vertical axis, and the
         roll is 0.
     """
-    forward, left, up = rotation.T
-    level = np.hypot(forward[0], forward[1])
-    pitch = np.arctan2(-forward[2], level)
+    x_axis, y_axis, z_axis = rotation.T
+    level_length = np.hypot(x_axis[0], x_axis[1])
+    pitch = np.arctan2(-x_axis[2], level_length)
     # The camera looks straight up or down.
-    if level < 1e-7:
-        return np.array([np.arctan2(-left[0], left[1]), pitch, 0.0])
-    return np.array([np.arctan2(forward[1], forward[0]), pitch, np.arctan2(left[2], up[2])])
+    if level_length < 1e-7:
+        return np.array([np.arctan2(-y_axis[0], y_axis[1]), pitch, 0.0])
+    return np.array([np.arctan2(x_axis[1], x_axis[0]), pitch, np.arctan2(y_axis[2], z_axis[2])])
 
 
-def angle_between(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the angle between two rotations (3, 3), radians."""
-    # The cosine is inaccurate for small angles, so the sine is used.
-    skew = np.linalg.norm(one - other) / np.sqrt(8.0)
-    return float(2.0 * np.arcsin(min(skew, 1.0)))
+def angle_between(rotation: np.ndarray, other: np.ndarray) -> float:
+    """Return the angle between two rotation matrices (3, 3), radians."""
+    # The cosine is inaccurate for small angles, so the sine of half the angle is used.
+    half_angle_sine = np.linalg.norm(rotation - other) / np.sqrt(8.0)
+    return float(2.0 * np.arcsin(min(half_angle_sine, 1.0)))
 
 
 #: The rotation of a level camera that looks along x.
@@ -192,7 +196,7 @@ LEVEL = np.eye(3)
 
 @njit(cache=True, nogil=True, inline='always')
 def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
-    """Return whether a direction in the camera's body frame lies in the viewing cone."""
+    """Return whether a direction (x, y, z) in the body frame of a camera is in its cone."""
     if lens.kind == OMNIDIRECTIONAL:
         return True
     if lens.kind == PINHOLE:
@@ -205,7 +209,7 @@ def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
 
 @njit(cache=True, nogil=True, inline='always')
 def in_cone(dx: float, dy: float, dz: float, pose: Pose, lens: Frustum) -> bool:
-    """Return whether an offset from a camera (metres, map frame) lies in its viewing cone."""
+    """Return whether an offset (dx, dy, dz) from a camera, metres, map frame, is in its cone."""
     rotation = pose.rotation
     x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
     y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz
@@ -218,16 +222,17 @@ def mark_headings(points, position, rotations, lens, bits):
     """
     Mark, for each point, the headings of a camera whose viewing cone contains the point.
 
-    :param points: (n, 3) float32, metres, map frame.
+    :param points: (N, 3) float32, N points, metres, map frame.
     :param position: (3,) float64, the position of the camera, metres.
-    :param rotations: (H, 3, 3) float64, body frame to map frame.
+    :param rotations: (H, 3, 3) float64, one for each of H headings, body frame to map frame.
     :param lens: the camera model's :class:`Frustum`.
-    :param bits: (n, W) uint64, in and out: bit k of word w stands for heading 64 w + k.
+    :param bits: (N, W) uint64, in and out, W >= H / 64: bit k of word w stands for heading
+        64 w + k.
     """
-    ways = points.astype(np.float64) - position
+    offsets = points.astype(np.float64) - position
     for heading in range(rotations.shape[0]):
         pose = Pose(position, rotations[heading])
-        word, flag = heading >> 6, np.uint64(1) << np.uint64(heading & 63)
-        for i in range(ways.shape[0]):
-            if in_cone(ways[i, 0], ways[i, 1], ways[i, 2], pose, lens):
-                bits[i, word] |= flag
+        flag = np.uint64(1) << np.uint64(heading & 63)
+        for i in range(offsets.shape[0]):
+            if in_cone(offsets[i, 0], offsets[i, 1], offsets[i, 2], pose, lens):
+                bits[i, heading >> 6] |= flag

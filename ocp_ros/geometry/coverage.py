@@ -22,12 +22,18 @@ MAX_CELLS = 8_000_000
 
 
 def _counts(bounds: np.ndarray, cell: float) -> np.ndarray:
-    """Return the number of cells along each axis: (3,) int64."""
+    """Return the number of cells along each axis of a box (2, 3), with edges in metres: (3,)."""
     return np.maximum(np.round((bounds[1] - bounds[0]) / cell).astype(np.int64), 1)
 
 
 def coverable_cell(bounds: np.ndarray, cell: float) -> float:
-    """Return the cell edge, metres, doubled until a box (2, 3) has at most ``MAX_CELLS``."""
+    """
+    Double the edge of a cell until a box has at most ``MAX_CELLS`` cells.
+
+    :param bounds: (2, 3) the lowest and the highest corner of the box, metres.
+    :param cell: the wanted edge of a cell, metres.
+    :returns: the edge, metres.
+    """
     while _counts(bounds, cell).prod(dtype=np.float64) > MAX_CELLS:
         cell *= 2.0
     return cell
@@ -37,10 +43,11 @@ def coverage_grid(bounds: np.ndarray, cell: float) -> tuple[np.ndarray, float]:
     """
     Divide a bounding box into equal cells.
 
-    :param bounds: (2, 3), lowest and highest corner, metres.
+    :param bounds: (2, 3) the lowest and the highest corner of the box, metres.
     :param cell: the wanted edge of a cell, metres; each axis uses the nearest edge that divides it
         evenly.
-    :returns: centres (M, 3) float32, metres, and the volume of one cell, cubic metres.
+    :returns: the centres (M, 3) float32 of the M cells, metres, and the volume of one cell, cubic
+        metres.
     :raises ValueError: if the cell is not positive, or there would be too many cells.
     """
     if not cell > 0.0:
@@ -58,8 +65,9 @@ def space_coverage(covered: np.ndarray, cell_volume: float) -> float:
     """
     Sum the volume of the visible cells.
 
-    :param covered: (W,) uint64, packed bits: whether some camera sees each cell's centre.
-    :param cell_volume: cubic metres.
+    :param covered: (W,) uint64, packed bits, 64 cells a word: whether a camera sees the centre of
+        each cell.
+    :param cell_volume: the volume of one cell, cubic metres.
     :returns: cubic metres.
     """
     return int(count_bits(covered)) * cell_volume

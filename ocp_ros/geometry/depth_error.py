@@ -16,11 +16,11 @@
 Depth observation error: the error of the depth maps of a room if only some points are visible.
 
 Equations 2 and 3 of arXiv 2110.11106, with the mean over a map's pixels instead of their sum. The
-viewpoints are fixed, so the points that cover each pixel are listed once, nearest first. The depth
-of a pixel for a partial cloud is that of the first visible point in its list.
+viewpoints are fixed, so the points that cover each pixel are listed once, nearest first. If only
+some points are visible, the depth of a pixel is that of the first visible point in its list.
 
 The lists of neighbouring pixels begin with the same points, so the lists are stored as trees. If
-the point of a node is visible, the depths of all pixels below the node are determined at once.
+the point of a node is visible, it sets the depths of all pixels below the node at once.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,32 +33,38 @@ from ocp_ros.geometry.shadow_maps import footprint, projected
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 
-#: The largest side of a cube, in multiples of the median spacing: a stray point is a speck, not a
-#: wall.
-MAX_CUBE = 3.0
+#: The largest half side of a point's cube, in multiples of the median spacing of all points: a
+#: stray point must not cover as much as a wall.
+MAX_HALF_SIDE = 3.0
 
 
 def five_viewpoints(corners: np.ndarray, height: float) -> np.ndarray:
     """
-    Place the viewpoints of the paper: the centre, and 2/3 of the way from it to the corners.
+    Return the viewpoints of arXiv 2110.11106: the centre, and 2/3 of the way to each corner.
 
     :param corners: (4, 2) the corners of the room's bounding rectangle, metres.
     :param height: z of the viewpoints, metres: half the height of the room.
     :returns: (5, 3) float64, metres.
     """
     centre = corners.mean(axis=0)
-    flat = np.vstack([centre, centre + (corners - centre) * 2.0 / 3.0])
-    return np.column_stack([flat, np.full(5, height)])
+    positions_xy = np.vstack([centre, centre + (corners - centre) * 2.0 / 3.0])
+    return np.column_stack([positions_xy, np.full(5, height)])
 
 
 @njit(cache=True, nogil=True)
-def _list_candidates(projection, order, half_sides, rows, columns, ends, indices):
+def _list_points(projection, order, half_sides, rows, columns, ends, indices):
     """
-    Write the points that cover each pixel, in the given order.
+    Write the points that cover each pixel of a map of H rows and W columns, in the given order.
 
-    :param ends: (H * W,) int64, in and out: the next free index of each pixel, raised by one per
-        point.
-    :param indices: (L,) int32, out: the points; an empty array only counts them.
+    :param projection: :class:`~ocp_ros.geometry.shadow_maps.Projection` of N points.
+    :param order: (M,) indices of the points to list, the nearest first.
+    :param half_sides: (N,) float32, half the side of each point's cube, metres.
+    :param rows: H.
+    :param columns: W.
+    :param ends: (H * W,) int64, in and out: the end of each pixel's list in ``indices``, raised by
+        one per point.
+    :param indices: (L,) int32, out: the L entries of all lists; if empty, entries are only
+        counted.
     """
     for i in order:
         first_row, last_row, first_column, count = footprint(
@@ -74,12 +80,14 @@ def _list_candidates(projection, order, half_sides, rows, columns, ends, indices
 
 class Trees(NamedTuple):
     """
-    The point lists of all pixels as trees, parents before children; each field is (T,).
+    The point lists of all pixels as trees of T nodes, parents before children.
+
+    Each field is (T,).
 
     :ivar point: uint32, the point of a node: the next one in the lists of all pixels below.
     :ivar end: uint32, the index of the first node after the subtree of this node.
     :ivar gap: float32, metres, the summed error of the pixels below if this point is the first
-        visible one.
+        visible one in their lists.
     :ivar rest: float32, metres, the summed error of the pixels whose list ends here, if none of
         its points is visible.
     """
@@ -91,62 +99,64 @@ class Trees(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def _grow(pixels, starts, indices, depths, far, longest):
+def _build_trees(pixels, starts, indices, depths, empty_depth, max_length):
     """
     Build the trees of the point lists of pixels.
 
     :param pixels: the pixels with a list, those with the same first points next to each other.
-    :param starts: (H * W + 1,) int64, the start of each pixel's list.
-    :param indices: (L,) int32, points.
+    :param starts: (H * W + 1,) int64, the start of each pixel's list in ``indices``.
+    :param indices: (L,) int32, the points of all lists.
     :param depths: (L,) float32, the distances of these points, metres.
-    :param far: the depth of an empty pixel, metres.
-    :param longest: the number of points of the longest list.
+    :param empty_depth: the depth of an empty pixel, metres.
+    :param max_length: the number of points of the longest list.
     :returns: the fields of :class:`Trees`.
     """
-    most = indices.shape[0]
-    point, end = np.empty(most, dtype=np.uint32), np.empty(most, dtype=np.uint32)
-    gap, rest = np.zeros(most), np.zeros(most)
-    path = np.empty(longest, dtype=np.int64)
-    nodes = depth = last = 0
+    size = indices.shape[0]
+    point, end = np.empty(size, dtype=np.uint32), np.empty(size, dtype=np.uint32)
+    gap, rest = np.zeros(size), np.zeros(size)
+    # The nodes of the points of the list that was added last.
+    path = np.empty(max_length, dtype=np.int64)
+    path_length = path_start = nodes = 0
     for pixel in pixels:
-        first, length = starts[pixel], starts[pixel + 1] - starts[pixel]
+        start, length = starts[pixel], starts[pixel + 1] - starts[pixel]
         shared = 0
-        while (shared < min(length, depth)
-               and indices[first + shared] == indices[last + shared]):
+        while (shared < min(length, path_length)
+               and indices[start + shared] == indices[path_start + shared]):
             shared += 1
-        for k in range(shared, depth):
+        for k in range(shared, path_length):
             end[path[k]] = nodes
         for k in range(shared, length):
-            point[nodes] = indices[first + k]
+            point[nodes] = indices[start + k]
             path[k] = nodes
             nodes += 1
-        depth, last = length, first
+        path_length, path_start = length, start
         for k in range(length):
-            gap[path[k]] += depths[first + k] - depths[first]
-        rest[path[length - 1]] += far - depths[first]
-    for k in range(depth):
+            gap[path[k]] += depths[start + k] - depths[start]
+        rest[path[length - 1]] += empty_depth - depths[start]
+    for k in range(path_length):
         end[path[k]] = nodes
     return (point[:nodes].copy(), end[:nodes].copy(), gap[:nodes].astype(np.float32),
             rest[:nodes].astype(np.float32))
 
 
 @njit(cache=True, nogil=True)
-def lost_depth(trees, seen, most=np.inf):
+def lost_depth(trees, seen, max_sum=np.inf):
     """
     Sum the depth errors of the pixels of all viewpoints.
 
-    A pixel has a list of points, the nearest first, and shows the first of them that is seen. Its
-    error is the distance of that point beyond the nearest one, or the whole depth that is missing
-    if none is seen. So the subtree below a seen point is skipped; see :class:`Trees`.
+    A pixel has a list of points, the nearest first, and shows the first visible one. The error of
+    a pixel is how much farther that point is than the nearest one of the list. If no point of the
+    list is visible, the error is the depth of an empty pixel minus that of the nearest point. A
+    visible point decides all pixels below it, so its subtree is skipped; see :class:`Trees`.
 
     :param trees: the trees of a :class:`DepthError`.
-    :param seen: (W,) uint64, packed bits of the points.
-    :param most: metres; the sum may stop as soon as it exceeds this value.
-    :returns: the sum, metres; the depth error is this sum divided by the number of pixels of a
-        map.
+    :param seen: (W,) uint64, packed bits of the points, 64 a word: whether each is visible.
+    :param max_sum: metres; the summation may stop as soon as the sum exceeds this value.
+    :returns: the sum, metres; divided by ``DepthError.pixels`` it is the depth error.
     """
-    total, node = 0.0, np.uint32(0)
-    while node < trees.point.shape[0] and total <= most:
+    total = 0.0
+    node = np.uint32(0)
+    while node < trees.point.shape[0] and total <= max_sum:
         point = trees.point[node]
         if (seen[point >> np.uint32(6)] >> np.uint64(point & np.uint32(63))) & np.uint64(1):
             total += trees.gap[node]
@@ -160,41 +170,47 @@ def lost_depth(trees, seen, most=np.inf):
 @njit(cache=True, nogil=True)
 def unsettled(trees, seen):
     """
-    Remove the nodes at and below points that are visible anyway, and keep their error.
+    Return the trees without the nodes at and below visible points, and the error of these nodes.
 
     :param trees: the trees of a :class:`DepthError`.
-    :param seen: (W,) uint64, packed bits of the points.
+    :param seen: (W,) uint64, packed bits of the points: whether each is visible.
     :returns: the remaining trees, whose ``rest`` includes the errors of removed nodes, and the
         summed error of trees that were removed as a whole, metres. For ``seen`` and any further
         points, :func:`lost_depth` of all trees equals that of the remaining trees plus this sum.
     """
-    most = trees.point.shape[0]
-    before, kept = np.empty(most + 1, dtype=np.uint32), np.empty(most, dtype=np.uint32)
-    rest, path = np.empty(most, dtype=np.float32), np.empty(most, dtype=np.uint32)
-    total, node, count, depth = 0.0, np.uint32(0), np.uint32(0), 0
-    while node < most:
-        while depth and trees.end[kept[path[depth - 1]]] <= node:
-            depth -= 1
-        before[node] = count
+    size = trees.point.shape[0]
+    # The number of kept nodes before each node, and the kept nodes.
+    ranks, kept = np.empty(size + 1, dtype=np.uint32), np.empty(size, dtype=np.uint32)
+    rest = np.empty(size, dtype=np.float32)
+    # The kept nodes above the current one, by their indices among the kept ones.
+    path = np.empty(size, dtype=np.uint32)
+    path_length = 0
+    total = 0.0
+    node = count = np.uint32(0)
+    while node < size:
+        while path_length and trees.end[kept[path[path_length - 1]]] <= node:
+            path_length -= 1
+        ranks[node] = count
         point = trees.point[node]
         if (seen[point >> np.uint32(6)] >> np.uint64(point & np.uint32(63))) & np.uint64(1):
-            # These pixels have this error unless a point above is visible.
-            if depth:
-                rest[path[depth - 1]] += trees.gap[node]
+            # The pixels below have this error if no point above is visible.
+            if path_length:
+                rest[path[path_length - 1]] += trees.gap[node]
             else:
                 total += trees.gap[node]
             node = trees.end[node]
         else:
-            kept[count], rest[count], path[depth] = node, trees.rest[node], count
-            count, depth, node = count + np.uint32(1), depth + 1, node + np.uint32(1)
-    before[most] = count
+            kept[count], rest[count], path[path_length] = node, trees.rest[node], count
+            path_length += 1
+            count, node = count + np.uint32(1), node + np.uint32(1)
+    ranks[size] = count
     kept = kept[:count]
-    return Trees(trees.point[kept], before[trees.end[kept]], trees.gap[kept], rest[:count]), total
+    return Trees(trees.point[kept], ranks[trees.end[kept]], trees.gap[kept], rest[:count]), total
 
 
 @njit(cache=True, nogil=True)
-def _lost_at(trees, seen, lost):
-    """Add each pixel's error to the first point of its list, the true surface: ``lost`` (N,)."""
+def _add_lost_depth(trees, seen, lost):
+    """Add each pixel's error, metres, to ``lost`` (N,) at the nearest point of its list."""
     node = np.uint32(0)
     while node < trees.point.shape[0]:
         first, last = trees.point[node], trees.end[node]
@@ -212,59 +228,68 @@ class DepthError:
     """
     The depth observation error of a scene for any subset of its points.
 
-    :param points: (N, 3) float32, metres, map frame.
-    :param spacing: (N,) float32, metres.
-    :param far: the depth of an empty pixel, metres: the diameter of the room.
-    :param places: (V, 3) metres, the viewpoints. For any number of them, the error is scaled to
-        that of five.
+    :param points: (N, 3) float32, N points, metres, map frame.
+    :param spacing: (N,) float32, the distance of each point to its nearest neighbour, metres.
+    :param empty_depth: the depth of an empty pixel, metres: the diameter of the room.
+    :param viewpoints: (V, 3) metres, the V viewpoints of the depth maps. The error is scaled to
+        that of five viewpoints.
     :param rows: rows of the depth maps; they have twice as many columns.
     :param folds: 1 for the error with all points. For n >= 2, each point belongs to one of n
         folds, and each viewpoint in turn leaves out the points of one fold; the error is scaled so
         that the error of seeing nothing stays the same. A placement whose error depends on single
         points of this scan does not reach that error on another scan.
+    :ivar far: the depth of an empty pixel, metres.
+    :ivar shape: rows and columns of the depth maps.
     :ivar trees: the trees, for kernels that call :func:`lost_depth` many times.
     :ivar pixels: the divisor of the sum over all pixels: a fifth of the number of pixels of all
         viewpoints; scaled as described for ``folds``.
+    :ivar worst: the error of seeing nothing, metres.
     """
 
-    def __init__(self, points: np.ndarray, spacing: np.ndarray, far: float, places: np.ndarray,
-                 rows: int, folds: int = 1) -> None:
-        self.far = far
+    def __init__(self, points: np.ndarray, spacing: np.ndarray, empty_depth: float,
+                 viewpoints: np.ndarray, rows: int, folds: int = 1) -> None:
+        self.far = empty_depth
         self._count = len(points)
-        self.viewpoints = places
+        self.viewpoints = viewpoints
         self.shape = (rows, 2 * rows)
         # The paper has five viewpoints.
-        self.pixels = rows * 2 * rows * len(places) / 5
+        self.pixels = rows * 2 * rows * len(viewpoints) / 5
         # Half the side of the paper's cube is the spacing of the points. Smaller cubes leave holes
         # in the maps of a whole room.
-        half_sides = np.minimum(spacing, MAX_CUBE * np.median(spacing)).astype(np.float32)
+        half_sides = np.minimum(spacing, MAX_HALF_SIDE * np.median(spacing)).astype(np.float32)
         # Folds are assigned in the order of distance from the first viewpoint, which does not
         # change when the scan is rotated.
-        order = np.argsort(np.linalg.norm(points - places[0], axis=1), kind='stable')
+        order = np.argsort(np.linalg.norm(points - viewpoints[0], axis=1), kind='stable')
         fold = np.empty(len(points), dtype=np.int64)
         fold[order] = np.random.default_rng(0).integers(folds, size=len(points))
-        wanted = [(position, fold != number % folds if folds > 1 else None)
-                  for number, position in enumerate(self.viewpoints)]
-        self._maps, grown = [], []
+        inputs = [(position, fold != number % folds if folds > 1 else None)
+                  for number, position in enumerate(viewpoints)]
+        self._maps, all_trees = [], []
         for trees, depth_map in mapped(
-                lambda one: self._viewpoint(points, half_sides, *one), wanted):
-            end = trees.end + np.uint32(sum(len(before.end) for before in grown))
-            grown.append(trees._replace(end=end))
+                lambda one: self._trees_and_map(points, half_sides, *one), inputs):
+            end = trees.end + np.uint32(sum(len(earlier.end) for earlier in all_trees))
+            all_trees.append(trees._replace(end=end))
             depth_map.setflags(write=False)
             self._maps.append(depth_map)
-        self.trees = Trees(*(np.concatenate(field) for field in zip(*grown)))
-        #: The error of seeing nothing, metres.
+        self.trees = Trees(*(np.concatenate(field) for field in zip(*all_trees)))
         self.worst = self(no_bits(len(points)))
         if folds > 1:
-            whole = sum(float((self.far - depth_map).sum(dtype=np.float64))
+            # The error of seeing nothing without folds.
+            worst = sum(float((self.far - depth_map).sum(dtype=np.float64))
                         for depth_map in self._maps) / self.pixels
-            self.pixels *= self.worst / whole
-            self.worst = whole
+            self.pixels *= self.worst / worst
+            self.worst = worst
 
-    def _viewpoint(self, points: np.ndarray, half_sides: np.ndarray,
-                   position: np.ndarray, kept: np.ndarray | None
-                   ) -> tuple[Trees, np.ndarray]:
-        """List the points that cover each pixel of one viewpoint, and compute its depth map."""
+    def _trees_and_map(self, points: np.ndarray, half_sides: np.ndarray, position: np.ndarray,
+                       kept: np.ndarray | None) -> tuple[Trees, np.ndarray]:
+        """
+        Return the trees of one viewpoint, and its depth map with all points.
+
+        :param points: (N, 3) metres.
+        :param half_sides: (N,) half the side of each point's cube, metres.
+        :param position: (3,) the viewpoint, metres.
+        :param kept: (N,) bool, the points in the trees; None for all.
+        """
         rows, columns = self.shape
         # The range is so large that rounding never cuts off a far corner of the room.
         lens = CameraModel(max_range=2.0 * self.far).lens
@@ -272,81 +297,84 @@ class DepthError:
         order = np.argsort(projection.distance, kind='stable')
         order = order[np.isfinite(projection.distance[order])]
         counts = np.zeros(rows * columns, dtype=np.int64)
-        _list_candidates(projection, order, half_sides, rows, columns, counts,
-                         np.empty(0, dtype=np.int32))
+        _list_points(projection, order, half_sides, rows, columns, counts,
+                     np.empty(0, dtype=np.int32))
         starts = np.concatenate([[0], np.cumsum(counts)])
         indices = np.empty(starts[-1], dtype=np.int32)
-        _list_candidates(projection, order, half_sides, rows, columns, starts[:-1].copy(), indices)
-        depth, pixels = np.full(rows * columns, self.far, dtype=np.float32), counts > 0
-        depth[pixels] = projection.distance[indices[starts[:-1][pixels]]]
+        _list_points(projection, order, half_sides, rows, columns, starts[:-1].copy(), indices)
+        depth_map = np.full(rows * columns, self.far, dtype=np.float32)
+        covered = counts > 0
+        depth_map[covered] = projection.distance[indices[starts[:-1][covered]]]
         if kept is not None:
-            left = kept[indices]
-            counts = np.diff(np.concatenate([[0], np.cumsum(left)])[starts])
-            indices, starts = indices[left], np.concatenate([[0], np.cumsum(counts)])
-        depths, pixels = projection.distance[indices], np.flatnonzero(counts)
+            in_trees = kept[indices]
+            counts = np.diff(np.concatenate([[0], np.cumsum(in_trees)])[starts])
+            starts = np.concatenate([[0], np.cumsum(counts)])
+            indices = indices[in_trees]
+        depths = projection.distance[indices]
+        pixels = np.flatnonzero(counts)
         # Sorting by the six nearest points makes pixels with the same first points neighbours.
         sort_keys = 6
         padded = np.append(indices, np.zeros(sort_keys, dtype=np.int32))
         keys = [np.where(counts[pixels] > k, padded[starts[pixels] + k], -1)
                 for k in range(sort_keys)]
         pixels = pixels[np.lexsort(keys[::-1])]
-        trees = Trees(*_grow(pixels, starts, indices, depths, self.far, int(counts.max())))
-        return trees, depth.reshape(self.shape)
+        fields = _build_trees(pixels, starts, indices, depths, self.far, int(counts.max()))
+        return Trees(*fields), depth_map.reshape(self.shape)
 
     def depth_map(self, viewpoint: int) -> np.ndarray:
         """
-        Return the depth map of the whole scene.
+        Return the depth map of the whole scene from one viewpoint.
 
         :param viewpoint: the number of the viewpoint, from 0.
-        :returns: (H, W) float32, metres; an empty pixel reads ``far``.
+        :returns: (H, W) float32, metres, in H rows and W columns; an empty pixel reads ``far``.
         """
         return self._maps[viewpoint]
 
-    def __call__(self, seen: np.ndarray, most: float = np.inf) -> float:
+    def __call__(self, seen: np.ndarray, max_error: float = np.inf) -> float:
         """
-        Return the depth observation error of the visible points.
+        Return the depth observation error if only some points are visible.
 
-        :param seen: (W,) uint64, packed bits of the points.
-        :param most: metres; if the error is above this value, any value above it may be returned.
+        :param seen: (W,) uint64, packed bits of the points, 64 a word: whether each is visible.
+        :param max_error: metres; for a larger error, any value above this one may be returned.
         :returns: metres: the sum over five viewpoints of the mean over the pixels; for another
             number of viewpoints, five times their mean.
         """
-        return lost_depth(self.trees, seen, most * self.pixels) / self.pixels
+        return lost_depth(self.trees, seen, max_error * self.pixels) / self.pixels
 
     def given(self, seen: np.ndarray) -> Callable[..., float]:
         """
-        Return a fast function that computes the error of some points and one further view.
+        Return a fast function that computes the error of given points plus one further view.
 
-        :param seen: (W,) uint64, packed bits of the points.
-        :returns: a function of a view ((W,) uint64, packed bits) and of ``most``, see
-            :meth:`__call__`; it returns metres.
+        :param seen: (W,) uint64, packed bits of the given points, which are visible.
+        :returns: a function of the view ((W,) uint64, packed bits of its visible points) and of
+            ``max_error``, see :meth:`__call__`; it returns the error, metres.
         """
         trees, settled = unsettled(self.trees, seen)
-        return lambda view, most=np.inf: (
-            settled + lost_depth(trees, view, most * self.pixels - settled)) / self.pixels
+        return lambda view, max_error=np.inf: (
+            settled + lost_depth(trees, view, max_error * self.pixels - settled)) / self.pixels
 
-    def changes(self, beside: Sequence[np.ndarray], views: Sequence[np.ndarray], floor: float
-                ) -> np.ndarray:
+    def changes(self, given_views: Sequence[np.ndarray], views: Sequence[np.ndarray],
+                floor_share: float) -> np.ndarray:
         """
-        Return the change of the error by each of many views, added to some given views.
+        Return the change of the error by each of many views, if it is added to given views.
 
-        :param beside: the given views: any number of (W,) uint64, packed bits of the points.
+        :param given_views: any number of views: (W,) uint64, packed bits of the visible points.
         :param views: M views of the same form.
-        :param floor: the share of the error of seeing nothing that is added to both errors.
+        :param floor_share: the share of the error of seeing nothing that is added to both errors.
         :returns: (M,) logarithms of (error with the view / error without it); less is better.
         """
-        seen = np.bitwise_or.reduce([no_bits(self._count), *beside])
-        added, error = floor * self.worst, self.given(seen)
-        beyond = np.array([error(view) for view in views])
-        return np.log((beyond + added) / (self(seen) + added))
+        seen = np.bitwise_or.reduce([no_bits(self._count), *given_views])
+        floor = floor_share * self.worst
+        errors = np.array([*map(self.given(seen), views)])
+        return np.log((errors + floor) / (self(seen) + floor))
 
     def error_by_point(self, seen: np.ndarray) -> np.ndarray:
         """
-        Return the error by points: that of a pixel goes to the point that it should show.
+        Return the error by points: that of a pixel belongs to the nearest point in its list.
 
-        :param seen: (W,) uint64, packed bits of the points.
+        :param seen: (W,) uint64, packed bits of the points: whether each is visible.
         :returns: (N,) metres, in the order of the points; their sum is the error.
         """
         lost = np.zeros(self._count)
-        _lost_at(self.trees, seen, lost)
+        _add_lost_depth(self.trees, seen, lost)
         return lost / self.pixels

@@ -17,14 +17,10 @@
 import numpy as np
 from ocp_ros.util.kernels import njit
 
-#: The largest |z| of the normal of a wall.
+#: The largest |z| of the unit normal of a wall.
 STEEP = 0.3
-#: The least |z| of the normal of a level surface.
+#: The least |z| of the unit normal of a level surface.
 LEVEL = 0.7
-#: The number of sweeps of Jacobi's method; a (3, 3) matrix converges in fewer.
-SWEEPS = 12
-#: The weight of the roughness of a plane.
-ROUGHNESS_WEIGHT = 3.0
 
 
 def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray:
@@ -36,24 +32,24 @@ def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray
     the weighted roughness of the plane. Near an edge, this is the plane of a neighbour farther
     inside the face.
 
-    :param points: (N, 3), metres.
-    :param neighbours: (N, K) indices of the nearest points, the point itself first.
-    :returns: (N, 3) float32 unit vectors of either sign.
+    :param points: (N, 3), N points, metres.
+    :param neighbours: (N, K) the indices of the K points nearest to each point, itself first.
+    :returns: (N, 3) float32, the unit normal of each point, of either sign.
     """
     points, neighbours = np.asarray(points, dtype=np.float64), np.ascontiguousarray(neighbours)
-    typical = float(np.linalg.norm(points - points[neighbours[:, 1]], axis=1).mean())
-    normals, roughness = _planes(points, neighbours)
+    spacing = float(np.linalg.norm(points - points[neighbours[:, 1]], axis=1).mean())
+    normals, roughness = _fit_planes(points, neighbours)
     # A point may adopt the plane of one of its twelve nearest neighbours.
-    return _adopted(points, neighbours[:, :12], normals, roughness, max(typical, 1e-9))
+    return _choose_normals(points, neighbours[:, :12], normals, roughness, max(spacing, 1e-9))
 
 
 @njit(cache=True, nogil=True)
-def _planes(points, neighbours):
+def _fit_planes(points, neighbours):
     """
-    Fit a plane to the neighbours of each point.
+    Fit a plane to the K neighbours of each of N points.
 
-    :param points: (N, 3) float64.
-    :param neighbours: (N, K) indices.
+    :param points: (N, 3) float64, metres.
+    :param neighbours: (N, K) indices of points.
     :returns: normals (N, 3) float64, and the roughness (N,): the spread of the neighbours off the
         plane as a share of their total spread.
     """
@@ -74,32 +70,34 @@ def _planes(points, neighbours):
                     scatter[a, b] += ((points[neighbours[i, k], a] - mean[a])
                                       * (points[neighbours[i, k], b] - mean[b]))
         _diagonalise(scatter, axes)
-        least = 0
+        thinnest = 0
         for a in range(1, 3):
-            if scatter[a, a] < scatter[least, least]:
-                least = a
+            if scatter[a, a] < scatter[thinnest, thinnest]:
+                thinnest = a
         total = scatter[0, 0] + scatter[1, 1] + scatter[2, 2]
-        share = min(max(scatter[least, least] / max(total, 1e-30), 0.0), 1.0)
+        share = min(max(scatter[thinnest, thinnest] / max(total, 1e-30), 0.0), 1.0)
         roughness[i] = np.sqrt(share)
         for a in range(3):
-            normals[i, a] = axes[a, least]
+            normals[i, a] = axes[a, thinnest]
     return normals, roughness
 
 
 @njit(cache=True, nogil=True)
 def _diagonalise(matrix, axes):
     """
-    Turn a symmetric matrix (3, 3) into its eigenvalues by Jacobi's rotations.
+    Diagonalise a symmetric matrix by Jacobi's rotations.
 
-    :param matrix: its upper half, in and out: the diagonal becomes the eigenvalues.
+    :param matrix: (3, 3), in and out: only the upper half is used, and its diagonal becomes the
+        eigenvalues.
     :param axes: (3, 3), out: the eigenvectors as columns.
     """
     for a in range(3):
         for b in range(3):
             axes[a, b] = 1.0 if a == b else 0.0
-    for _ in range(SWEEPS):
-        off = abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2])
-        if off <= 1e-14 * (abs(matrix[0, 0]) + abs(matrix[1, 1]) + abs(matrix[2, 2])):
+    # A (3, 3) matrix converges in fewer than 12 sweeps.
+    for _ in range(12):
+        off_diagonal = abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2])
+        if off_diagonal <= 1e-14 * (abs(matrix[0, 0]) + abs(matrix[1, 1]) + abs(matrix[2, 2])):
             return
         for p in range(2):
             for q in range(p + 1, 3):
@@ -107,47 +105,49 @@ def _diagonalise(matrix, axes):
                     continue
                 theta = 0.5 * (matrix[q, q] - matrix[p, p]) / matrix[p, q]
                 sign = 1.0 if theta >= 0.0 else -1.0
-                t = sign / (abs(theta) + np.sqrt(theta * theta + 1.0))
-                c = 1.0 / np.sqrt(t * t + 1.0)
-                s = t * c
-                matrix[p, p] -= t * matrix[p, q]
-                matrix[q, q] += t * matrix[p, q]
+                tangent = sign / (abs(theta) + np.sqrt(theta * theta + 1.0))
+                cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
+                sine = tangent * cosine
+                matrix[p, p] -= tangent * matrix[p, q]
+                matrix[q, q] += tangent * matrix[p, q]
                 matrix[p, q] = 0.0
-                r = 3 - p - q
-                low_p, high_p = min(r, p), max(r, p)
-                low_q, high_q = min(r, q), max(r, q)
-                to_p, to_q = matrix[low_p, high_p], matrix[low_q, high_q]
-                matrix[low_p, high_p] = c * to_p - s * to_q
-                matrix[low_q, high_q] = s * to_p + c * to_q
+                third = 3 - p - q
+                low_p, high_p = min(third, p), max(third, p)
+                low_q, high_q = min(third, q), max(third, q)
+                entry_p, entry_q = matrix[low_p, high_p], matrix[low_q, high_q]
+                matrix[low_p, high_p] = cosine * entry_p - sine * entry_q
+                matrix[low_q, high_q] = sine * entry_p + cosine * entry_q
                 for a in range(3):
-                    along_p, along_q = axes[a, p], axes[a, q]
-                    axes[a, p] = c * along_p - s * along_q
-                    axes[a, q] = s * along_p + c * along_q
+                    axis_p, axis_q = axes[a, p], axes[a, q]
+                    axes[a, p] = cosine * axis_p - sine * axis_q
+                    axes[a, q] = sine * axis_p + cosine * axis_q
 
 
 @njit(cache=True, nogil=True)
-def _adopted(points, candidates, normals, roughness, typical):
+def _choose_normals(points, candidates, normals, roughness, spacing):
     """
-    Choose the best of some nearby planes for each point.
+    Choose the normal of the best of C nearby planes for each of N points.
 
     :param points: (N, 3) float64, metres.
     :param candidates: (N, C) indices of the points whose planes are compared.
-    :param normals: (N, 3) float64.
-    :param roughness: (N,).
-    :param typical: the mean distance between neighbouring points, metres.
-    :returns: (N, 3) float32.
+    :param normals: (N, 3) float64, the unit normal of each point's plane.
+    :param roughness: (N,) the roughness of each point's plane, see :func:`_fit_planes`.
+    :param spacing: the mean distance between neighbouring points, metres.
+    :returns: (N, 3) float32 unit vectors.
     """
     chosen = np.empty(points.shape, dtype=np.float32)
+    roughness_weight = 3.0
     for i in range(points.shape[0]):
-        best, least = candidates[i, 0], np.inf
+        best = candidates[i, 0]
+        least_cost = np.inf
         for k in range(candidates.shape[1]):
             j = candidates[i, k]
-            away = 0.0
+            distance = 0.0
             for a in range(3):
-                away += (points[i, a] - points[j, a]) * normals[j, a]
-            cost = abs(away) / typical + ROUGHNESS_WEIGHT * roughness[j]
-            if cost < least:
-                best, least = j, cost
+                distance += (points[i, a] - points[j, a]) * normals[j, a]
+            cost = abs(distance) / spacing + roughness_weight * roughness[j]
+            if cost < least_cost:
+                best, least_cost = j, cost
         for a in range(3):
             chosen[i, a] = normals[best, a]
     return chosen

@@ -12,44 +12,47 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Cells of a horizontal grid: close those near surfaces, and find the nearest open cell."""
+"""
+Cells of a horizontal grid: close those near surfaces, and find the nearest open cell.
+
+A grid has X cells along x, its rows, and Y cells along y, its columns. Cameras may be in open
+cells only.
+"""
 
 import math
 
 import numpy as np
 from ocp_ros.util.kernels import njit
 
-#: The row number for a column without an open cell.
+#: The row of the nearest open cell, for a column without any.
 NO_ROW = -1
-#: Metres: positions moved into a cell keep this distance from its edges.
-INSET_M = 1e-6
 
 
 @njit(cache=True, nogil=True)
-def close_near(points, heights, clearance, low, edge, cells):
+def close_cells(points, heights, clearance, low, edge, cells):
     """
-    Close the cells with any position nearer to a point than a given distance, in 3D.
+    Close the cells in which a camera may come nearer to a point than a given distance, in 3D.
 
-    :param points: (N, 3) metres.
-    :param heights: (2,) metres, the lowest and the highest z of the positions.
+    :param points: (N, 3) N points of surfaces, metres.
+    :param heights: (2,) the lowest and the highest z of cameras, metres.
     :param clearance: the distance, metres.
     :param low: (2,) metres, corner of the first cell.
     :param edge: the edge of a cell, metres.
-    :param cells: (X, Y) bool, written to: those that are too near become False.
+    :param cells: (X, Y) bool, in and out, whether a cell is open; closed cells become False.
     """
     for point in range(len(points)):
         z = points[point, 2]
-        off = max(heights[0] - z, z - heights[1], 0.0)
-        if off >= clearance:
+        height_gap = max(heights[0] - z, z - heights[1], 0.0)
+        if height_gap >= clearance:
             continue
         # In units of cells: the disc in which the sphere of radius ``clearance`` meets the plane.
-        radius = math.sqrt(clearance * clearance - off * off) / edge
+        radius = math.sqrt(clearance * clearance - height_gap * height_gap) / edge
         x, y = (points[point, 0] - low[0]) / edge, (points[point, 1] - low[1]) / edge
         first, last = int(math.floor(x - radius)), int(math.floor(x + radius))
         for i in range(max(first, 0), min(last + 1, cells.shape[0])):
-            away = max(i - x, x - (i + 1), 0.0)
-            half = math.sqrt(max(radius * radius - away * away, 0.0))
-            begin, end = int(math.floor(y - half)), int(math.floor(y + half))
+            row_gap = max(i - x, x - (i + 1), 0.0)
+            half_width = math.sqrt(max(radius * radius - row_gap * row_gap, 0.0))
+            begin, end = int(math.floor(y - half_width)), int(math.floor(y + half_width))
             for j in range(max(begin, 0), min(end + 1, cells.shape[1])):
                 cells[i, j] = False
 
@@ -57,53 +60,56 @@ def close_near(points, heights, clearance, low, edge, cells):
 @njit(cache=True, nogil=True)
 def nearest_rows(cells):
     """
-    Find the nearest open cell along the first axis; of two equally near ones, the lower.
+    Return the row of the open cell nearest to each cell in the same column.
 
-    :param cells: (X, Y) bool.
-    :returns: (X, Y) int32, the first index of this cell; ``NO_ROW`` if the column has none.
+    :param cells: (X, Y) bool, whether a cell is open.
+    :returns: (X, Y) int32, the lower row of two equally near ones; ``NO_ROW`` if the column has no
+        open cell.
     """
     rows, columns = cells.shape
-    near = np.full(cells.shape, NO_ROW, dtype=np.int32)
+    nearest = np.full(cells.shape, NO_ROW, dtype=np.int32)
     for i in range(rows):
         for j in range(columns):
             if cells[i, j]:
-                near[i, j] = i
+                nearest[i, j] = i
             elif i > 0:
-                near[i, j] = near[i - 1, j]
+                nearest[i, j] = nearest[i - 1, j]
     for i in range(rows - 2, -1, -1):
         for j in range(columns):
-            above = near[i + 1, j]
-            if above > i and (near[i, j] == NO_ROW or above - i < i - near[i, j]):
-                near[i, j] = above
-    return near
+            upper = nearest[i + 1, j]
+            if upper > i and (nearest[i, j] == NO_ROW or upper - i < i - nearest[i, j]):
+                nearest[i, j] = upper
+    return nearest
 
 
 @njit(cache=True, nogil=True)
-def moved_into(positions, low, edge, near):
+def move_into_open_cells(positions, low, edge, nearest):
     """
-    Move positions into the nearest open cell; see :func:`nearest_rows`.
+    Move positions into the nearest open cells, a micrometre from their edges, in place.
 
-    Of equally near cells, the one with the lowest second index is taken, then the lowest first.
+    Of equally near cells, that with the lowest column is taken, then that with the lowest row.
 
-    :param positions: (M, 2) float64, metres, overwritten; a position outside of the grid is
-        treated as in its nearest cell.
+    :param positions: (M, 2) float64, x and y of M positions, metres, in and out; outside the grid,
+        the cell of a position is the nearest one.
     :param low: (2,) metres, corner of the first cell.
     :param edge: the edge of a cell, metres.
-    :param near: (X, Y) int32, from :func:`nearest_rows`; at least one cell has to be open.
+    :param nearest: (X, Y) int32, from :func:`nearest_rows`; at least one cell has to be open.
     """
-    rows, columns = near.shape
+    rows, columns = nearest.shape
+    inset_m = 1e-6
     for m in range(len(positions)):
         i = int(min(max(math.floor((positions[m, 0] - low[0]) / edge), 0), rows - 1))
         j = int(min(max(math.floor((positions[m, 1] - low[1]) / edge), 0), columns - 1))
-        best, x, y = rows * rows + columns * columns, i, j
-        for off in range(max(j, columns - 1 - j) + 1):
-            if off * off > best:
+        # The least squared distance of an open cell so far, in cells.
+        least, best_row, best_column = rows * rows + columns * columns, i, j
+        for gap in range(max(j, columns - 1 - j) + 1):
+            if gap * gap > least:
                 break
-            for column in (j - off, j + off):
-                if 0 <= column < columns and near[i, column] != NO_ROW:
-                    away = off * off + (near[i, column] - i) ** 2
-                    if away < best or (away == best and column < y):
-                        best, x, y = away, near[i, column], column
-        for k, cell in enumerate((x, y)):
+            for column in (j - gap, j + gap):
+                if 0 <= column < columns and nearest[i, column] != NO_ROW:
+                    squared = gap * gap + (nearest[i, column] - i) ** 2
+                    if squared < least or (squared == least and column < best_column):
+                        least, best_row, best_column = squared, nearest[i, column], column
+        for k, cell in enumerate((best_row, best_column)):
             corner = low[k] + edge * cell
-            positions[m, k] = min(max(positions[m, k], corner + INSET_M), corner + edge - INSET_M)
+            positions[m, k] = min(max(positions[m, k], corner + inset_m), corner + edge - inset_m)

@@ -46,7 +46,7 @@ class CubeSettings(NamedTuple):
 
 class Projection(NamedTuple):
     """
-    The spherical coordinates of points relative to a camera.
+    The spherical coordinates of N points relative to a camera.
 
     :ivar distance: (N,) float32, metres; inf for points out of the camera's range or field of
         view.
@@ -65,43 +65,50 @@ class Projection(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def project(points, pose, lens, out):
+def project(points, pose, lens, projection):
     """
     Write the spherical coordinates of each point relative to a camera.
 
-    :param points: (N, 3) float32, metres, map frame.
+    :param points: (N, 3) float32, N points, metres, map frame.
     :param pose: the camera's :class:`Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
-    :param out: :class:`Projection` of N points.
+    :param projection: :class:`Projection` of N points, out.
     """
     x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
     for i in range(points.shape[0]):
         dx, dy, dz = points[i, 0] - x0, points[i, 1] - y0, points[i, 2] - z0
-        flat = math.sqrt(dx * dx + dy * dy)
-        r = math.sqrt(flat * flat + dz * dz)
-        out.distance[i] = r
-        out.elevation[i] = math.atan2(dz, flat)
-        out.azimuth[i] = math.atan2(dy, dx)
-        if (r < lens.min_range or r > lens.max_range or r == 0.0
+        level_distance = math.sqrt(dx * dx + dy * dy)
+        distance = math.sqrt(level_distance * level_distance + dz * dz)
+        projection.distance[i] = distance
+        projection.elevation[i] = math.atan2(dz, level_distance)
+        projection.azimuth[i] = math.atan2(dy, dx)
+        if (distance < lens.min_range or distance > lens.max_range or distance == 0.0
                 or not (lens.kind == OMNIDIRECTIONAL or in_cone(dx, dy, dz, pose, lens))):
-            out.distance[i] = np.inf
+            projection.distance[i] = np.inf
 
 
 def projected(points: np.ndarray, pose: Pose, lens: Frustum) -> Projection:
     """Return the projection of points (N, 3) float32, metres; see :func:`project`."""
-    view = Projection.empty(len(points))
-    project(points, pose, lens, view)
-    return view
+    projection = Projection.empty(len(points))
+    project(points, pose, lens, projection)
+    return projection
 
 
 def in_reach(points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
-    """Return (N,) bool, whether points (N, 3) are in a camera's viewing cone and range."""
+    """Return whether points (N, 3), metres, are in a camera's cone and range: (N,) bool."""
     return np.isfinite(projected(points, pose, lens).distance)
 
 
 @njit(cache=True, nogil=True, inline='always')
 def cell_of(elevation, azimuth, rows, columns):
-    """Return the (row, column) of the cell of a direction; azimuth pi is azimuth -pi."""
+    """
+    Return the row and the column of the cell of a direction.
+
+    :param elevation: radians.
+    :param azimuth: radians; pi is the same as -pi.
+    :param rows: rows of the map.
+    :param columns: columns of the map.
+    """
     row = min(max(int(math.floor((elevation + HALF_PI) * rows / np.pi)), 0), rows - 1)
     column = int(math.floor((azimuth + np.pi) * columns / TWO_PI)) % columns
     return row, column
@@ -112,73 +119,82 @@ def footprint(distance, elevation, azimuth, half_side, rows, columns):
     """
     Return the cells that a point covers: first and last row, first column and column count.
 
-    The point is a cube, so it covers a rectangle of half-width half_side / r in elevation and
-    half_side / (r cos(elevation)) in azimuth. It covers the cells whose centre lies in this
-    rectangle and always its own cell; if the cube extends over a pole, it covers full rows. The
-    first column may be negative or the last one beyond the map: the caller has to wrap them.
+    The point is a cube, so it covers a rectangle of half-width half_side / distance in elevation
+    and half_side / (distance cos(elevation)) in azimuth. It covers the cells whose centre lies in
+    this rectangle, and always the cell of its centre; a cube that extends over a pole covers full
+    rows.
+
+    :param distance: metres.
+    :param elevation: radians.
+    :param azimuth: radians.
+    :param half_side: half the side of the cube, metres.
+    :param rows: rows of the map.
+    :param columns: columns of the map.
+    :returns: four integers. The first column may be negative, or the last one beyond the map: the
+        caller has to wrap the columns.
     """
-    row, column = cell_of(elevation, azimuth, rows, columns)
-    half = half_side / distance
-    at = (elevation + HALF_PI) * rows / np.pi - 0.5
-    reach = half * rows / np.pi
-    first_row = max(min(int(math.ceil(at - reach)), row), 0)
-    last_row = min(max(int(math.floor(at + reach)), row), rows - 1)
-    to_pole = HALF_PI - abs(elevation)
-    half_azimuth = half / max(math.cos(elevation), 1e-6)
-    if half >= to_pole or half_azimuth >= np.pi:
+    row, _ = cell_of(elevation, azimuth, rows, columns)
+    half_angle = half_side / distance
+    centre_row = (elevation + HALF_PI) * rows / np.pi - 0.5
+    half_rows = half_angle * rows / np.pi
+    first_row = max(min(int(math.ceil(centre_row - half_rows)), row), 0)
+    last_row = min(max(int(math.floor(centre_row + half_rows)), row), rows - 1)
+    pole_angle = HALF_PI - abs(elevation)
+    half_azimuth = half_angle / max(math.cos(elevation), 1e-6)
+    if half_angle >= pole_angle or half_azimuth >= np.pi:
         return first_row, last_row, 0, columns
-    at = (azimuth + np.pi) * columns / TWO_PI - 0.5
-    reach = half_azimuth * columns / TWO_PI
-    column = int(math.floor(at + 0.5))
-    first_column = min(int(math.ceil(at - reach)), column)
-    last_column = max(int(math.floor(at + reach)), column)
+    centre_column = (azimuth + np.pi) * columns / TWO_PI - 0.5
+    half_columns = half_azimuth * columns / TWO_PI
+    column = int(math.floor(centre_column + 0.5))
+    first_column = min(int(math.ceil(centre_column - half_columns)), column)
+    last_column = max(int(math.floor(centre_column + half_columns)), column)
     return first_row, last_row, first_column, min(last_column - first_column + 1, columns)
 
 
 @njit(cache=True, nogil=True)
-def splat(projection, spacing, cube_scale, far, shadow_map):
+def splat(projection, spacing, cube_scale, empty_depth, shadow_map):
     """
-    Fill a shadow map with the nearest of the points that cover each cell.
+    Fill a shadow map with the distance of the nearest point that covers each cell.
 
     :param projection: :class:`Projection` of N points.
-    :param spacing: (N,) float32, metres.
+    :param spacing: (N,) float32, the distance of each point to its nearest neighbour, metres.
     :param cube_scale: half the side of a point's cube in multiples of its spacing.
-    :param far: the value of an empty cell, metres.
-    :param shadow_map: (H, W) float32, out.
+    :param empty_depth: the value of an empty cell, metres; points farther away are left out.
+    :param shadow_map: (H, W) float32, metres, H rows and W columns, out.
     """
     rows, columns = shadow_map.shape
-    shadow_map[:] = far
+    shadow_map[:] = empty_depth
     for i in range(spacing.shape[0]):
-        r = projection.distance[i]
-        if r > far:
+        distance = projection.distance[i]
+        if distance > empty_depth:
             continue
         first_row, last_row, first_column, count = footprint(
-            r, projection.elevation[i], projection.azimuth[i], cube_scale * spacing[i],
+            distance, projection.elevation[i], projection.azimuth[i], cube_scale * spacing[i],
             rows, columns)
         first = first_column % columns
-        last = first + count
+        end = first + count
         for row in range(first_row, last_row + 1):
-            for column in range(first, min(last, columns)):
-                shadow_map[row, column] = min(shadow_map[row, column], r)
-            for column in range(last - columns):
-                shadow_map[row, column] = min(shadow_map[row, column], r)
+            for column in range(first, min(end, columns)):
+                shadow_map[row, column] = min(shadow_map[row, column], distance)
+            for column in range(end - columns):
+                shadow_map[row, column] = min(shadow_map[row, column], distance)
 
 
 @njit(cache=True, nogil=True)
-def visible(projection, compensation, shadow_map, out):
+def mark_visible(projection, compensation, shadow_map, flags):
     """
-    Add the points that are visible to a camera: r <= SM[cell] + compensation.
+    Set the flags of the points that are visible: distance <= shadow_map[cell] + compensation.
 
-    :param projection: :class:`Projection` of N points from the camera.
-    :param compensation: metres.
-    :param shadow_map: (H, W) float32, metres, of the same camera.
-    :param out: (N,) bool, in and out: set for visible points, otherwise unchanged.
+    :param projection: :class:`Projection` of N points from a camera.
+    :param compensation: how much deeper than the map a visible point may be, metres.
+    :param shadow_map: (H, W) float32, metres, of the same camera, see :func:`splat`.
+    :param flags: (N,) bool, in and out: True for visible points, otherwise unchanged.
     """
     rows, columns = shadow_map.shape
-    for i in range(out.shape[0]):
-        r = projection.distance[i]
-        if r == np.inf:
+    for i in range(flags.shape[0]):
+        distance = projection.distance[i]
+        if distance == np.inf:
             continue
         row, column = cell_of(projection.elevation[i], projection.azimuth[i], rows, columns)
-        if r <= shadow_map[row, column] + compensation:
-            out[i] = True
+        if distance <= shadow_map[row, column] + compensation:
+            flags[i] = True

@@ -20,14 +20,14 @@ ir, types = import_elsewhere('llvmlite.ir'), import_elsewhere('numba').types
 cgutils = import_elsewhere('numba.core.cgutils')
 #: The number of cells that are written at once.
 LANES = 8
-#: No value here becomes NaN.
-FLAGS = ('nnan', 'nsz', 'contract', 'reassoc')
+#: LLVM's fast-math flags: no value here becomes NaN.
+FASTMATH = ('nnan', 'nsz', 'contract', 'reassoc')
 
 
 @import_elsewhere('numba.extending').intrinsic
 def put_nearer(typing, cells, first, value, step, low, high, last):
     """
-    Write a plane into up to ``LANES`` cells of a row where it is nearer than their values.
+    Generate code that writes a plane into up to ``LANES`` cells of a row, where it is nearer.
 
     The memory of ``LANES`` cells is read and written; cells after the last one do not change.
 
@@ -38,34 +38,35 @@ def put_nearer(typing, cells, first, value, step, low, high, last):
     :param low: float32, the lower limit of the written values, 1/m.
     :param high: float32, the upper limit of the written values, 1/m.
     :param last: float32, the number of cells after the first one.
+    :returns: the signature and the code generator, for Numba.
     """
     def generate(context, builder, signature, arguments):
         cells, first, *scalars = arguments
-        whole, vector = ir.IntType(32), ir.VectorType(ir.FloatType(), LANES)
-        nothing = ir.Constant(vector, ir.Undefined)
+        integer, vector = ir.IntType(32), ir.VectorType(ir.FloatType(), LANES)
+        undefined = ir.Constant(vector, ir.Undefined)
 
-        def spread(scalar):
-            one = builder.insert_element(nothing, scalar, ir.Constant(whole, 0))
+        def repeat_in_lanes(scalar):
+            first_lane = builder.insert_element(undefined, scalar, ir.Constant(integer, 0))
             return builder.shuffle_vector(
-                one, nothing, ir.Constant(ir.VectorType(whole, LANES), [0] * LANES))
+                first_lane, undefined, ir.Constant(ir.VectorType(integer, LANES), [0] * LANES))
 
-        def called(name, one, other):
+        def call_intrinsic(name, one, other):
             function = cgutils.get_or_insert_function(
                 builder.module, ir.FunctionType(vector, [vector, vector]),
                 f'llvm.{name}.v{LANES}f32')
-            return builder.call(function, [one, other], fastmath=FLAGS)
+            return builder.call(function, [one, other], fastmath=FASTMATH)
 
-        value, step, low, high, last = map(spread, scalars)
+        value, step, low, high, last = map(repeat_in_lanes, scalars)
         ramp = ir.Constant(vector, [float(lane) for lane in range(LANES)])
-        value = builder.fadd(value, builder.fmul(ramp, step, flags=FLAGS), flags=FLAGS)
-        value = called('maxnum', called('minnum', value, high), low)
+        value = builder.fadd(value, builder.fmul(ramp, step, flags=FASTMATH), flags=FASTMATH)
+        value = call_intrinsic('maxnum', call_intrinsic('minnum', value, high), low)
         # An inverse distance of 0 occludes nothing; storing only some lanes would be slow.
         value = builder.select(builder.fcmp_ordered('<=', ramp, last), value,
                                ir.Constant(vector, [0.0] * LANES))
         array = cgutils.create_struct_proxy(signature.args[0])(context, builder, cells)
-        place = builder.bitcast(builder.gep(array.data, [first]), vector.as_pointer())
-        nearer = called('maxnum', builder.load(place, align=4), value)
-        builder.store(nearer, place, align=4)
+        pointer = builder.bitcast(builder.gep(array.data, [first]), vector.as_pointer())
+        nearer = call_intrinsic('maxnum', builder.load(pointer, align=4), value)
+        builder.store(nearer, pointer, align=4)
         return context.get_dummy_value()
 
     return types.void(cells, first, *[types.float32] * 5), generate

@@ -19,8 +19,9 @@ Visibility of the points of a scene from a camera, by presets.
 64 x 128, for training. ``paper``: points as cubes and a constant compensation, as arXiv 2110.11106
 describes it.
 
-Both classes store their points in spatial order and return packed bits in that order; see
-:mod:`ocp_ros.geometry.packed_bits`. Threads may share an instance: each look uses its own memory.
+Both classes store their points in spatial order, and packed bits are in that order; see
+:mod:`ocp_ros.geometry.packed_bits`. Threads may share an instance: each call of ``look`` uses its
+own memory.
 """
 
 from collections import deque
@@ -29,7 +30,7 @@ from copy import copy
 import numpy as np
 from ocp_ros.geometry.cameras import Frustum, Pose
 from ocp_ros.geometry.packed_bits import block_bounds, no_bits, pack, spatial_order
-from ocp_ros.geometry.shadow_maps import CubeSettings, projected, Projection, splat, visible
+from ocp_ros.geometry.shadow_maps import CubeSettings, mark_visible, projected, Projection, splat
 from ocp_ros.geometry.surfels import (
     kept_in_cone,
     look_at_surfels,
@@ -39,16 +40,19 @@ from ocp_ros.geometry.surfels import (
     Workspace,
 )
 
-FINE = SurfelSettings(rows=160, base=0.01, share=0.35, single=0.85, quad=1.5)
-FAST = SurfelSettings(rows=64, base=0.02, share=0.15, single=0.8, quad=2.0, setback=0.25)
-#: The paper's cube of twice the spacing and a constant tolerance, for which the paper gives no
-#: value.
+FINE = SurfelSettings(rows=160, base_tolerance=0.01, radius_tolerance=0.35, single_limit=0.85,
+                      quad_limit=1.5)
+FAST = SurfelSettings(rows=64, base_tolerance=0.02, radius_tolerance=0.15, single_limit=0.8,
+                      quad_limit=2.0, setback=0.25)
+#: The cube of arXiv 2110.11106, twice as wide as the spacing, and a constant compensation, for
+#: which the paper gives no value.
 PAPER = CubeSettings(rows=128, cube_scale=1.0, compensation=0.2)
-#: The preset for a mesh: rays instead of maps.
+#: The preset for scenes with a mesh: rays are cast instead of filling maps.
 MESH = 'mesh'
 PRESETS = {'fine': FINE, 'fast': FAST, 'paper': PAPER}
 #: Radius of a surfel in multiples of the pitch: discs of 0.71 would just cover a square grid.
 DISC_SCALE = 0.9
+#: Packed bits of no points.
 NO_BITS = no_bits(0)
 
 
@@ -56,13 +60,14 @@ class SurfelVisibility:
     """
     Visibility of points as surfels, and of positions in the air.
 
-    :param points: (N, 3) float32, metres, map frame.
-    :param normals: (N, 3) float32 unit vectors.
+    :param points: (N, 3) float32, N points, metres, map frame.
+    :param normals: (N, 3) float32, the unit normal of each point.
     :param pitch: (N,) float32, metres: edge of the square that each point stands for.
-    :param places: (M, 3) float32, metres: positions in the air, such as cells of a coverage grid.
-    :param settings: rules.
+    :param places: (M, 3) float32, metres: M positions in the air, such as the centres of the cells
+        of a coverage grid.
+    :param settings: the rules of the maps.
     :ivar order: (N,) int64: index of each point of the spatial order among the given points.
-    :ivar place_order: (M,) int64: the same of the places.
+    :ivar place_order: (M,) int64: the same for the positions.
     """
 
     def __init__(self, points: np.ndarray, normals: np.ndarray, pitch: np.ndarray,
@@ -78,7 +83,7 @@ class SurfelVisibility:
         self._free_workspaces: deque[Workspace] = deque()
 
     def by(self, settings: SurfelSettings) -> 'SurfelVisibility':
-        """Return the visibility with other rules; points and positions are shared."""
+        """Return a copy with other rules, which shares the points and the positions."""
         other = copy(self)
         other.settings = settings
         other._free_workspaces = deque()
@@ -87,12 +92,13 @@ class SurfelVisibility:
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:
         """
-        Add the points and positions that are visible to a camera.
+        Set the bits of the points and positions that are visible to a camera.
 
         :param pose: the camera's pose.
         :param lens: the camera model.
-        :param seen: packed bits of the points, in and out.
-        :param covered: packed bits of the positions, in and out; ``NO_BITS`` to leave them out.
+        :param seen: (W,) uint64, packed bits of the points, in and out.
+        :param covered: (V,) uint64, packed bits of the positions, in and out; ``NO_BITS`` to leave
+            them out.
         """
         try:
             work = self._free_workspaces.pop()
@@ -105,13 +111,15 @@ class SurfelVisibility:
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Clip to the viewing cone, so that one look serves many directions from one position.
+        Clip what an omnidirectional camera sees to the viewing cone of a camera at its position.
+
+        So one call of :meth:`look` serves many viewing directions from one position.
 
         :param pose: the camera's pose.
         :param lens: the camera model.
-        :param seen: packed bits of the points visible to an omnidirectional camera there.
-        :param covered: packed bits of the positions that it covers.
-        :returns: both sets of packed bits, clipped to the viewing cone.
+        :param seen: (W,) uint64, packed bits of the points that the omnidirectional camera sees.
+        :param covered: (V,) uint64, packed bits of the positions that it sees.
+        :returns: both, without what is outside the viewing cone.
         """
         return (kept_in_cone(self._surfels, self._bounds, pose, lens, seen),
                 kept_in_cone(self._places, self._place_bounds, pose, lens, covered))
@@ -119,14 +127,14 @@ class SurfelVisibility:
 
 class CubeVisibility:
     """
-    Visibility of points as cubes, and of positions in the air: the paper's rules.
+    Visibility of points as cubes, and of positions in the air, as in arXiv 2110.11106.
 
-    :param points: (N, 3) float32, metres, map frame.
-    :param spacing: (N,) float32, metres: distance to the nearest neighbour.
-    :param places: (M, 3) float32, metres.
-    :param settings: rules.
+    :param points: (N, 3) float32, N points, metres, map frame.
+    :param spacing: (N,) float32, metres: distance of each point to its nearest neighbour.
+    :param places: (M, 3) float32, metres: M positions in the air.
+    :param settings: the rules of the maps.
     :ivar order: (N,) int64: index of each point of the spatial order among the given points.
-    :ivar place_order: (M,) int64: the same of the places.
+    :ivar place_order: (M,) int64: the same for the positions.
     """
 
     def __init__(self, points: np.ndarray, spacing: np.ndarray, places: np.ndarray,
@@ -138,16 +146,16 @@ class CubeVisibility:
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:
-        """Add what is visible to a camera; see :meth:`SurfelVisibility.look`."""
-        view, rows = projected(self._points, pose, lens), self.settings.rows
-        shadow_map = np.empty((rows, 2 * rows), dtype=np.float32)
-        splat(view, self._spacing, self.settings.cube_scale, lens.max_range, shadow_map)
-        seen |= self._visible(view, shadow_map)
+        """Set the bits of what is visible to a camera; see :meth:`SurfelVisibility.look`."""
+        projection = projected(self._points, pose, lens)
+        shadow_map = np.empty((self.settings.rows, 2 * self.settings.rows), dtype=np.float32)
+        splat(projection, self._spacing, self.settings.cube_scale, lens.max_range, shadow_map)
+        seen |= self._visible_bits(projection, shadow_map)
         if len(covered):
-            covered |= self._visible(projected(self._places, pose, lens), shadow_map)
+            covered |= self._visible_bits(projected(self._places, pose, lens), shadow_map)
 
-    def _visible(self, view: Projection, shadow_map: np.ndarray) -> np.ndarray:
-        """Return packed bits of the points that the map does not hide."""
-        flags = np.zeros(len(view.distance), dtype=bool)
-        visible(view, self.settings.compensation, shadow_map, flags)
+    def _visible_bits(self, projection: Projection, shadow_map: np.ndarray) -> np.ndarray:
+        """Return packed bits of the projected points that are visible."""
+        flags = np.zeros(len(projection.distance), dtype=bool)
+        mark_visible(projection, self.settings.compensation, shadow_map, flags)
         return pack(flags)

@@ -13,11 +13,12 @@
 # limitations under the License.
 
 """
-Point-to-plane registration of points to surfaces, from many starts at once.
+Point-to-plane registration of points to surfaces, from many start poses at once.
 
 The method is iteratively reweighted least squares (Chen and Medioni, 1992) with the kernel of
-Geman and McClure. A point is matched only to a surface that faces the camera and has a similar
-normal.
+Geman and McClure, which gives points far from their surface little weight. A point is matched only
+to a surface that faces the camera and has a similar normal. Everywhere, S is the number of poses,
+M that of measured points and N that of surface points.
 """
 
 from typing import NamedTuple
@@ -27,12 +28,12 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 #: The least cosine between the normals of a point and its match: 60 degrees.
-MIN_COSINE = 0.5
+MIN_NORMAL_COSINE = 0.5
 
 
 class Poses(NamedTuple):
     """
-    Several poses of one camera.
+    S poses of one camera.
 
     :ivar rotations: (S, 3, 3), body frame to map frame.
     :ivar positions: (S, 3), metres, map frame.
@@ -41,19 +42,20 @@ class Poses(NamedTuple):
     rotations: np.ndarray
     positions: np.ndarray
 
-    def only(self, which: np.ndarray) -> 'Poses':
-        """Return a part of the arrays."""
-        return Poses(self.rotations[which], self.positions[which])
+    def subset(self, indices: np.ndarray) -> 'Poses':
+        """Return the poses with the given indices (K,)."""
+        return Poses(self.rotations[indices], self.positions[indices])
 
 
 class Surfaces(NamedTuple):
     """
-    Points of a scan with normals.
+    N points of a scan with normals.
 
     :ivar points: (N, 3) float64, metres, map frame.
     :ivar normals: (N, 3) unit vectors.
-    :ivar oriented: whether the normals point to the visible side of the surface.
-    :ivar tree: a tree of the points.
+    :ivar oriented: whether the normals point to the scanned side of the surface; otherwise they
+        have either sign.
+    :ivar tree: a search tree of the points.
     """
 
     points: np.ndarray
@@ -63,13 +65,13 @@ class Surfaces(NamedTuple):
 
     @classmethod
     def of(cls, points: np.ndarray, normals: np.ndarray, oriented: bool) -> 'Surfaces':
-        """Build the surfaces and their tree."""
+        """Build the surfaces and their search tree from points and normals (N, 3)."""
         return cls(points, normals, oriented, cKDTree(points))
 
 
 class Patches(NamedTuple):
     """
-    The measured points of a camera, thinned.
+    M measured points of a camera, thinned, with the normals of their surfaces.
 
     :ivar points: (M, 3) metres, body frame.
     :ivar normals: (M, 3) unit vectors towards the camera.
@@ -80,34 +82,34 @@ class Patches(NamedTuple):
     normals: np.ndarray
     deviation: np.ndarray
 
-    def only(self, which: np.ndarray) -> 'Patches':
-        """Return a part of the arrays."""
-        return Patches(*(values[which] for values in self))
+    def subset(self, indices: np.ndarray) -> 'Patches':
+        """Return the patches with the given indices (K,)."""
+        return Patches(*(values[indices] for values in self))
 
 
 class AlignmentStage(NamedTuple):
     """
     One stage of a registration.
 
-    :ivar gate: the largest distance between a point and its match, metres, in the first and in the
+    :ivar max_distances: the largest distance between a point and its match, metres, in the first
+        and in the last step.
+    :ivar kernel_widths: the width of the kernel in standard deviations, in the first and in the
         last step.
-    :ivar kernel: the width of the kernel in standard deviations, in the first and in the last
-        step.
-    :ivar steps: the largest number of steps.
+    :ivar max_steps: the largest number of steps.
     """
 
-    gate: tuple[float, float]
-    kernel: tuple[float, float]
-    steps: int
+    max_distances: tuple[float, float]
+    kernel_widths: tuple[float, float]
+    max_steps: int
 
 
 class Matches(NamedTuple):
     """
-    Matches of points and surfaces, for several poses.
+    Matches of M measured points and surface points, for each of S poses.
 
-    :ivar residuals: (S, M) metres across the surface.
-    :ivar jacobians: (S, M, 6): the derivatives of the residuals by radians about the map axes
-        through the camera, and by metres along them.
+    :ivar residuals: (S, M) the signed distances from the planes of the surface points, metres.
+    :ivar jacobians: (S, M, 6): the derivatives of the residuals by a rotation about the map axes
+        through the camera, radians, and by a displacement along these axes, metres.
     :ivar found: (S, M) bool, whether there is a match.
     :ivar indices: (S, M) indices of the matched surface points.
     """
@@ -118,67 +120,89 @@ class Matches(NamedTuple):
     indices: np.ndarray
 
 
-def matched(surfaces: Surfaces, patches: Patches, poses: Poses, gate: float) -> Matches:
-    """Match points to the nearest surface points, if these face the camera as the points do."""
-    arms = np.einsum('sij,mj->smi', poses.rotations, patches.points)
-    placed = arms + poses.positions[:, None]
-    distance, index = surfaces.tree.query(placed, distance_upper_bound=gate)
+def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance: float) -> Matches:
+    """
+    Return the match of each measured point: the nearest surface point, if that faces the camera.
+
+    :param surfaces: the surfaces of the scan.
+    :param patches: the measured points of the camera.
+    :param poses: the poses of the camera.
+    :param max_distance: the largest distance between a point and its match, metres.
+    """
+    offsets = np.einsum('sij,mj->smi', poses.rotations, patches.points)
+    positions = offsets + poses.positions[:, None]
+    distance, index = surfaces.tree.query(positions, distance_upper_bound=max_distance)
     found = np.isfinite(distance)
     index = np.where(found, index, 0)
-    foot, normals = surfaces.points[index], surfaces.normals[index]
-    facing = np.einsum('smi,smi->sm', normals, poses.positions[:, None] - foot)
+    surface_points, normals = surfaces.points[index], surfaces.normals[index]
+    facing = np.einsum('smi,smi->sm', normals, poses.positions[:, None] - surface_points)
     if surfaces.oriented:
         found &= facing > 0.0
     else:
         normals = np.where(facing[..., None] < 0.0, -normals, normals)
-    own = np.einsum('sij,mj->smi', poses.rotations, patches.normals)
-    found &= np.einsum('smi,smi->sm', normals, own) > MIN_COSINE
-    residuals = np.einsum('smi,smi->sm', normals, placed - foot)
-    return Matches(residuals, np.concatenate([np.cross(arms, normals), normals], axis=2), found,
-                   index)
+    patch_normals = np.einsum('sij,mj->smi', poses.rotations, patches.normals)
+    found &= np.einsum('smi,smi->sm', normals, patch_normals) > MIN_NORMAL_COSINE
+    residuals = np.einsum('smi,smi->sm', normals, positions - surface_points)
+    jacobians = np.concatenate([np.cross(offsets, normals), normals], axis=2)
+    return Matches(residuals, jacobians, found, index)
 
 
-def weights_of(matches: Matches, deviation: np.ndarray, kernel: float) -> np.ndarray:
-    """Return the weights of matches (S, M), 1/m²: a kernel of Geman and McClure."""
-    scaled = matches.residuals / (kernel * deviation)
+def weights_of(matches: Matches, deviation: np.ndarray, kernel_width: float) -> np.ndarray:
+    """
+    Return the weights of matches by the kernel of Geman and McClure.
+
+    :param deviation: (M,) the standard deviation of each measured point, metres.
+    :param kernel_width: in standard deviations.
+    :returns: (S, M) 1/m²; 0 without a match.
+    """
+    scaled = matches.residuals / (kernel_width * deviation)
     return matches.found / (deviation * (1.0 + scaled * scaled)) ** 2
 
 
-def moved(poses: Poses, steps: np.ndarray) -> Poses:
-    """Move poses by (S, 6) radians and metres in the map frame."""
-    turns = Rotation.from_rotvec(steps[:, :3]).as_matrix()
-    return Poses(turns @ poses.rotations, poses.positions + steps[:, 3:])
+def moved_poses(poses: Poses, steps: np.ndarray) -> Poses:
+    """Return poses after steps (S, 6): rotation vectors, radians, and metres, both map frame."""
+    rotations = Rotation.from_rotvec(steps[:, :3]).as_matrix()
+    return Poses(rotations @ poses.rotations, poses.positions + steps[:, 3:])
 
 
-def aligned(surfaces: Surfaces, patches: Patches, poses: Poses, stage: AlignmentStage) -> Poses:
+def aligned_poses(surfaces: Surfaces, patches: Patches, poses: Poses, stage: AlignmentStage
+                  ) -> Poses:
     """
-    Register points to surfaces from several starts.
+    Register points to surfaces from several start poses.
 
     :param surfaces: the surfaces of the scan.
     :param patches: the measured points of the camera.
     :param poses: the start poses.
     :param stage: the limits of the iteration.
-    :returns: the final pose of each start.
+    :returns: the final pose for each start pose.
     """
-    for step in range(stage.steps):
-        along = min(step / max(0.7 * stage.steps, 1.0), 1.0)
-        gate, kernel = (first * (last / first) ** along for first, last in stage[:2])
-        matches = matched(surfaces, patches, poses, gate)
-        weights = weights_of(matches, patches.deviation, kernel)
-        change = solved(matches, weights)
-        poses = moved(poses, change)
-        # The step is shorter than a hundredth of a millimetre.
-        if along == 1.0 and np.abs(change).max() < 1e-5:
+    for number in range(stage.max_steps):
+        # The limits reach their last values after 70 % of the steps.
+        progress = min(number / max(0.7 * stage.max_steps, 1.0), 1.0)
+        max_distance, kernel_width = (first * (last / first) ** progress for first, last in (
+            stage.max_distances, stage.kernel_widths))
+        matches = matches_of(surfaces, patches, poses, max_distance)
+        weights = weights_of(matches, patches.deviation, kernel_width)
+        steps = best_steps(matches, weights)
+        poses = moved_poses(poses, steps)
+        # All steps are shorter than a hundredth of a millimetre.
+        if progress == 1.0 and np.abs(steps).max() < 1e-5:
             break
     return poses
 
 
-def solved(matches: Matches, weights: np.ndarray) -> np.ndarray:
-    """Return the steps (S, 6) that minimise the weighted residuals."""
+def best_steps(matches: Matches, weights: np.ndarray) -> np.ndarray:
+    """
+    Return the steps of poses that minimise the weighted squares of the residuals.
+
+    :param weights: (S, M), see :func:`weights_of`.
+    :returns: (S, 6), see :func:`moved_poses`.
+    """
     weighted = matches.jacobians * weights[..., None]
-    normal = np.swapaxes(weighted, 1, 2) @ matches.jacobians
-    right = np.einsum('smi,sm->si', weighted, matches.residuals)
-    mean = np.trace(normal, axis1=1, axis2=2)[:, None, None] / 6.0
-    # Directions without surfaces stay solvable, since a share of the mean information is added in
-    # all directions.
-    return -np.linalg.solve(normal + (1e-4 * mean + 1e-9) * np.eye(6), right[..., None])[..., 0]
+    information = np.swapaxes(weighted, 1, 2) @ matches.jacobians
+    gradient = np.einsum('smi,sm->si', weighted, matches.residuals)
+    mean = np.trace(information, axis1=1, axis2=2)[:, None, None] / 6.0
+    # A share of the mean information is added in all directions, so that directions without
+    # surfaces stay solvable.
+    damped = information + (1e-4 * mean + 1e-9) * np.eye(6)
+    return -np.linalg.solve(damped, gradient[..., None])[..., 0]

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose, rotation_matrix
-from ocp_ros.registration.camera_registration import checked, register, Registration
+from ocp_ros.registration.camera_registration import register, registered_nearby, Registration
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.rig.placement_file import ANGLES, created_by, FIXED, Placed, Placement
@@ -30,9 +30,9 @@ from ocp_ros.rig.rig_file import Rig, rig_from
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.yaml_files import Document
 
-#: Alternatives to try: a description, a roll in radians about the viewing direction, and the axes
-#: of the cloud.
-ALTERNATIVES = (
+#: How a camera may differ from the placement: a description, a roll about the viewing direction in
+#: radians, and a rotation (3, 3) from the axes of the cloud to those of the body.
+OTHER_SETUPS = (
     ('it is mounted upside down', np.pi, np.eye(3)),
     ('it is mounted on its side', 0.5 * np.pi, np.eye(3)),
     ('it is mounted on its other side', -0.5 * np.pi, np.eye(3)),
@@ -50,116 +50,124 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
     :returns: the registrations, and for unusable clouds the reasons, both by the camera's name.
     """
-    found, broken = {}, {}
-    for placed in placement.cameras:
+    registrations, reasons = {}, {}
+    for placed in [one for one in placement.cameras if one.camera.name in clouds]:
         name = placed.camera.name
-        if name in clouds:
-            try:
-                found[name] = _registered(scan, clouds[name], placed)
-            except SceneError as error:
-                broken[name] = str(error)
-    return found, broken
+        try:
+            registrations[name] = _register_camera(scan, clouds[name], placed)
+        except SceneError as error:
+            reasons[name] = str(error)
+    return registrations, reasons
 
 
-def _registered(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Registration:
+def _register_camera(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Registration:
     """
-    Register a camera; if its cloud does not match the scan, try other mountings.
+    Register a camera; if its cloud does not match the scan, try other mountings and cloud axes.
 
-    :raises SceneError: if its cloud cannot be used.
+    :param cloud: (N, 3) metres, body frame.
+    :raises SceneError: if the cloud cannot be used.
     """
-    start, model, name = Pose.of(placed.pose), placed.camera.model, placed.camera.name
+    start = Pose.of(placed.pose)
+    name, model = placed.camera.name, placed.camera.model
     first = register(scan, LiveView(cloud, model, name), start, model)
-    if not first.unlike:
+    if not first.mismatched:
         return first
-    for said, roll, axes in ALTERNATIVES:
+    for description, roll, axes in OTHER_SETUPS:
         with suppress(SceneError):
-            turned = Pose(start.position, start.rotation @ rotation_matrix(roll=roll))
-            answer = register(scan, LiveView(cloud @ axes.T, model, name), turned, model)
-            if not answer.refused:
-                return answer._replace(otherwise=said)
+            rolled = Pose(start.position, start.rotation @ rotation_matrix(roll=roll))
+            other = register(scan, LiveView(cloud @ axes.T, model, name), rolled, model)
+            if not other.refused:
+                return other._replace(actual_setup=description)
     return first
 
 
-def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
-          ) -> list[str]:
+def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]) -> list[str]:
     """
-    Return which cameras no longer fit the scan at their poses, one sentence each.
+    Return a sentence for each camera that has moved since it was calibrated.
 
     Only certain displacements are reported: a camera that the scan does not constrain may not have
     moved.
+
+    :param scan: the scan of the room, in the frame of the placement.
+    :param placement: the placement as built.
+    :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
     """
-    moved = []
-    for placed in placement.cameras:
-        name, start = placed.camera.name, Pose.of(placed.pose)
-        if name not in clouds:
-            continue
+    sentences = []
+    for placed in [one for one in placement.cameras if one.camera.name in clouds]:
+        name = placed.camera.name
         try:
             view = LiveView(clouds[name], placed.camera.model, name)
         except SceneError as error:
-            moved.append(str(error))
+            sentences.append(str(error))
             continue
-        found = checked(scan, view, start, placed.camera.model)
-        away, turn = found.pose.away_from(start)
-        turn = float(np.rad2deg(turn))
-        if found.unlike:
-            moved.append(f'{name} no longer fits the scan: {found.refused}')
+        start = Pose.of(placed.pose)
+        found = registered_nearby(scan, view, start, placed.camera.model)
+        metres, radians = found.pose.away_from(start)
+        degrees = float(np.rad2deg(radians))
+        if found.mismatched:
+            sentences.append(f'{name} no longer fits the scan: {found.refused}')
         # More than 2 cm or 1 degree, and three times the expected deviation.
-        elif (away > max(0.02, 3.0 * found.certainty.metres[0])
-              or turn > max(1.0, 3.0 * found.certainty.degrees[0])):
-            moved.append(f'{name} hangs {away:.3f} m and {turn:.1f} degrees from where it is said '
-                         'to be; expected it there; call ~/calibrate, or put it back')
-    return moved
+        elif (metres > max(0.02, 3.0 * found.certainty.metres[0])
+              or degrees > max(1.0, 3.0 * found.certainty.degrees[0])):
+            sentences.append(
+                f'{name} hangs {metres:.3f} m and {degrees:.1f} degrees from where it is said to '
+                'be; expected it there; call ~/calibrate, or put it back')
+    return sentences
 
 
 def as_built(placement: Placement, found: Mapping[str, Registration], command: str) -> Placement:
     """
-    Return a placement with the cameras at the registered poses; refused ones keep theirs.
+    Return a placement with the cameras at the registered poses; others keep theirs.
 
+    :param placement: the planned or measured placement.
+    :param found: the registrations by the camera's name, see :func:`calibrate`.
     :param command: the command line, for the record.
     """
-    cameras = tuple(_found(placed, found) for placed in placement.cameras)
-    rig = placement.rig and _with_fixed(placement.rig, [
+    cameras = tuple(_at_registered_pose(placed, found) for placed in placement.cameras)
+    rig = placement.rig and _with_fixed_poses(placement.rig, [
         placed for placed in cameras if placed.mount == FIXED])
+    calibrated = [name for name, registration in found.items() if not registration.refused]
     created = {**created_by(command, placement.created.get('planner', '')),
-               'calibrated': ', '.join(name for name, one in found.items() if not one.refused)}
+               'calibrated': ', '.join(calibrated)}
     # The scores of the plan do not hold for the placement as built.
     scores = {} if any(placed.planned for placed in cameras) else placement.scores
     return replace(placement, cameras=cameras, rig=rig, scores=scores, created=created,
-                   document=None, ways=())
+                   document=None, key_paths=())
 
 
 def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
-    """Return the registration of a camera as plain data."""
-    held, start = found.certainty, Pose.of(placed.pose)
+    """Return the registration of a camera as plain data for JSON."""
+    certainty = found.certainty
     row = {'camera': placed.camera.name, 'refused': found.refused,
-           'residual': found.residual, 'overlap': found.overlap, 'violated': found.violated,
-           'loose': held.loose, 'otherwise': found.otherwise,
+           'residual': found.residual, 'overlap': found.overlap, 'violated': found.violated_share,
+           'loose': certainty.loose_directions, 'otherwise': found.actual_setup,
            'deviations': [
                *({'along': axis.tolist(), 'metres': float(value)}
-                 for axis, value in zip(held.along, held.metres)),
+                 for axis, value in zip(certainty.slide_axes, certainty.metres)),
                *({'about': axis.tolist(), 'degrees': float(value)}
-                 for axis, value in zip(held.about, held.degrees))]}
+                 for axis, value in zip(certainty.turn_axes, certainty.degrees))]}
     if not found.refused:
-        away, turn = found.pose.away_from(start)
+        metres, radians = found.pose.away_from(Pose.of(placed.pose))
         row |= {'position': found.pose.position.round(4).tolist(),
                 **dict(zip(ANGLES, np.rad2deg(heading_of(found.pose.rotation)).round(3).tolist())),
-                'moved_metres': away, 'moved_degrees': float(np.rad2deg(turn))}
+                'moved_metres': metres, 'moved_degrees': float(np.rad2deg(radians))}
     return row
 
 
-def _found(placed: Placed, found: Mapping[str, Registration]) -> Placed:
-    """Return a camera at its registered pose, if it has one."""
-    one = found.get(placed.camera.name)
-    if one is None or one.refused:
+def _at_registered_pose(placed: Placed, found: Mapping[str, Registration]) -> Placed:
+    """Return a camera at its registered pose; unchanged without a usable registration."""
+    registration = found.get(placed.camera.name)
+    if registration is None or registration.refused:
         return placed
-    return placed.found_at(np.concatenate([one.pose.position, heading_of(one.pose.rotation)]))
+    pose = registration.pose
+    return placed.at_measured_pose(np.concatenate([pose.position, heading_of(pose.rotation)]))
 
 
-def _with_fixed(rig: Rig, placed: list[Placed]) -> Rig:
-    """Return a rig with the cameras in place at their registered poses."""
-    if not any(one.planned for one in placed):
+def _with_fixed_poses(rig: Rig, fixed: list[Placed]) -> Rig:
+    """Return a rig with its cameras in place at registered poses."""
+    if not any(placed.planned for placed in fixed):
         return rig
     data = deepcopy(rig.document.data)
-    for entry, one in zip(data['fixed'], placed, strict=True):
-        entry |= {'position': list(one.position), **dict(zip(ANGLES, one.angles))}
+    for entry, placed in zip(data['fixed'], fixed, strict=True):
+        entry |= {'position': list(placed.position), **dict(zip(ANGLES, placed.angles))}
     return rig_from(Document(rig.document.name, data))

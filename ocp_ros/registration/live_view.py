@@ -33,12 +33,13 @@ class LiveView:
     """
     A live cloud of one camera.
 
-    :param points: (N, 3) metres, body frame (x forward, y left, z up); NaN and the origin mean no
-        return.
-    :param model: the camera model; points out of its ranges are left out, since they are
+    :param points: (N, 3), N points, metres, body frame (x forward, y left, z up); NaN and the
+        origin stand for pixels without a measurement.
+    :param model: the camera model; points out of its range are left out, since they are
         inaccurate.
     :param name: the name of the cloud in errors.
     :raises SceneError: if too few points are left.
+    :ivar points: (K, 3) the K points in range, metres, body frame.
     """
 
     def __init__(self, points: np.ndarray, model: CameraModel, name: str = 'cloud') -> None:
@@ -55,19 +56,19 @@ class LiveView:
 
     @cached_property
     def patches(self) -> Patches:
-        """Return the patches, thinned evenly in space."""
+        """Return the points as patches, averaged and thinned evenly in space."""
         points = thinned_to(averaged(self.points, self._distance), 5000).astype(np.float64)
         neighbours = nearest(points, PLANE_NEIGHBOURS)[1]
         normals = edge_aware_normals(points, neighbours).astype(np.float64)
-        away = np.einsum('ij,ij->i', normals, points) > 0.0
-        normals[away] *= -1.0
-        return Patches(points, normals, deviation(np.linalg.norm(points, axis=1)))
+        facing_away = np.einsum('ij,ij->i', normals, points) > 0.0
+        normals[facing_away] *= -1.0
+        return Patches(points, normals, standard_deviation(np.linalg.norm(points, axis=1)))
 
     @cached_property
     def _ranges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the nearest and the farthest measured distance around each direction."""
+        """Return the least and the largest distance measured around each cell of directions."""
         low, high = np.full((2, FREE_SPACE_ROWS, 2 * FREE_SPACE_ROWS), np.inf)
-        cells = _cells(self.points, self._distance)
+        cells = _direction_cells(self.points, self._distance)
         np.minimum.at(low, cells, self._distance)
         high[:] = -np.inf
         np.maximum.at(high, cells, self._distance)
@@ -77,62 +78,64 @@ class LiveView:
         low[empty], high[empty] = np.inf, -np.inf
         return low, high
 
-    def violated(self, points: np.ndarray, poses: Poses) -> np.ndarray:
+    def violated_shares(self, points: np.ndarray, poses: Poses) -> np.ndarray:
         """
-        Return the share of the surfaces in view that are in space measured as free.
+        Return, for poses, the share of the surfaces in view that are in space measured as free.
 
-        :param points: (N, 3) of the scan, metres, map frame.
-        :param poses: the candidate poses of the camera.
+        :param points: (N, 3) N points of the scan, metres, map frame.
+        :param poses: S candidate poses of the camera.
         :returns: (S,) from 0 to 1.
         """
-        return np.array([self._violated((points - position) @ rotation)
+        return np.array([self._violated_share((points - position) @ rotation)
                          for rotation, position in zip(*poses)])
 
-    def _violated(self, points: np.ndarray) -> float:
-        """Return this share for points in the body frame."""
+    def _violated_share(self, points: np.ndarray) -> float:
+        """Return the share of scan points (N, 3), body frame, in space measured as free."""
         distance = np.maximum(np.linalg.norm(points, axis=1), 1e-6)
-        cells = _cells(points, distance)
+        cells = _direction_cells(points, distance)
         low, high = (values[cells] for values in self._ranges)
         # Five centimetres in front of a measured point, in addition to its noise, the space is
         # certainly free.
-        margin = 0.05 + 3.0 * deviation(distance)
-        known = np.isfinite(low) & (distance < high + margin)
-        through = known & (distance < low - margin)
-        return float(through.sum() / max(known.sum(), 1))
+        margin = 0.05 + 3.0 * standard_deviation(distance)
+        in_view = np.isfinite(low) & (distance < high + margin)
+        in_free_space = in_view & (distance < low - margin)
+        return float(in_free_space.sum() / max(in_view.sum(), 1))
 
 
-def deviation(distance: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of points, metres, at given distances, metres."""
-    # Between the noise of a stereo camera and that of a better one: 5 mm, and 1.5 mm per square
-    # metre of distance.
+def standard_deviation(distance: np.ndarray) -> np.ndarray:
+    """Return the standard deviation of points (N,), metres, at distances (N,), metres."""
+    # Between the noise of a stereo camera and that of a better one: 5 mm, and 1.5 mm times the
+    # square of the distance in metres.
     return np.hypot(0.005, 0.0015 * distance * distance)
 
 
 def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """
-    Average the points (N, 3) of each narrow beam, since their noise is along the beam.
+    Average the points of each narrow beam, since their noise is along the beam.
 
-    Noise turns a surface into a slab, which voxels would cut into layers.
+    Noise spreads the points of a surface over a thick slab, which voxels would cut into layers.
 
-    :param distance: (N,) metres, from the camera.
-    :returns: (M, 3) metres, body frame.
+    :param points: (N, 3) N points, metres, body frame.
+    :param distance: (N,) the distance of each point from the camera, metres.
+    :returns: (M, 3) one mean for each of the M surfaces in beams, metres, body frame.
     """
-    # Points are averaged in beams of 0.6 degrees.
+    # Beams are 0.6 degrees wide.
     beam_rows = 300
-    row, column = _cells(points, distance, beam_rows)
-    order = np.lexsort((distance, row * 2 * beam_rows + column))
-    beam, near = (row * 2 * beam_rows + column)[order], distance[order]
+    row, column = _direction_cells(points, distance, beam_rows)
+    beam = row * 2 * beam_rows + column
+    order = np.lexsort((distance, beam))
+    beam, distance = beam[order], distance[order]
     # A gap in distance separates surfaces behind each other.
-    apart = (np.diff(beam) != 0) | (np.diff(near) > 0.03 + 3.0 * deviation(near[1:]))
-    group = np.concatenate([[0], np.cumsum(apart)])
+    gaps = np.diff(distance) > 0.03 + 3.0 * standard_deviation(distance[1:])
+    group = np.concatenate([[0], np.cumsum((np.diff(beam) != 0) | gaps)])
     count = np.bincount(group)
     sums = np.stack([np.bincount(group, axis) for axis in points[order].T], axis=1)
     return sums / count[:, None]
 
 
-def _cells(points: np.ndarray, distance: np.ndarray, rows: int = FREE_SPACE_ROWS
-           ) -> tuple[np.ndarray, np.ndarray]:
-    """Return row and column of the directions of points (N, 3) in the body frame."""
+def _direction_cells(points: np.ndarray, distance: np.ndarray, rows: int = FREE_SPACE_ROWS
+                     ) -> tuple[np.ndarray, np.ndarray]:
+    """Return row (N,) and column (N,) of the directions of points (N, 3) in the body frame."""
     elevation = np.arcsin(np.clip(points[:, 2] / distance, -1.0, 1.0))
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     row = (elevation / np.pi + 0.5) * rows

@@ -16,9 +16,10 @@
 The certainty of a pose in each of the six directions in which it may be wrong.
 
 Neighbouring points have common errors, since they belong to one panel or one frame of the scan. So
-the number of one-metre blocks counts, not the number of points. The covariance is that of the
-delete-a-group jackknife over the blocks, plus that of blocks with independent errors as large as
-those observed.
+the points are grouped into blocks with an edge of one metre, and the number of blocks counts, not
+the number of points. The covariance of the pose has two terms. One is that of the delete-a-group
+jackknife: how much the pose changes if one block is left out. The other is that of blocks with
+independent errors as large as those observed.
 """
 
 from typing import NamedTuple
@@ -28,7 +29,7 @@ from ocp_ros.registration.alignment import Matches
 
 #: The number of points of a whole block.
 WHOLE_BLOCK_POINTS = 8.0
-#: The largest deviation in metres and radians, for an unconstrained camera.
+#: The deviation of an unconstrained camera, in metres and in radians.
 FREE_DEVIATION = 10.0
 
 
@@ -36,18 +37,18 @@ class Certainty(NamedTuple):
     """
     Expected standard deviations of a pose.
 
-    :ivar along: (3, 3), one row each: directions in the map frame of a possible displacement.
-    :ivar metres: (3,) deviations along these, the largest first.
-    :ivar about: (3, 3) axes in the map frame of a possible rotation.
-    :ivar degrees: (3,) deviations about these, the largest first.
+    :ivar slide_axes: (3, 3), one axis a row: directions of a possible displacement, map frame.
+    :ivar metres: (3,) deviations along these axes, the largest first.
+    :ivar turn_axes: (3, 3), one axis a row: axes of a possible rotation, map frame.
+    :ivar degrees: (3,) deviations about these axes, the largest first.
     """
 
-    along: np.ndarray
+    slide_axes: np.ndarray
     metres: np.ndarray
-    about: np.ndarray
+    turn_axes: np.ndarray
     degrees: np.ndarray
 
-    def doubted(self, overlap: float, beside: float) -> 'Certainty':
+    def doubted(self, overlap: float, displaced_share: float) -> 'Certainty':
         """
         Return the deviations of the pose if the scan may be partly wrong.
 
@@ -55,25 +56,24 @@ class Certainty(NamedTuple):
         surfaces may be wrong as well. With little overlap, few surfaces reveal this.
 
         :param overlap: the share of the cloud that the scan explains, 0 to 1.
-        :param beside: the share of displaced surfaces, 0 to 1.
+        :param displaced_share: the share of displaced surfaces, 0 to 1.
         """
-        # Chosen on validation rooms: the factor by which a deviation grows if the scan explains
-        # nothing.
-        doubt = 1.0 + 2.0 * (1.0 - overlap + beside)
-        return self._replace(metres=self.metres * doubt, degrees=self.degrees * doubt)
+        # The weight 2 was chosen on validation rooms.
+        factor = 1.0 + 2.0 * (1.0 - overlap + displaced_share)
+        return self._replace(metres=self.metres * factor, degrees=self.degrees * factor)
 
     @property
-    def loose(self) -> list[str]:
+    def loose_directions(self) -> list[str]:
         """Return descriptions of the unconstrained directions."""
-        # Up to 5 cm and 2 degrees a direction counts as constrained.
-        return [*(f'can slide along {axis_words(axis)}' for axis, deviation
-                  in zip(self.along, self.metres) if deviation > 0.05),
-                *(f'can turn about {axis_words(axis)}' for axis, deviation
-                  in zip(self.about, self.degrees) if deviation > 2.0)]
+        # Up to 5 cm or 2 degrees, a direction counts as constrained.
+        return [*(f'can slide along {axis_name(axis)}' for axis, deviation
+                  in zip(self.slide_axes, self.metres) if deviation > 0.05),
+                *(f'can turn about {axis_name(axis)}' for axis, deviation
+                  in zip(self.turn_axes, self.degrees) if deviation > 2.0)]
 
 
-def axis_words(axis: np.ndarray) -> str:
-    """Return the name of a line with direction (3,) in the map, independently of its sign."""
+def axis_name(axis: np.ndarray) -> str:
+    """Return the name in messages of an axis (3,), map frame, independently of its sign."""
     largest = int(np.abs(axis).argmax())
     if abs(axis[largest]) > 0.95:
         return ('the x direction', 'the y direction', 'the vertical')[largest]
@@ -85,56 +85,61 @@ def axis_words(axis: np.ndarray) -> str:
     return 'the line ' + ', '.join(f'{value:.2f}' for value in axis)
 
 
-def certainty(points: np.ndarray, normals: np.ndarray, matches: Matches, weights: np.ndarray
-              ) -> Certainty:
+def estimate_certainty(points: np.ndarray, normals: np.ndarray, matches: Matches,
+                       weights: np.ndarray) -> Certainty:
     """
     Return the expected deviations of a registered pose.
 
-    :param points: (M, 3) the matched surface points, metres, map frame.
-    :param normals: (M, 3) their normals.
-    :param matches: the matches of one pose, with M points.
+    :param points: (M, 3) the surface points matched to M measured points, metres, map frame.
+    :param normals: (M, 3) the unit normals of these surface points.
+    :param matches: the matches of the pose with these M points, S = 1.
     :param weights: (1, M), see :func:`~ocp_ros.registration.alignment.weights_of`.
     """
     jacobians, weights = matches.jacobians[0], weights[0]
     used = weights > 1e-9 * max(weights.max(), 1e-9)
-    # A block has an edge of a metre.
+    # A block has an edge of a metre and one main axis of the normals.
     cells = np.column_stack([np.floor(points[used]), np.abs(normals[used]).argmax(axis=1)])
     blocks = np.unique(cells, axis=0, return_inverse=True)[1].ravel()
     count = int(blocks.max(initial=-1)) + 1
     weighted = jacobians[used] * weights[used, None]
-    information, pull = np.zeros((count, 6, 6)), np.zeros((count, 6))
+    # Information matrix and gradient of each block.
+    information, gradients = np.zeros((count, 6, 6)), np.zeros((count, 6))
     np.add.at(information, blocks, weighted[:, :, None] * jacobians[used][:, None])
-    np.add.at(pull, blocks, weighted * matches.residuals[0, used, None])
-    mass = np.bincount(blocks, weights[used], count)
-    share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE_BLOCK_POINTS, 1.0)
+    np.add.at(gradients, blocks, weighted * matches.residuals[0, used, None])
+    total_weight = np.bincount(blocks, weights[used], count)
+    fill_share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE_BLOCK_POINTS, 1.0)
+    # The little information that keeps unconstrained directions solvable.
     floor = np.eye(6) / FREE_DEVIATION ** 2
-    spread = np.bincount(blocks, weights[used] * matches.residuals[0, used] ** 2, count) / mass
+    mean_square = np.bincount(
+        blocks, weights[used] * matches.residuals[0, used] ** 2, count) / total_weight
     # A fifth of the variance within a block is common to its points.
-    variance = _block_deviation(matches.residuals[0, used], blocks) ** 2 + 0.2 * spread
-    own = (information * (share / mass / variance)[:, None, None]).sum(axis=0)
-    covariance = np.linalg.inv(own + floor)
-    scale = np.trace(own) / max(np.trace(information.sum(axis=0)), 1e-30)
-    rest = information.sum(axis=0) - information
-    steps = np.linalg.solve(rest + floor / max(scale, 1e-12), pull[..., None])[..., 0]
+    variance = _block_deviation(matches.residuals[0, used], blocks) ** 2 + 0.2 * mean_square
+    independent = (information * (fill_share / total_weight / variance)[:, None, None]).sum(axis=0)
+    covariance = np.linalg.inv(independent + floor)
+    # The jackknife: the step of the pose if each block is left out.
+    scale = np.trace(independent) / max(np.trace(information.sum(axis=0)), 1e-30)
+    others = information.sum(axis=0) - information
+    steps = np.linalg.solve(others + floor / max(scale, 1e-12), gradients[..., None])[..., 0]
     covariance = covariance + (count - 1) / max(count, 1) * steps.T @ steps
-    slide, turn = _principal(covariance[3:, 3:]), _principal(covariance[:3, :3])
-    return Certainty(slide[0], slide[1], turn[0], np.rad2deg(turn[1]))
+    slide_axes, metres = _principal_axes(covariance[3:, 3:])
+    turn_axes, radians = _principal_axes(covariance[:3, :3])
+    return Certainty(slide_axes, metres, turn_axes, np.rad2deg(radians))
 
 
 def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
-    """Return the deviation of blocks of the scan, metres, given the residuals (M,)."""
+    """Return the common deviation of a block, metres, from residuals (M,) and blocks (M,)."""
     ends = np.cumsum(np.bincount(blocks))[:-1]
-    parts = np.split(residuals[np.argsort(blocks, kind='stable')], ends)
-    middles = [np.median(part) for part in parts if len(part) >= WHOLE_BLOCK_POINTS]
+    groups = np.split(residuals[np.argsort(blocks, kind='stable')], ends)
+    medians = [np.median(group) for group in groups if len(group) >= WHOLE_BLOCK_POINTS]
     # Fewer than four whole blocks do not show how accurate the scan is: 2 cm are assumed.
-    if len(middles) < 4:
+    if len(medians) < 4:
         return 0.02
     # Few panels were scanned from the other side, so the median ignores them.
     # 1.4826 is the standard deviation of a normal distribution over its median absolute deviation.
-    return max(1.4826 * float(np.median(np.abs(middles))), 0.003)
+    return max(1.4826 * float(np.median(np.abs(medians))), 0.003)
 
 
-def _principal(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the principal directions as rows, and their standard deviations, largest first."""
+def _principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the principal axes as rows, and their standard deviations, largest first."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors.T[::-1], np.minimum(np.sqrt(np.maximum(values[::-1], 0.0)), FREE_DEVIATION)

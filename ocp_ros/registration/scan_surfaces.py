@@ -41,8 +41,8 @@ class SurfacesInView(NamedTuple):
     """
     The surfaces of a scan in the view of a camera.
 
-    :ivar sided: surfaces whose side towards the camera was scanned.
-    :ivar every: also surfaces whose other side may have been scanned.
+    :ivar sided: surfaces whose side towards the camera was certainly scanned.
+    :ivar every: these, and surfaces whose other side may have been scanned instead.
     """
 
     sided: Surfaces
@@ -51,11 +51,12 @@ class SurfacesInView(NamedTuple):
 
 class ScanSurfaces:
     """
-    A scan for registration.
+    A scan for registration, thinned to N points.
 
     :param scene: the room, as dense as available.
     :ivar points: (N, 3) float64, metres, map frame.
-    :ivar normals: (N, 3) float64 unit vectors; towards free space where they are ``oriented``.
+    :ivar normals: (N, 3) float64 unit vectors; towards free space if ``oriented``, otherwise of
+        either sign.
     :ivar oriented: whether the normals show which side of a surface was scanned.
     """
 
@@ -76,90 +77,99 @@ class ScanSurfaces:
 
     @cached_property
     def fine(self) -> Surfaces:
-        """Return all points."""
+        """Return the surfaces of all points."""
         return Surfaces.of(self.points, self.normals, self.oriented)
 
     @cached_property
     def coarse(self) -> Surfaces:
-        """Return a random subset of the points, from all parts of the room."""
-        few = np.random.default_rng(0).permutation(len(self.points))[:12_000]
-        return Surfaces.of(self.points[few], self.normals[few], self.oriented)
+        """Return the surfaces of a random subset of the points."""
+        subset = np.random.default_rng(0).permutation(len(self.points))[:12_000]
+        return Surfaces.of(self.points[subset], self.normals[subset], self.oriented)
 
     @cached_property
     def _visibility(self) -> SurfelVisibility:
-        """Return the visibility of the points."""
+        """Return the visibility of the points as surfels."""
         return SurfelVisibility(self.points.astype(np.float32), self.normals.astype(np.float32),
                                 self._pitch, np.empty((0, 3), dtype=np.float32), FAST)
 
     @cached_property
     def _two_sided(self) -> np.ndarray:
-        """Return whether a similar surface is close behind or in front of points: (2, N) bool."""
-        # The largest thickness of an object with two sides.
-        thickness_m = 0.4
-        return np.stack([self._backed(-1.0, thickness_m), self._backed(1.0, thickness_m)])
+        """Return whether points have a parallel surface: (2, N) bool, behind and in front."""
+        # Objects with two sides are at most 0.4 m thick.
+        return np.stack([self._have_other_side(sign, max_m=0.4) for sign in (-1.0, 1.0)])
 
     @cached_property
     def _thin(self) -> np.ndarray:
-        """Return which points belong to objects too thin for fused scans, (N,) bool."""
-        # A fused scan mixes both sides of objects thinner than this.
-        thin = self._backed(-1.0, 0.15)
+        """Return whether points belong to objects too thin for fused scans: (N,) bool."""
+        # A fused scan mixes both sides of objects thinner than 0.15 m.
+        thin = self._have_other_side(-1.0, max_m=0.15)
         if not thin.any():
             return thin
-        # If one face has erased the other in the fusion, remnants are left around holes.
-        # Around thin parts the same face is not used.
+        # If one face has erased the other in the fusion, remnants of the other are left around
+        # holes. So points near thin objects with a similar normal count as thin as well.
         distance, index = cKDTree(self.points[thin]).query(
             self.points, k=4, distance_upper_bound=0.3)
-        hit = np.isfinite(distance)
-        normals = self.normals[thin][np.where(hit, index, 0)]
-        alike = np.einsum('ij,ikj->ik', self.normals, normals) > 0.9
-        return thin | (hit & alike).any(axis=1)
+        found = np.isfinite(distance)
+        normals = self.normals[thin][np.where(found, index, 0)]
+        similar = np.einsum('ij,ikj->ik', self.normals, normals) > 0.9
+        return thin | (found & similar).any(axis=1)
 
-    def _backed(self, sign: float, thick: float) -> np.ndarray:
-        """Return which points have a similar surface closely behind or in front of them, (N,)."""
-        step_m = 0.04
-        reach = max(0.5 * step_m, 1.5 * float(np.median(self._pitch)))
-        found = np.zeros(len(self.points), dtype=bool)
-        for away in np.arange(0.5 * step_m + reach, thick, step_m):
-            distance, index = self.fine.tree.query(self.points + sign * away * self.normals,
-                                                   distance_upper_bound=reach)
-            hit = np.isfinite(distance)
-            alike = np.einsum('ij,ij->i', self.normals[hit], self.normals[index[hit]])
-            found[hit] |= (-alike if self.oriented else np.abs(alike)) > 0.9
-        return found
-
-    def in_view(self, pose: Pose, model: CameraModel) -> 'SurfacesInView':
+    def _have_other_side(self, sign: float, max_m: float) -> np.ndarray:
         """
-        Return the surfaces that a camera near a pose can be registered to.
+        Return whether points have a parallel surface near them along their normals: (N,) bool.
+
+        :param sign: 1 to search along the normals, -1 against them.
+        :param max_m: the largest distance of the surface, metres.
+        """
+        step_m = 0.04
+        radius = max(0.5 * step_m, 1.5 * float(np.median(self._pitch)))
+        with_surface = np.zeros(len(self.points), dtype=bool)
+        for offset in np.arange(0.5 * step_m + radius, max_m, step_m):
+            distance, index = self.fine.tree.query(self.points + sign * offset * self.normals,
+                                                   distance_upper_bound=radius)
+            found = np.isfinite(distance)
+            cosine = np.einsum('ij,ij->i', self.normals[found], self.normals[index[found]])
+            with_surface[found] |= (-cosine if self.oriented else np.abs(cosine)) > 0.9
+        return with_surface
+
+    def in_view(self, pose: Pose, model: CameraModel) -> SurfacesInView:
+        """
+        Return the surfaces that a camera near a pose can be registered to, in all directions.
 
         :param pose: the pose, accurate to a few decimetres and degrees.
         :param model: the camera model, for its range.
         """
         seen = Subset.none(self._visibility.order)
-        around = CameraModel(0.0, model.max_range + 0.5)
-        self._visibility.look(pose, around.lens, seen.bits)
+        omnidirectional = CameraModel(0.0, model.max_range + 0.5)
+        self._visibility.look(pose, omnidirectional.lens, seen.bits)
         kept = seen.mask
         facing = np.einsum('ij,ij->i', pose.position - self.points, self.normals)
         if self.oriented:
-            every = self._only(kept & (facing > 0.0) & ~self._thin)
+            every = self._subset(kept & (facing > 0.0) & ~self._thin)
             return SurfacesInView(every, every)
         sided = (np.where(facing > 0.0, *self._two_sided)
-                 | self._last_seen_from(pose.position, np.sign(facing)))
-        return SurfacesInView(self._only(kept & sided), self._only(kept))
+                 | self._outermost_from(pose.position, np.sign(facing)))
+        return SurfacesInView(self._subset(kept & sided), self._subset(kept))
 
-    def _only(self, kept: np.ndarray) -> Surfaces:
-        """Return the points that ``kept`` marks; if there are none, one that is out of reach."""
+    def _subset(self, kept: np.ndarray) -> Surfaces:
+        """Return the surfaces of the points that ``kept`` (N,) marks; if none, a far point."""
         if not kept.any():
-            # Points this far away have no matches.
+            # A point so far away has no matches.
             return Surfaces.of(np.full((1, 3), 1e6), np.array([[0.0, 0.0, 1.0]]), False)
         return Surfaces.of(self.points[kept], self.normals[kept], self.oriented)
 
-    def _last_seen_from(self, position: np.ndarray, sign: np.ndarray) -> np.ndarray:
-        """Return which points have nothing behind them as seen from a position, (N,) bool."""
-        way = self.points - position
-        distance = np.linalg.norm(way, axis=1)
+    def _outermost_from(self, position: np.ndarray, sign: np.ndarray) -> np.ndarray:
+        """
+        Return whether points have no surface behind them, as seen from a position: (N,) bool.
+
+        :param position: (3,) metres, map frame.
+        :param sign: (N,) 1 for points whose normal points towards the position, -1 for others.
+        """
+        offsets = self.points - position
+        distance = np.linalg.norm(offsets, axis=1)
         cell_deg = 6.0
-        row = np.rad2deg(np.arcsin(way[:, 2] / np.maximum(distance, 1e-6))) // cell_deg
-        column = np.rad2deg(np.arctan2(way[:, 1], way[:, 0])) // cell_deg
+        row = np.rad2deg(np.arcsin(offsets[:, 2] / np.maximum(distance, 1e-6))) // cell_deg
+        column = np.rad2deg(np.arctan2(offsets[:, 1], offsets[:, 0])) // cell_deg
         cell = np.unique(row * 1000.0 + column, return_inverse=True)[1]
         order = np.lexsort((distance, cell))
         ends = np.flatnonzero(np.append(np.diff(cell[order]) > 0, True))
@@ -170,30 +180,37 @@ class ScanSurfaces:
 
 
 def inward_sign(scene: Scene) -> float:
-    """Return the factor that turns normals towards free space: 1, -1, or 0 if unknown."""
+    """Return the factor that turns a scene's normals towards free space: 1, -1; 0 if unknown."""
     if scene.normals is None:
         return 0.0
     low, high = scene.bounds
-    # A surface this near to the bounding box is an outermost one.
+    # A point this near to the bounding box belongs to an outermost surface.
     shell_m = 0.1
     outer = ((scene.points < low + shell_m) | (scene.points > high - shell_m)).any(axis=1)
     inward = np.einsum('ij,ij->i', scene.normals[outer], scene.bounds.mean(axis=0)
                        - scene.points[outer]) > 0.0
     share = inward.mean()
-    # The share of the outermost surfaces whose normals point inwards (or outwards) if the normals
-    # of a file are consistent.
+    # If the normals of a file are consistent, those of at least this share of the outermost points
+    # point to the same side.
     min_share = 0.8
     return 1.0 if share > min_share else -1.0 if share < 1.0 - min_share else 0.0
 
 
-def _thinned(points: np.ndarray, edge: float, signs: np.ndarray | None = None
+def _thinned(points: np.ndarray, edge: float, given_normals: np.ndarray | None = None
              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Merge points in voxels; return them, their normals with given signs, and their pitch."""
+    """
+    Merge points in voxels.
+
+    :param points: (N, 3) metres.
+    :param edge: the edge of a voxel, metres.
+    :param given_normals: (N, 3) vectors, to whose side the new normals point; None if unknown.
+    :returns: M points (M, 3), metres, their normals (M, 3) and their pitch (M,), metres.
+    """
     merged = voxel_downsample(points, edge).astype(np.float64)
     distance, neighbours = nearest(merged, min(PLANE_NEIGHBOURS, len(merged)))
     normals = edge_aware_normals(merged, neighbours).astype(np.float64)
-    if signs is not None:
-        own = signs[cKDTree(points).query(merged)[1]]
-        normals *= np.where(np.einsum('ij,ij->i', own, normals) < 0.0, -1.0, 1.0)[:, None]
+    if given_normals is not None:
+        wanted = given_normals[cKDTree(points).query(merged)[1]]
+        normals *= np.where(np.einsum('ij,ij->i', wanted, normals) < 0.0, -1.0, 1.0)[:, None]
     pitch = distance[:, min(8, distance.shape[1] - 1)] * np.sqrt(np.pi / 8.0)
     return merged, normals, np.minimum(pitch, 4.0 * np.median(pitch)).astype(np.float32)

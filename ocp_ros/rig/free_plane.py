@@ -21,31 +21,31 @@ from itertools import islice
 
 import numpy as np
 from ocp_ros.geometry.clouds import corners_of
-from ocp_ros.geometry.plane_cells import close_near, moved_into, nearest_rows
+from ocp_ros.geometry.plane_cells import close_cells, move_into_open_cells, nearest_rows
 from ocp_ros.rig.motion import kept_inside, ROUNDING, towards
 from ocp_ros.scenes.scene import MAX_EXTENT_M
 from scipy import ndimage
 
-#: Metres: the edge of a cell of the floor.
+#: Metres: the edge of a cell in which floor is searched for.
 CELL_M = 0.2
-#: Square metres: the smallest floor that counts.
+#: Square metres: smaller floors are ignored.
 MIN_FLOOR_AREA_M2 = 1.0
 #: Metres: the default distance of cameras from every scanned surface. A camera inside a thin panel
 #: would see both its sides.
 CLEARANCE = 0.15
 #: Metres: the rounding margin added to the clearance.
 SLACK_M = 1e-4
-#: Metres: the edge of the cells that are closed near surfaces.
+#: Metres: the edge of the smaller cells that are closed near surfaces.
 FINE_CELL_M = 0.05
 
 
 @dataclass(frozen=True)
 class Floor:
     """
-    The cells of a grid that have floor below them.
+    The open cells of a grid, those with floor below them.
 
     :ivar low: (2,) metres, corner of the first cell.
-    :ivar open: (X, Y) bool; at least one cell is open.
+    :ivar open: (X, Y) bool, whether a cell is open, X cells along x and Y along y; one at least.
     :ivar edge: the edge of a cell, metres.
     """
 
@@ -60,71 +60,74 @@ class Floor:
 
     @cached_property
     def _nearest(self) -> np.ndarray:
-        """Return the nearest open cell in the column of each cell: (X, Y)."""
+        """Return the row of the nearest open cell in the column of each cell: (X, Y) int32."""
         return nearest_rows(self.open)
 
     def inside(self, positions: np.ndarray) -> np.ndarray:
-        """Move positions (..., 2) that are over a closed cell into the nearest open one."""
+        """Return positions (..., 2), metres, moved into the nearest open cells."""
         moved = np.array(positions, dtype=np.float64, order='C')
-        moved_into(moved.reshape(-1, 2), self.low, self.edge, self._nearest)
+        move_into_open_cells(moved.reshape(-1, 2), self.low, self.edge, self._nearest)
         return moved
 
     @property
-    def _middles(self) -> list[np.ndarray]:
+    def _centres(self) -> list[np.ndarray]:
         """Return x (X,) and y (Y,) of the cell centres, metres."""
         return [self.low[k] + self.edge * (np.arange(self.open.shape[k]) + 0.5) for k in (0, 1)]
 
-    def within(self, low: np.ndarray, high: np.ndarray) -> 'Floor | None':
-        """Keep the cells with their centre in a rectangle; None if there are none."""
-        middles = self._middles
-        within = np.logical_and.outer(*((middles[k] > low[k]) & (middles[k] < high[k])
+    def cropped_to(self, low: np.ndarray, high: np.ndarray) -> 'Floor | None':
+        """Return the open cells with their centre in a rectangle; None if there are none."""
+        centres = self._centres
+        inside = np.logical_and.outer(*((centres[k] > low[k]) & (centres[k] < high[k])
                                         for k in (0, 1)))
-        floor = replace(self, open=self.open & within)
+        floor = replace(self, open=self.open & inside)
         return floor if floor.open.any() else None
 
-    def near(self, place: np.ndarray, reach: float) -> 'Floor':
-        """Keep the cells with their centre within a distance, metres, of a position (2,)."""
-        x, y = self._middles
-        away = np.hypot.outer(x - place[0], y - place[1])
-        return replace(self, open=self.open & (away <= reach + ROUNDING))
+    def cells_near(self, position: np.ndarray, radius: float) -> 'Floor':
+        """Return the open cells with their centre within a radius, metres, of a position (2,)."""
+        x, y = self._centres
+        distance = np.hypot.outer(x - position[0], y - position[1])
+        return replace(self, open=self.open & (distance <= radius + ROUNDING))
 
-    def nearest_middle(self, place: np.ndarray) -> np.ndarray:
-        """Return the centre of the open cell nearest to a position: (2,) metres."""
-        cell = np.floor((self.inside(place) - self.low) / self.edge)
+    def nearest_centre(self, position: np.ndarray) -> np.ndarray:
+        """Return the centre of the open cell nearest to a position (2,): (2,) metres."""
+        cell = np.floor((self.inside(position) - self.low) / self.edge)
         return self.low + self.edge * (cell + 0.5)
 
-    def reached(self, place: np.ndarray, step: float) -> Iterator['Floor']:
+    def reachable_floors(self, position: np.ndarray, max_step: float) -> Iterator['Floor']:
         """
-        Yield the cells that a camera can reach with one move, with two moves and so on.
+        Yield the cells that a camera can reach with one move, then those with two, and so on.
 
-        A move ends over an open cell; obstacles on its way are ignored.
+        A move ends over an open cell; obstacles between start and end are ignored. The last floor
+        is that after which a further move adds no cell. There is no floor if the first move
+        reaches no cell.
 
-        :param place: (2,) metres, where it is.
-        :param step: no move is longer, metres.
-        :returns: the floors in turn, until no cell is added; none if the first move reaches no
-            cell.
+        :param position: (2,) metres, the position of the camera.
+        :param max_step: the largest length of a move, metres.
         """
-        cells, count = self.near(place, step).open, 0
+        cells = self.cells_near(position, max_step).open
+        count = 0
         while np.count_nonzero(cells) > count:
             yield replace(self, open=cells)
             count = np.count_nonzero(cells)
-            away = ndimage.distance_transform_edt(~cells, sampling=self.edge)
-            cells = self.open & (away <= step + ROUNDING)
+            distance = ndimage.distance_transform_edt(~cells, sampling=self.edge)
+            cells = self.open & (distance <= max_step + ROUNDING)
 
-    def cleared(self, points: np.ndarray, heights: np.ndarray, clearance: float
-                ) -> 'Floor | None':
+    def with_clearance(self, points: np.ndarray, heights: np.ndarray, clearance: float
+                       ) -> 'Floor | None':
         """
-        Close the cells too near to surfaces, and separated parts such as the inside of furniture.
+        Return the floor without cells too near to surfaces and without small separate parts.
 
-        :param points: (N, 3) metres.
-        :param heights: (2,) metres, the lowest and the highest camera.
-        :param clearance: metres; every position in the open cells is at least this far from all
-            points.
-        :returns: the parts of at least the least floor area, or else the largest part; None if no
-            cell stays open.
+        Such a part may be the inside of furniture.
+
+        :param points: (N, 3) N points of surfaces, metres.
+        :param heights: (2,) z of the lowest and of the highest camera, metres.
+        :param clearance: the least distance between the open cells at these heights and all
+            points, metres.
+        :returns: the parts of at least ``MIN_FLOOR_AREA_M2``; the largest part if all are smaller;
+            None if no cell stays open.
         """
         cells = self.open.copy()
-        close_near(points, heights, clearance + SLACK_M, self.low, self.edge, cells)
+        close_cells(points, heights, clearance + SLACK_M, self.low, self.edge, cells)
         parts, count = ndimage.label(cells)
         if count == 0:
             return None
@@ -141,8 +144,8 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     Rooms with an L-shape or at an angle do not fill their bounding boxes, and a camera outside the
     room would look through the back of a wall.
 
-    :param points: (N, 3) metres, z up.
-    :param height: the height of the cameras, metres.
+    :param points: (N, 3) N points of the room, metres, z up.
+    :param height: z of the cameras, metres.
     :returns: the largest connected part; None if there is too little floor, or if the points are
         too far apart to be a room.
     """
@@ -154,92 +157,101 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     if (highest - lowest).max() > MAX_EXTENT_M:
         return None
     low = lowest - 4.0 * CELL_M
-    cell = np.floor((below - low) / CELL_M).astype(np.int64)
-    # A margin is needed, since cells at the edge of the grid would not be closed.
-    # Radii of the gaps that are closed: the occlusion shadows of furniture, and in sparse scans
+    indices = np.floor((below - low) / CELL_M).astype(np.int64)
+    # Radii of the gaps that are filled: the occlusion shadows of furniture, and in sparse scans
     # the space between points.
     radii_cells = (1, 2, 3, 5)
-    cell, low = cell + max(radii_cells), low - max(radii_cells) * CELL_M
-    seen = np.zeros(corners_of(cell)[1] + max(radii_cells) + 5, dtype=bool)
-    seen[cell[:, 0], cell[:, 1]] = True
-    widest = _largest_part(seen, radii_cells[-1])
+    # A margin is needed, since gaps at the edge of the grid would not be filled.
+    indices = indices + max(radii_cells)
+    low = low - max(radii_cells) * CELL_M
+    cells = np.zeros(corners_of(indices)[1] + max(radii_cells) + 5, dtype=bool)
+    cells[indices[:, 0], indices[:, 1]] = True
+    widest = _largest_part(cells, radii_cells[-1])
     # The smallest radius is used whose floor has 60 % of the floor of the largest radius.
-    enough = max(0.6 * np.count_nonzero(widest), MIN_FLOOR_AREA_M2 / CELL_M ** 2)
-    parts = (_largest_part(seen, radius) for radius in radii_cells[:-1])
-    part = next((part for part in parts if np.count_nonzero(part) >= enough), widest)
-    return Floor(low.astype(np.float64), part) if np.count_nonzero(part) >= enough else None
+    min_count = max(0.6 * np.count_nonzero(widest), MIN_FLOOR_AREA_M2 / CELL_M ** 2)
+    parts = (_largest_part(cells, radius) for radius in radii_cells[:-1])
+    part = next((part for part in parts if np.count_nonzero(part) >= min_count), widest)
+    return Floor(low.astype(np.float64), part) if np.count_nonzero(part) >= min_count else None
 
 
-def _closed(seen: np.ndarray, radius: int) -> np.ndarray:
-    """Close gaps up to a radius, then all holes except large ones."""
+def _fill_gaps(cells: np.ndarray, radius: int) -> np.ndarray:
+    """Return cells (X, Y) bool with gaps up to a radius in cells and small holes filled."""
     x, y = np.ogrid[-radius:radius + 1, -radius:radius + 1]
-    closed = ndimage.binary_closing(seen, x * x + y * y <= radius ** 2)
-    holes, _ = ndimage.label(ndimage.binary_fill_holes(closed) & ~closed)
+    filled = ndimage.binary_closing(cells, x * x + y * y <= radius ** 2)
+    holes, _ = ndimage.label(ndimage.binary_fill_holes(filled) & ~filled)
     # Holes of more than 10 m2 are not occlusion shadows.
     small = np.bincount(holes.ravel()) * CELL_M ** 2 <= 10.0
     small[0] = False
-    return closed | small[holes]
+    return filled | small[holes]
 
 
-def _largest_part(seen: np.ndarray, radius: int) -> np.ndarray:
-    """Close gaps, keep a cell away from the edge, and return the largest connected part."""
-    cells = ndimage.binary_erosion(_closed(seen, radius))
+def _largest_part(cells: np.ndarray, radius: int) -> np.ndarray:
+    """Fill gaps, keep a cell away from the edge, and return the largest connected part."""
+    cells = ndimage.binary_erosion(_fill_gaps(cells, radius))
     parts, _ = ndimage.label(cells)
     sizes = np.bincount(parts.ravel())
     sizes[0] = 0
     return (parts == np.argmax(sizes)) & cells
 
 
-def _fine(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor | None:
+def _fine_cells(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor | None:
     """
-    Divide a floor, or a whole rectangle, into cells small enough to be closed one by one.
+    Divide a floor, or a whole rectangle, into cells small enough to be closed near surfaces.
 
-    :param floor: the floor; None if it is unknown.
-    :param low: (2,) metres, corner of the rectangle.
-    :param high: (2,) metres, the other corner.
+    :param floor: the floor; None if it is unknown: all cells of the rectangle are open.
+    :param low: (2,) metres, the lowest corner of the rectangle.
+    :param high: (2,) metres, its highest corner.
     :returns: the cells with their centre in the rectangle; None if there are none.
     """
-    # With more cells the edge is doubled.
+    # With more cells, larger ones are used.
     max_cells = 100_000
     if floor is None:
         edge = FINE_CELL_M
         while np.prod((high - low) / edge) > max_cells:
             edge *= 2.0
         shape = np.ceil((high - low) / edge).astype(int)
-        return Floor(low, np.ones(shape, dtype=bool), edge).within(low, high)
+        return Floor(low, np.ones(shape, dtype=bool), edge).cropped_to(low, high)
     rows, columns = (np.flatnonzero(floor.open.any(axis=axis)) for axis in (1, 0))
     cropped = floor.open[rows[0]:rows[-1] + 1, columns[0]:columns[-1] + 1]
-    times = round(CELL_M / FINE_CELL_M)
-    while times > 1 and cropped.size * times ** 2 > max_cells:
-        times //= 2
+    divisions = round(CELL_M / FINE_CELL_M)
+    while divisions > 1 and cropped.size * divisions ** 2 > max_cells:
+        divisions //= 2
     return Floor(floor.low + CELL_M * np.array([rows[0], columns[0]]),
-                 cropped.repeat(times, axis=0).repeat(times, axis=1), CELL_M / times
-                 ).within(low, high)
+                 cropped.repeat(divisions, axis=0).repeat(divisions, axis=1), CELL_M / divisions
+                 ).cropped_to(low, high)
 
 
-def _around(cells: Floor, position: np.ndarray, target: np.ndarray, straight: np.ndarray,
-            step: float) -> np.ndarray:
-    """Return the end of a move on a path to a target, near the straight move: (2,) metres."""
-    # A camera farther away than 60 moves moves straight on.
-    for floor in islice(cells.reached(target, step), 60):
-        near = floor.near(position, step)
+def _next_on_path(cells: Floor, position: np.ndarray, target: np.ndarray, straight: np.ndarray,
+                  max_step: float) -> np.ndarray:
+    """
+    Return the end of the first move on a shortest path to a target: (2,) metres.
+
+    :param cells: the cells that moves may end in.
+    :param position: (2,) metres, the position of the camera.
+    :param target: (2,) metres.
+    :param straight: (2,) metres, the end of the straight move; the end nearest to it is chosen.
+    :param max_step: the largest length of a move, metres.
+    """
+    # A camera more than 60 moves away moves straight on.
+    for floor in islice(cells.reachable_floors(target, max_step), 60):
+        near = floor.cells_near(position, max_step)
         if near.open.any():
-            return near.nearest_middle(straight)
+            return near.nearest_centre(straight)
     return straight
 
 
 @dataclass(frozen=True)
 class FreePlane:
     """
-    The space of cameras: a rectangle at a height, over the floor if it is known.
+    The positions that cameras may be at: a rectangle at a height, over the floor if it is known.
 
     :ivar low: (2,) lowest x and y, metres, map frame.
     :ivar high: (2,) highest x and y, metres.
     :ivar height: z, metres.
     :ivar cameras: K, the number of cameras.
     :ivar floor: the cells that cameras may be over; None for the whole rectangle.
-    :ivar clearance: the least distance of all positions of the plane from all points, metres; 0
-        for no limit.
+    :ivar clearance: the least distance of all these positions from all points, metres; 0 for no
+        limit.
     """
 
     low: np.ndarray
@@ -254,25 +266,25 @@ class FreePlane:
            clearance: float = CLEARANCE, heights: tuple[float, float] | None = None
            ) -> 'FreePlane':
         """
-        Build the space of a room.
+        Build the free plane of a room.
 
         If no position has the required clearance, the clearance is ignored.
 
-        :param points: (N, 3) metres, the room.
+        :param points: (N, 3) metres, the N points of the room.
         :param height: z of the cameras, metres.
-        :param cameras: K.
+        :param cameras: K, the number of cameras.
         :param margin: cameras stay this far inside the bounding box, metres.
         :param clearance: cameras keep this distance from all points, metres; 0 for no limit.
-        :param heights: the heights of the lowest and the highest camera, metres, if they differ.
+        :param heights: z of the lowest and of the highest camera, metres, if they differ.
         """
         bounds = corners_of(points).astype(np.float64)
         corners, _ = kept_inside(bounds, bounds, margin)
         low, high = corners[:, :2]
         known = floor_of(points, height)
-        floor = None if known is None else known.within(low, high)
+        floor = None if known is None else known.cropped_to(low, high)
         if clearance > 0.0:
-            fine = _fine(floor and known, low, high)
-            open_cells = fine and fine.cleared(
+            fine = _fine_cells(floor and known, low, high)
+            open_cells = fine and fine.with_clearance(
                 points, np.array(heights or (height, height)), clearance)
             if open_cells is not None:
                 return cls(low, high, height, cameras, open_cells, clearance)
@@ -282,9 +294,9 @@ class FreePlane:
     def around(cls, cloud: np.ndarray, positions: np.ndarray, margin: float, clearance: float
                ) -> 'FreePlane':
         """
-        Build the space of cameras from the points they have seen, at their median height.
+        Build the free plane of cameras from the points they have seen, at their median height.
 
-        :param cloud: (M, 3) metres: the points seen so far, M >= 1.
+        :param cloud: (M, 3) metres: the M >= 1 points seen so far.
         :param positions: (K, 3) metres: the positions of the cameras.
         :param margin: as in :meth:`of`.
         :param clearance: as in :meth:`of`; it holds at the height of each camera.
@@ -304,150 +316,158 @@ class FreePlane:
         return float(np.prod(self.size)) if self.floor is None else self.floor.area
 
     def random(self, rng: np.random.Generator, cameras: int | None = None) -> np.ndarray:
-        """Draw a placement, (cameras, 2), uniformly; K cameras by default."""
+        """Draw allowed positions (cameras, 2), metres, uniformly; for K cameras by default."""
         count = self.cameras if cameras is None else cameras
         drawn = rng.uniform(self.low, self.high, (count, 2))
-        while not (good := self.contains(drawn)).all():
-            drawn[~good] = rng.uniform(self.low, self.high, (np.count_nonzero(~good), 2))
+        while not (allowed := self.contains(drawn)).all():
+            drawn[~allowed] = rng.uniform(self.low, self.high, (np.count_nonzero(~allowed), 2))
         return drawn
 
     def inside(self, positions: np.ndarray) -> np.ndarray:
-        """Move positions (..., 2) to approximately the nearest allowed positions."""
+        """Return positions (..., 2), metres, moved to about the nearest allowed positions."""
         if self.floor is not None:
             positions = self.floor.inside(positions)
         return np.clip(positions, self.low, self.high)
 
     def contains(self, positions: np.ndarray) -> np.ndarray:
-        """Return whether cameras may be at positions (..., 2): (...) bool."""
+        """Return whether cameras may be at positions (..., 2), metres: (...) bool."""
         return (np.abs(self.inside(positions) - positions) <= 1e-5).all(axis=-1)
 
     def moved(self, positions: np.ndarray, moves: np.ndarray, max_step: float) -> np.ndarray:
         """
-        Move cameras so that a camera at an allowed position ends at one.
+        Return the positions of cameras after a move; an allowed position leads to an allowed one.
 
-        :param positions: (K, 2) metres; a camera at a forbidden position that cannot reach an
-            allowed one near its way moves freely.
+        :param positions: (K, 2) metres; a camera at a forbidden position moves freely if it cannot
+            reach an allowed position near its move.
         :param moves: (K, 2) metres; a camera with a zero move stays, also at a forbidden position.
-        :param max_step: no camera moves farther, metres.
+        :param max_step: the largest length of a move, metres.
         :returns: (K, 2) metres.
         """
-        target = positions + moves
-        good = self.contains(positions)[:, None]
-        ended = towards(positions, np.where(good, self.inside(target), target), max_step)
-        return self._beside(positions, ended, max_step) if self.clearance else ended
+        targets = positions + moves
+        allowed = self.contains(positions)[:, None]
+        ends = towards(positions, np.where(allowed, self.inside(targets), targets), max_step)
+        return self._free_ends(positions, ends, max_step) if self.clearance else ends
 
-    def _beside(self, positions: np.ndarray, ended: np.ndarray, reach: float) -> np.ndarray:
-        """Move those ends of moves (K, 2) that are too near to surfaces to allowed positions."""
-        ended, moving = ended.copy(), (ended != positions).any(axis=1)
-        for camera in np.flatnonzero(moving & ~self.contains(ended)):
-            here = positions[camera]
+    def _free_ends(self, positions: np.ndarray, ends: np.ndarray, max_step: float) -> np.ndarray:
+        """Return the ends (K, 2) of moves, those too near to surfaces moved to allowed ones."""
+        moving = (ends != positions).any(axis=1)
+        ends = ends.copy()
+        for camera in np.flatnonzero(moving & ~self.contains(ends)):
+            start = positions[camera]
             # Shares of a move that are tried in turn if its end is too near to a surface.
             shares = (1.0, 0.75, 0.5, 0.25, 0.0)
-            places = self.inside(here + np.outer(shares, ended[camera] - here))
-            reached = np.linalg.norm(places - here, axis=1) <= reach
-            if reached.any():
-                ended[camera] = places[np.argmax(reached)]
-        return ended
+            places = self.inside(start + np.outer(shares, ends[camera] - start))
+            reachable = np.linalg.norm(places - start, axis=1) <= max_step
+            if reachable.any():
+                ends[camera] = places[np.argmax(reachable)]
+        return ends
 
-    def reached(self, position: np.ndarray, step: float, turns: int) -> 'FreePlane':
+    def reached(self, position: np.ndarray, max_step: float, turns: int) -> 'FreePlane':
         """
-        Return the space that a camera can reach in a number of turns, to about a cell.
+        Return the positions that a camera can reach in a number of turns, to about a cell.
 
-        If a step is too short for the cells, or the first move reaches no cell, the result is the
-        square around the camera whose half edge is ``turns`` steps.
+        If ``max_step`` is too short for the cells, or the first move reaches no cell, the result
+        is the square around the camera whose half edge is ``turns`` moves.
 
-        :param position: (2,) metres, where it is.
-        :param step: no move is longer, metres.
+        :param position: (2,) metres, the position of the camera.
+        :param max_step: the largest length of a move, metres.
         :param turns: the largest number of moves, 1 or more.
         """
-        cells = self._cells_for(step)
-        floors = [] if cells is None else list(islice(cells.reached(position, step), turns))
-        if floors:
+        cells = self._cells_for(max_step)
+        if cells is not None and (floors := list(
+                islice(cells.reachable_floors(position, max_step), turns))):
             return replace(self, floor=floors[-1])
-        low, high = (np.clip(position + sign * turns * step, self.low, self.high)
+        low, high = (np.clip(position + sign * turns * max_step, self.low, self.high)
                      for sign in (-1.0, 1.0))
         return replace(self, low=low, high=high)
 
-    def on_way(self, positions: np.ndarray, targets: np.ndarray, step: float) -> np.ndarray:
+    def on_way(self, positions: np.ndarray, targets: np.ndarray, max_step: float) -> np.ndarray:
         """
-        Move from positions (K, 2) towards targets (K, 2), metres, by one move of at most a step.
+        Return the positions of cameras after one move towards their targets.
 
-        The move is straight if no path needs fewer turns, or if a step is too short for the cells.
-        Otherwise it is the move nearest to the straight one that lies on the shortest path.
+        The move is straight if no path needs fewer turns, or if ``max_step`` is too short for the
+        cells. Otherwise it is the move nearest to the straight one that lies on a shortest path.
 
+        :param positions: (K, 2) metres.
+        :param targets: (K, 2) metres.
+        :param max_step: the largest length of a move, metres.
         :returns: (K, 2) metres.
         """
-        ended = self._straight(positions, targets, step)
-        cells = self._cells_for(step)
+        ends = self._straight_ends(positions, targets, max_step)
+        cells = self._cells_for(max_step)
         if cells is None:
-            return ended
-        for camera, target in enumerate(targets):
-            if not self._arrives(positions[camera], target, step, cells.edge):
-                ended[camera] = _around(cells, positions[camera], target, ended[camera], step)
-        return ended
+            return ends
+        for camera, (position, target) in enumerate(zip(positions, targets)):
+            if not self._straight_moves_arrive(position, target, max_step, cells.edge):
+                ends[camera] = _next_on_path(cells, position, target, ends[camera], max_step)
+        return ends
 
-    def _straight(self, positions: np.ndarray, targets: np.ndarray, step: float) -> np.ndarray:
-        """Move straight from positions (K, 2) towards targets (K, 2), metres, by one move."""
-        return self.moved(positions, towards(positions, targets, step) - positions, step)
+    def _straight_ends(self, positions: np.ndarray, targets: np.ndarray, max_step: float
+                       ) -> np.ndarray:
+        """Return the ends (K, 2) of straight moves from positions towards targets (K, 2)."""
+        return self.moved(positions, towards(positions, targets, max_step) - positions, max_step)
 
-    def _arrives(self, position: np.ndarray, target: np.ndarray, step: float, off: float) -> bool:
-        """Return whether straight moves reach a target, to ``off`` metres, in the fewest turns."""
-        turns = int(np.ceil(np.linalg.norm(target - position) / step))
+    def _straight_moves_arrive(self, position: np.ndarray, target: np.ndarray, max_step: float,
+                               tolerance: float) -> bool:
+        """Return whether straight moves reach a target, to a tolerance, in the fewest turns."""
+        turns = int(np.ceil(np.linalg.norm(target - position) / max_step))
         place, goal = position[None], target[None]
         for _ in range(turns):
-            before = place
-            place = self._straight(place, goal, step)
-            if np.array_equal(place, before):
+            previous = place
+            place = self._straight_ends(place, goal, max_step)
+            if np.array_equal(place, previous):
                 break
-        return bool(np.linalg.norm(place - goal) <= off)
+        return bool(np.linalg.norm(place - goal) <= tolerance)
 
-    def _cells_for(self, step: float) -> Floor | None:
-        """Return the cells of paths; None if they are too large for such a step."""
+    def _cells_for(self, max_step: float) -> Floor | None:
+        """Return the cells of paths; None if they are too large for moves of this length."""
         cells = self._cells
-        # A path over cells needs steps of two cells or more.
-        return cells if cells is not None and step >= 2 * cells.edge else None
+        # A path over cells needs moves of two cells or more.
+        return cells if cells is not None and max_step >= 2 * cells.edge else None
 
     @cached_property
     def _cells(self) -> Floor | None:
         """Return the cells that cameras may be over; None if there are none."""
-        return self.floor or _fine(None, self.low, self.high)
+        return self.floor or _fine_cells(None, self.low, self.high)
 
     def folded(self, positions: np.ndarray) -> np.ndarray:
-        """Reflect positions (..., 2) at the rectangle's edges, which keeps steps symmetric."""
+        """Return positions (..., 2) reflected at the rectangle's edges; keeps steps symmetric."""
         size = np.maximum(self.size, 1e-12)
         folded = np.mod(positions - self.low, 2.0 * size)
         return self.low + np.minimum(folded, 2.0 * size - folded)
 
     def reflected(self, positions: np.ndarray) -> np.ndarray:
-        """Reflect positions (..., 2) at the edges and move them to allowed positions."""
+        """Return positions (..., 2) reflected at the edges and moved to allowed positions."""
         return self.inside(self.folded(positions))
 
-    def grid(self, most: int) -> np.ndarray:
+    def grid(self, max_count: int) -> np.ndarray:
         """
-        Return a regular grid of at most ``most`` positions: (M, 2), M >= 1.
+        Return the allowed positions of a regular grid: (M, 2) metres.
 
         The cells around the positions are as square as possible.
+
+        :param max_count: the largest number of positions; M is 1 or more.
         """
         if self.floor is None:
-            return self._lattice(most)
-        wanted = most * np.prod(self.size) / self.area
-        while len(places := self._over_floor(int(wanted))) > most:
+            return self._rectangle_grid(max_count)
+        wanted = max_count * np.prod(self.size) / self.area
+        while len(places := self._allowed_grid(int(wanted))) > max_count:
             wanted *= 0.97
         return places if len(places) else self.inside(0.5 * (self.low + self.high))[None]
 
-    def _over_floor(self, count: int) -> np.ndarray:
-        """Return the positions of a grid of the rectangle that cameras may be at."""
-        places = self._lattice(max(count, 1))
+    def _allowed_grid(self, max_count: int) -> np.ndarray:
+        """Return the allowed positions (M, 2) of a grid of the whole rectangle."""
+        places = self._rectangle_grid(max(max_count, 1))
         return places[self.contains(places)]
 
-    def _lattice(self, most: int) -> np.ndarray:
-        """Return a regular grid of the rectangle."""
+    def _rectangle_grid(self, max_count: int) -> np.ndarray:
+        """Return a regular grid (M, 2) of at most ``max_count`` positions in the rectangle."""
         size = np.maximum(self.size, 1e-9)
-        across = max(1, min(most, int(np.sqrt(most * size[0] / size[1]))))
-        counts = across, max(1, most // across)
+        x_count = max(1, min(max_count, int(np.sqrt(max_count * size[0] / size[1]))))
+        counts = x_count, max(1, max_count // x_count)
         axes = [self.low[k] + (np.arange(counts[k]) + 0.5) * size[k] / counts[k] for k in (0, 1)]
         return np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 2)
 
     def placement(self, positions: np.ndarray) -> np.ndarray:
-        """Add the height of the cameras to positions (n, 2): (n, 3)."""
+        """Return positions (M, 2) with the height of the cameras added: (M, 3) metres."""
         return np.column_stack([positions, np.full(len(positions), self.height)])

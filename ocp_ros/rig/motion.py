@@ -12,23 +12,25 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Moves and rotations of cameras, bounded in length and kept inside the room."""
+"""
+Moves and rotations of cameras, bounded in length and kept inside the room.
+
+Everywhere, K is the number of cameras.
+"""
 
 from collections.abc import Callable
 
 import numpy as np
 
-#: The number of positions from the centre to the edge of the disc that one turn reaches.
-DISC_STEPS = 10
 #: Metres: the tolerance for rounding.
 ROUNDING = 1e-9
 
 
 def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
     """
-    Turn actions into moves, none longer than ``max_step``.
+    Return the moves of actions, none longer than ``max_step``.
 
-    :param actions: (K, 2) or (K, 3) in [-1, 1].
+    :param actions: (K, 2) or (K, 3): x, y or x, y, z of each action, in [-1, 1].
     :param max_step: metres.
     :returns: float64 of the same shape, metres; one row for a single action (2,) or (3,).
     """
@@ -38,61 +40,69 @@ def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
 
 
 def order_of(turn: int, cameras: int) -> np.ndarray:
-    """Return the order of the cameras at a turn, rotated so that each one is first in turn."""
+    """Return the numbers (K,) of the cameras in their order at a turn; the first one rotates."""
     return np.roll(np.arange(cameras), turn)
 
 
 def drawn_near(rng: np.random.Generator, count: int, radius: float) -> np.ndarray:
-    """Draw offsets (count, 2), metres, uniformly from a disc."""
+    """Draw offsets (count, 2), metres, uniformly from a disc of a radius in metres."""
     length, angle = radius * np.sqrt(rng.random(count)), rng.uniform(-np.pi, np.pi, count)
     return length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
 
 def outwards(count: int, pitch: float) -> np.ndarray:
-    """Return headings evenly spread over all yaws: (count, 3) yaw, pitch and roll in radians."""
+    """
+    Return headings with evenly spread yaws.
+
+    :param count: the number of headings.
+    :param pitch: of all headings, radians.
+    :returns: (count, 3) yaw, pitch and roll in radians.
+    """
     headings = np.zeros((count, 3))
     headings[:, 0] = 2.0 * np.pi * np.arange(count) / count
     headings[:, 1] = pitch
     return headings
 
 
-def shortened(ways: np.ndarray, longest: float) -> np.ndarray:
-    """Shorten vectors (K, D) to at most a given length."""
-    length = np.linalg.norm(ways, axis=1, keepdims=True)
-    return ways * np.minimum(longest / np.maximum(length, 1e-12), 1.0)
+def shortened(vectors: np.ndarray, max_length: float) -> np.ndarray:
+    """Return K vectors (K, D) of D components, shortened to at most a given length."""
+    length = np.linalg.norm(vectors, axis=1, keepdims=True)
+    return vectors * np.minimum(max_length / np.maximum(length, 1e-12), 1.0)
 
 
-def towards(positions: np.ndarray, targets: np.ndarray, reach: float) -> np.ndarray:
+def towards(positions: np.ndarray, targets: np.ndarray, max_step: float) -> np.ndarray:
     """
-    Move from positions (K, 2) towards targets (K, 2), metres, by at most ``reach`` metres.
+    Return positions moved towards targets by at most a given distance.
 
+    :param positions: (K, 2) metres.
+    :param targets: (K, 2) metres.
+    :param max_step: metres.
     :returns: (K, 2) metres.
     """
-    return positions + shortened(targets - positions, reach)
+    return positions + shortened(targets - positions, max_step)
 
 
-def turned_towards(headings: np.ndarray, goals: np.ndarray, reach: float) -> np.ndarray:
+def turned_towards(headings: np.ndarray, goals: np.ndarray, max_angle: float) -> np.ndarray:
     """
-    Rotate cameras towards goals by at most a given angle.
+    Return headings rotated towards goal headings by at most a given angle.
 
     A yaw and a pitch are the legs of a right-angled triangle on the sphere of rotations, so the
-    rotation is at most the root of the sum of their squares.
+    angle of rotation is at most the root of the sum of their squares.
 
     :param headings: (K, 3) yaw, pitch, roll in radians.
     :param goals: (K, 3) the same; the roll is ignored.
-    :param reach: radians.
+    :param max_angle: radians.
     :returns: (K, 3) radians: the yaw changes in the shorter direction, the roll stays.
     """
     turned = headings.copy()
-    turned[:, :2] += shortened(way_between(headings, goals), reach)
+    turned[:, :2] += shortened(way_between(headings, goals), max_angle)
     turned[:, 0] = wrapped(turned[:, 0])
     return turned
 
 
 def wrapped(angles: np.ndarray) -> np.ndarray:
-    """Wrap angles in radians to -pi up to pi; angles in this range stay unchanged."""
-    return np.where(np.abs(angles) <= np.pi, angles,
-                    np.mod(angles + np.pi, 2.0 * np.pi) - np.pi)
+    """Return angles wrapped to -pi up to pi radians; angles in this range stay unchanged."""
+    return np.where(np.abs(angles) <= np.pi, angles, np.mod(angles + np.pi, 2.0 * np.pi) - np.pi)
 
 
 def way_between(headings: np.ndarray, goals: np.ndarray) -> np.ndarray:
@@ -103,81 +113,85 @@ def way_between(headings: np.ndarray, goals: np.ndarray) -> np.ndarray:
     :param goals: (..., 3) the same.
     :returns: (..., 2) yaw, in the shorter direction, and pitch, radians.
     """
-    way = goals[..., :2] - headings[..., :2]
-    way[..., 0] = wrapped(way[..., 0])
-    return way
+    rotations = goals[..., :2] - headings[..., :2]
+    rotations[..., 0] = wrapped(rotations[..., 0])
+    return rotations
 
 
-def kept_inside(positions: np.ndarray, bounds: np.ndarray, margin: float
-                ) -> tuple[np.ndarray, bool]:
+def kept_inside(positions: np.ndarray, box: np.ndarray, margin: float) -> tuple[np.ndarray, bool]:
     """
-    Bring positions back into the bounding box.
+    Return positions moved into the sides of a bounding box; heights do not change.
 
     :param positions: (K, 3) metres.
-    :param bounds: (2, 3) metres, lowest and highest corner.
-    :param margin: the distance to keep from the box's sides, metres, at most up to its middle.
-    :returns: positions (K, 3) float64, and whether any of them was outside the box itself.
+    :param box: (2, 3) the lowest and the highest corner of the box, metres.
+    :param margin: the distance to keep from the sides, metres, at most up to the middle.
+    :returns: positions (K, 3) float64, and whether any position was outside the box itself.
     """
-    low, high = bounds[0, :2], bounds[1, :2]
+    low, high = box[0, :2], box[1, :2]
     inset = np.minimum(margin, 0.5 * (high - low))
-    flat = positions[:, :2]
-    outside = bool(((flat < low) | (flat > high)).any())
-    inside = np.array(positions, dtype=np.float64)
-    inside[:, :2] = np.clip(flat, low + inset, high - inset)
-    return inside, outside
+    positions_xy = positions[:, :2]
+    any_outside = bool(((positions_xy < low) | (positions_xy > high)).any())
+    moved = np.array(positions, dtype=np.float64)
+    moved[:, :2] = np.clip(positions_xy, low + inset, high - inset)
+    return moved, any_outside
 
 
 def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
-                  mounted: Callable[[np.ndarray], np.ndarray],
-                  allowed: Callable[[np.ndarray], np.ndarray]) -> np.ndarray | None:
+                  move_onto_mount: Callable[[np.ndarray], np.ndarray],
+                  are_allowed: Callable[[np.ndarray], np.ndarray]) -> np.ndarray | None:
     """
     Find the allowed position nearest to a target that one turn reaches.
 
-    :param position: (3,) metres, where the camera is.
+    :param position: (3,) metres, the position of the camera.
     :param target: (3,) metres, the target of the camera.
     :param reach: the largest move in one turn, metres.
-    :param mounted: moves positions (P, 3) onto the mount of the camera.
-    :param allowed: returns which positions (P, 3) are allowed: (P,) bool.
-    :returns: (3,) metres, accurate to about a seventieth of the reach; None if there is none.
+    :param move_onto_mount: returns P positions (P, 3) moved onto the mount of the camera, metres.
+    :param are_allowed: returns whether P positions (P, 3) are allowed: (P,) bool.
+    :returns: (3,) metres, accurate to about a seventieth of the reach; None if one turn reaches no
+        allowed position.
     """
-    def usable(places: np.ndarray) -> np.ndarray:
-        places = mounted(places)
-        places = places[np.linalg.norm(places - position, axis=1) <= reach + ROUNDING]
-        return places[allowed(places)] if len(places) else places
+    def usable_positions(positions: np.ndarray) -> np.ndarray:
+        moved = move_onto_mount(positions)
+        reached = moved[np.linalg.norm(moved - position, axis=1) <= reach + ROUNDING]
+        return reached[are_allowed(reached)] if len(reached) else reached
 
-    if len(there := usable(target[None])):
-        return there[0]
-    best, middle = np.empty((0, 3)), position
-    straight = position + np.linspace(0.0, 1.0, DISC_STEPS)[:, None] * (target - position)
+    if len(mounted_target := usable_positions(target[None])):
+        return mounted_target[0]
+    best = np.empty((0, 3))
+    centre = position
+    # Positions from the centre to the edge of a disc, and on the straight line to the target.
+    steps = 10
+    line = position + np.linspace(0.0, 1.0, steps)[:, None] * (target - position)
     # The second search is finer, in a smaller disc.
     for scale in (1.0, 0.15):
-        places = usable(np.concatenate([best, _disc(middle, scale * reach), straight]))
-        if len(places) == 0:
+        positions = usable_positions(
+            np.concatenate([best, _disc_positions(centre, scale * reach, steps), line]))
+        if len(positions) == 0:
             break
-        middle = places[np.argmin(np.linalg.norm(places - target, axis=1))]
-        best = middle[None]
+        centre = positions[np.argmin(np.linalg.norm(positions - target, axis=1))]
+        best = centre[None]
     return best[0] if len(best) else None
 
 
-def _disc(middle: np.ndarray, radius: float) -> np.ndarray:
-    """Return positions (P, 3) in a horizontal disc."""
-    steps = np.linspace(-radius, radius, 2 * DISC_STEPS + 1)
-    x, y = (axis.ravel() for axis in np.meshgrid(steps, steps))
-    within = np.hypot(x, y) <= radius
-    return middle + np.column_stack([x, y, np.zeros_like(x)])[within]
+def _disc_positions(centre: np.ndarray, radius: float, steps: int) -> np.ndarray:
+    """Return a square grid of P positions (P, 3), metres, in a horizontal disc."""
+    axis = np.linspace(-radius, radius, 2 * steps + 1)
+    x, y = (values.ravel() for values in np.meshgrid(axis, axis))
+    inside = np.hypot(x, y) <= radius
+    return centre + np.column_stack([x, y, np.zeros_like(x)])[inside]
 
 
-def mounted(placement: np.ndarray, off: float, count: int, seed: int) -> np.ndarray:
+def mounted(placement: np.ndarray, error: float, count: int, seed: int) -> np.ndarray:
     """
-    Displace cameras by mounting errors, which are the same for every placement.
+    Return a placement displaced by mounting errors, which are the same for every placement.
 
     :param placement: (K, 3) or (K, 6), metres and radians.
-    :param off: the horizontal displacement of each camera, metres.
-    :param count: the number M of sets of mounting errors.
+    :param error: the horizontal displacement of each camera, metres.
+    :param count: M, the number of random sets of mounting errors.
     :param seed: the seed of these errors.
     :returns: (M, K, 3) or (M, K, 6).
     """
     angles = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (count, len(placement)))
     moved = np.repeat(placement[None], count, axis=0)
-    moved[..., :2] += off * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    moved[..., :2] += error * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return moved

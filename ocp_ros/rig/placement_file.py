@@ -30,15 +30,7 @@ import numpy as np
 from ocp_ros import __version__
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
-from ocp_ros.rig.rig_file import (
-    Camera,
-    cameras_at,
-    model_of,
-    names_of,
-    pose_of,
-    Rig,
-    rig_from,
-)
+from ocp_ros.rig.rig_file import Camera, cameras_at, model_of, names_of, pose_of, Rig, rig_from
 from ocp_ros.rig.schemas import MODEL, PLACEMENT
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.scenes.scene import Scene
@@ -58,10 +50,10 @@ class Placed(NamedTuple):
     A camera with its pose.
 
     :ivar camera: the camera.
-    :ivar position: x, y, z, metres.
+    :ivar position: x, y, z, metres, map frame.
     :ivar angles: yaw, pitch, roll, degrees.
-    :ivar mount: the surface it is mounted on, or ``fixed`` if it was in place before.
-    :ivar planned: the planned position and angles, if the camera was found to hang elsewhere.
+    :ivar mount: the surface that the camera is mounted on; ``fixed`` if it was in place before.
+    :ivar planned: the planned position and angles, if the camera was measured elsewhere.
     """
 
     camera: Camera
@@ -70,14 +62,14 @@ class Placed(NamedTuple):
     mount: str
     planned: tuple[tuple[float, ...], tuple[float, ...]] | None = None
 
-    def found_at(self, pose: np.ndarray) -> 'Placed':
-        """Return the camera at its measured pose (6,), metres and radians."""
+    def at_measured_pose(self, pose: np.ndarray) -> 'Placed':
+        """Return the camera at its measured pose (6,), metres and radians, rounded."""
         return _rounded(self.camera, pose, self.mount)._replace(
             planned=self.planned or (self.position, self.angles))
 
     @property
     def pose(self) -> np.ndarray:
-        """Return (6,) x, y, z in metres and yaw, pitch, roll in radians."""
+        """Return the pose (6,): x, y, z in metres and yaw, pitch, roll in radians."""
         return np.array([*self.position, *np.deg2rad(self.angles)])
 
 
@@ -93,8 +85,8 @@ class Placement:
     :ivar scores: the scores, as in the file.
     :ivar created: date, command and version, as in the file.
     :ivar frame: the frame of all poses.
-    :ivar document: the document it was read from, or None.
-    :ivar ways: the keys of each camera in that document.
+    :ivar document: the document that the placement was read from; None if there is none.
+    :ivar key_paths: the keys that lead to each camera in that document.
     """
 
     cameras: tuple[Placed, ...]
@@ -105,7 +97,7 @@ class Placement:
     created: dict[str, str] = field(default_factory=dict)
     frame: str = FRAME
     document: Document | None = None
-    ways: tuple[Way, ...] = ()
+    key_paths: tuple[Way, ...] = ()
 
     @property
     def poses(self) -> np.ndarray:
@@ -115,16 +107,16 @@ class Placement:
 
     @property
     def planned_poses(self) -> np.ndarray | None:
-        """Return the planned poses (K, 6) if any camera was measured elsewhere, else None."""
-        moved = [placed for placed in self.cameras if placed.mount != FIXED]
-        if not any(placed.planned for placed in moved):
+        """Return the planned poses (K, 6) if any camera was measured elsewhere; otherwise None."""
+        movable = [placed for placed in self.cameras if placed.mount != FIXED]
+        if not any(placed.planned for placed in movable):
             return None
         return np.array([[*position, *np.deg2rad(angles)] for position, angles in (
-            placed.planned or (placed.position, placed.angles) for placed in moved)])
+            placed.planned or (placed.position, placed.angles) for placed in movable)])
 
     def rig_in(self, scene: Scene) -> Rig:
         """
-        Return the rig, or a rig with no other constraints than these cameras fulfil.
+        Return the rig; if the file contains none, a rig whose constraints these cameras satisfy.
 
         :param scene: the room, for heights above its floor.
         """
@@ -137,12 +129,13 @@ def created_by(command: str, planner: str = '') -> dict[str, str]:
             **({'planner': planner} if planner else {})}
 
 
-def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:
+def placement_of(rig: Rig, poses: np.ndarray, **fields: Any) -> Placement:
     """
-    Make the placement of a rig, rounded as in its file.
+    Return the placement of a rig, rounded as in its file.
 
-    :param poses: (K, 6) metres, map frame, and radians; (K, 3) where no camera has a heading.
-    :param more: other fields of :class:`Placement`.
+    :param poses: (K, 6), the poses of the K cameras to be placed, metres, map frame, and radians;
+        (K, 3) where no camera has a heading.
+    :param fields: other fields of :class:`Placement`.
     :raises ValueError: if the number of poses differs from that of the cameras to be placed.
     """
     poses = np.asarray(poses, dtype=np.float64)
@@ -152,22 +145,22 @@ def placement_of(rig: Rig, poses: np.ndarray, **more: Any) -> Placement:
     full = np.zeros((len(poses), 6))
     full[:, :poses.shape[1]] = poses
     mounts = [*[rig.mount.on] * len(rig.cameras), *[FIXED] * len(rig.fixed)]
-    placed = zip(rig.all_cameras, [*full, *rig.fixed_poses], mounts)
-    return Placement(tuple(_rounded(*one) for one in placed), rig, **more)
+    placed = map(_rounded, rig.all_cameras, [*full, *rig.fixed_poses], mounts)
+    return Placement(tuple(placed), rig, **fields)
 
 
 def _rounded(camera: Camera, pose: np.ndarray, mount: str) -> Placed:
-    """Return a camera with its pose rounded as in its file."""
-    position, angles = _rounded_numbers(np.asarray(pose)[None])
+    """Return a camera at a pose (6,), metres and radians, rounded as in its file."""
+    position, angles = _rounded_poses(np.asarray(pose)[None])
     return Placed(camera, tuple(position[0].tolist()), tuple(angles[0].tolist()), mount)
 
 
-def _rounded_numbers(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions in metres and angles in degrees, (M, 3) each, rounded as in files."""
+def _rounded_poses(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the positions, metres, and angles, degrees, (M, 3) each, rounded as in files."""
     angles = np.rad2deg(poses[:, 3:])
     angles[:, [0, 2]] = (angles[:, [0, 2]] + 180.0) % 360.0 - 180.0
-    # Adding 0.0 turns -0.0 into 0.0.
     # Cameras are mounted less accurately than to 0.1 mm and 0.001 degrees.
+    # Adding 0.0 turns -0.0 into 0.0.
     return np.round(poses[:, :3], 4) + 0.0, np.round(angles, 3) + 0.0
 
 
@@ -175,10 +168,10 @@ def as_written(poses: np.ndarray) -> np.ndarray:
     """
     Return poses rounded as in a file, so that a search evaluates the poses that it will write.
 
-    :param poses: (M, 6) metres, map frame, and radians.
+    :param poses: (M, 6), M poses, metres, map frame, and radians.
     """
-    position, angles = _rounded_numbers(poses)
-    return np.hstack([position, np.deg2rad(angles)])
+    positions, angles = _rounded_poses(poses)
+    return np.hstack([positions, np.deg2rad(angles)])
 
 
 def load_placement(path: str | Path, rig: Rig | None = None) -> Placement:
@@ -198,130 +191,145 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
     Build a placement from a document that is valid under its schema.
 
     :param rig: the rig to use instead of the one in the document.
-    :raises ConfigurationError: if it does not match this rig.
+    :raises ConfigurationError: if the placement does not match this rig.
     """
     data = document.data
     if rig is None and 'rig' in data:
         rig = rig_from(document.part('rig'))
-    entries = data['cameras']
-    moved, fixed = ([('cameras', k) for k, entry in enumerate(entries)
-                     if (entry.get('mount') == FIXED) == hung] for hung in (False, True))
-    names = dict(zip(ways := [*moved, *fixed], names_of(document, ways)))
+    movable, fixed = ([('cameras', k) for k, entry in enumerate(data['cameras'])
+                       if (entry.get('mount') == FIXED) == in_place] for in_place in (False, True))
+    key_paths = [*movable, *fixed]
+    names = dict(zip(key_paths, names_of(document, key_paths)))
     if rig is not None:
-        rig = _matched(document, rig, moved, names)
+        rig = _renamed_rig(document, rig, movable, names)
         _check_fixed(document, rig, fixed)
-    elif not moved:
+    elif not movable:
         raise document.error(('cameras',), 'fixed cameras only', 'one at least that may be '
                              'moved', f'write another mount than {FIXED}')
     if rig is None:
-        placed = [_placed(document, way, camera, 'free')
-                  for way, camera in zip(ways, cameras_at(document, ways))]
+        placed = [_placed(document, keys, camera, 'free')
+                  for keys, camera in zip(key_paths, cameras_at(document, key_paths))]
     else:
-        placed = [_placed(document, way, camera, rig.mount.on)
-                  for way, camera in zip(moved, rig.cameras)]
+        placed = [_placed(document, keys, camera, rig.mount.on)
+                  for keys, camera in zip(movable, rig.cameras)]
         placed += [_rounded(one.camera, one.pose, FIXED) for one in rig.fixed]
     return Placement(tuple(placed), rig, data.get('room', {}),
                      EngineConfig(**data['engine']) if 'engine' in data else PROMISING,
                      data.get('scores', {}), data.get('created', {}),
-                     data.get('frame', FRAME), document, tuple(ways))
+                     data.get('frame', FRAME), document, tuple(key_paths))
 
 
-def _placed(document: Document, way: Way, camera: Camera, mount: str) -> Placed:
-    """Read the pose and the mount of a camera; ``mount`` is the default mount."""
-    data = document.value(*way)
-    planned = _numbers_at(data['planned']) if 'planned' in data else None
-    return Placed(camera, *_numbers_at(data), data.get('mount', mount), planned)
+def _placed(document: Document, keys: Way, camera: Camera, mount: str) -> Placed:
+    """Return a camera with the pose and the mount of its entry; ``mount`` is the default."""
+    data = document.value(*keys)
+    planned = _position_and_angles(data['planned']) if 'planned' in data else None
+    return Placed(camera, *_position_and_angles(data), data.get('mount', mount), planned)
 
 
-def _numbers_at(data: dict[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the position and the angles of an entry of a file."""
+def _position_and_angles(data: dict[str, Any]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Return the position, metres, and the angles, degrees, of an entry of a file."""
     return (tuple(float(value) for value in data['position']),
             tuple(float(data.get(angle, 0.0)) for angle in ANGLES))
 
 
-def _matched(document: Document, rig: Rig, ways: Sequence[Way], names: dict[Way, str]) -> Rig:
-    """Return the rig with the names of the file; the cameras have to match in order."""
-    if len(ways) != len(rig.cameras):
+def _renamed_rig(document: Document, rig: Rig, paths: Sequence[Way], names: dict[Way, str]) -> Rig:
+    """
+    Return a rig with the names that its cameras have in a placement.
+
+    :param paths: the keys that lead to each camera to be placed, in the order of the rig.
+    :param names: the name of each camera.
+    :raises ConfigurationError: if the cameras do not match those of the rig.
+    """
+    if len(paths) != len(rig.cameras):
         raise document.error(
-            ('cameras',), f'{len(ways)} cameras that may be moved', f'{len(rig.cameras)}, as in '
-            f'{rig.document.name}', 'add or remove some, or mark those in place by '
-            f'mount: {FIXED}')
+            ('cameras',), f'{len(paths)} cameras that may be moved',
+            f'{len(rig.cameras)}, as in {rig.document.name}',
+            f'add or remove some, or mark those in place by mount: {FIXED}')
     cameras = []
-    for way, camera in zip(ways, rig.cameras):
-        data = document.value(*way)
-        if any(key in data for key in MODEL) and not _sees_as(document, way, camera.model):
+    for keys, camera in zip(paths, rig.cameras):
+        data = document.value(*keys)
+        if any(key in data for key in MODEL) and not _has_model(document, keys, camera.model):
             raise document.error(
-                way, 'the numbers of another sensor', f'those of {camera.name} in '
+                keys, 'the numbers of another sensor', f'those of {camera.name} in '
                 f'{rig.document.name}', "put the cameras in the rig's order, or leave them out")
-        name = names[way] if 'name' in data else camera.name
+        name = names[keys] if 'name' in data else camera.name
         if name in {other.name for other in (*cameras, *(one.camera for one in rig.fixed))}:
-            raise document.error(way, f'the name {name!r}, which another camera of '
+            raise document.error(keys, f'the name {name!r}, which another camera of '
                                  f'{rig.document.name} has', 'one of its own',
                                  'give it another name')
         cameras.append(camera._replace(name=name))
     return replace(rig, cameras=tuple(cameras))
 
 
-def _check_fixed(document: Document, rig: Rig, ways: Sequence[Way]) -> None:
-    """Refuse cameras in place that differ from those of the rig; they may be left out."""
-    for k, way in enumerate(ways):
-        data = document.value(*way)
-        if (len(ways) != len(rig.fixed) or not _sees_as(document, way, rig.fixed[k].camera.model)
-                or not _alike(pose_of(data), rig.fixed[k].pose)):
-            raise document.error(way, 'a fixed camera', f'those that {rig.document.name} has, '
+def _check_fixed(document: Document, rig: Rig, key_paths: Sequence[Way]) -> None:
+    """Raise ConfigurationError for cameras in place that differ from those of the rig."""
+    for k, keys in enumerate(key_paths):
+        data = document.value(*keys)
+        if (len(key_paths) != len(rig.fixed)
+                or not _has_model(document, keys, rig.fixed[k].camera.model)
+                or not _same_pose(pose_of(data), rig.fixed[k].pose)):
+            raise document.error(keys, 'a fixed camera', f'those that {rig.document.name} has, '
                                  'or none', 'correct it, or leave all of them out')
 
 
-def _sees_as(document: Document, way: Way, model: CameraModel) -> bool:
+def _has_model(document: Document, keys: Way, model: CameraModel) -> bool:
     """Return whether a camera of a file has the parameters of a model, up to rounding."""
-    found = model_of(document, way)
+    found = model_of(document, keys)
     return found.resolution == model.resolution and all(
         math.isclose(getattr(found, key), getattr(model, key))
         for key in ('min_range', 'max_range', 'horizontal_fov', 'vertical_fov'))
 
 
-def _alike(pose: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two poses are the same, also if their angles differ in representation."""
-    turns = rotation_matrix(*pose[3:]) - rotation_matrix(*other[3:])
-    return max(np.abs(pose[:3] - other[:3]).max(), np.abs(turns).max()) <= POSE_TOLERANCE
+def _same_pose(pose: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether two poses (6,) are the same, possibly with different angles."""
+    difference = rotation_matrix(*pose[3:]) - rotation_matrix(*other[3:])
+    return max(np.abs(pose[:3] - other[:3]).max(), np.abs(difference).max()) <= POSE_TOLERANCE
 
 
 def _rig_like(placement: Placement, floor: float) -> Rig:
-    """Return a rig for a placement without one, with mount, heights and pitches of its cameras."""
+    """
+    Return a rig for a placement without one, with mount, heights and pitches of its cameras.
+
+    :param floor: z of the floor, metres.
+    """
     placed = placement.cameras
-    moved = [one for one in placed if one.mount != FIXED]
-    heights = [max(one.position[2] - floor, 0.0) for one in moved]
-    pitches = [one.angles[1] for one in moved if not one.camera.model.omnidirectional]
-    mounts = {one.mount for one in moved}
+    movable = [one for one in placed if one.mount != FIXED]
+    heights = [max(one.position[2] - floor, 0.0) for one in movable]
+    pitches = [one.angles[1] for one in movable if not one.camera.model.omnidirectional]
+    mounts = {one.mount for one in movable}
     on = mounts.pop() if len(mounts) == 1 else 'free'
     mount: dict[str, Any] = {'on': on}
     if on == 'plane' and np.ptp(heights) > POSE_TOLERANCE:
         mount['on'] = 'free'
     if on != 'ceiling':
         mount['height'] = heights[0] if mount['on'] == 'plane' else [min(heights), max(heights)]
-    # Metres from surfaces: less than the own size of a camera.
+    # A camera itself is larger than the 5 cm to keep clear of surfaces.
     data = {
-        'cameras': [{'name': one.camera.name, **numbers_of(one.camera)} for one in moved],
+        'cameras': [{'name': one.camera.name, **numbers_of(one.camera)} for one in movable],
         'fixed': [_entry(one, mount=False) for one in placed if one.mount == FIXED],
         'mount': mount, 'pitch': [min([0.0, *pitches]), max([60.0, *pitches])],
         'keep_clear': 0.05, 'spacing': 0.0}
-    return rig_from(_made_of(placement, data, int(np.argmin(heights))))
+    return rig_from(_rig_document(placement, data, int(np.argmin(heights))))
 
 
-def _made_of(placement: Placement, data: dict[str, Any], lowest: int) -> Document:
-    """Return a document of rig data whose errors name the keys of the placement."""
-    document, ways = placement.document, placement.ways
+def _rig_document(placement: Placement, data: dict[str, Any], lowest: int) -> Document:
+    """
+    Return a document of rig data whose errors name the keys of the placement.
+
+    :param lowest: the number of the lowest camera to be placed, for errors about the height.
+    """
+    document, key_paths = placement.document, placement.key_paths
     if document is None:
         return Document('placement', data)
-    in_place = (way for way, one in zip(ways, placement.cameras) if one.mount == FIXED)
-    written = {('mount', 'height'): (*ways[lowest], 'position'),
-               ('mount', 'on'): (*ways[lowest], 'mount'),
-               **{('fixed', k): (*way, 'position') for k, way in enumerate(in_place)}}
-    return Document(document.name, data, document.lines, written)
+    in_place = (keys for keys, one in zip(key_paths, placement.cameras) if one.mount == FIXED)
+    sources = {('mount', 'height'): (*key_paths[lowest], 'position'),
+               ('mount', 'on'): (*key_paths[lowest], 'mount'),
+               **{('fixed', k): (*keys, 'position') for k, keys in enumerate(in_place)}}
+    return Document(document.name, data, document.lines, sources)
 
 
 def numbers_of(camera: Camera) -> dict[str, Any]:
-    """Return a camera's sensor and parameters for a file, angles in degrees."""
+    """Return the sensor and the parameters of a camera for a file, angles in degrees."""
     model: CameraModel = camera.model
     numbers: dict[str, Any] = {'sensor': camera.sensor} if camera.sensor else {}
     for key in ('horizontal_fov', 'vertical_fov'):
@@ -333,17 +341,17 @@ def numbers_of(camera: Camera) -> dict[str, Any]:
 
 
 def _entry(placed: Placed, mount: bool = True) -> dict[str, Any]:
-    """Return the entry of a camera for a file."""
+    """Return the entry of a camera for a file, with or without mount and planned pose."""
     entry = {'name': placed.camera.name, **numbers_of(placed.camera),
-             **_numbers(placed.position, placed.angles),
+             **_pose_entry(placed.position, placed.angles),
              **({'mount': placed.mount} if mount else {})}
     if placed.planned and mount:
-        entry['planned'] = _numbers(*placed.planned)
+        entry['planned'] = _pose_entry(*placed.planned)
     return entry
 
 
-def _numbers(position: Sequence[float], angles: Sequence[float]) -> dict[str, Any]:
-    """Return position and angles for a file."""
+def _pose_entry(position: Sequence[float], angles: Sequence[float]) -> dict[str, Any]:
+    """Return a position, metres, and angles, degrees, as a mapping for a file."""
     return {'position': list(position), **dict(zip(ANGLES, angles))}
 
 

@@ -21,6 +21,7 @@ from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.settings import check_known, ConfigurationError, MAX_CAMERAS, setting
 
 OMNIDIRECTIONAL = 'omnidirectional'
+#: The values of ``sensors`` that one camera may have.
 KINDS = (OMNIDIRECTIONAL, *SENSORS)
 
 
@@ -46,7 +47,7 @@ class RigConfig:
             raise ConfigurationError(
                 f'rig.min_range: found {self.min_range} m with rig.max_range {self.max_range} m; '
                 'expected less than it')
-        names = self._names
+        names = self._sensor_names
         check_known(names, KINDS, 'rig.sensors')
         if len(names) not in (1, self.cameras):
             raise ConfigurationError(
@@ -54,13 +55,13 @@ class RigConfig:
                 'expected one for all or one for each')
 
     @property
-    def _names(self) -> list[str]:
-        """Return the names of the sensors."""
+    def _sensor_names(self) -> list[str]:
+        """Return the names of the sensors, one for all cameras or one for each camera."""
         return [name.strip() for name in self.sensors.split(',')]
 
     @property
     def models(self) -> tuple[CameraModel, ...]:
         """Return one model for all cameras, or one for each camera."""
-        own = CameraModel(self.min_range, self.max_range)
-        return tuple(own if name == OMNIDIRECTIONAL else SENSORS[name].model
-                     for name in self._names)
+        omnidirectional = CameraModel(self.min_range, self.max_range)
+        return tuple(omnidirectional if name == OMNIDIRECTIONAL else SENSORS[name].model
+                     for name in self._sensor_names)

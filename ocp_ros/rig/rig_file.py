@@ -44,9 +44,9 @@ class Camera(NamedTuple):
     """
     A camera of a rig.
 
-    :ivar name: its unique name in tables.
-    :ivar sensor: its preset, or '' for parameters given directly.
-    :ivar model: its camera model.
+    :ivar name: the unique name in tables.
+    :ivar sensor: the name of the sensor's preset; empty for parameters given directly.
+    :ivar model: the camera model.
     """
 
     name: str
@@ -54,13 +54,13 @@ class Camera(NamedTuple):
     model: CameraModel
 
 
-class Fixed(NamedTuple):
+class FixedCamera(NamedTuple):
     """
     A camera that is in place already and stays.
 
     :ivar camera: the camera.
     :ivar pose: (6,) x, y, z, yaw, pitch, roll: metres, map frame, and radians.
-    :ivar where: the place in the file, for messages.
+    :ivar where: file, line and keys of its entry, for messages.
     """
 
     camera: Camera
@@ -76,8 +76,8 @@ class Mount(NamedTuple):
         contain, for any position at a height within the bounding box of the room.
     :ivar heights: the lowest and the highest height above the floor, or for a ``box`` above the
         lowest point of the room, metres; None for just below the ceiling.
-    :ivar footprint: the radius around the point below a camera that has to be free floor, metres:
-        the feet of a tripod; 0 for cameras on poles and rods.
+    :ivar footprint: the radius of free floor below a camera, metres, for the feet of a tripod; 0
+        for cameras on poles and rods.
     """
 
     on: str
@@ -85,11 +85,11 @@ class Mount(NamedTuple):
     footprint: float = 0.0
 
 
-class Watched(NamedTuple):
+class SightCondition(NamedTuple):
     """
-    The condition for a position in the air to count as seen.
+    The condition of lines of sight for a position in the air to count as seen.
 
-    :ivar seen_by: the number of cameras that have to see it.
+    :ivar seen_by: the number of cameras that have to see the position.
     :ivar angle: the least angle between the lines of sight of any two of these cameras, radians.
     """
 
@@ -101,11 +101,13 @@ class Region(NamedTuple):
     """
     A part of the room with an additional weight or requirement.
 
+    :ivar name: the unique name of the region.
+    :ivar zone: the volume of the region.
     :ivar weight: the weight in the objective; the whole room has 1.
     :ivar must_see: the share of its points, or of its air, that has to be seen; 0 for none.
-    :ivar where: the place in the file, for messages.
-    :ivar air: the condition for its air to count as seen; None for a region whose points have to
-        be seen.
+    :ivar where: file, line and keys of its entry, for messages.
+    :ivar air: the condition for the air of the region to count as seen; None if points have to be
+        seen.
     """
 
     name: str
@@ -113,11 +115,11 @@ class Region(NamedTuple):
     weight: float
     must_see: float
     where: str
-    air: Watched | None = None
+    air: SightCondition | None = None
 
     @property
     def parts(self) -> str:
-        """Return the kind of parts of the region that have to be seen."""
+        """Return what has to be seen of the region, for messages: points or air."""
         return 'points' if self.air is None else 'air'
 
 
@@ -157,7 +159,7 @@ class Rig:
     """
 
     cameras: tuple[Camera, ...]
-    fixed: tuple[Fixed, ...]
+    fixed: tuple[FixedCamera, ...]
     mount: Mount
     pitch: tuple[float, float]
     rolls: tuple[float, ...]
@@ -179,17 +181,19 @@ class Rig:
         """
         models = config.models * (config.cameras // len(config.models))
         cameras = tuple(Camera(f'camera_{k}', '', model) for k, model in enumerate(models))
-        return cls(cameras, (), Mount('box', (config.height, config.height)), (0.0, 0.5 * np.pi),
-                   (0.0,), 0.0, 0.0, (), (), (), 1, None, Document('rig', {}))
+        return cls(
+            cameras, (), Mount('box', (config.height, config.height)), pitch=(0.0, 0.5 * np.pi),
+            rolls=(0.0,), keep_clear=0.0, spacing=0.0, keep_out=(), keep_in=(), regions=(),
+            seen_by=1, calibratable=None, document=Document('rig', {}))
 
     @property
     def free(self) -> bool:
-        """Return whether its cameras move freely on a plane without any constraint."""
+        """Return whether the cameras move freely on a plane without any constraint."""
         return self.mount.on == 'box'
 
     @property
     def farthest(self) -> float:
-        """Return the largest range of its cameras that planners use, metres."""
+        """Return the largest range of the cameras, metres, at most 100 m for planners."""
         return min(max(camera.model.max_range for camera in self.cameras), 100.0)
 
     @property
@@ -197,8 +201,9 @@ class Rig:
         """
         Return the distance that cameras on a horizontal plane keep from all points, metres.
 
-        :returns: 0 for cameras that are mounted on walls or the ceiling: on a plane their own
-            surface looks like any other; None without a rig file: ``episode.clearance`` applies.
+        :returns: ``keep_clear`` for the mounts plane and free; 0 for walls and ceiling, since on a
+            plane the surface of the mount looks like any other; None without a rig file: then
+            ``episode.clearance`` applies.
         """
         if self.free:
             return None
@@ -211,7 +216,7 @@ class Rig:
 
     @property
     def placed_models(self) -> tuple[CameraModel, ...]:
-        """Return the models of the cameras to be placed, each once."""
+        """Return the different models of the cameras to be placed, each once."""
         return tuple(dict.fromkeys(camera.model for camera in self.cameras))
 
     @property
@@ -222,10 +227,10 @@ class Rig:
     @property
     def axes(self) -> tuple[str, ...]:
         """
-        Return the components of an action on a camera to be placed.
+        Return the names of the components of an action on a camera to be placed.
 
-        :returns: ``x`` and ``y``; ``z`` if the mount allows a range of heights; ``yaw`` and
-            ``pitch`` if a camera is not omnidirectional.
+        :returns: ``x`` and ``y``; also ``z`` if the mount allows a range of heights; also ``yaw``
+            and ``pitch`` if a camera is not omnidirectional.
         """
         if self.free:
             return 'x', 'y'
@@ -236,15 +241,14 @@ class Rig:
 
     def check_rotations(self, degrees: Iterable[float], found: str, expected: str) -> None:
         """
-        Refuse rotated rooms for a rig with poses or zones in the map, which do not rotate.
+        Check that rooms are not rotated if the rig has poses or zones in the map frame.
 
-        :param degrees: the rotations of rooms.
+        :param degrees: the rotations of rooms, degrees.
         :param found: the setting of the rotations and its value, with which the message begins.
         :param expected: the value that fits this rig.
-        :raises ConfigurationError: if the rig has such poses or zones, and rooms are rotated.
+        :raises ConfigurationError: if the rig has such poses or zones, and a room is rotated.
         """
-        if any(degrees) and (
-                self.fixed or self.keep_out or self.keep_in or self.regions):
+        if any(degrees) and (self.fixed or self.keep_out or self.keep_in or self.regions):
             raise ConfigurationError(
                 f'{found} with {self.document.name}, whose fixed, keep_out, keep_in or regions '
                 f'are places in the map; expected {expected}: they do not turn with the room')
@@ -260,7 +264,7 @@ def load_rig(path: str | Path) -> Rig:
     Read a rig.
 
     :param path: a YAML or JSON file; docs/reference/rig.md explains its keys.
-    :raises ConfigurationError: if it cannot be used: one sentence with file, line and key.
+    :raises ConfigurationError: if the file cannot be used: one sentence with file, line and key.
     """
     return rig_from(read_document(path, RIG))
 
@@ -284,9 +288,9 @@ def with_count(rig: Rig, count: int) -> Rig:
     """
     Return a rig with another number of cameras to be placed.
 
-    :param rig: a rig whose cameras are of one group.
+    :param rig: a rig whose document has one group of cameras, which is one entry with a count.
     :param count: the number of cameras to be placed, above 0.
-    :raises ConfigurationError: if its cameras are of several groups, or too few or too many.
+    :raises ConfigurationError: if there are several groups, or too many cameras.
     """
     document = rig.document
     if len(groups := document.data['cameras']) > 1:
@@ -298,7 +302,7 @@ def with_count(rig: Rig, count: int) -> Rig:
 
 def sensor_named(name: str) -> str:
     """
-    Find a preset by its name or a unique part of it.
+    Return the name of a preset, given this name or a unique part of it.
 
     :raises ConfigurationError: if no preset or several match; the message lists them.
     """
@@ -306,28 +310,28 @@ def sensor_named(name: str) -> str:
         raise ConfigurationError(f'sensor: found {name!r}; expected the name of one, such as d455')
     if name in KINDS:
         return name
-    found = [kind for kind in KINDS if name and name.lower() in kind]
-    if len(found) == 1:
-        return found[0]
-    if found:
-        raise ConfigurationError(f'sensor: found {name!r}, which {" and ".join(found)} have in '
+    matches = [kind for kind in KINDS if name and name.lower() in kind]
+    if len(matches) == 1:
+        return matches[0]
+    if matches:
+        raise ConfigurationError(f'sensor: found {name!r}, which {" and ".join(matches)} have in '
                                  'common; expected one of them; write more of its name')
     raise ConfigurationError(f'sensor: found {name!r}; expected one of {", ".join(KINDS)} or a '
                              f'part of it; {nearest(name, KINDS, "choose one of them")}')
 
 
-def model_of(document: Document, way: Way) -> CameraModel:
+def model_of(document: Document, keys: Way) -> CameraModel:
     """
-    Read a camera model: the parameters of its sensor, overridden by those given beside it.
+    Read a camera model: the parameters of a sensor, overridden by those given directly.
 
-    :param way: the path of the camera in the document.
+    :param keys: the keys that lead to the camera in the document.
     :raises ConfigurationError: if parameters are missing or contradict each other.
     """
-    data = document.value(*way)
-    given = {key: data[key] for key in MODEL if key in data}
-    given = {key: float(np.deg2rad(value)) if key.endswith('fov') else value
-             for key, value in given.items()}
-    given |= _lens(document, way, given)
+    data = document.value(*keys)
+    given: dict[str, Any] = {
+        key: float(np.deg2rad(data[key])) if key.endswith('fov') else data[key]
+        for key in MODEL if key in data}
+    given |= _pop_pinhole(document, keys, given)
     if 'resolution' in given:
         given['resolution'] = tuple(given['resolution'])
     sensor = given.pop('sensor', None)
@@ -335,7 +339,7 @@ def model_of(document: Document, way: Way) -> CameraModel:
         for key in ('horizontal_fov', 'vertical_fov', 'max_range'):
             if key not in given:
                 raise document.error(
-                    way, f'no {key} and no sensor', MODEL[key]['description'],
+                    keys, f'no {key} and no sensor', MODEL[key]['description'],
                     f'add {key}: {MODEL[key]["examples"][0]:g}, or a sensor')
         preset = CameraModel()
     elif sensor == OMNIDIRECTIONAL:
@@ -346,35 +350,35 @@ def model_of(document: Document, way: Way) -> CameraModel:
     high = given.get('max_range', preset.max_range)
     if not low < high:
         key = 'min_range' if 'min_range' in given else 'max_range'
-        raise document.error((*way, key), f'min_range {low:g} m with max_range {high:g} m',
+        raise document.error((*keys, key), f'min_range {low:g} m with max_range {high:g} m',
                              'the first to be less', 'exchange or correct them')
     return replace(preset, **given)
 
 
-def _lens(document: Document, way: Way, given: dict[str, Any]) -> dict[str, float]:
-    """Remove the keys of a lens from ``given``, and return the field of view of its pinhole."""
+def _pop_pinhole(document: Document, keys: Way, given: dict[str, Any]) -> dict[str, float]:
+    """Remove focal length and sensor size from ``given``; return their field of view, radians."""
     focal, size = given.pop('focal_length', None), given.pop('sensor_size', None)
     if focal is None and size is None:
         return {}
     if focal is None or size is None:
-        there, missing = ('sensor_size', 'focal_length') if focal is None else (
+        present, missing = ('sensor_size', 'focal_length') if focal is None else (
             'focal_length', 'sensor_size')
-        raise document.error((*way, there), f'no {missing}', 'both or none',
+        raise document.error((*keys, present), f'no {missing}', 'both or none',
                              f'add {missing}: {MODEL[missing]["examples"][0]}')
     for key in ('horizontal_fov', 'vertical_fov'):
         if key in given:
-            raise document.error((*way, key), 'it beside focal_length', 'one of the two, which '
+            raise document.error((*keys, key), 'it beside focal_length', 'one of the two, which '
                                  'both say the field of view', f'leave {key} out')
-    fields = [2.0 * float(np.arctan(edge / (2.0 * focal))) for edge in size]
-    if min(fields) < np.deg2rad(MIN_FOV_DEG):
-        raise document.error((*way, 'focal_length'), f'{focal:g} mm with the sensor_size {size}, '
-                             f'a field of view of {np.rad2deg(min(fields)):.2g} degrees',
+    fov = [2.0 * float(np.arctan(edge / (2.0 * focal))) for edge in size]
+    if min(fov) < np.deg2rad(MIN_FOV_DEG):
+        raise document.error((*keys, 'focal_length'), f'{focal:g} mm with the sensor_size {size}, '
+                             f'a field of view of {np.rad2deg(min(fov)):.2g} degrees',
                              f'one of {MIN_FOV_DEG:g} degrees or more', 'correct the two')
-    return dict(zip(('horizontal_fov', 'vertical_fov'), fields))
+    return dict(zip(('horizontal_fov', 'vertical_fov'), fov))
 
 
 def pose_of(data: dict[str, Any]) -> np.ndarray:
-    """Return the pose of an entry of a file: (6,) metres and radians."""
+    """Return the pose of a camera's entry in a file: (6,) metres and radians."""
     angles = np.deg2rad([float(data.get(key, 0.0)) for key in ('yaw', 'pitch', 'roll')])
     return np.array([*data['position'], *angles], dtype=np.float64)
 
@@ -392,69 +396,70 @@ def rig_from(document: Document) -> Rig:
     if seen_by > len(cameras) + len(fixed):
         raise document.error(('seen_by',), str(seen_by), f'at most {len(cameras) + len(fixed)}, '
                              'as many as there are cameras', 'lower it or add cameras')
-    low, high = _range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))
-    return Rig(cameras, fixed, _mount(document), (float(np.deg2rad(low)), float(np.deg2rad(high))),
-               tuple(map(float, np.deg2rad(data.get('roll', [0.0])))),
-               float(data.get('keep_clear', 0.2)), float(data.get('spacing', 0.2)),
-               zones_of(document, 'keep_out'), zones_of(document, 'keep_in'), regions, seen_by,
-               _calibratable(data), document)
+    low, high = np.deg2rad(_range(document, ('pitch',), data.get('pitch', [0.0, 90.0]))).tolist()
+    return Rig(
+        cameras, fixed, _mount(document), pitch=(low, high),
+        rolls=tuple(np.deg2rad(data.get('roll', [0.0])).tolist()),
+        keep_clear=float(data.get('keep_clear', 0.2)), spacing=float(data.get('spacing', 0.2)),
+        keep_out=zones_of(document, 'keep_out'), keep_in=zones_of(document, 'keep_in'),
+        regions=regions, seen_by=seen_by, calibratable=_calibratable(data), document=document)
 
 
-def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[Fixed, ...]]:
-    """Read the cameras to be placed and those in place, with unique names."""
+def _cameras(document: Document) -> tuple[tuple[Camera, ...], tuple[FixedCamera, ...]]:
+    """Return the cameras to be placed and those in place, with unique names."""
     groups, fixed = document.data['cameras'], document.data.get('fixed', [])
     movable = [('cameras', k) for k, group in enumerate(groups)
                for _ in range(group.get('count', 1))]
     if len(movable) + len(fixed) > MAX_CAMERAS:
         raise document.error(('cameras',), f'{len(movable) + len(fixed)} cameras',
                              f'at most {MAX_CAMERAS}, fixed ones included', 'lower a count')
-    ways = [*movable, *(('fixed', k) for k in range(len(fixed)))]
-    cameras = tuple(cameras_at(document, ways))
-    count = len(movable)
-    return cameras[:count], tuple(
-        Fixed(camera, pose_of(data), document.where('fixed', k))
-        for k, (camera, data) in enumerate(zip(cameras[count:], fixed)))
+    cameras = tuple(cameras_at(document, [*movable, *(('fixed', k) for k in range(len(fixed)))]))
+    return cameras[:len(movable)], tuple(
+        FixedCamera(camera, pose_of(data), document.where('fixed', k))
+        for k, (camera, data) in enumerate(zip(cameras[len(movable):], fixed)))
 
 
-def cameras_at(document: Document, ways: list[Way]) -> Iterator[Camera]:
+def cameras_at(document: Document, key_paths: list[Way]) -> Iterator[Camera]:
     """
-    Read cameras with unique names.
+    Yield cameras with unique names.
 
-    :param ways: the path of each camera in the document; cameras of one group share a path.
+    :param key_paths: the keys that lead to each camera in the document; those of one group are the
+        same.
     :raises ConfigurationError: if a name is given twice or a camera is invalid.
     """
-    for way, name in zip(ways, names_of(document, ways)):
-        yield Camera(name, document.value(*way).get('sensor', ''), model_of(document, way))
+    for keys, name in zip(key_paths, names_of(document, key_paths)):
+        yield Camera(name, document.value(*keys).get('sensor', ''), model_of(document, keys))
 
 
-def names_of(document: Document, ways: list[Way]) -> Iterator[str]:
+def names_of(document: Document, key_paths: list[Way]) -> Iterator[str]:
     """
     Yield unique camera names from name, sensor or kind, numbered if several share one.
 
-    :param ways: the path of each camera in the document; cameras of one group share a path.
+    :param key_paths: the keys that lead to each camera in the document; those of one group are the
+        same.
     :raises ConfigurationError: if a name is given twice.
     """
-    entries = [document.value(*way) for way in ways]
+    entries = [document.value(*keys) for keys in key_paths]
     stems = [entry.get('name', entry.get('sensor', 'camera')) for entry in entries]
     totals, used = Counter(stems), Counter()
-    given: dict[str, Way] = {}
-    taken: set[str] = set()
-    for way, entry, stem in zip(ways, entries, stems):
+    given_at: dict[str, Way] = {}
+    names: set[str] = set()
+    for keys, entry, stem in zip(key_paths, entries, stems):
         used[stem] += 1
         named = 'name' in entry
         # Cameras of one group share a name, followed by a number.
         number = '' if totals[stem] == 1 else f'_{used[stem]}'
         name = stem[:MAX_NAME_LENGTH - len(number)] + number
-        if name in taken or (named and given.setdefault(stem, way) != way):
-            raise document.error((*way, 'name' if named else 'sensor'), f'the name {stem!r}, '
+        if name in names or (named and given_at.setdefault(stem, keys) != keys):
+            raise document.error((*keys, 'name' if named else 'sensor'), f'the name {stem!r}, '
                                  'which another camera has', 'one of its own',
                                  'give it another name')
-        taken.add(name)
+        names.add(name)
         yield name
 
 
 def _mount(document: Document) -> Mount:
-    """Read the mount of the cameras."""
+    """Return the mount of the cameras."""
     data = document.data.get('mount', {'on': 'plane'})
     on, given, footprint = data['on'], data.get('height'), data.get('footprint', 0.0)
     if footprint and on not in ('plane', 'free'):
@@ -468,24 +473,24 @@ def _mount(document: Document) -> Mount:
     return Mount(on, _range(document, ('mount', 'height'), given), footprint)
 
 
-def _range(document: Document, way: Way, value: Any) -> tuple[float, float]:
-    """Read one number or a range."""
+def _range(document: Document, keys: Way, value: Any) -> tuple[float, float]:
+    """Return the low and the high end of a value: one number, or two in a list."""
     low, high = value if isinstance(value, list) else (value, value)
     if low > high:
-        raise document.error(way, describe(value), 'the lower number first',
+        raise document.error(keys, describe(value), 'the lower number first',
                              f'write [{high:g}, {low:g}]')
     return float(low), float(high)
 
 
 def _calibratable(data: dict[str, Any]) -> Calibratable | None:
-    """Read the condition for links between cameras, if the file has one."""
-    asked = data.get('calibratable')
-    return None if asked is None else Calibratable(
-        float(asked.get('overlap', 0.2)), float(np.deg2rad(asked.get('angle', 60.0))))
+    """Return the condition for links between cameras; None if the file has none."""
+    condition = data.get('calibratable')
+    return None if condition is None else Calibratable(
+        float(condition.get('overlap', 0.2)), float(np.deg2rad(condition.get('angle', 60.0))))
 
 
-def _regions(document: Document, most: int) -> Iterator[Region]:
-    """Read the regions, with unique names; ``most`` is the number of cameras."""
+def _regions(document: Document, cameras: int) -> Iterator[Region]:
+    """Yield the regions, with unique names; ``cameras`` is the number of cameras."""
     names = set()
     for k, data in enumerate(document.data.get('regions', [])):
         if data['name'] in names:
@@ -496,16 +501,16 @@ def _regions(document: Document, most: int) -> Iterator[Region]:
         share = MUST_SEE_SHARE * must_see if isinstance(must_see, bool) else float(must_see)
         yield Region(data['name'], zone_of(document, ('regions', k)),
                      float(data.get('weight', 1.0)), share, document.where('regions', k),
-                     _watched(document, ('regions', k, 'air'), most))
+                     _sight_condition(document, ('regions', k, 'air'), cameras))
 
 
-def _watched(document: Document, way: Way, most: int) -> Watched | None:
-    """Read the condition for the air of a region to count as seen, if it has one."""
-    data = document.value(*way[:-1]).get('air')
+def _sight_condition(document: Document, keys: Way, cameras: int) -> SightCondition | None:
+    """Return the condition for the air of a region to count as seen; None if there is none."""
+    data = document.value(*keys[:-1]).get('air')
     if data is None:
         return None
     seen_by = data.get('seen_by', 1)
-    if seen_by > most:
-        raise document.error((*way, 'seen_by'), str(seen_by), f'at most {most}, as many as there '
-                             'are cameras', 'lower it or add cameras')
-    return Watched(seen_by, float(np.deg2rad(data.get('angle', 0.0))))
+    if seen_by > cameras:
+        raise document.error((*keys, 'seen_by'), str(seen_by), f'at most {cameras}, as many as '
+                             'there are cameras', 'lower it or add cameras')
+    return SightCondition(seen_by, float(np.deg2rad(data.get('angle', 0.0))))

@@ -16,8 +16,8 @@
 Depth sensors on the market, as camera models.
 
 Each number is the manufacturer's, with its source. The range is the ideal range if a data sheet
-gives one: beyond it a sensor still measures, but less accurately than promised. A field of view
-without tolerance is the nominal one.
+gives one: beyond the ideal range, a sensor still measures, but less accurately. A field of view is
+the nominal one, without tolerance.
 """
 
 from dataclasses import dataclass
@@ -36,9 +36,9 @@ class Sensor:
     """
     A depth sensor.
 
-    :ivar title: maker, model and mode.
-    :ivar model: its camera model.
-    :ivar source: the source of its numbers.
+    :ivar title: maker, product and mode.
+    :ivar model: the camera model.
+    :ivar source: the source of the numbers.
     """
 
     title: str
@@ -48,19 +48,17 @@ class Sensor:
 
 def _sensor(title: str, ranges: tuple[float, float], degrees: tuple[float, float],
             resolution: tuple[int, int], source: str) -> Sensor:
-    """Describe a sensor by ranges in metres and fields of view in degrees."""
+    """Return a sensor, given the least and the largest range, metres, and both fields of view."""
     horizontal, vertical = np.deg2rad(degrees)
     return Sensor(title, CameraModel(*ranges, float(horizontal), float(vertical), resolution),
                   source)
 
 
 SENSORS = {
-    'realsense_d435': _sensor(
-        'Intel RealSense D435', (0.3, 3.0), (87.0, 58.0), (1280, 720),
-        f'{REALSENSE}: ideal range 0.3 to 3 m'),
-    'realsense_d455': _sensor(
-        'Intel RealSense D455', (0.6, 6.0), (87.0, 58.0), (1280, 720),
-        f'{REALSENSE}: ideal range 0.6 to 6 m'),
+    'realsense_d435': _sensor('Intel RealSense D435', (0.3, 3.0), (87.0, 58.0), (1280, 720),
+                              f'{REALSENSE}: ideal range 0.3 to 3 m'),
+    'realsense_d455': _sensor('Intel RealSense D455', (0.6, 6.0), (87.0, 58.0), (1280, 720),
+                              f'{REALSENSE}: ideal range 0.6 to 6 m'),
     'realsense_l515': _sensor(
         'Intel RealSense LiDAR Camera L515', (0.25, 9.0), (70.0, 55.0), (1024, 768),
         'Intel, RealSense LiDAR Camera L515 product page: 0.25 to 9 m, less on dark surfaces'),
@@ -73,10 +71,9 @@ SENSORS = {
         'Orbbec Femto Bolt, NFOV unbinned', (0.5, 3.86), (75.0, 65.0), (640, 576), ORBBEC),
     'femto_bolt_wfov': _sensor(
         'Orbbec Femto Bolt, WFOV 2x2 binned', (0.25, 2.88), (120.0, 120.0), (512, 512), ORBBEC),
-    'gemini_2': _sensor(
-        'Orbbec Gemini 2', (0.2, 5.0), (91.0, 66.0), (1280, 800),
-        'Seeed Studio, wiki page of the Orbbec Gemini 2: ideal range 0.2 to 5 m, 91 x 66 degrees, '
-        '1280 x 800'),
+    'gemini_2': _sensor('Orbbec Gemini 2', (0.2, 5.0), (91.0, 66.0), (1280, 800),
+                        'Seeed Studio, wiki page of the Orbbec Gemini 2: ideal range 0.2 to 5 m, '
+                        '91 x 66 degrees, 1280 x 800'),
     'zed_2i_wide': _sensor(
         'Stereolabs ZED 2i, 2.1 mm lens, HD720', (0.3, 12.0), (93.0, 61.0), (1280, 720),
         'Stereolabs, depth settings: ideal range 0.3 to 12 m. Stereolabs support: the HD720 depth '

@@ -28,11 +28,11 @@ from scipy.spatial import cKDTree
 
 #: Metres: the largest distance from its surface at which a camera still counts as mounted there.
 MAX_MOUNT_GAP_M = 0.25
-#: Metres: the distance of a mounted camera from its surface.
+#: Metres: the distance of a mounted camera from the surface that it is mounted on.
 STAND_OFF = 0.1
 #: The number of points that define the plane of a surface.
 PLANE_POINTS = 8
-#: Metres: the thickness of a floor.
+#: Metres: the thickness of a layer of points at the height of a floor.
 LAYER_M = 0.1
 #: Metres: the least radius of the ball that is moved through the air of a room.
 MIN_BALL_M = 0.2
@@ -40,7 +40,7 @@ MIN_BALL_M = 0.2
 
 class Contact(NamedTuple):
     """
-    The location of positions relative to a surface.
+    The location of M positions relative to a surface.
 
     :ivar normals: (M, 3) unit vectors from the surface to the positions.
     :ivar distances: (M,) metres from the surface's plane; inf if there is no surface.
@@ -51,31 +51,32 @@ class Contact(NamedTuple):
 
     @property
     def on(self) -> np.ndarray:
-        """Return which positions are near enough to be mounted on the surface: (M,) bool."""
+        """Return whether positions are near enough to be mounted on the surface: (M,) bool."""
         return self.distances <= MAX_MOUNT_GAP_M
 
-    def own(self, which: np.ndarray, ways: np.ndarray) -> np.ndarray:
+    def are_on_surface(self, indices: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """
-        Return which points belong to the surface that a position is mounted on.
+        Return whether points belong to the surface that a position is mounted on.
 
-        :param which: (L,) positions by number.
-        :param ways: (L, P, 3) metres, the vectors from each position to the points near it.
+        :param indices: (L,) the indices of L of the positions.
+        :param offsets: (L, P, 3) metres, the vectors from each of these positions to P points.
         :returns: (L, P) bool.
         """
-        off = np.einsum('lpk,lk->lp', ways, self.normals[which]) + self.distances[which, None]
+        plane_distance = (np.einsum('lpk,lk->lp', offsets, self.normals[indices])
+                          + self.distances[indices, None])
         # Points within 8 cm of the plane of a surface belong to the surface.
-        return self.on[which, None] & (np.abs(off) <= 0.08)
+        return self.on[indices, None] & (np.abs(plane_distance) <= 0.08)
 
 
 @dataclass(frozen=True, eq=False)
 class MountSurface:
     """
-    The points of a ceiling or of walls.
+    The P points of a ceiling or of walls.
 
     :ivar points: (P, 3) metres, map frame.
     :ivar normals: (P, 3) unit vectors of either sign.
-    :ivar gap: the largest distance between neighbours, metres; where it is larger, the surface has
-        a hole.
+    :ivar gap: the largest distance between neighbouring points, metres; where neighbours are
+        farther apart, the surface has a hole.
     """
 
     points: np.ndarray
@@ -84,93 +85,102 @@ class MountSurface:
 
     @cached_property
     def _tree(self) -> cKDTree:
-        """Return a tree of the points."""
+        """Return a search tree of the points."""
         return cKDTree(self.points)
 
     def at(self, positions: np.ndarray) -> Contact:
-        """Return the location of positions (M, 3), metres, relative to the surface."""
+        """Return the location of M positions (M, 3), metres, relative to the surface."""
         if len(self.points) == 0:
             return Contact(np.zeros((len(positions), 3)), np.full(len(positions), np.inf))
         count = min(PLANE_POINTS, len(self.points))
-        away, index = self._tree.query(positions, k=np.arange(1, count + 1))
-        normals = self.normals[index].astype(np.float64)
-        along = np.einsum('mvk,mk->mv', normals, normals[:, 0])
+        point_distance, index = self._tree.query(positions, k=np.arange(1, count + 1))
+        point_normals = self.normals[index].astype(np.float64)
+        cosine = np.einsum('mvk,mk->mv', point_normals, point_normals[:, 0])
         # Only points with a similar normal define the plane.
-        votes = (np.abs(along) >= 0.9) & (away <= away[:, :1] + self.gap)
-        normal = np.einsum('mv,mvk->mk', np.sign(along) * votes, normals)
-        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-        ways = positions[:, None] - self.points[index]
-        distances = np.einsum('mvk,mk,mv->m', ways, normal, votes) / votes.sum(axis=1)
-        normal *= np.where(distances < 0.0, -1.0, 1.0)[:, None]
-        # The surface that a camera is screwed to is behind it, not beside it.
-        off = np.einsum('mk,mk->m', ways[:, 0], normal)
-        hole = (away[:, 0] > np.hypot(MAX_MOUNT_GAP_M, self.gap)) | (
-            away[:, 0] ** 2 - off ** 2 > (0.5 * self.gap) ** 2)
-        return Contact(normal, np.where(hole, np.inf, np.abs(distances)))
+        used = (np.abs(cosine) >= 0.9) & (point_distance <= point_distance[:, :1] + self.gap)
+        normals = np.einsum('mv,mvk->mk', np.sign(cosine) * used, point_normals)
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        offsets = positions[:, None] - self.points[index]
+        distances = np.einsum('mvk,mk,mv->m', offsets, normals, used) / used.sum(axis=1)
+        normals *= np.where(distances < 0.0, -1.0, 1.0)[:, None]
+        # There is a hole if the nearest point is too far away, or too far away along the surface.
+        nearest = point_distance[:, 0]
+        normal_distance = np.einsum('mk,mk->m', offsets[:, 0], normals)
+        hole = (nearest > np.hypot(MAX_MOUNT_GAP_M, self.gap)) | (
+            nearest ** 2 - normal_distance ** 2 > (0.5 * self.gap) ** 2)
+        return Contact(normals, np.where(hole, np.inf, np.abs(distances)))
 
     def height_above(self, places: np.ndarray) -> np.ndarray:
         """
         Return the height of the ceiling above positions.
 
-        :param places: (M, 2) metres.
-        :returns: (M,) z, metres; -inf if there is no ceiling.
+        :param places: (M, 2), x and y of M positions, metres.
+        :returns: (M,) z of the ceiling, metres; -inf where there is none.
         """
         count = min(PLANE_POINTS, len(self.points))
-        away, index = self._plan.query(places, k=np.arange(1, count + 1))
+        distance, index = self._plan_tree.query(places, k=np.arange(1, count + 1))
         height = np.median(self.points[index, 2], axis=1)
-        return np.where(away[:, 0] <= self.gap, height, -np.inf)
+        return np.where(distance[:, 0] <= self.gap, height, -np.inf)
 
     @cached_property
-    def _plan(self) -> cKDTree:
-        """Return a tree of the points seen from above."""
+    def _plan_tree(self) -> cKDTree:
+        """Return a search tree of the points seen from above."""
         return cKDTree(self.points[:, :2])
 
 
 def floor_height(scene: Scene) -> float:
     """
-    Find the floor: the fullest level layer in the lower part of a room.
+    Return the height of the floor: the level layer with the largest area low in a room.
 
     The lowest point is not used, since scans contain stray points and reflections below the floor.
 
-    :returns: z of the middle of this layer, metres, map frame.
+    :returns: the median z of the points of this layer, metres, map frame.
     """
-    z, level = scene.points[:, 2], np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
+    z = scene.points[:, 2]
+    level = np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
     low, high = np.percentile(z, [0.1, 99.9])
     # The floor is in the lower 40 % of the height of a room.
     level &= z <= low + 0.4 * (high - low)
     if not level.any():
         return float(scene.bounds[0, 2])
     heights, areas = np.sort(z[level]), scene.pitch[level][np.argsort(z[level])] ** 2
-    above = np.searchsorted(heights, heights + LAYER_M, side='right')
-    total = np.concatenate([[0.0], np.cumsum(areas)])
-    first = int(np.argmax(total[above] - total[:-1]))
-    return float(np.median(heights[first:above[first]]))
+    # For the layer that begins at each height, the end, and the area up to its begin.
+    ends = np.searchsorted(heights, heights + LAYER_M, side='right')
+    area_below = np.concatenate([[0.0], np.cumsum(areas)])
+    first = int(np.argmax(area_below[ends] - area_below[:-1]))
+    return float(np.median(heights[first:ends[first]]))
 
 
 def gap_of(scene: Scene) -> float:
-    """Return the largest distance of neighbouring points of a closed surface, metres."""
-    # Metres: the least edge of the columns in which a ceiling or wall is searched for.
+    """Return the largest distance of neighbouring points of a surface without holes, metres."""
+    # Smaller gaps than 0.2 m are no holes, even in dense scans.
     return max(0.2, 2.0 * float(np.median(scene.pitch)))
 
 
 class _Columns:
-    """The highest points of a scene in square columns, which are as wide as the allowed gaps."""
+    """
+    Square vertical columns of a scene, as wide as the gaps allowed in surfaces.
+
+    :ivar low: (2,) metres, the lowest corner of the first column.
+    :ivar edge: the edge of a column, metres.
+    :ivar shape: (X, Y), the numbers of columns along x and y.
+    """
 
     def __init__(self, scene: Scene) -> None:
         self.low = scene.bounds[0, :2]
         self.edge = gap_of(scene)
         self.shape = tuple(np.floor(scene.size[:2] / self.edge).astype(int) + 1)
 
-    def of(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the column of each point: two arrays of indices (M,)."""
+    def indices(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the columns of points (M, 3): their indices along x (M,) and along y (M,)."""
         cells = np.floor((points[:, :2] - self.low) / self.edge).astype(int)
         x, y = np.clip(cells, 0, np.array(self.shape) - 1).T
         return x, y
 
     def highest(self, points: np.ndarray) -> np.ndarray:
-        """Return the highest z in each column; -inf where there are no points."""
+        """Return the highest z of points (M, 3) in each column: (X, Y); -inf without points."""
         top = np.full(self.shape, -np.inf)
-        np.maximum.at(top, self.of(points), points[:, 2])
+        np.maximum.at(top, self.indices(points), points[:, 2])
         return top
 
 
@@ -178,16 +188,16 @@ def ceiling_of(scene: Scene) -> MountSurface:
     """
     Find the ceiling: level surfaces above head height with nothing higher around them.
 
-    :returns: its points; empty if the scan has no ceiling.
+    :returns: the points of the ceiling; empty if the scan has none.
     """
-    points, columns = scene.points, _Columns(scene)
-    top = ndimage.maximum_filter(columns.highest(points), 3)[columns.of(points)]
+    columns = _Columns(scene)
+    top = ndimage.maximum_filter(columns.highest(scene.points), 3)[columns.indices(scene.points)]
+    z = scene.points[:, 2]
     floor = floor_height(scene)
-    height = np.percentile(points[:, 2], 99.0) - floor
-    # A ceiling is at least 2 m high, or as high as 80 % of the room.
+    height = np.percentile(z, 99.0) - floor
+    # A ceiling is at least 2 m above the floor, or 80 % of the height of a lower room.
     chosen = ((np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL)
-              & (points[:, 2] >= top - 0.25)
-              & (points[:, 2] >= floor + min(2.0, 0.8 * height)))
+              & (z >= top - 0.25) & (z >= floor + min(2.0, 0.8 * height)))
     return _surface(scene, chosen, scene.normals_or_estimate)
 
 
@@ -195,40 +205,45 @@ def walls_of(scene: Scene) -> MountSurface:
     """
     Find the walls: upright surfaces up to the ceiling, which furniture hardly reaches.
 
-    :returns: their points with level normals.
+    :returns: the points of the walls with level normals.
     """
     columns = _Columns(scene)
-    around = int(np.ceil(0.4 / columns.edge))
-    top = ndimage.maximum_filter(columns.highest(scene.points), 2 * around + 1)
+    radius = int(np.ceil(0.4 / columns.edge))
+    top = ndimage.maximum_filter(columns.highest(scene.points), 2 * radius + 1)
     floor = floor_height(scene)
     # Walls reach at least 80 % of the height of the room.
-    high = floor + 0.8 * (np.percentile(scene.points[:, 2], 99.0) - floor)
+    min_top = floor + 0.8 * (np.percentile(scene.points[:, 2], 99.0) - floor)
     # The top of a wall lies up to half a metre below the highest point around it.
-    return _upright(scene, columns, np.maximum(top - 0.5, high))
+    return _upright_surfaces(scene, columns, np.maximum(top - 0.5, min_top))
 
 
 def standing_of(scene: Scene) -> MountSurface:
     """
     Find standing obstacles of at least a metre: walls, fences, partitions, cupboards.
 
-    :returns: their upright points with level normals.
+    :returns: the upright points of the obstacles with level normals.
     """
-    # A standing obstacle is a metre high, such as a knee wall, a fence or a cupboard.
-    high = min(floor_height(scene) + 1.0, np.percentile(scene.points[:, 2], 99.0))
+    # In a room lower than a metre, obstacles reach the top of the room.
+    min_top = min(floor_height(scene) + 1.0, np.percentile(scene.points[:, 2], 99.0))
     columns = _Columns(scene)
-    return _upright(scene, columns, np.full(columns.shape, high))
+    return _upright_surfaces(scene, columns, np.full(columns.shape, min_top))
 
 
-def _upright(scene: Scene, columns: _Columns, least: np.ndarray) -> MountSurface:
-    """Find upright surfaces that reach a height, given as z in metres by column."""
+def _upright_surfaces(scene: Scene, columns: _Columns, min_top: np.ndarray) -> MountSurface:
+    """Find upright surfaces that reach a height in their column: ``min_top`` (X, Y), z, metres."""
     steep = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
-    high = columns.highest(scene.points[steep]) >= least
-    chosen = steep & high[columns.of(scene.points)]
+    high_enough = columns.highest(scene.points[steep]) >= min_top
+    chosen = steep & high_enough[columns.indices(scene.points)]
     return _surface(scene, chosen, scene.normals_or_estimate * np.array([1.0, 1.0, 0.0]))
 
 
 def _surface(scene: Scene, chosen: np.ndarray, normals: np.ndarray) -> MountSurface:
-    """Return some points of a scene as a surface; empty if their area is too small."""
+    """
+    Return chosen points of a scene as a surface; empty if their area is below a square metre.
+
+    :param chosen: (N,) bool, for the N points of the scene.
+    :param normals: (N, 3) their normals, of any length.
+    """
     if (scene.pitch[chosen] ** 2).sum() < 1.0:
         chosen = np.zeros_like(chosen)
     normals = normals[chosen]
@@ -241,12 +256,14 @@ class Air:
     The air of a room: the largest connected space through which a ball can be moved.
 
     The remaining space is inside or behind furniture. The distance to the nearest point does not
-    separate the two, since scans show only the outside of objects.
+    separate inside from outside, since scans show only the outside of objects.
 
     :param scene: the room.
-    :param space: the space with floor.
+    :param space: the positions over the floor.
     :param centred: whether the grid is centred on the room, so that a mirrored room has mirrored
         cells.
+    :ivar grid: the cells of the room.
+    :ivar ball: the radius of the ball, metres.
     """
 
     def __init__(self, scene: Scene, space: FreePlane, centred: bool = False) -> None:
@@ -255,33 +272,33 @@ class Air:
         # The ball must not fit through the gaps between the points of a surface.
         self.ball = max(MIN_BALL_M, 1.5 * float(np.median(scene.pitch)))
         free = ndimage.distance_transform_edt(~self.grid.taken(scene.points)) * edge > self.ball
-        middles = [self.grid.low[k] + edge * (np.arange(shape[k]) + 0.5) for k in (0, 1)]
-        columns = np.stack(np.meshgrid(*middles, indexing='ij'), axis=-1)
+        centres = [self.grid.low[k] + edge * (np.arange(shape[k]) + 0.5) for k in (0, 1)]
+        columns = np.stack(np.meshgrid(*centres, indexing='ij'), axis=-1)
         free &= space.contains(columns)[..., None]
         parts, count = ndimage.label(free)
-        #: Whether there is any free cell.
-        self._found = count > 0
-        largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else 0
-        self._away = edge * ndimage.distance_transform_edt(
-            parts != largest) if count else np.zeros(shape)
+        largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else -1
+        self._free = parts == largest
+        # The distance of each cell from the air, metres; 0 if there is no air.
+        self._distance = (edge * ndimage.distance_transform_edt(~self._free) if count
+                          else np.zeros(shape))
 
     def cells(self, height: float | None = None) -> np.ndarray:
         """
-        Return the centres of the cells of the air: (M, 3) metres.
+        Return the centres of the cells of the air.
 
         :param height: z of the cells, metres; None for the cells of all heights.
+        :returns: (M, 3) metres.
         """
-        free = self._away == 0.0 if self._found else np.zeros(self._away.shape, dtype=bool)
         if height is None:
-            return self.grid.middles(np.argwhere(free))
+            return self.grid.middles(np.argwhere(self._free))
         low, edge = self.grid.low, self.grid.edge
-        level = int(np.clip((height - low[2]) / edge, 0, free.shape[2] - 1))
-        flat = low[:2] + edge * (np.argwhere(free[:, :, level]) + 0.5)
-        return np.column_stack([flat, np.full(len(flat), height)])
+        level = int(np.clip((height - low[2]) / edge, 0, self._free.shape[2] - 1))
+        centres_xy = low[:2] + edge * (np.argwhere(self._free[:, :, level]) + 0.5)
+        return np.column_stack([centres_xy, np.full(len(centres_xy), height)])
 
     def closed(self, positions: np.ndarray) -> np.ndarray:
-        """Return which positions (M, 3), metres, the ball does not come near: (M,) bool."""
-        away = self._away[tuple(self.grid.cells(positions))]
-        # In a corner of three walls the ball's centre stays root 3 radii away.
-        corner = np.sqrt(3.0) * (self.ball - 0.5 * MIN_BALL_M)
-        return away > max(self.ball + self.grid.edge, corner)
+        """Return whether positions (M, 3), metres, are out of reach of the ball: (M,) bool."""
+        distance = self._distance[tuple(self.grid.cells(positions))]
+        # In a corner of three walls, the centre of the ball stays root 3 radii away.
+        corner_distance = np.sqrt(3.0) * (self.ball - 0.5 * MIN_BALL_M)
+        return distance > max(self.ball + self.grid.edge, corner_distance)
