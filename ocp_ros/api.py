@@ -175,9 +175,9 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     search = assessment.found['search']
     count = assessment.found.get('count')
     return PlanResult(
-        **_result_fields(assessment), planner=search['planner'],
-        evaluations=search['evaluations'], seconds=search['seconds'],
-        gap=search['certificate']['gap'], reached=count and count['reached'])
+        **_result_fields(assessment), gap=search['certificate']['gap'],
+        reached=count and count['reached'],
+        **{name: search[name] for name in ('planner', 'evaluations', 'seconds')})
 
 
 def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | Placement
@@ -282,7 +282,8 @@ def _read_placement(placement: Any, rig: Rig | None, sensor: str) -> Placement:
         return placement_from(_checked_document('placement', placement, PLACEMENT), rig)
     if isinstance(placement, Placement):
         return placement if rig is None else placement_of(
-            rig, _checked_poses(placement.poses, rig), placement.room, placement.engine)
+            rig, _checked_poses(placement.poses, rig), room=placement.room,
+            engine=placement.engine)
     poses = _checked_poses(placement, rig)
     return placement_of(rig or rig_of(len(poses), sensor), poses)
 

@@ -20,12 +20,16 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted
 from ocp_ros.search.finishing import (
+    CHOICE_DISTANCE_M,
     choose_robust,
     distinct_placements,
+    LATTICE_M,
     LatticeScorer,
     max_distance,
+    MOUNTING_DRAWS,
+    MOUNTING_ERROR_M,
+    MOUNTING_SEED,
     search_and_finish,
-    TUNING,
 )
 from ocp_ros.search.registry import PLANNERS
 from ocp_ros.search.scorer import Scorer
@@ -70,7 +74,7 @@ def test_each_place_of_the_lattice_is_looked_from_once(engine, monkeypatch):
         looks.append(pose.tobytes()), real(self, pose, camera))[1])
     lattice = LatticeScorer(Scorer(engine), space_of(engine))
     solve(planner(engine, 'annealing', 300), lattice, 300)
-    assert len(looks) == len(set(looks)) <= space_of(engine).area / TUNING.lattice_m ** 2 * 2
+    assert len(looks) == len(set(looks)) <= space_of(engine).area / LATTICE_M ** 2 * 2
 
 
 def test_a_lattice_moves_cameras_by_less_than_its_edge_and_nowhere_they_may_not_be(engine):
@@ -81,7 +85,7 @@ def test_a_lattice_moves_cameras_by_less_than_its_edge_and_nowhere_they_may_not_
     assert space.contains(snapped).all()
     np.testing.assert_array_equal(lattice.snapped_positions(positions), snapped)
     near = np.linalg.norm(snapped - positions, axis=1)
-    assert np.median(near) <= TUNING.lattice_m * 0.71
+    assert np.median(near) <= LATTICE_M * 0.71
 
 
 def test_of_the_best_the_steadiest_is_chosen(engine):
@@ -90,13 +94,12 @@ def test_of_the_best_the_steadiest_is_chosen(engine):
     steady = choose_robust(found, space, fine, 10, time.perf_counter)
 
     def off(placement):
-        moved = mounted(placement, TUNING.mounting_error_m, TUNING.mounting_draws,
-                        TUNING.mounting_seed)
+        moved = mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)
         return np.mean(fine(list(moved)).error)
 
-    choices = distinct_placements(found.best, 10, TUNING.choice_distance_m)
+    choices = distinct_placements(found.best, 10, CHOICE_DISTANCE_M)
     assert off(steady.placement) == min(off(space.placement(choice)) for choice in choices)
-    assert steady.evaluations == found.evaluations + TUNING.mounting_draws * len(choices)
+    assert steady.evaluations == found.evaluations + MOUNTING_DRAWS * len(choices)
     assert choose_robust(found, space, fine, 1, time.perf_counter) is found
 
 
@@ -120,9 +123,9 @@ def test_the_archive_keeps_the_best_and_the_first_of_equals_and_elites_differ():
     numbers = [int(one[0, 0]) for one in archive.best]
     assert numbers == np.argsort(errors, kind='stable')[:ARCHIVE_SIZE].tolist()
     placements = [rng.uniform(0.0, 1.0, (3, 2)) for _ in range(60)]
-    chosen = distinct_placements(placements, 10, TUNING.elite_distance_m)
+    chosen = distinct_placements(placements, 10, 0.25)
     assert np.array_equal(chosen[0], placements[0]) and len(chosen) == 10
     assert min(max_distance(one, other) for k, one in enumerate(chosen)
-               for other in chosen[:k]) >= TUNING.elite_distance_m
+               for other in chosen[:k]) >= 0.25
     # Which camera has which number means nothing.
     assert len(distinct_placements([placements[0], placements[0][::-1]], 10, 0.1)) == 1

@@ -44,13 +44,7 @@ from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import (
-    best_addition,
-    CandidatePool,
-    keeps_spacing,
-    pack_cameras,
-    random_sites,
-)
+from ocp_ros.search.candidate_pool import are_spaced, CandidatePool
 from ocp_ros.search.plan import plan as plan_problem
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.problem import Problem
@@ -151,11 +145,11 @@ def test_a_search_beats_what_it_begins_with_and_chance(furnished, mount):
     rig = rig_of(2, 'd455', mount=MOUNTS[mount])
     answer, objective, pool = found_by(furnished, rig, 2000)
     rng = np.random.default_rng(0)
-    chance = [objective.loss([site.view for site in random_sites(rig, pool, rng)])
+    chance = [objective.loss([site.view for site in pool.random_sites(rig, rng)])
               for _ in range(40)]
     sites = ()
     for _ in range(2):
-        sites = (*sites, best_addition(objective, pool, sites))
+        sites = (*sites, pool.best_addition(objective, sites))
     greedy = objective.loss([site.view for site in sites])
     assert answer.loss <= greedy and answer.loss < min(chance)
     everywhere = objective.loss(pool.union_views(rig))
@@ -189,7 +183,7 @@ def test_cameras_that_hardly_find_room_are_packed(furnished):
     # Four of them fit only near the corners of what the walls leave.
     rig = rig_of(4, mount=MOUNTS['plane'], spacing=2.6)
     answer, _, pool = found_by(furnished, rig, 50)
-    assert len(pack_cameras(rig, pool)) == 4
+    assert len(pool.packed_sites(rig)) == 4
     assert FeasibleRegion(furnished, rig).broken(answer.poses) == []
 
 
@@ -199,9 +193,9 @@ def test_one_more_camera_is_the_best_of_all_candidates(furnished):
     objective, pool = problem.objective, CandidatePool(problem, 200)
     kind = pool.candidates_of(rig.models[0])
     first = pool.mounted_candidate(rig.models[0], 7)
-    more = best_addition(objective, pool, [first])
+    more = pool.best_addition(objective, [first])
     losses = np.array([objective.loss([first.view, view]) for view in kind.views])
-    far = keeps_spacing(kind.poses, [first], 1.0)
+    far = are_spaced(kind.poses, [first], 1.0)
     assert 0 < far.sum() < len(far)
     assert objective.loss([first.view, more.view]) == losses[far].min()
 
@@ -261,7 +255,7 @@ def test_counting_ends_where_no_more_find_room(furnished):
     planner = RigPlanner(furnished, rig, FAST, Budget(evaluations=60))
     plans = list(planner.count_up(lambda count: with_count(rig, count), 1, 9))
     assert 1 < len(plans) < 9
-    assert len(pack_cameras(with_count(rig, len(plans) + 1), planner.pool)) == len(plans)
+    assert len(planner.pool.packed_sites(with_count(rig, len(plans) + 1))) == len(plans)
 
 
 @pytest.fixture

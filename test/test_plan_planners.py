@@ -27,7 +27,7 @@ from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import CandidatePool, CandidateTuning
+from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.plan import RigScorer
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, SCORES
@@ -87,7 +87,7 @@ def planned(files):
 @pytest.fixture
 def few_candidates(monkeypatch):
     """Lay out few candidates where the clock is all that limits a search."""
-    monkeypatch.setattr('ocp_ros.search.candidate_pool.TUNING', CandidateTuning(candidates=200))
+    monkeypatch.setattr('ocp_ros.search.candidate_pool.CANDIDATES', 200)
 
 
 def decoder_of(scene, rig, candidates=120):

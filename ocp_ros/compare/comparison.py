@@ -83,11 +83,10 @@ def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
         rows = run_tasks(protocol, folder, workers, ray_address,
                          lambda done, total: progress.update(bar, completed=done, total=total))
     rig = protocol.simulation.rig_file
+    libraries = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
     summary = {
-        'command': command, 'date': timestamp(),
-        'versions': {'python': platform.python_version(),
-                     **{name: version(name) for name in (
-                         'ocp_ros', 'numpy', 'numba', 'scipy', 'cma')}},
+        'command': command, 'date': timestamp(), 'versions': {
+            'python': platform.python_version(), **{name: version(name) for name in libraries}},
         'rotations': len(protocol.rotations), 'points': protocol.points,
         'judged_points': protocol.judged_points, **({'rig': Path(rig).name} if rig else {}),
         'cameras': protocol.cameras, **summarise(rows),

@@ -108,6 +108,10 @@ class JudgedRoom:
         return Simulator(self.search_scene, replace(
             self.config, engine=with_rays(engine, self.search_scene)))
 
+    def promised_error(self, placement: np.ndarray) -> float:
+        """Return the error, metres, of a placement (K, 3) or (K, 6) by the search's engine."""
+        return error_and_coverage(self.search_problem, placement)[0]
+
     def judge(self, placement: np.ndarray) -> dict[str, float]:
         """
         Evaluate a final placement.

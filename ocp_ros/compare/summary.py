@@ -114,11 +114,12 @@ def summarise(rows: Rows) -> dict[str, Any]:
     lower_bounds = per_room(rows, RANDOM_PLACEMENT, 1, 'lower_bound')
     runs = planners_and_budgets(rows)
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
-    summary: dict[str, Any] = {'rooms': {
-        room: {'best_known': best_errors[room], 'random_placement': random_errors[room],
-               'share': _ratio(best_errors[room], random_errors[room]),
-               'lower_bound': lower_bounds[room]} for room in rooms},
-        'planners': {}, 'rank_tests': {}}
+    summary: dict[str, Any] = {'rooms': {}, 'planners': {}, 'rank_tests': {}}
+    for room in rooms:
+        summary['rooms'][room] = {
+            'best_known': best_errors[room], 'random_placement': random_errors[room],
+            'share': _ratio(best_errors[room], random_errors[room]),
+            'lower_bound': lower_bounds[room]}
     # Below this share of a random placement's error the best known error is too small to compare.
     saturated_share = 0.01
     summary['notes'] = [
@@ -127,18 +128,16 @@ def summarise(rows: Rows) -> dict[str, Any]:
         'be missed; ratios to so little say nothing: use fewer cameras or a larger room'
         for room in rooms if random_errors[room] > 0.0
         and best_errors[room] < saturated_share * random_errors[room]]
-    random_sum = sum(random_errors.values())
+    random_sum, best_sum = sum(random_errors.values()), sum(best_errors.values())
     for planner, budget in runs:
         values = np.array([errors[planner, budget][room] for room in rooms])
         rivals = [errors[run] for run in runs if run[1] == budget]
-        figures = {
+        least = np.array([min(rival[room] for rival in rivals) for room in rooms])
+        summary['planners'].setdefault(planner, {})[str(budget)] = {
             **_planner_figures(rows, planner, budget, best_errors),
             'interval': interval(values), 'rooms': errors[planner, budget],
-            'wins': sum(errors[planner, budget][room] <= min(rival[room] for rival in rivals)
-                        for room in rooms),
-            'gap_closed': _ratio(random_sum - values.sum(),
-                                 random_sum - sum(best_errors.values()))}
-        summary['planners'].setdefault(planner, {})[str(budget)] = figures
+            'wins': int(np.sum(values <= least)),
+            'gap_closed': _ratio(random_sum - values.sum(), random_sum - best_sum)}
     if proofs := [row for row in rows if row['planner'] == PROVED_OPTIMUM]:
         summary['exact'] = _proof_figures(rows, proofs, best_errors)
         bound = sum(row['bound'] for row in proofs) / len(proofs) * len(rooms)
@@ -167,7 +166,7 @@ def _planner_figures(rows: Rows, planner: str, budget: int, best_errors: dict[st
     """Return a planner's delivered and promised errors over all rooms, and its seconds."""
     delivered = per_room(rows, planner, budget, 'depth_error')
     promised = per_room(rows, planner, budget, 'promised')
-    promise_ratios = [promised[room] / error for room, error in delivered.items() if error > 0.0]
+    ratios = [promised[room] / error for room, error in delivered.items() if error > 0.0]
     regrets = [error / best_errors[room] for room, error in delivered.items()
                if best_errors[room] > 0.0]
     planner_rows = [row for row in rows if (row['planner'], row['budget']) == (planner, budget)]
@@ -175,9 +174,8 @@ def _planner_figures(rows: Rows, planner: str, budget: int, best_errors: dict[st
         'sum': sum(delivered.values()), 'promised': sum(promised.values()),
         'regret': _ratio(sum(delivered.values()), sum(best_errors.values())),
         'regret_geometric': float(stats.gmean(regrets)) if regrets else None,
-        'promise_over_delivered': float(np.mean(promise_ratios)) if promise_ratios else None,
-        'promise_worst_room': max(promise_ratios, key=lambda ratio: abs(ratio - 1.0),
-                                  default=None),
+        'promise_over_delivered': float(np.mean(ratios)) if ratios else None,
+        'promise_worst_room': max(ratios, key=lambda ratio: abs(ratio - 1.0), default=None),
         'seeds': len({row['seed'] for row in planner_rows})}
     for name in ('seconds', 'evaluations'):
         figures[name] = float(np.mean(list(per_room(rows, planner, budget, name).values())))
@@ -194,16 +192,14 @@ def _ratio(numerator: float, denominator: float) -> float | None:
 
 def budgets_of(summary: dict[str, Any]) -> list[str]:
     """Return the budgets in a summary as text, the smallest first; online planners have 0."""
-    return sorted({budget for figures in summary['planners'].values() for budget in figures},
-                  key=int)
+    return sorted({budget for runs in summary['planners'].values() for budget in runs}, key=int)
 
 
 def last_runs(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the figures of each planner at the largest budget, online planners included."""
     largest = budgets_of(summary)[-1]
-    return {name: figures.get(largest, figures.get('0'))
-            for name, figures in summary['planners'].items()
-            if largest in figures or '0' in figures}
+    return {name: figures.get(largest, figures.get('0')) for name, figures
+            in summary['planners'].items() if largest in figures or '0' in figures}
 
 
 def ranks(errors: dict[str, np.ndarray]) -> dict[str, Any]:
@@ -250,9 +246,8 @@ def pairs(rows: Rows, first: str) -> dict[str, dict[str, Any]]:
     (base,) = [run for run in runs if run[0] == first][-1:]
     rooms = list(errors[base])
     first_errors = np.array([errors[base][room] for room in rooms])
-    return {_run_name(run, runs): pair(first_errors, np.array([errors[run][room]
-                                                               for room in rooms]))
-            for run in runs}
+    return {_run_name(run, runs): pair(first_errors, np.array([by_room[room] for room in rooms]))
+            for run, by_room in errors.items()}
 
 
 def _run_name(run: tuple[str, int], runs: list[tuple[str, int]]) -> str:

@@ -75,8 +75,7 @@ def sim_parameters(options: argparse.Namespace) -> dict[str, Any]:
     return {**scan, 'rig.cameras': options.cameras, 'episode.turns': options.turns,
             'rig.height': options.height, 'scene.seed': options.seed,
             'scene.scale': options.scale, 'scene.up': options.up,
-            'scene.drop_nonfinite': options.drop_nonfinite,
-            'scene.all_rooms': options.all_rooms}
+            'scene.drop_nonfinite': options.drop_nonfinite, 'scene.all_rooms': options.all_rooms}
 
 
 def policy_parameters(options: argparse.Namespace) -> dict[str, Any]:
@@ -121,13 +120,11 @@ def collect_result(options: argparse.Namespace, watcher: Watcher) -> dict[str, A
     # The first turn waits for the start of the policy.
     seconds = [later['received'] - earlier['received']
                for earlier, later in zip(fields[1:-1], fields[2:])]
+    scores = {f'{name}_{end}': values[name] for name in ('depth_error', 'space_coverage')
+              for end, values in (('start', fields[0]), ('end', fields[-1]))}
     return {
         'room': str(options.room.name if options.room else f'room-{options.seed}'),
-        'points': len(watcher.scene), 'cameras': len(watcher.placement), 'turns': final,
-        'depth_error_start': fields[0]['depth_error'],
-        'depth_error_end': fields[-1]['depth_error'],
-        'space_coverage_start': fields[0]['space_coverage'],
-        'space_coverage_end': fields[-1]['space_coverage'],
+        'points': len(watcher.scene), 'cameras': len(watcher.placement), 'turns': final, **scores,
         'seconds_per_turn': float(np.median(seconds)) if seconds else None,
         'positions': np.round(watcher.placement, 4).tolist(), 'planner': options.planner,
         'model': options.model, 'date': timestamp()}

@@ -71,14 +71,13 @@ class NodeProcess:
         for key, value in parameters.items():
             # ROS reads values as YAML; JSON is valid YAML and escapes all characters of a path.
             arguments += ['-p', f'{key}:={json.dumps(value, default=str)}']
+        variables = {'ROS_DOMAIN_ID': str(domain), PARENT_VARIABLE: str(os.getpid()),
+                     'PYTHONUNBUFFERED': '1', 'PYTHONFAULTHANDLER': '1'}
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, 'wb') as file:
             self.process = subprocess.Popen(
                 arguments, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
-                close_fds=False,
-                env={**os.environ, 'ROS_DOMAIN_ID': str(domain),
-                     PARENT_VARIABLE: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
-                     'PYTHONFAULTHANDLER': '1'})
+                close_fds=False, env={**os.environ, **variables})
 
     def check_running(self) -> None:
         """

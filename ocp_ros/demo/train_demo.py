@@ -136,8 +136,7 @@ def collect_result(options: argparse.Namespace, watch: Watch, figures: dict[str,
              'weights_published')
     sources = {name.removeprefix('turns '): int(value) for name, value in trainer.items()
                if name.startswith('turns ')}
-    return {'pairs': options.pairs, **figures,
-            **{name: int(trainer[name]) for name in names},
+    return {'pairs': options.pairs, **figures, **{name: int(trainer[name]) for name in names},
             'turns_by_source': sources,
             'weights_arrived': min(int(policy['weights_swapped']) for policy in policies),
             'policy_updates': min(int(policy['weights_updates']) for policy in policies),

@@ -57,33 +57,32 @@ class FixedAnnealing(Planner):
             # Temperatures are multiples of the standard deviation of the errors; the standard
             # deviations of moves are shares of the longer edge of the space.
             temperature = error_deviation * between(0.5, 2e-4, share)
-            move_deviation = self.space.size.max() * between(0.25, 0.01, share)
-            placed, error = yield from self.take_step(placed, error, temperature, move_deviation)
+            deviation = self.space.size.max() * between(0.25, 0.01, share)
+            placed, error = yield from self.take_step(placed, error, temperature, deviation)
 
-    def take_step(self, placed: np.ndarray, error: float, temperature: float,
-                  move_deviation: float):
+    def take_step(self, placed: np.ndarray, error: float, temperature: float, deviation: float):
         """
         Propose one change and accept or reject it.
 
         :param placed: (n, 2) positions of the cameras, metres.
         :param error: their depth error, metres.
         :param temperature: metres.
-        :param move_deviation: standard deviation of a move along each axis, metres.
+        :param deviation: standard deviation of a move along each axis, metres.
         :returns: the positions after the step, and their error.
         """
-        trial, ratio = self.propose(placed, move_deviation)
+        trial, ratio = self.propose(placed, deviation)
         scores: Scores = yield [trial]
         log_acceptance = (error - scores.error[0]) / temperature + np.log(ratio)
         if np.log(max(self.rng.random(), 1e-300)) < log_acceptance:
             return trial, scores.error[0]
         return placed, error
 
-    def propose(self, placed: np.ndarray, move_deviation: float) -> tuple[np.ndarray, float]:
+    def propose(self, placed: np.ndarray, deviation: float) -> tuple[np.ndarray, float]:
         """
         Draw a birth, a death or a move.
 
         :param placed: (n, 2) positions of the cameras, metres.
-        :param move_deviation: standard deviation of a move along each axis, metres.
+        :param deviation: standard deviation of a move along each axis, metres.
         :returns: the changed positions, and the acceptance ratio without exp(-dE / T).
         """
         draw, count = self.rng.random(), len(placed)
@@ -99,7 +98,7 @@ class FixedAnnealing(Planner):
         trial = placed.copy()
         if count:
             camera = self.rng.integers(count)
-            moved = self.space.folded(trial[camera] + self.rng.normal(0.0, move_deviation, 2))
+            moved = self.space.folded(trial[camera] + self.rng.normal(0.0, deviation, 2))
             # The target density is 0 outside the feasible region.
             trial[camera] = moved if self.space.contains(moved) else trial[camera]
         return trial, 1.0

@@ -54,10 +54,9 @@ class Budget:
 
         :param seconds: largest time; None for that of this budget. The other limit is the same.
         """
-        budget = Budget(self.seconds if seconds is None else seconds, self.evaluations,
-                        self._clock)
-        budget._stopped = self._stopped
-        return budget
+        copy = Budget(self.seconds if seconds is None else seconds, self.evaluations, self._clock)
+        copy._stopped = self._stopped
+        return copy
 
     @property
     def stopped(self) -> bool:

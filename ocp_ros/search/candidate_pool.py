@@ -16,7 +16,6 @@
 
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
 import os
 from typing import NamedTuple
 
@@ -30,42 +29,16 @@ from ocp_ros.search.budget import Budget
 from ocp_ros.search.pose_grid import MAX_GRID_POSES, PoseGrid
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
-from ocp_ros.simulation.simulator import Simulator, View
+from ocp_ros.simulation.simulator import View
 from ocp_ros.util.settings import ConfigurationError
 from scipy.spatial import cKDTree
 
-
-@dataclass(frozen=True)
-class CandidateTuning:
-    """
-    Constants of the candidates.
-
-    :ivar candidates: number of candidates of all models together.
-    :ivar min_candidates: their smallest number, with a budget of evaluations.
-    :ivar views_time_share: share of the time in which the views are computed.
-    :ivar min_grid_poses: smallest limit of a dense grid's poses, with a budget of evaluations.
-    :ivar grid_poses_per_evaluation: poses of a dense grid for each evaluation of the budget.
-    :ivar views_per_batch: number of poses whose views are computed together.
-    :ivar min_views: number of poses whose views are computed even without time left.
-    :ivar metres_per_radian: distance for which a rotation by a radian counts, to find near poses.
-    :ivar packing_starts: number of first positions that :func:`pack_cameras` tries.
-    :ivar coarse_error_rows: rows of smaller depth maps, which rank placements nearly the same in a
-        quarter of the time.
-    """
-
-    candidates: int = 2000
-    min_candidates: int = 64
-    views_time_share: float = 0.2
-    min_grid_poses: int = 500
-    grid_poses_per_evaluation: int = 10
-    views_per_batch: int = 256
-    min_views: int = 256
-    metres_per_radian: float = 1.0
-    packing_starts: int = 48
-    coarse_error_rows: int = 32
-
-
-TUNING = CandidateTuning()
+#: Number of candidates of all models together.
+CANDIDATES = 2000
+#: Number of poses of each model whose views are computed even without time left.
+MIN_VIEWS = 256
+#: Distance for which a rotation by a radian counts, to find poses with similar views.
+METRES_PER_RADIAN = 1.0
 
 
 class MountedCamera(NamedTuple):
@@ -78,6 +51,15 @@ class MountedCamera(NamedTuple):
 
     pose: np.ndarray
     view: View
+
+
+#: A placement, in the order of the rig's cameras.
+Sites = tuple[MountedCamera, ...]
+
+
+def views_of(sites: Sequence[MountedCamera]) -> list[View]:
+    """Return the views of mounted cameras."""
+    return [site.view for site in sites]
 
 
 class CandidateSet(NamedTuple):
@@ -102,7 +84,7 @@ class CandidateSet(NamedTuple):
         :returns: (n,) int, the most similar first.
         """
         ranks = np.arange(1, min(count, len(self.poses)) + 1)
-        features = pose_features(pose[None], TUNING.metres_per_radian)[0]
+        features = pose_features(pose[None], METRES_PER_RADIAN)[0]
         return np.atleast_1d(self.tree.query(features, ranks)[1])
 
 
@@ -139,7 +121,7 @@ class CandidatePool:
     :param max_candidates: largest number of candidates of all models together.
     :param drawn_poses: number of poses, spread over the room, from which the candidates are drawn.
     :param threads: number of threads.
-    :param should_stop: returns whether to stop; the views of the first ``TUNING.min_views`` poses
+    :param should_stop: returns whether to stop; the views of the first ``MIN_VIEWS`` poses
         of each model are computed in any case.
     :param max_grid_poses: largest number of poses of :meth:`dense_grid`.
     :ivar complete: whether the views of all drawn poses were computed.
@@ -164,12 +146,11 @@ class CandidatePool:
             # the poses of one position are computed together.
             _, first, group = np.unique(poses[:, :3], axis=0, return_index=True,
                                         return_inverse=True)
-            rank = np.where(np.arange(len(poses)) < TUNING.min_views, -1, first[group.ravel()])
+            rank = np.where(np.arange(len(poses)) < MIN_VIEWS, -1, first[group.ravel()])
             order = np.argsort(rank, kind='stable')
-            views: list[View] = []
-            while len(views) < len(poses) and (
-                    len(views) < TUNING.min_views or not should_stop()):
-                batch = order[len(views):len(views) + TUNING.views_per_batch]
+            views = []
+            while len(views) < len(poses) and (len(views) < MIN_VIEWS or not should_stop()):
+                batch = order[len(views):][:256]
                 views += problem.simulator.look_many(poses[batch], camera, threads)
             self.complete &= len(views) == len(drawn)
             # Restore the order in which the poses were drawn.
@@ -179,7 +160,7 @@ class CandidatePool:
             if not any(view.seen.any() for view in views):
                 raise _blind_camera_error(problem, camera, len(views))
             self._candidates[model] = CandidateSet(
-                poses, views, cKDTree(pose_features(poses, TUNING.metres_per_radian)))
+                poses, views, cKDTree(pose_features(poses, METRES_PER_RADIAN)))
 
     def __len__(self) -> int:
         """Return the number of candidates of all models together."""
@@ -206,7 +187,7 @@ class CandidatePool:
         :returns: (n,) int.
         """
         poses = self.candidates_of(rig.cameras[len(sites)].model).poses
-        return np.flatnonzero(keeps_spacing(poses, sites, rig.spacing))
+        return np.flatnonzero(are_spaced(poses, sites, rig.spacing))
 
     def add_placement(self, rig: Rig, sites: Sequence[MountedCamera]) -> None:
         """Add the views of a placement to those that :meth:`union_views` unites."""
@@ -232,6 +213,85 @@ class CandidatePool:
         candidates = self.candidates_of(model)
         return MountedCamera(candidates.poses[row], candidates.views[row])
 
+    def best_addition(self, objective: Objective, sites: Sequence[MountedCamera],
+                      rows: np.ndarray | None = None) -> MountedCamera | None:
+        """
+        Choose the candidate for the next camera of a rig with the least ``objective.promise``.
+
+        :param objective: of the rig.
+        :param sites: of the cameras before it.
+        :param rows: (n,) int, the candidates to choose from; None for all candidates.
+        :returns: None if all these candidates are too near to the other cameras.
+        """
+        rig = objective.rig
+        model = rig.cameras[len(sites)].model
+        views = views_of(sites)
+        candidates = self.candidates_of(model)
+        if rows is None:
+            rows = self.spaced_rows(rig, sites)
+        else:
+            rows = rows[are_spaced(candidates.poses[rows], sites, rig.spacing)]
+        if len(rows) == 0:
+            return None
+        promises = [objective.promise([*views, candidates.views[row]]) for row in rows]
+        return self.mounted_candidate(model, rows[int(np.argmin(promises))])
+
+    def random_site(self, rig: Rig, sites: Sequence[MountedCamera], rng: np.random.Generator
+                    ) -> MountedCamera | None:
+        """Draw a candidate for the next camera of a rig; None if the spacing allows none."""
+        rows = self.spaced_rows(rig, sites)
+        model = rig.cameras[len(sites)].model
+        return self.mounted_candidate(model, rng.choice(rows)) if len(rows) else None
+
+    def random_sites(self, rig: Rig, rng: np.random.Generator) -> Sites:
+        """Draw a placement of a rig among the candidates; () if the spacing leaves too few."""
+        sites: list[MountedCamera] = []
+        while len(sites) < len(rig.cameras):
+            site = self.random_site(rig, sites, rng)
+            if site is None:
+                return ()
+            sites.append(site)
+        return tuple(sites)
+
+    def packed_sites(self, rig: Rig) -> Sites:
+        """
+        Place the cameras as close together as the spacing allows, to test whether all fit.
+
+        :returns: sites of the first cameras of the rig; of all cameras if all fit.
+        """
+        best: list[MountedCamera] = []
+        first_model = rig.cameras[0].model
+        last_row = len(self.candidates_of(first_model).poses) - 1
+        attempts = 48
+        for first_row in np.unique(np.linspace(0, last_row, attempts).astype(int)):
+            sites = [self.mounted_candidate(first_model, first_row)]
+            for camera in rig.cameras[1:]:
+                rows = self.spaced_rows(rig, sites)
+                if len(rows) == 0:
+                    break
+                positions = self.candidates_of(camera.model).poses[rows, None, :3]
+                others = np.array([site.pose[:3] for site in sites])
+                distances = np.linalg.norm(positions - others, axis=2).sum(axis=1)
+                sites.append(self.mounted_candidate(camera.model, rows[int(np.argmin(distances))]))
+            best = max(best, sites, key=len)
+            if len(best) == len(rig.cameras):
+                break
+        return tuple(best)
+
+    def check_fit(self, objective: Objective) -> None:
+        """
+        Check that all cameras of a rig fit into the room.
+
+        :param objective: of the rig.
+        :raises ConfigurationError: if the spacing leaves too few feasible positions.
+        """
+        rig = objective.rig
+        if len(sites := self.packed_sites(rig)) < len(rig.cameras):
+            raise rig.document.error(
+                ('spacing',), f'{rig.spacing:g} m, at which only {len(sites)} of the '
+                f'{len(rig.cameras)} cameras find room in {objective.simulator.scene.name}',
+                'a distance at which all do', 'lower it or use fewer cameras')
+
 
 def pool_of(problem: Problem, budget: Budget) -> CandidatePool:
     """
@@ -240,26 +300,16 @@ def pool_of(problem: Problem, budget: Budget) -> CandidatePool:
     :param problem: the rig in the room.
     :param budget: of the search; the candidates use a share of it.
     """
-    max_candidates = TUNING.candidates
-    max_grid_poses = MAX_GRID_POSES
+    max_candidates, max_grid_poses = CANDIDATES, MAX_GRID_POSES
     if budget.evaluations is not None:
-        max_candidates = int(np.clip(budget.evaluations // 2, TUNING.min_candidates,
-                                     TUNING.candidates))
-        max_grid_poses = int(np.clip(budget.evaluations * TUNING.grid_poses_per_evaluation,
-                                     TUNING.min_grid_poses, MAX_GRID_POSES))
-    return CandidatePool(problem, max_candidates, TUNING.candidates, os.cpu_count() or 1,
-                         budget.deadline_check(TUNING.views_time_share), max_grid_poses)
+        max_candidates = int(np.clip(budget.evaluations // 2, 64, max_candidates))
+        max_grid_poses = int(np.clip(budget.evaluations * 10, 500, max_grid_poses))
+    # The views may take a fifth of the time.
+    return CandidatePool(problem, max_candidates, CANDIDATES, os.cpu_count() or 1,
+                         budget.deadline_check(0.2), max_grid_poses)
 
 
-def coarse_objective(objective: Objective) -> Objective:
-    """Return the same objective with smaller depth maps; it accepts the same views."""
-    simulator = objective.simulator
-    engine = replace(simulator.config.engine, error_rows=TUNING.coarse_error_rows)
-    config = replace(simulator.config, engine=engine)
-    return Objective(Simulator(simulator.scene, config, simulator.models), objective.rig)
-
-
-def keeps_spacing(poses: np.ndarray, sites: Sequence[MountedCamera], spacing: float) -> np.ndarray:
+def are_spaced(poses: np.ndarray, sites: Sequence[MountedCamera], spacing: float) -> np.ndarray:
     """
     Return which poses are far enough from all given cameras.
 
@@ -270,68 +320,6 @@ def keeps_spacing(poses: np.ndarray, sites: Sequence[MountedCamera], spacing: fl
     """
     positions = np.array([site.pose[:3] for site in sites]).reshape(-1, 3)
     return satisfies_spacing(poses[:, :3], positions, spacing)
-
-
-def best_addition(objective: Objective, pool: CandidatePool, sites: Sequence[MountedCamera],
-                  rows: np.ndarray | None = None) -> MountedCamera | None:
-    """
-    Choose the candidate for the next camera of a rig with the least ``objective.promise``.
-
-    :param sites: of the cameras before it.
-    :param rows: (n,) int, the candidates to choose from; None for all candidates.
-    :returns: None if all these candidates are too near to the other cameras.
-    """
-    rig = objective.rig
-    model = rig.cameras[len(sites)].model
-    views = [site.view for site in sites]
-    candidates = pool.candidates_of(model)
-    if rows is None:
-        rows = pool.spaced_rows(rig, sites)
-    else:
-        rows = rows[keeps_spacing(candidates.poses[rows], sites, rig.spacing)]
-    if len(rows) == 0:
-        return None
-    promises = [objective.promise([*views, candidates.views[row]]) for row in rows]
-    return pool.mounted_candidate(model, rows[int(np.argmin(promises))])
-
-
-def pack_cameras(rig: Rig, pool: CandidatePool) -> list[MountedCamera]:
-    """
-    Place the cameras of a rig as close together as the spacing allows, to test whether all fit.
-
-    :returns: sites of the first cameras of the rig; of all cameras if all fit.
-    """
-    best: list[MountedCamera] = []
-    first_model = rig.cameras[0].model
-    last_row = len(pool.candidates_of(first_model).poses) - 1
-    for start in np.unique(np.linspace(0, last_row, TUNING.packing_starts).astype(int)):
-        sites = [pool.mounted_candidate(first_model, start)]
-        for camera in rig.cameras[1:]:
-            rows = pool.spaced_rows(rig, sites)
-            if len(rows) == 0:
-                break
-            positions = pool.candidates_of(camera.model).poses[rows, None, :3]
-            others = np.array([site.pose[:3] for site in sites])
-            distances = np.linalg.norm(positions - others, axis=2).sum(axis=1)
-            sites.append(pool.mounted_candidate(camera.model, rows[int(np.argmin(distances))]))
-        best = max(best, sites, key=len)
-        if len(best) == len(rig.cameras):
-            break
-    return best
-
-
-def check_all_fit(objective: Objective, pool: CandidatePool) -> None:
-    """
-    Check that all cameras of a rig fit into the room.
-
-    :raises ConfigurationError: if the spacing leaves too few feasible positions.
-    """
-    rig = objective.rig
-    if len(sites := pack_cameras(rig, pool)) < len(rig.cameras):
-        raise rig.document.error(
-            ('spacing',), f'{rig.spacing:g} m, at which only {len(sites)} of the '
-            f'{len(rig.cameras)} cameras find room in {objective.simulator.scene.name}',
-            'a distance at which all do', 'lower it or use fewer cameras')
 
 
 def check_regions(objective: Objective, pool: CandidatePool) -> None:
@@ -348,24 +336,3 @@ def check_regions(objective: Objective, pool: CandidatePool) -> None:
                 ('regions', k, 'must_see'), f'{100.0 * region.must_see:.1f} % of {region.name}, '
                 f'of which all {len(pool)} candidates together see {100.0 * share:.1f} %',
                 'a share that can be seen', 'lower it, or change the mount or the pitch')
-
-
-def random_site(rig: Rig, pool: CandidatePool, sites: Sequence[MountedCamera],
-                rng: np.random.Generator) -> MountedCamera | None:
-    """Draw a candidate for the next camera of a rig; None if the spacing allows none."""
-    rows = pool.spaced_rows(rig, sites)
-    if len(rows) == 0:
-        return None
-    return pool.mounted_candidate(rig.cameras[len(sites)].model, rng.choice(rows))
-
-
-def random_sites(rig: Rig, pool: CandidatePool, rng: np.random.Generator
-                 ) -> tuple[MountedCamera, ...]:
-    """Draw a placement of a rig among the candidates; () if the spacing leaves too few."""
-    sites: list[MountedCamera] = []
-    while len(sites) < len(rig.cameras):
-        site = random_site(rig, pool, sites, rng)
-        if site is None:
-            return ()
-        sites.append(site)
-    return tuple(sites)

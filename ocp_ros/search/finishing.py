@@ -24,7 +24,7 @@ exact cells of a map.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 import time
 
 import numpy as np
@@ -35,37 +35,15 @@ from ocp_ros.search.planner import Planner, Scores, Search
 from ocp_ros.search.population import matched
 from ocp_ros.search.solve import Result, solve
 
-
-@dataclass(frozen=True)
-class FinishingTuning:
-    """
-    Constants of the finish.
-
-    :ivar lattice_m: metres between the positions of the lattice.
-    :ivar finish_share: share of the evaluations for the finish.
-    :ivar elite_share: share of the evaluations of the finish for the elites.
-    :ivar elite_distance_m: smallest distance of two elites, metres; see :func:`max_distance`.
-    :ivar choice_share: share of the evaluations of the finish for the robust choice.
-    :ivar max_choices: largest number of placements for the robust choice.
-    :ivar choice_distance_m: smallest distance of two of them, metres.
-    :ivar mounting_draws: number of drawn mounting errors for each of them.
-    :ivar mounting_error_m: size of a mounting error, metres.
-    :ivar mounting_seed: random seed of the mounting errors.
-    """
-
-    lattice_m: float = 0.25
-    finish_share: float = 0.15
-    elite_share: float = 0.1
-    elite_distance_m: float = 0.25
-    choice_share: float = 0.15
-    max_choices: int = 24
-    choice_distance_m: float = 0.06
-    mounting_draws: int = 8
-    mounting_error_m: float = 0.05
-    mounting_seed: int = 1
-
-
-TUNING = FinishingTuning()
+#: Distance of the positions of the lattice, metres.
+LATTICE_M = 0.25
+#: Mounting errors for the robust choice: their number for each placement, their size in metres,
+#: and their random seed.
+MOUNTING_DRAWS = 8
+MOUNTING_ERROR_M = 0.05
+MOUNTING_SEED = 1
+#: Smallest :func:`max_distance` of placements among which the robust choice is made.
+CHOICE_DISTANCE_M = 0.06
 #: Returns the scores of placements (n, 3).
 ScoreFunction = Callable[[Sequence[np.ndarray]], Scores]
 
@@ -91,8 +69,7 @@ class LatticeScorer:
 
     def snapped_positions(self, positions: np.ndarray) -> np.ndarray:
         """Return the feasible positions at, or nearest to, the lattice for positions (n, 2)."""
-        return self._space.inside(
-            (np.floor(positions / TUNING.lattice_m) + 0.5) * TUNING.lattice_m)
+        return self._space.inside((np.floor(positions / LATTICE_M) + 0.5) * LATTICE_M)
 
 
 class FinishingDescent(Planner):
@@ -157,17 +134,16 @@ def search_and_finish(planner: Planner, score: ScoreFunction, evaluations: int,
         robust choice.
     """
     lattice = LatticeScorer(score, planner.space)
-    finishing = max(int(TUNING.finish_share * evaluations), 1)
+    # Shares of the evaluations: the finish, and of these the elites and the robust choice.
+    finish_share, elite_share, choice_share = 0.15, 0.1, 0.15
+    finishing = max(int(finish_share * evaluations), 1)
     search_result = solve(planner, lattice, max(evaluations - finishing, 1), clock=clock)
-    choices = 0
-    max_elites = finishing
-    if planner.descends:
-        choices = int(TUNING.choice_share * finishing) // TUNING.mounting_draws
-        max_elites = max(int(TUNING.elite_share * finishing), 1)
+    choices = int(choice_share * finishing) // MOUNTING_DRAWS if planner.descends else 0
+    max_elites = max(int(elite_share * finishing), 1) if planner.descends else finishing
     elites = distinct_placements([lattice.snapped_positions(one) for one in search_result.best],
-                                 max_elites, TUNING.elite_distance_m)
+                                 max_elites, min_distance=0.25)
     descent = FinishingDescent(elites, planner.space, planner.rng, finishing)
-    limit = finishing - TUNING.mounting_draws * choices if planner.descends else len(elites)
+    limit = finishing - MOUNTING_DRAWS * choices if planner.descends else len(elites)
     result = solve(descent, score, limit, clock=clock)
     later_trace = result.trace + [search_result.evaluations, search_result.seconds, 0.0]
     result = replace(result, evaluations=search_result.evaluations + result.evaluations,
@@ -188,18 +164,18 @@ def choose_robust(result: Result, space: FreePlane, score: ScoreFunction, max_ch
         returned.
     :param clock: returns the current time, seconds.
     """
-    choices = distinct_placements(result.best, min(max_choices, TUNING.max_choices),
-                                  TUNING.choice_distance_m)
+    choices = distinct_placements(result.best, min(max_choices, 24), CHOICE_DISTANCE_M)
     if len(choices) < 2:
         return result
     start_time = clock()
     placements = [space.placement(choice) for choice in choices]
-    mean_errors = [float(np.mean(score(list(mounted(
-        placement, TUNING.mounting_error_m, TUNING.mounting_draws, TUNING.mounting_seed))).error))
-        for placement in placements]
+    moved = [mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)
+             for placement in placements]
+    mean_errors = [np.mean(score(list(displaced)).error) for displaced in moved]
     chosen = placements[int(np.argmin(mean_errors))]
     scores = score([chosen])
-    return replace(result, placement=chosen, depth_error=float(scores.error[0]),
-                   space_coverage=float(scores.space_coverage[0]),
-                   evaluations=result.evaluations + TUNING.mounting_draws * len(choices),
-                   seconds=result.seconds + clock() - start_time)
+    return replace(
+        result, placement=chosen, depth_error=float(scores.error[0]),
+        space_coverage=float(scores.space_coverage[0]),
+        evaluations=result.evaluations + MOUNTING_DRAWS * len(choices),
+        seconds=result.seconds + clock() - start_time)

@@ -41,9 +41,8 @@ class Random(Planner):
 
     def search(self) -> Search:
         """Draw placements until the budget is used up."""
-        placements_per_batch = 32
         while True:
-            yield [self.space.random(self.rng) for _ in range(placements_per_batch)]
+            yield [self.space.random(self.rng) for _ in range(32)]
 
 
 class RegularGrid(Planner):
@@ -98,18 +97,14 @@ class GreedySwap(Planner):
     def search(self) -> Search:
         """Place greedily, exchange, run the local search, and repeat it by ruin and recreate."""
         cameras = self.space.cameras
-        evaluations_per_candidate = 16 * cameras
-        random_positions = 48
         # A coarse grid suffices: neighbours have similar views, and the local search refines.
-        candidates = self.space.grid(
-            int(np.clip(self.budget // evaluations_per_candidate, 20, 150)))
+        candidates = self.space.grid(int(np.clip(self.budget // (16 * cameras), 20, 150)))
         placed, _ = yield from add_cameras(cameras, candidates, self.energy)
         best, error = yield from exchange_cameras(placed, candidates)
         best, error = yield from descend(self, best, error)
         while True:
             remaining = self.rng.permutation(cameras)[min(2, cameras):]
-            positions = np.array([self.space.random(self.rng, 1)[0]
-                                  for _ in range(random_positions)])
+            positions = np.array([self.space.random(self.rng, 1)[0] for _ in range(48)])
             recreated, trial_error = yield from add_cameras(
                 cameras, positions, self.energy, best[remaining])
             trial, trial_error = yield from descend(self, recreated, trial_error)
@@ -176,10 +171,9 @@ def descend(planner: Planner, placed: np.ndarray, error: float) -> PlacementStep
     :param error: their depth error, metres.
     """
     radius_m = 0.4
-    min_radius_m = 0.02
     directions = 8
     unchanged = camera = 0
-    while radius_m >= min_radius_m:
+    while radius_m >= 0.02:
         angle = planner.rng.uniform(0.0, 2.0 * np.pi)
         angles = angle + np.arange(directions) * (2.0 * np.pi / directions)
         ring = placed[camera] + radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)

@@ -31,15 +31,9 @@ import numpy as np
 from ocp_ros.online.rollout import play
 from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import (
-    CandidatePool,
-    check_all_fit,
-    check_regions,
-    MountedCamera,
-    pool_of,
-)
+from ocp_ros.search.candidate_pool import CandidatePool, check_regions, MountedCamera, pool_of
 from ocp_ros.search.finishing import search_and_finish
-from ocp_ros.search.pose_annealing import result_of_placement, SearchResult, views_of
+from ocp_ros.search.pose_annealing import result_of_placement, SearchResult
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
 from ocp_ros.search.scorer import Scorer
@@ -83,7 +77,7 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,
     if pool is None:
         pool = pool_of(problem, budget)
         check_regions(problem.objective, pool)
-    check_all_fit(problem.objective, pool)
+    pool.check_fit(problem.objective)
     if input_kind == SCAN:
         return make(problem, pool, budget, seed, start, progress)
     if input_kind == OBSERVED:
@@ -115,7 +109,8 @@ class RigScorer(Scorer):
 
     def judge(self, placement: np.ndarray) -> tuple[float, float]:
         """Return the objective value and the space coverage, cubic metres, of positions (n, 3)."""
-        evaluation = self.decoder.objective.judge(views_of(self.decoder(placement[:, :2])))
+        sites = self.decoder(placement[:, :2])
+        evaluation = self.decoder.objective.judge([site.view for site in sites])
         return evaluation.loss, evaluation.space_coverage
 
 
@@ -145,13 +140,11 @@ def _estimate_evaluations(decoder: Decoder, budget: Budget, seed: int) -> int:
     """Estimate the number of placements that can be scored in the remaining time of the budget."""
     rng = np.random.default_rng([seed, 1])
     scorer = RigScorer(decoder, budget)
-    samples = 4
     start_time = time.monotonic()
-    scorer([decoder.region.space.random(rng) for _ in range(samples)])
+    scorer([decoder.region.space.random(rng) for _ in range(4)])
     seconds_each = (time.monotonic() - start_time) / scorer.evaluations
-    # Some planners create a grid of this size.
-    max_evaluations = 100_000
-    return int(np.clip((budget.seconds - budget.elapsed) / seconds_each, 1, max_evaluations))
+    # Some planners create a grid of this size, so there is a limit.
+    return int(np.clip((budget.seconds - budget.elapsed) / seconds_each, 1, 100_000))
 
 
 def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool | None,

@@ -48,7 +48,6 @@ class DifferentialEvolution(Planner):
     def search(self) -> Search:
         """Evolve until the budget is used up."""
         space, rng = self.space, self.rng
-        equal_m = 1e-3
         count = int(np.clip(self.budget // 10, 5, 24))
         placed = np.array([space.random(rng) for _ in range(count)])
         scores = yield list(placed)
@@ -58,8 +57,8 @@ class DifferentialEvolution(Planner):
             scores = yield list(trials)
             better = scores.error <= errors
             placed[better], errors[better] = trials[better], scores.error[better]
-            if np.ptp([matched(placed[0], other) for other in placed], axis=0).max() < equal_m:
-                # All placements are equal: replace all except the best by random ones.
+            if np.ptp([matched(placed[0], other) for other in placed], axis=0).max() < 1e-3:
+                # All are equal within a millimetre: replace all except the best by random ones.
                 best = int(np.argmin(errors))
                 for i in range(count):
                     placed[i] = placed[best] if i == best else space.random(rng)
@@ -68,15 +67,13 @@ class DifferentialEvolution(Planner):
 
     def _crossover(self, placed: np.ndarray, errors: np.ndarray, i: int) -> np.ndarray:
         """Return the crossover of placement i of (P, K, 2) and its mutant; errors are (P,)."""
-        pbest_share = 0.2
-        mutant_probability = 0.5
-        leaders = np.argsort(errors)[:max(int(pbest_share * len(placed)), 2)]
+        best_fifth = np.argsort(errors)[:max(int(0.2 * len(placed)), 2)]
         base = placed[i]
         pbest, first, second = (matched(base, placed[k]) for k in (
-            self.rng.choice(leaders), *self.rng.choice(len(placed), 2, replace=False)))
+            self.rng.choice(best_fifth), *self.rng.choice(len(placed), 2, replace=False)))
         weight = self.rng.uniform(0.3, 0.9)
         mutant = base + weight * (pbest - base) + weight * (first - second)
-        from_mutant = self.rng.random(len(base)) < mutant_probability
+        from_mutant = self.rng.random(len(base)) < 0.5
         from_mutant[self.rng.integers(len(base))] = True
         return np.where(from_mutant[:, None], self.space.reflected(mutant), base)
 
@@ -92,12 +89,12 @@ class CmaEs(Planner):
         space = self.space
         # The strategy works on positions as shares of the edges of the space.
         edges = np.maximum(space.size, 1e-9)
-        first_deviation = 0.25
         restarts = 0
         while True:
             mean = ((space.random(self.rng) - space.low) / edges).ravel()
             population_size = int(4 + 3 * np.log(len(mean))) * 2 ** min(restarts, 3)
-            strategy = cma.CMAEvolutionStrategy(mean, first_deviation, {
+            # The first standard deviation is a quarter of the edges.
+            strategy = cma.CMAEvolutionStrategy(mean, 0.25, {
                 'bounds': [0.0, 1.0], 'verbose': -9, 'popsize': population_size, 'tolfun': 1e-4,
                 'tolx': 1e-4, 'seed': np.nan, 'randn': self._draw_normal})
             while not strategy.stop():
@@ -161,10 +158,11 @@ class BinaryParticleSwarm(Planner):
     """
     BPSO over a grid of M candidate positions, of which K are chosen.
 
-    A particle has a bit for each candidate. Velocities follow v <- w v + c1 r1 (own best - x)
-    + c2 r2 (best of all - x), each bit is drawn again as rand < sigmoid(v) (Kennedy and Eberhart,
-    1997), and the bits are repaired so that K are set: surplus bits of smallest velocity are
-    cleared, missing bits of largest velocity are set.
+    A particle has a bit x for each candidate. Velocities follow v <- 0.72 v
+    + 1.49 r1 (own best - x) + 1.49 r2 (best of all - x) with random r1 and r2, each bit is drawn
+    again as rand < sigmoid(v) (Kennedy and Eberhart, 1997), and the bits are repaired so that K
+    are set: surplus bits of smallest velocity are cleared, missing bits of largest velocity are
+    set.
 
     The text of the source was not available. The parameters are the usual ones, so details may
     differ from the source.
@@ -179,9 +177,6 @@ class BinaryParticleSwarm(Planner):
         candidates = self.space.grid(int(np.clip(self.budget // 4, 16, self.max_candidates)))
         cameras = min(self.space.cameras, len(candidates))
         particles = min(24, max(self.budget // 8, 2))
-        inertia = 0.72
-        attraction = 1.49
-        max_velocity = 4.0
         # At the mean of the first velocities, the sigmoid sets about K of M bits.
         mean_velocity = np.log(cameras / max(len(candidates) - cameras, 1))
         velocity = self.rng.normal(mean_velocity, 1.0, (particles, len(candidates)))
@@ -194,9 +189,9 @@ class BinaryParticleSwarm(Planner):
             best[better], best_error[better] = bits[better], scores.error[better]
             leader = best[np.argmin(best_error)]
             r1, r2 = self.rng.random((2, *velocity.shape))
-            velocity = (inertia * velocity + attraction * r1 * (best.astype(float) - bits)
-                        + attraction * r2 * (leader.astype(float) - bits))
-            velocity = np.clip(velocity, -max_velocity, max_velocity)
+            velocity = (0.72 * velocity + 1.49 * r1 * (best.astype(float) - bits)
+                        + 1.49 * r2 * (leader.astype(float) - bits))
+            velocity = np.clip(velocity, -4.0, 4.0)
             bits = self._draw_bits(velocity, cameras)
 
     def _draw_bits(self, velocity: np.ndarray, cameras: int) -> np.ndarray:

@@ -24,7 +24,7 @@ the score is that of the written placement.
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
@@ -32,23 +32,14 @@ from ocp_ros.online.rollout import Outcome
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import (
-    best_addition,
-    CandidatePool,
-    coarse_objective,
-    keeps_spacing,
-    MountedCamera,
-    pack_cameras,
-    random_site,
-)
+from ocp_ros.search.candidate_pool import are_spaced, CandidatePool, MountedCamera, Sites, views_of
 from ocp_ros.search.proof.certificate import Certificate
+from ocp_ros.search.scorer import coarse_objective
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
-from ocp_ros.simulation.simulator import View
 from ocp_ros.util.annealing import annealed, between
 
 T = TypeVar('T')
-Sites = tuple[MountedCamera, ...]
 
 
 @dataclass(frozen=True)
@@ -122,11 +113,6 @@ class SearchResult:
         return np.array([site.pose for site in self.sites])
 
 
-def views_of(sites: Sequence[MountedCamera]) -> list[View]:
-    """Return the views of mounted cameras."""
-    return [site.view for site in sites]
-
-
 def result_of_placement(objective: Objective, sites: Sequence[MountedCamera], evaluations: int
                         ) -> SearchResult:
     """Return a placement as the result of a single search."""
@@ -134,32 +120,53 @@ def result_of_placement(objective: Objective, sites: Sequence[MountedCamera], ev
     return SearchResult(tuple(sites), loss, (loss,), evaluations)
 
 
-class AnnealingSearch:
+class RigSearch:
     """
-    One search by simulated annealing.
+    A search for the placement of a rig: it counts evaluations and stores the smallest loss.
 
     :param problem: the rig in the room.
-    :param coarse: the objective with smaller depth maps.
     :param pool: candidates.
-    :param budget: of all searches.
+    :param budget: of the search; several searches may share it.
     :param rng: the only source of random numbers.
-    :param start: first placement; empty to choose one greedily.
+    :param start: a placement; empty for none.
     """
 
-    def __init__(self, problem: Problem, coarse: Objective, pool: CandidatePool, budget: Budget,
+    def __init__(self, problem: Problem, pool: CandidatePool, budget: Budget,
                  rng: np.random.Generator, start: Sequence[MountedCamera] = ()) -> None:
         self.problem = problem
-        self.objective = problem.objective
-        self.coarse_objective = coarse
-        self.rig = problem.rig
         self.pool = pool
         self.budget = budget
         self.rng = rng
         self.start = tuple(start)
-        self.max_evaluations = budget.evaluations and max(
-            budget.evaluations // TUNING.searches, 1)
+        self.max_evaluations = budget.evaluations
         self.evaluations = 0
         self.least_loss = np.inf
+
+    def judge(self, sites: Sequence[MountedCamera]) -> float:
+        """Return the loss of a placement, and update the smallest loss."""
+        loss = self.problem.objective.loss(views_of(sites))
+        self.least_loss = min(self.least_loss, loss)
+        return loss
+
+    def used_share(self) -> float:
+        """Return the used share of the budget."""
+        return self.budget.used_share(self.evaluations, self.max_evaluations)
+
+
+class AnnealingSearch(RigSearch):
+    """
+    One search by simulated annealing.
+
+    :param coarse: the objective with smaller depth maps.
+    :param settings: of :class:`RigSearch`; the first placement is chosen greedily if there is no
+        ``start``. The searches share the evaluations of the budget.
+    """
+
+    def __init__(self, coarse: Objective, *settings: Any) -> None:
+        super().__init__(*settings)
+        self.coarse_objective = coarse
+        if self.max_evaluations is not None:
+            self.max_evaluations = max(self.max_evaluations // TUNING.searches, 1)
         #: From 0 to 1: by it, temperatures and moves decrease.
         self._progress = 0.0
 
@@ -172,42 +179,32 @@ class AnnealingSearch:
                         self._exchange_camera, self._temperatures(
                             loss, TUNING.exchange_temperatures, 0.0, TUNING.exchange_budget_share),
                         self.rng)
-        if self.start and self.objective.loss(views_of(first)) < self.objective.loss(
-                views_of(best)):
-            # The full depth maps decide between the two placements.
+        objective = self.problem.objective
+        # The full depth maps decide between the two placements.
+        if self.start and objective.loss(views_of(first)) < objective.loss(views_of(best)):
             best = first
         return annealed(best, self.judge, self._change_camera, self._temperatures(
             loss, TUNING.move_temperatures, TUNING.exchange_budget_share, 1.0), self.rng)
 
     def place_greedily(self) -> Sites:
         """Return a placement: one camera after the other, each the best of random candidates."""
+        rig = self.problem.rig
         sites: list[MountedCamera] = []
         max_count = TUNING.first_candidates
         if self.max_evaluations is not None:
-            max_count = int(np.clip(self.max_evaluations // (4 * len(self.rig.cameras)), 1,
-                                    max_count))
-        for camera in self.rig.cameras:
+            max_count = int(np.clip(self.max_evaluations // (4 * len(rig.cameras)), 1, max_count))
+        for camera in rig.cameras:
             total = len(self.pool.candidates_of(camera.model).poses)
             # Without time left, compare few candidates.
             count = max(min(max_count if self.used_share() < 1.0 else 8, total), 1)
             rows = np.sort(self.rng.choice(total, count, replace=False))
             self.evaluations += count
-            site = (best_addition(self.coarse_objective, self.pool, sites, rows)
-                    or random_site(self.rig, self.pool, sites, self.rng))
+            site = (self.pool.best_addition(self.coarse_objective, sites, rows)
+                    or self.pool.random_site(rig, sites, self.rng))
             if site is None:
-                return tuple(pack_cameras(self.rig, self.pool))
+                return self.pool.packed_sites(rig)
             sites.append(site)
         return tuple(sites)
-
-    def judge(self, sites: Sequence[MountedCamera]) -> float:
-        """Return the loss of a placement, and update the smallest loss."""
-        loss = self.objective.loss(views_of(sites))
-        self.least_loss = min(self.least_loss, loss)
-        return loss
-
-    def used_share(self) -> float:
-        """Return the used share of the budget."""
-        return self.budget.used_share(self.evaluations, self.max_evaluations)
 
     def _temperatures(self, loss: float, multiples: tuple[float, float], first_share: float,
                       last_share: float) -> Iterator[float]:
@@ -228,7 +225,7 @@ class AnnealingSearch:
     def _exchange_camera(self, sites: Sites) -> Sites | None:
         """Return sites with one pose replaced by a candidate; None if cameras are too close."""
         camera = int(self.rng.integers(len(sites)))
-        model = self.rig.cameras[camera].model
+        model = self.problem.rig.cameras[camera].model
         candidates = self.pool.candidates_of(model)
         if self.rng.random() < TUNING.any_candidate_share:
             row = int(self.rng.integers(len(candidates.poses)))
@@ -238,7 +235,7 @@ class AnnealingSearch:
                 candidates.nearest_rows(sites[camera].pose, TUNING.neighbours + 1)))
         others = (*sites[:camera], *sites[camera + 1:])
         site = self.pool.mounted_candidate(model, row)
-        if not keeps_spacing(site.pose[None], others, self.rig.spacing)[0]:
+        if not are_spaced(site.pose[None], others, self.problem.rig.spacing)[0]:
             return None
         return (*sites[:camera], site, *sites[camera + 1:])
 
@@ -265,7 +262,7 @@ def move_camera(problem: Problem, sites: Sites, metres: float, radians: float,
     model = problem.rig.cameras[camera].model
     poses = poses_around(problem.region, sites[camera].pose, model, metres, radians,
                          TUNING.drawn_poses, rng)
-    feasible = problem.region.allowed(poses, model) & keeps_spacing(
+    feasible = problem.region.allowed(poses, model) & are_spaced(
         poses, others, problem.rig.spacing)
     if not feasible.any():
         return None
@@ -302,7 +299,7 @@ def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, m
 def anneal(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
            start: Sequence[MountedCamera] = (), progress: Progress | None = None) -> SearchResult:
     """
-    Find the best placement of a rig's cameras by several searches; see :func:`run_in_threads`.
+    Find the best placement of a rig's cameras by several searches; see :func:`run_threads`.
 
     :param problem: the rig in the room.
     :param pool: candidates of all its models.
@@ -312,18 +309,18 @@ def anneal(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
     :param progress: called several times a second.
     """
     coarse = coarse_objective(problem.objective)
-    searches = [AnnealingSearch(problem, coarse, pool, budget, np.random.default_rng([seed, k]),
+    searches = [AnnealingSearch(coarse, problem, pool, budget, np.random.default_rng([seed, k]),
                                 start if k == 0 else ()) for k in range(TUNING.searches)]
     report = progress and (lambda: progress(min(search.used_share() for search in searches),
                                             min(search.least_loss for search in searches)))
-    placements = run_in_threads([search.run for search in searches], budget, report)
+    placements = run_threads([search.run for search in searches], budget, report)
     losses = [search.judge(sites) for search, sites in zip(searches, placements)]
     best = int(np.argmin(losses))
     return SearchResult(placements[best], losses[best], tuple(losses),
                         sum(search.evaluations for search in searches))
 
 
-def run_in_threads(tasks: Sequence[Callable[[], T]], budget: Budget,
+def run_threads(tasks: Sequence[Callable[[], T]], budget: Budget,
                    report: Callable[[], None] | None) -> list[T]:
     """
     Run each task in a thread, report several times a second, and return the tasks' results.

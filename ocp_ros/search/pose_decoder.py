@@ -24,15 +24,8 @@ from functools import cached_property
 
 import numpy as np
 from ocp_ros.rig.placement_file import as_written
-from ocp_ros.search.candidate_pool import (
-    best_addition,
-    CandidatePool,
-    coarse_objective,
-    keeps_spacing,
-    MountedCamera,
-    pack_cameras,
-)
-from ocp_ros.search.scorer import cached_look
+from ocp_ros.search.candidate_pool import are_spaced, CandidatePool, MountedCamera, Sites
+from ocp_ros.search.scorer import cached_look, coarse_objective
 from ocp_ros.simulation.problem import Problem
 
 
@@ -58,8 +51,7 @@ class Decoder:
         self._coarse_objective = coarse_objective(problem.objective)
         self._look = cached_look(problem.simulator)
 
-    def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None
-                 ) -> tuple[MountedCamera, ...]:
+    def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None) -> Sites:
         """
         Choose a feasible pose for each position.
 
@@ -76,20 +68,20 @@ class Decoder:
             sites.append(site)
         return tuple(sites)
 
-    def completed(self, sites: Sequence[MountedCamera]) -> tuple[MountedCamera, ...]:
+    def completed(self, sites: Sequence[MountedCamera]) -> Sites:
         """Return the given cameras and the missing ones of the rig, added greedily."""
         sites = list(sites)
         while len(sites) < len(self.rig.cameras):
-            site = best_addition(self.objective, self.pool, sites)
+            site = self.pool.best_addition(self.objective, sites)
             if site is None:
                 return self._packed
             sites.append(site)
         return tuple(sites)
 
     @cached_property
-    def _packed(self) -> tuple[MountedCamera, ...]:
+    def _packed(self) -> Sites:
         """Return all cameras, as close together as the spacing allows."""
-        return tuple(pack_cameras(self.rig, self.pool))
+        return self.pool.packed_sites(self.rig)
 
     def _mount_near(self, position: np.ndarray, sites: Sequence[MountedCamera],
                     heading: np.ndarray | None) -> MountedCamera | None:
@@ -102,7 +94,7 @@ class Decoder:
         rows = self.pool.spaced_rows(self.rig, sites)
         distances = np.linalg.norm(poses[rows, :2] - position[:2], axis=1)
         nearest = rows[np.argsort(distances, kind='stable')[:count]]
-        candidate = best_addition(self._coarse_objective, self.pool, sites, nearest)
+        candidate = self.pool.best_addition(self._coarse_objective, sites, nearest)
         if candidate is None:
             return None
         desired_pose = candidate.pose.copy()
@@ -121,7 +113,7 @@ class Decoder:
         pose[:3] = self.region.onto_mount(pose[None, :3])[0]
         poses = as_written(pose[None])
         model = self.rig.cameras[camera].model
-        spaced = keeps_spacing(poses, sites, self.rig.spacing)
+        spaced = are_spaced(poses, sites, self.rig.spacing)
         if not (spaced & self.region.allowed(poses, model))[0]:
             return None
         return MountedCamera(poses[0], self._look(poses[0], camera))

@@ -68,9 +68,8 @@ class PoseGrid:
         :raises ConfigurationError: if the camera has no feasible pose.
         """
         grid = cls(simulator, camera)
-        # The visible points of a pose take about 0.1 byte for each point of the scene.
-        max_bytes = 1_000_000_000
-        max_poses = min(max_poses, 10 * max_bytes // len(simulator.scene))
+        # A pose takes about 0.1 byte for each point of the scene, all poses at most 1 GB.
+        max_poses = min(max_poses, 10 * 1_000_000_000 // len(simulator.scene))
         distance_m = 0.3
         places, headings, grid.step = region.pose_grid(model, distance_m, max_poses)
         # In random order, the first n places are spread over the room for any n.

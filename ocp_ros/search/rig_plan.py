@@ -23,7 +23,7 @@ from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import best_addition, check_regions, pool_of, random_sites
+from ocp_ros.search.candidate_pool import check_regions, pool_of
 from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_annealing import SearchResult
 from ocp_ros.search.proof.certificate import Certificate, not_covered
@@ -146,8 +146,8 @@ class RigPlanner:
         problem = self.problem(rig)
         start: tuple = ()
         # If no camera can be added, the search starts without a placement.
-        if before is not None and (site := best_addition(
-                problem.objective, self.pool, before.sites)) is not None:
+        if before is not None and (
+                site := self.pool.best_addition(problem.objective, before.sites)) is not None:
             start = (*before.sites, site)
         answer = plan(problem, self.budget, self.planner, self.pool, self.seed, start,
                       self._progress, self.model)
@@ -159,13 +159,13 @@ class RigPlanner:
         self.pool.add_placement(rig, answer.sites)
         count = 64
         rng = np.random.default_rng([self.seed, count])
-        drawn = [random_sites(rig, self.pool, rng) for _ in range(count)]
+        drawn = [self.pool.random_sites(rig, rng) for _ in range(count)]
+        losses = [objective.loss([site.view for site in sites]) for sites in drawn if sites]
         return RigPlan(
             rig, answer, objective.evaluate(answer.poses),
             objective.judge(self.pool.union_views(rig)), objective.simulator.depth_error.worst,
-            np.array([objective.loss([site.view for site in sites]) for sites in drawn if sites]),
-            len(self.pool), self.budget.elapsed, self.planner, answer.certificate,
-            answer.uncertain)
+            np.array(losses), len(self.pool), self.budget.elapsed, self.planner,
+            answer.certificate, answer.uncertain)
 
     def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
         """

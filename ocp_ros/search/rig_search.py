@@ -30,16 +30,8 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.rig.feasible_region import DENSE
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import CandidatePool, MountedCamera, pack_cameras
-from ocp_ros.search.pose_annealing import (
-    anneal,
-    move_camera,
-    run_in_threads,
-    SearchResult,
-    Sites,
-    views_of,
-)
-from ocp_ros.search.pose_grid import PoseGrid
+from ocp_ros.search.candidate_pool import CandidatePool, MountedCamera, Sites, views_of
+from ocp_ros.search.pose_annealing import anneal, move_camera, RigSearch, run_threads, SearchResult
 from ocp_ros.search.proof.certificate import Certificate, not_covered
 from ocp_ros.search.proof.column_generation import Choice, Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
@@ -104,7 +96,7 @@ class RatedPlacement(NamedTuple):
     sites: Sites
 
 
-class ColumnGenerationSearch:
+class ColumnGenerationSearch(RigSearch):
     """
     One search by column generation and local refinement.
 
@@ -118,13 +110,7 @@ class ColumnGenerationSearch:
 
     def __init__(self, problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
                  start: Sequence[MountedCamera] = ()) -> None:
-        self.problem = problem
-        self.pool = pool
-        self.budget = budget
-        self.start = tuple(start)
-        self.evaluations = 0
-        self.least_loss = np.inf
-        self._rng = np.random.default_rng([seed, 0])
+        super().__init__(problem, pool, budget, np.random.default_rng([seed, 0]), start)
         self._first_choices = TUNING.first_choices
         self._repeated_choices = TUNING.repeated_choices
         #: Moves of each choice, first and in each repetition.
@@ -136,10 +122,6 @@ class ColumnGenerationSearch:
             self._first_moves = max(total // (2 * self._first_choices), 1)
             repetitions = len(TUNING.distances_m)
             self._repeated_moves = max(total // (2 * repetitions * self._repeated_choices), 1)
-
-    def used_share(self) -> float:
-        """Return the approximate used share of the budget."""
-        return self.budget.used_share(self.evaluations, self.budget.evaluations)
 
     def run(self) -> SearchResult:
         """
@@ -154,7 +136,7 @@ class ColumnGenerationSearch:
         relaxation = relaxation_of(self.problem, self.pool, self.budget.deadline_check(
             0.5 * TUNING.grid_time_share))
         relaxation.raise_bound(grid_deadline)
-        choices = relaxation.find_choices(self._first_choices, self._rng, grid_deadline)
+        choices = relaxation.find_choices(self._first_choices, self.rng, grid_deadline)
         starts = [self._sites_of(relaxation, choice) for choice in choices]
         first_results = results = self._refine_all(
             [*starts, self.start] if self.start else starts, TUNING.distances_m[0],
@@ -166,7 +148,7 @@ class ColumnGenerationSearch:
                 break
             results = self._repeat_near(relaxation, results, distance_m, deadline)
         if not results:
-            results = [self._rate_placement(pack_cameras(self.problem.rig, self.pool))]
+            results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
         best = results[0]
         losses = (best.loss, *(result.loss for result in first_results[1:]))
         return SearchResult(best.sites, best.loss, losses, self.evaluations, *prove_gap(
@@ -189,7 +171,7 @@ class ColumnGenerationSearch:
     def _refine_all(self, starts: Sequence[Sites], first_m: float, moves: int,
                     should_stop: Callable[[], bool]) -> list[RatedPlacement]:
         """Refine placements by :meth:`_refine`; return them and the start, the best first."""
-        seeds = self._rng.integers(2 ** 32, size=len(starts))
+        seeds = self.rng.integers(2 ** 32, size=len(starts))
         results = mapped(lambda pair: self._refine(
             pair[0], first_m, moves, np.random.default_rng(pair[1]), should_stop),
             list(zip(starts, seeds)))
@@ -205,14 +187,8 @@ class ColumnGenerationSearch:
         :param first_m: standard deviation of the first moves, metres; in radians half of it.
         :param moves: number of moves.
         """
-        objective = self.problem.objective
         progress = 0.0
-        loss = max(objective.loss(views_of(sites)), TUNING.min_loss)
-
-        def judge(sites: Sites) -> float:
-            value = objective.loss(views_of(sites))
-            self.least_loss = min(self.least_loss, value)
-            return value
+        loss = max(self.problem.objective.loss(views_of(sites)), TUNING.min_loss)
 
         def temperatures() -> Iterator[float]:
             nonlocal progress
@@ -223,10 +199,10 @@ class ColumnGenerationSearch:
                 self.evaluations += 1
                 yield loss * between(*TUNING.temperatures, progress)
 
-        best = annealed(sites, judge, lambda sites: move_camera(
+        best = annealed(sites, self.judge, lambda sites: move_camera(
             self.problem, sites, between(first_m, TUNING.last_deviation, progress),
             between(0.5 * first_m, TUNING.last_deviation, progress), rng), temperatures(), rng)
-        return RatedPlacement(judge(best), best)
+        return RatedPlacement(self.judge(best), best)
 
     def _repeat_near(self, relaxation: ColumnGeneration, results: list[RatedPlacement],
                      distance_m: float, should_stop: Callable[[], bool]) -> list[RatedPlacement]:
@@ -239,7 +215,7 @@ class ColumnGenerationSearch:
                 for camera, site in enumerate(result.sites)])
         relaxation.raise_bound(should_stop, [np.arange(count, len(grid.places))
                                for count, grid in zip(old_places, relaxation.grids)])
-        choices = relaxation.find_choices(self._repeated_choices, self._rng, should_stop)
+        choices = relaxation.find_choices(self._repeated_choices, self.rng, should_stop)
         refined = self._refine_all([self._sites_of(relaxation, choice) for choice in choices],
                                    distance_m, self._repeated_moves, should_stop)
         return sorted([*best, *refined], key=lambda result: result.loss)
@@ -254,7 +230,7 @@ class ColumnGenerationSearch:
         first_place = len(grid.places)
         # Some drawn poses may be infeasible, so more are drawn; the first is the pose itself.
         poses = np.repeat(pose[None], 2 * TUNING.near_places, axis=0)
-        poses[1:, :3] += self._rng.uniform(-distance_m, distance_m, (len(poses) - 1, 3))
+        poses[1:, :3] += self.rng.uniform(-distance_m, distance_m, (len(poses) - 1, 3))
         poses[1:, :3] = region.onto_mount(poses[1:, :3])
         feasible = region.allowed(poses, model)
         feasible[0] = True
@@ -282,8 +258,7 @@ def relaxation_of(problem: Problem, pool: CandidatePool, should_stop: Callable[[
     """
     models = problem.rig.placed_models
     # Each relaxation adds poses to grids of its own.
-    grids: list[PoseGrid] = [copy(pool.dense_grid(problem, model, should_stop))
-                             for model in models]
+    grids = [copy(pool.dense_grid(problem, model, should_stop)) for model in models]
     counts = [sum(camera.model == model for camera in problem.rig.cameras) for model in models]
     return ColumnGeneration(LossTrees.of(problem.objective), grids, counts, problem.rig.spacing,
                             len(problem.simulator.scene))
@@ -307,22 +282,16 @@ def prove_gap(problem: Problem, make_relaxation: Callable[[], ColumnGeneration],
         if relaxation.bound <= 0.0 < loss:
             return None, ('the bound is 0, for these poses together miss almost nothing'
                           if relaxation.closed else 'there was no time to prove one')
-        return _certificate_of(problem, relaxation, loss, loss_on_grid, budget.elapsed), ''
+        bound = max(relaxation.bound - relaxation.trees.rounding, 0.0)
+        directional = any(not model.omnidirectional for model in problem.rig.placed_models)
+        heading_step = round(float(np.rad2deg(DENSE[0])), 1) if directional else 0.0
+        return Certificate(
+            len(relaxation), max(grid.step for grid in relaxation.grids), heading_step,
+            problem.simulator.config.engine.error_rows, loss, bound, relaxation.closed,
+            loss_on_grid, budget.elapsed), ''
     except Exception as error:  # The placement is valid without the proof, so keep it.
         _log.exception('the proof failed')
         return None, f'its proof failed ({type(error).__name__}: {error})'
-
-
-def _certificate_of(problem: Problem, relaxation: ColumnGeneration, loss: float,
-                    loss_on_grid: float, seconds: float) -> Certificate:
-    """Return the certificate of a placement with a loss, after a proof of some seconds."""
-    bound = max(relaxation.bound - relaxation.trees.rounding, 0.0)
-    directional = any(not model.omnidirectional for model in problem.rig.placed_models)
-    return Certificate(
-        len(relaxation), max(grid.step for grid in relaxation.grids),
-        round(float(np.rad2deg(DENSE[0])), 1) if directional else 0.0,
-        problem.simulator.config.engine.error_rows, loss, bound, relaxation.closed, loss_on_grid,
-        seconds)
 
 
 def distinct_results(results: Sequence[RatedPlacement], max_count: int) -> list[RatedPlacement]:
@@ -352,7 +321,6 @@ def search(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
     """
     if not_covered(problem.objective):
         return anneal(problem, pool, budget, seed, start, progress)
-    refined_search = ColumnGenerationSearch(problem, pool, budget, seed, start)
-    report = progress and (
-        lambda: progress(refined_search.used_share(), refined_search.least_loss))
-    return run_in_threads([refined_search.run], budget, report)[0]
+    solver = ColumnGenerationSearch(problem, pool, budget, seed, start)
+    report = progress and (lambda: progress(solver.used_share(), solver.least_loss))
+    return run_threads([solver.run], budget, report)[0]

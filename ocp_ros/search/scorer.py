@@ -12,14 +12,16 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Scores of placements with a cache of views by pose and camera."""
+"""Scores of placements with a cache of views, and an objective that is faster to compute."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.planner import Scores
+from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.simulator import Simulator, View
 
 
@@ -36,6 +38,15 @@ def cached_look(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
     # Cameras of the same kind share the cached views.
     return lambda pose, camera: look(
         simulator.kind(camera), np.asarray(pose, dtype=np.float64).tobytes())
+
+
+def coarse_objective(objective: Objective) -> Objective:
+    """Return the same objective with smaller depth maps; it accepts the same views."""
+    simulator = objective.simulator
+    # 32 rows rank placements nearly the same in a quarter of the time.
+    engine = replace(simulator.config.engine, error_rows=32)
+    config = replace(simulator.config, engine=engine)
+    return Objective(Simulator(simulator.scene, config, simulator.models), objective.rig)
 
 
 class Scorer:

@@ -118,8 +118,6 @@ class ColumnGeneration:
         self.grids = grids
         self.counts = np.array(counts)
         self.spacing = spacing
-        self.bound = 0.0
-        self.closed = False
         self._point_count = points
         #: For each active cut, the unserved nodes of its choice: (T,) bool.
         self._cut_nodes: list[np.ndarray] = []
@@ -148,9 +146,9 @@ class ColumnGeneration:
     def _set_columns(self, columns: list[Column]) -> None:
         """Replace the columns; their shares are 0 until the program is solved."""
         self._columns = columns
-        self._seen_by = poses_by_point(
-            [self.grids[one.grid].visible_points(one.place, one.heading) for one in columns],
-            self._point_count)
+        visible_points = [self.grids[grid].visible_points(place, heading)
+                          for grid, place, heading in columns]
+        self._seen_by = poses_by_point(visible_points, self._point_count)
         self._grid_numbers = np.array([one.grid for one in columns])
         self._positions = np.array([self.pose(one)[:3] for one in columns])
         self._too_near = cdist(self._positions, self._positions) < self.spacing
@@ -174,20 +172,17 @@ class ColumnGeneration:
             gains = self._pose_gains(multipliers, places, should_stop)
             if gains is None:
                 return
-            self.bound = max(self.bound, constant - sum(
-                self._largest_gain(grid_gains, count)
-                for grid_gains, count in zip(gains, self.counts)))
-            column_gains = np.array([gains[one.grid][one.place][one.heading]
-                                     if one.place in gains[one.grid] else 0.0
-                                     for one in self._columns])
+            largest_gain = sum(map(self._largest_gain, gains, self.counts))
+            self.bound = max(self.bound, constant - largest_gain)
+            column_gains = np.array([gains[grid][place][heading] if place in gains[grid] else 0.0
+                                     for grid, place, heading in self._columns])
             # For each grid, the least gain of as many columns as are chosen.
             chosen_gains = np.array([
                 np.sort(column_gains[self._grid_numbers == grid])[::-1][:count].min(initial=np.inf)
                 for grid, count in enumerate(self.counts)])
             new_columns = self._improving_columns(gains, chosen_gains)
-            gap = optimum - self.bound
             max_gap = TUNING.closed_gap * max(optimum, TUNING.min_loss)
-            self.closed = bool(program and gap <= max_gap) or not new_columns
+            self.closed = not new_columns or bool(program and optimum - self.bound <= max_gap)
             if self.closed or should_stop():
                 return
             self._set_columns([*self._kept_columns(column_gains, chosen_gains), *new_columns])
@@ -282,8 +277,8 @@ class ColumnGeneration:
                 best = np.argsort(-values, kind='stable')[:2 * TUNING.new_columns_per_place]
                 pairs = [(values[k], Column(number, place, int(k))) for k in best
                          if values[k] > min_gain]
-                found += [pair for pair in pairs
-                          if pair[1] not in known][:TUNING.new_columns_per_place]
+                pairs = [pair for pair in pairs if pair[1] not in known]
+                found += pairs[:TUNING.new_columns_per_place]
         found.sort(key=lambda pair: -pair[0])
         return [column for _, column in found[:TUNING.new_columns]]
 

@@ -105,7 +105,6 @@ class CutProgram:
         multipliers = np.maximum(duals, 0.0)
         parts = self.cuts[:, 1]
         totals = np.bincount(parts, multipliers, self._part_count)
-        return Optimum(
-            status == highspy.HighsModelStatus.kOptimal, values[:self._part_count],
-            np.clip(values[self._part_count:], 0.0, 1.0),
-            multipliers / np.maximum(totals, 1.0)[parts])
+        losses, shares = np.split(values, [self._part_count])
+        return Optimum(status == highspy.HighsModelStatus.kOptimal, losses,
+                       np.clip(shares, 0.0, 1.0), multipliers / np.maximum(totals, 1.0)[parts])

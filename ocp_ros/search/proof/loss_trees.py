@@ -146,8 +146,7 @@ class LossTrees(NamedTuple):
 
         def constant_of(part: int) -> float:
             first, last = self.part_starts[part], self.part_starts[part + 1]
-            _add_gains(self.points, self.ends, sums, seen_by, self.depth, first, last,
-                       gains[part])
+            _add_gains(self.points, self.ends, sums, seen_by, self.depth, first, last, gains[part])
             return weights[first:last].sum() - self.slacks[part]
 
         return np.array(mapped(constant_of, range(len(self.slacks)))), gains[:, :count]
