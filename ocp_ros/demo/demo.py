@@ -148,7 +148,7 @@ def draw_result(options: argparse.Namespace, watcher: Watcher, result: dict[str,
 def result_table(result: dict[str, Any]) -> Table:
     """Return the results as a table for the terminal."""
     table = Table(title=f'{result["room"]}: {result["points"]:,} points, '
-                 f'{result["cameras"]} cameras, {result["turns"]} turns')
+                  f'{result["cameras"]} cameras, {result["turns"]} turns')
     for name in ('', 'start', 'end'):
         table.add_column(name, justify='left' if not name else 'right')
     for name, key, unit in (('depth error', 'depth_error', 'm'),

@@ -73,7 +73,7 @@ class Budget:
         return self._clock() - self._start_time
 
     def deadline_check(self, share: float) -> Callable[[], bool]:
-        """Return a function that returns whether a share of the time is used, for the searches."""
+        """Return a function that returns whether a share of the time is used, or it is stopped."""
         return lambda: self.used_share(0, None) >= share
 
     def used_share(self, evaluations: int, max_evaluations: int | None) -> float:

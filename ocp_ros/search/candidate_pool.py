@@ -198,8 +198,8 @@ class CandidatePool:
         """
         Return for each camera of a rig the union of the views of all its candidates.
 
-        They give a lower bound of the objective: in any choice of candidates and added placements,
-        each point is visible to at most as many cameras as in these views.
+        These unions give a lower bound of the objective: in any choice of candidates and added
+        placements, each point is visible to at most as many cameras as in the unions.
         """
         unions = []
         for camera in rig.cameras:

@@ -321,7 +321,7 @@ def anneal(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
 
 
 def run_threads(tasks: Sequence[Callable[[], T]], budget: Budget,
-                   report: Callable[[], None] | None) -> list[T]:
+                report: Callable[[], None] | None) -> list[T]:
     """
     Run each task in a thread, report several times a second, and return the tasks' results.
 

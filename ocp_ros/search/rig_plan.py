@@ -26,7 +26,7 @@ from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import check_regions, pool_of
 from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_annealing import SearchResult
-from ocp_ros.search.proof.certificate import Certificate, not_covered
+from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
 from ocp_ros.search.proof.column_generation import ColumnGeneration
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
 from ocp_ros.search.rig_search import prove_gap, relaxation_of
@@ -177,7 +177,7 @@ class RigPlanner:
         problem = self.problem(plan.rig)
         if plan.certificate is not None or plan.uncertain:
             return plan
-        if (reason := not_covered(problem.objective)) is not None:
+        if (reason := unprovable_reason(problem.objective)) is not None:
             return replace(plan, uncertain=reason)
 
         def make_relaxation() -> ColumnGeneration:

@@ -32,7 +32,7 @@ from ocp_ros.rig.feasible_region import DENSE
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import CandidatePool, MountedCamera, Sites, views_of
 from ocp_ros.search.pose_annealing import anneal, move_camera, RigSearch, run_threads, SearchResult
-from ocp_ros.search.proof.certificate import Certificate, not_covered
+from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
 from ocp_ros.search.proof.column_generation import Choice, Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
 from ocp_ros.simulation.problem import Problem
@@ -319,7 +319,7 @@ def search(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
     :param start: a placement; the result is not worse. Empty for none.
     :param progress: called several times a second.
     """
-    if not_covered(problem.objective):
+    if unprovable_reason(problem.objective):
         return anneal(problem, pool, budget, seed, start, progress)
     solver = ColumnGenerationSearch(problem, pool, budget, seed, start)
     report = progress and (lambda: progress(solver.used_share(), solver.least_loss))
