@@ -200,13 +200,15 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
         sentence.
     """
     other_rig = None if rig is None else _read_rig(rig, None, sensor)
-    checked = _read_placement(placement, other_rig, sensor)
+    full_placement = _read_placement(placement, other_rig, sensor)
+    record = full_placement.room
     # A scan is read as when the placement was written.
-    stored = {key: checked.room[key] for key in READING
-              if key in checked.room and isinstance(room, (str, PathLike))}
-    max_points = points if points is not None else checked.room.get('points', ROOM_POINTS)
-    scene, record = _read_room(room, max_points, {**stored, **reading})
-    return ScoreResult(**_result_fields(judge(scene, checked, record, 'ocp_ros.score')))
+    stored_reading = {key: record[key] for key in READING
+                      if key in record and isinstance(room, (str, PathLike))}
+    max_points = points if points is not None else record.get('points', ROOM_POINTS)
+    scene, new_record = _read_room(room, max_points, {**stored_reading, **reading})
+    return ScoreResult(**_result_fields(
+        judge(scene, full_placement, new_record, 'ocp_ros.score')))
 
 
 def _result_fields(assessment: Assessment) -> dict[str, Any]:

@@ -151,7 +151,7 @@ def test_whatever_is_proposed_is_hung_where_it_may(
     decode = decoder_of(furnished, rig, 60)
     places = np.array(places).reshape(-1, 2)[:len(cameras)]
     sites = decode(places)
-    full = decode.completed(sites)
+    full = decode.completed_sites(sites)
     assert len(sites) == min(len(places), len(full))
     judge = FeasibleRegion(furnished, rig)
     for hung in (sites, full):
@@ -205,7 +205,8 @@ def test_who_leaves_cameras_out_gets_them_hung_where_they_help(furnished):
     rig = rig_of(3, 'omnidirectional')
     decode = decoder_of(furnished, rig)
     assert decode(np.empty((0, 2))) == ()
-    losses = [decode.objective.loss([site.view for site in decode.completed(decode(places))[:n]])
+    losses = [decode.objective.loss([
+        site.view for site in decode.completed_sites(decode(places))[:n]])
               for places in (np.array([[1.0, 1.0]]),) for n in (1, 2, 3)]
     assert losses == sorted(losses, reverse=True) and losses[2] < losses[0]
 

@@ -22,7 +22,7 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.search.annealing import TransDimensionalAnnealing
 from ocp_ros.search.planner import Planner, Scores
-from ocp_ros.search.population import BinaryParticleSwarm, matched
+from ocp_ros.search.population import BinaryParticleSwarm, match_positions
 from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
@@ -85,7 +85,7 @@ def test_the_same_seed_leaves_the_same_trace(name):
 def test_a_problem_with_a_known_answer_is_solved(name):
     result = run(name, 4000)
     assert result.depth_error < 0.05
-    assert np.abs(matched(TARGETS, result.placement[:, :2]) - TARGETS).max() < 0.25
+    assert np.abs(match_positions(TARGETS, result.placement[:, :2]) - TARGETS).max() < 0.25
 
 
 @pytest.mark.parametrize('name', sorted(set(planner_names(SCORES)) - {'random', 'regular_grid'}))

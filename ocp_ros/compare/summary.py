@@ -132,11 +132,11 @@ def summarise(rows: Rows) -> dict[str, Any]:
     for planner, budget in runs:
         values = np.array([errors[planner, budget][room] for room in rooms])
         rivals = [errors[run] for run in runs if run[1] == budget]
-        least = np.array([min(rival[room] for rival in rivals) for room in rooms])
+        least_errors = np.array([min(rival[room] for rival in rivals) for room in rooms])
         summary['planners'].setdefault(planner, {})[str(budget)] = {
             **_planner_figures(rows, planner, budget, best_errors),
             'interval': interval(values), 'rooms': errors[planner, budget],
-            'wins': int(np.sum(values <= least)),
+            'wins': int(np.sum(values <= least_errors)),
             'gap_closed': _ratio(random_sum - values.sum(), random_sum - best_sum)}
     if proofs := [row for row in rows if row['planner'] == PROVED_OPTIMUM]:
         summary['exact'] = _proof_figures(rows, proofs, best_errors)

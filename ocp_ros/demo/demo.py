@@ -71,8 +71,8 @@ def build_parser() -> argparse.ArgumentParser:
 
 def sim_parameters(options: argparse.Namespace) -> dict[str, Any]:
     """Return the parameters of ``sim_node`` that the options set."""
-    scan = {'scene.file': str(options.room.resolve())} if options.room else {}
-    return {**scan, 'rig.cameras': options.cameras, 'episode.turns': options.turns,
+    scene_file = {'scene.file': str(options.room.resolve())} if options.room else {}
+    return {**scene_file, 'rig.cameras': options.cameras, 'episode.turns': options.turns,
             'rig.height': options.height, 'scene.seed': options.seed,
             'scene.scale': options.scale, 'scene.up': options.up,
             'scene.drop_nonfinite': options.drop_nonfinite, 'scene.all_rooms': options.all_rooms}
@@ -115,8 +115,8 @@ def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
 
 def collect_result(options: argparse.Namespace, watcher: Watcher) -> dict[str, Any]:
     """Return the figures of the episode, as the nodes published them."""
-    final = watcher.final_turn()
-    fields = [fields for _, fields in watcher.turns()[:final + 1]]
+    final_turn = watcher.final_turn()
+    fields = [fields for _, fields in watcher.turns()[:final_turn + 1]]
     # The first turn waits for the start of the policy.
     seconds = [later['received'] - earlier['received']
                for earlier, later in zip(fields[1:-1], fields[2:])]
@@ -124,7 +124,8 @@ def collect_result(options: argparse.Namespace, watcher: Watcher) -> dict[str, A
               for end, values in (('start', fields[0]), ('end', fields[-1]))}
     return {
         'room': str(options.room.name if options.room else f'room-{options.seed}'),
-        'points': len(watcher.scene), 'cameras': len(watcher.placement), 'turns': final, **scores,
+        'points': len(watcher.scene), 'cameras': len(watcher.placement),
+        'turns': final_turn, **scores,
         'seconds_per_turn': float(np.median(seconds)) if seconds else None,
         'positions': np.round(watcher.placement, 4).tolist(), 'planner': options.planner,
         'model': options.model, 'date': timestamp()}

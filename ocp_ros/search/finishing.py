@@ -32,7 +32,7 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import mounted
 from ocp_ros.search.greedy import descend
 from ocp_ros.search.planner import Planner, Scores, Search
-from ocp_ros.search.population import matched
+from ocp_ros.search.population import match_positions
 from ocp_ros.search.solve import Result, solve
 
 #: Distance of the positions of the lattice, metres.
@@ -116,7 +116,7 @@ def distinct_placements(placements: Sequence[np.ndarray], max_count: int, min_di
 
 def max_distance(placement: np.ndarray, other: np.ndarray) -> float:
     """Return the largest distance of matched cameras of two placements (n, 2), metres."""
-    distances = np.linalg.norm(matched(placement, other) - placement, axis=1)
+    distances = np.linalg.norm(match_positions(placement, other) - placement, axis=1)
     return float(distances.max(initial=0.0))
 
 

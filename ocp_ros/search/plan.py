@@ -122,7 +122,7 @@ def _place_by_scores(make: Callable, problem: Problem, pool: CandidatePool, budg
     scorer = RigScorer(decoder, budget, progress)
     planner = make(problem.region.space, np.random.default_rng([seed, 0]), expected)
     result = solve(planner, scorer, budget.evaluations or sys.maxsize)
-    sites = decoder.completed(decoder(result.placement[:, :2]))
+    sites = decoder.completed_sites(decoder(result.placement[:, :2]))
     return result_of_placement(problem.objective, sites, scorer.evaluations)
 
 

@@ -31,7 +31,7 @@ from ocp_ros.search.planner import Planner, Search
 from scipy.optimize import linear_sum_assignment
 
 
-def matched(base: np.ndarray, other: np.ndarray) -> np.ndarray:
+def match_positions(base: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return the other positions (K, 2) in the order that matches the base positions (K, 2)."""
     squared_distances = ((base[:, None] - other[None]) ** 2).sum(axis=-1)
     return other[linear_sum_assignment(squared_distances)[1]]
@@ -57,7 +57,8 @@ class DifferentialEvolution(Planner):
             scores = yield list(trials)
             better = scores.error <= errors
             placed[better], errors[better] = trials[better], scores.error[better]
-            if np.ptp([matched(placed[0], other) for other in placed], axis=0).max() < 1e-3:
+            positions = [match_positions(placed[0], other) for other in placed]
+            if np.ptp(positions, axis=0).max() < 1e-3:
                 # All are equal within a millimetre: replace all except the best by random ones.
                 best = int(np.argmin(errors))
                 for i in range(count):
@@ -69,7 +70,7 @@ class DifferentialEvolution(Planner):
         """Return the crossover of placement i of (P, K, 2) and its mutant; errors are (P,)."""
         best_fifth = np.argsort(errors)[:max(int(0.2 * len(placed)), 2)]
         base = placed[i]
-        pbest, first, second = (matched(base, placed[k]) for k in (
+        pbest, first, second = (match_positions(base, placed[k]) for k in (
             self.rng.choice(best_fifth), *self.rng.choice(len(placed), 2, replace=False)))
         weight = self.rng.uniform(0.3, 0.9)
         mutant = base + weight * (pbest - base) + weight * (first - second)
@@ -148,7 +149,7 @@ class BeeColony(Planner):
         other = sources[(i + self.rng.integers(1, len(sources))) % len(sources)]
         trial = sources[i].copy()
         camera = self.rng.integers(self.space.cameras)
-        difference = trial[camera] - matched(sources[i], other)[camera]
+        difference = trial[camera] - match_positions(sources[i], other)[camera]
         trial[camera] = self.space.reflected(
             trial[camera] + self.rng.uniform(-1.0, 1.0, 2) * difference)
         return trial

@@ -64,22 +64,22 @@ class Decoder:
         for k, position in enumerate(positions):
             site = self._mount_near(position, sites, None if headings is None else headings[k])
             if site is None:
-                return self._packed[:len(positions)]
+                return self._packed_sites[:len(positions)]
             sites.append(site)
         return tuple(sites)
 
-    def completed(self, sites: Sequence[MountedCamera]) -> Sites:
+    def completed_sites(self, sites: Sequence[MountedCamera]) -> Sites:
         """Return the given cameras and the missing ones of the rig, added greedily."""
         sites = list(sites)
         while len(sites) < len(self.rig.cameras):
             site = self.pool.best_addition(self.objective, sites)
             if site is None:
-                return self._packed
+                return self._packed_sites
             sites.append(site)
         return tuple(sites)
 
     @cached_property
-    def _packed(self) -> Sites:
+    def _packed_sites(self) -> Sites:
         """Return all cameras, as close together as the spacing allows."""
         return self.pool.packed_sites(self.rig)
 

@@ -21,8 +21,6 @@ computed at its optima and half way from them to a core point, an interior point
 The multipliers of the cuts give the gains of all poses of the grids. The gains prove a bound that
 holds for every choice of these poses (a Lagrangian bound), and the poses with the largest gains
 become columns, until no pose would improve the choice.
-
-Sizes of arrays: T nodes of the trees, n columns.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -101,6 +99,8 @@ class Choice(NamedTuple):
 class ColumnGeneration:
     """
     The relaxed choice of poses on grids; places may be added to the grids later.
+
+    Sizes of arrays: T nodes of the trees, n columns, H headings of a place.
 
     :param trees: of the loss.
     :param grids: one for each camera model.

@@ -27,8 +27,6 @@ Lower bound: for all multipliers u between 0 and the weights of the nodes, the l
 of poses is at least the sum of u minus the gains of the chosen poses. The gain of a pose is the
 sum of u over the nodes that this pose serves. The gains of all headings of a place are computed in
 one traversal of the trees.
-
-Sizes of arrays: T nodes, B parts of the loss, N points of the scene, n poses, W words of 64 bits.
 """
 
 from collections.abc import Sequence
@@ -48,6 +46,8 @@ ZERO_TOLERANCE = 1e-9
 class LossTrees(NamedTuple):
     """
     The loss as T nodes of trees, parents before children, in B parts.
+
+    Other sizes of arrays: N points of the scene, n poses, W words of 64 bits.
 
     :ivar points: (T,) uint32, the last point of each node.
     :ivar ends: (T,) uint32, the first node after the subtree of each node.
@@ -77,30 +77,31 @@ class LossTrees(NamedTuple):
         :param objective: without regions of air; the nodes that fixed cameras serve weigh 0.
         """
         error = objective.simulator.depth_error
-        points = [error.trees.point]
-        ends = [error.trees.end]
+        # The arrays of the depth error, then of the requirements of regions.
+        point_arrays = [error.trees.point]
+        end_arrays = [error.trees.end]
         parents, _ = _parents_and_depth(error.trees.end)
-        weights = [_prefix_weights(error.trees, parents) / (error.pixels * error.worst)]
+        weight_arrays = [_prefix_weights(error.trees, parents) / (error.pixels * error.worst)]
         # The depth error has about this number of parts, each of whole trees.
         error_parts = 16
         roots = np.flatnonzero(parents < 0)
-        nodes = np.arange(1, error_parts) * len(points[0]) // error_parts
+        nodes = np.arange(1, error_parts) * len(parents) // error_parts
         part_roots = roots[np.minimum(np.searchsorted(roots, nodes), len(roots) - 1)]
         starts = sorted({0, *part_roots.tolist()})
         slacks = [0.0] * len(starts)
         for costs, free_cost in objective.point_costs():
             costly = np.flatnonzero(costs)
-            starts.append(sum(map(len, weights)))
+            starts.append(sum(map(len, weight_arrays)))
             slacks.append(free_cost)
-            points.append(costly.astype(np.uint32))
-            ends.append(starts[-1] + 1 + np.arange(len(costly)))
-            weights.append(costs[costly])
-        weight = np.concatenate(weights)
-        rounding = -float(weight[weight < 0.0].sum())
-        end = np.concatenate(ends).astype(np.uint32)
-        parents, depth = _parents_and_depth(end)
-        trees = cls(np.concatenate(points), end, parents, np.maximum(weight, 0.0), depth,
-                    np.array([*starts, len(weight)]), np.array(slacks), rounding)
+            point_arrays.append(costly.astype(np.uint32))
+            end_arrays.append(starts[-1] + 1 + np.arange(len(costly)))
+            weight_arrays.append(costs[costly])
+        weights = np.concatenate(weight_arrays)
+        rounding = -float(weights[weights < 0.0].sum())
+        ends = np.concatenate(end_arrays).astype(np.uint32)
+        parents, depth = _parents_and_depth(ends)
+        trees = cls(np.concatenate(point_arrays), ends, parents, np.maximum(weights, 0.0), depth,
+                    np.array([*starts, len(weights)]), np.array(slacks), rounding)
         seen = np.bitwise_or.reduce([no_bits(len(objective.simulator.scene)),
                                      *(view.seen for view in objective.fixed)])
         # All fixed cameras together are one pose.
@@ -226,7 +227,8 @@ def _parents_and_depth(ends):
 
 @njit(nogil=True, inline='always')
 def _lowest_bit(word):
-    """Return the number of the lowest set bit of a word of 64 bits: the bits below, counted."""
+    """Return the number of the lowest set bit of a word of 64 bits."""
+    # Set the bits below the lowest set bit, clear all others, and count them.
     bits = (word & (~word + np.uint64(1))) - np.uint64(1)
     bits -= (bits >> np.uint64(1)) & np.uint64(0x5555555555555555)
     bits = ((bits & np.uint64(0x3333333333333333))
@@ -237,7 +239,12 @@ def _lowest_bit(word):
 
 @njit(cache=True, nogil=True)
 def _mark_unserved(points, ends, seen_by, chosen, shares, max_depth, first, last, unserved):
-    """Set ``unserved`` (T,) for the nodes from ``first`` to before ``last``."""
+    """
+    Set ``unserved`` (T,) for the nodes from ``first`` to before ``last``.
+
+    :param chosen: (W,) uint64, bits of the poses with a share.
+    :param shares: (64 W,) share of each pose.
+    """
     served_share = 1.0 - 1e-9
     words = seen_by.shape[1]
     # At each depth of the path to a node: its end, the poses that serve it, and their shares.
@@ -281,7 +288,11 @@ def _subtree_sums(parents, values):
 
 @njit(cache=True, nogil=True)
 def _add_gains(points, ends, sums, seen_by, max_depth, first, last, gains):
-    """Add to the gain of each pose, (64 W,), the sums at the topmost nodes that it serves."""
+    """
+    Add to the gain of each pose, (64 W,), the sums at the topmost nodes that it serves.
+
+    :param sums: (T,) sum of the multipliers in the subtree of each node.
+    """
     words = seen_by.shape[1]
     # At each depth of the path to a node: its end, and the poses that serve it.
     path_ends = np.empty(max_depth + 1, dtype=np.int64)
