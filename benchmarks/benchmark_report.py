@@ -107,7 +107,7 @@ def chosen_rooms(rows: Rows, summary: dict[str, Any], protocol: dict[str, Any]) 
                     best[row['planner']] = row
         simulator = judged_room(
             room, rotation, placing(summary['cameras']), summary['points'],
-            summary['judged_points'], protocol['scale'], protocol['up']).fine
+            summary['judged_points'], protocol['scale'], protocol['up']).search_problem.simulator
         name = simulator.scene.name
         # Scans of several folders may have one name.
         name = f'{name} ({len(found) + 1})' if name in found else name
@@ -225,7 +225,7 @@ def shown(number: float | None, digits: int) -> str:
 
 def knows(name: str) -> str:
     """Say what a planner knows of a room."""
-    return KNOWS.get(name, PLANNERS[name].knows if name in PLANNERS else SCORES)
+    return KNOWS.get(name, PLANNERS[name].input_kind if name in PLANNERS else SCORES)
 
 
 def page(summary: dict[str, Any]) -> str:

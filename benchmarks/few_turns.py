@@ -123,7 +123,7 @@ def play_room(protocol: Protocol, lengths: Sequence[tuple[int, float]], task: Ro
 def start_error(protocol: Protocol, room: str, rotation: float) -> float:
     """Return the depth error, metres, where cameras on a plane begin the episodes of seed 0."""
     judged = protocol.room(room, rotation)
-    episode = Episode(judged.promising, np.random.default_rng([0, 0]))
+    episode = Episode(judged.search_problem, np.random.default_rng([0, 0]))
     return judged.judge(episode.turn.positions)['depth_error']
 
 

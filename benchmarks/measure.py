@@ -43,7 +43,7 @@ from ocp_ros.scenes.mesh_files import sample_faces
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.scenes.scene_files import scene_of
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import Pool, random_sites
+from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -106,9 +106,9 @@ def planned(scene: Scene, angle: float = 0.0) -> tuple[np.ndarray, float]:
 
 def placements_of(room: Scene) -> list[np.ndarray]:
     """Draw random placements of the rig: (K, 6) each."""
-    pool = Pool(Problem.of(room, RIG, SimulationConfig(engine=PROMISING)), 400)
+    pool = CandidatePool(Problem.of(room, RIG, SimulationConfig(engine=PROMISING)), 400)
     rng = np.random.default_rng(0)
-    drawn = (random_sites(RIG, pool, rng) for _ in range(PLACEMENTS))
+    drawn = (pool.random_sites(RIG, rng) for _ in range(PLACEMENTS))
     return [np.array([site.pose for site in sites]) for sites in drawn if sites]
 
 

@@ -41,7 +41,8 @@ from ocp_ros.rooms.splits import SETS
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene, READERS
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.pose_annealing import moved, views_of
+from ocp_ros.search.candidate_pool import views_of
+from ocp_ros.search.pose_annealing import move_camera
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -73,7 +74,7 @@ def planned(scene: Scene, rig_name: str) -> dict:
             yield 1e-12
 
     climbed = annealed(plan.answer.sites, lambda sites: problem.objective.loss(views_of(sites)),
-                       lambda sites: moved(problem, sites, step[0], TURN * step[0], rng),
+                       lambda sites: move_camera(problem, sites, step[0], TURN * step[0], rng),
                        steps(), rng)
     online = RigPlanner(scene, rig, PROMISING, Budget(evaluations=EVALUATIONS),
                         planner='lookahead').plan(rig)

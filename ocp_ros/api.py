@@ -52,9 +52,7 @@ from ocp_ros.util.yaml_files import check, Document
 
 RoomLike: TypeAlias = str | PathLike[str] | int | Scene | ArrayLike
 RigLike: TypeAlias = str | PathLike[str] | Mapping[str, Any] | Rig
-#: Quantities by which cameras are counted.
-COUNTED_BY = ('error', 'seen', 'coverage')
-#: The value of ``cameras`` that asks for counting.
+#: The value of ``cameras`` with which the function chooses the number of cameras.
 AUTO = 'auto'
 
 
@@ -69,7 +67,7 @@ class ScoreResult:
     :ivar space_coverage: cubic metres.
     :ivar seen: share of the points that are visible to at least as many cameras as the rig asks
         for.
-    :ivar broken: a sentence for each violated constraint.
+    :ivar broken: a sentence for each violated constraint of the rig.
     :ivar notes: a sentence for each reason to doubt the room or the result.
     :ivar assessment: the room, the engine and all results, for reports.
     """
@@ -117,7 +115,7 @@ class PlanResult(ScoreResult):
     :ivar seconds: duration of the search, seconds.
     :ivar gap: optimality gap: no placement on the candidate poses of the proof has an objective
         value that is lower by more than this share; None if no bound was proved.
-    :ivar reached: whether the target was reached; None if cameras were not counted.
+    :ivar reached: whether the target was reached; None without ``cameras='auto'``.
     """
 
     planner: str
@@ -137,22 +135,26 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
 
     :param room: path of a scan, seed of a generated room, (N, 3) points or a scene.
     :param rig: path of a rig file, the content of such a file as a mapping, or a rig.
-    :param cameras: number of cameras, or ``'auto'`` to find it; default: 4, or that of the rig.
+    :param cameras: number of cameras, or ``'auto'`` to find the number; default: 4, or as in the
+        rig.
     :param sensor: sensor of all cameras if no rig is given, or a part of its name such as
         ``d455``.
     :param mount: mount of all cameras if no rig is given: ``walls`` (the default), ``ceiling``,
         ``plane`` or ``free``.
     :param planner: name of the planner, see docs/reference/planners.md.
-    :param seconds: of search; default without ``evaluations``: 60, or with ``'auto'`` 15 for each
-        number of cameras.
-    :param evaluations: number of placements to evaluate; the same seed gives the same result.
+    :param seconds: largest time of the search; default without ``evaluations``: 60, or with
+        ``'auto'`` 15 for each number of cameras.
+    :param evaluations: number of placements to evaluate; with it and without ``seconds``, the
+        same seed gives the same result.
     :param seed: random seed.
-    :param target: with ``'auto'``, the share to reach of what all candidates reach together.
-    :param by: with ``'auto'``, the quantity of this share: ``error``, ``seen`` or ``coverage``.
+    :param target: with ``'auto'``, the share to reach, from 0 to 1; 1 is the value of all
+        candidates together.
+    :param by: with ``'auto'``, the quantity of this share: ``error`` (reduction of the depth
+        error), ``seen`` (visible points) or ``coverage`` (covered space).
     :param most: with ``'auto'``, the largest number of cameras to try.
     :param points: largest number of points of the room; a larger scan is thinned to it.
-    :param progress: is called several times a second with the share done and the lowest objective
-        value.
+    :param progress: is called several times a second with the used share of the budget and the
+        lowest objective value; its result is ignored.
     :param reading: options for a scan or points: ``scale``, ``up``, ``drop_nonfinite``,
         ``all_rooms``; see :func:`~ocp_ros.scenes.scene_files.load_scene`.
     :raises UserError: if the room, the rig or an argument cannot be used; the text is one
@@ -166,15 +168,16 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     auto = isinstance(cameras, str) and cameras == AUTO
     counting = _counting(target, by, most) if auto else None
     task = PlanTask(planner, seconds, evaluations, seed, counting)
-    asked = _rig(rig, cameras, sensor, mount)
-    scene, record = _room(room, points, reading)
-    planned = PlannedRig(scene, asked, task, *task.budgets(), progress)
-    assessed = planned.judged(planned.placement(record, 'ocp_ros.plan'))
-    search, count = assessed.found['search'], assessed.found.get('count')
+    full_rig = _read_rig(rig, cameras, sensor, mount)
+    scene, record = _read_room(room, points, reading)
+    planned = PlannedRig(scene, full_rig, task, *task.budgets(), progress)
+    assessment = planned.judged(planned.placement(record, 'ocp_ros.plan'))
+    search = assessment.found['search']
+    count = assessment.found.get('count')
     return PlanResult(
-        **_scored(assessed), planner=search['planner'], evaluations=search['evaluations'],
-        seconds=search['seconds'], gap=search['certificate']['gap'],
-        reached=count and count['reached'])
+        **_result_fields(assessment), gap=search['certificate']['gap'],
+        reached=count and count['reached'],
+        **{name: search[name] for name in ('planner', 'evaluations', 'seconds')})
 
 
 def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | Placement
@@ -196,26 +199,31 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
     :raises UserError: if the room, the placement or the rig cannot be used; the text is one
         sentence.
     """
-    asked = None if rig is None else _rig(rig, None, sensor)
-    placed = _placement(placement, asked, sensor)
-    known = {key: placed.room[key] for key in READING
-             if key in placed.room and isinstance(room, (str, PathLike))}
-    wanted = points if points is not None else placed.room.get('points', ROOM_POINTS)
-    scene, record = _room(room, wanted, {**known, **reading})
-    return ScoreResult(**_scored(judge(scene, placed, record, 'ocp_ros.score')))
+    other_rig = None if rig is None else _read_rig(rig, None, sensor)
+    full_placement = _read_placement(placement, other_rig, sensor)
+    record = full_placement.room
+    # A scan is read as when the placement was written.
+    stored_reading = {key: record[key] for key in READING
+                      if key in record and isinstance(room, (str, PathLike))}
+    max_points = points if points is not None else record.get('points', ROOM_POINTS)
+    scene, new_record = _read_room(room, max_points, {**stored_reading, **reading})
+    return ScoreResult(**_result_fields(
+        judge(scene, full_placement, new_record, 'ocp_ros.score')))
 
 
-def _scored(assessed: Assessment) -> dict[str, Any]:
-    """Return the fields of a ScoreResult."""
-    found, scores = assessed.found, assessed.found['scores']
-    return {'placement': assessed.placement, 'broken': tuple(found['broken']),
-            'notes': tuple(found['notes']), 'assessment': assessed,
+def _result_fields(assessment: Assessment) -> dict[str, Any]:
+    """Return the values of the fields of a ScoreResult, by name."""
+    found = assessment.found
+    scores = found['scores']
+    return {'placement': assessment.placement, 'broken': tuple(found['broken']),
+            'notes': tuple(found['notes']), 'assessment': assessment,
             **{name: scores[name] for name in ('loss', 'depth_error', 'space_coverage', 'seen')}}
 
 
-def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, dict[str, Any]]:
-    """Return a room, and its record for placement files."""
-    check_whole('points', points, MIN_ROOM_POINTS)
+def _read_room(room: RoomLike, max_points: int, reading: dict[str, Any]
+               ) -> tuple[Scene, dict[str, Any]]:
+    """Return the scene of a room, and the record of the room for placement files."""
+    check_whole('points', max_points, MIN_ROOM_POINTS)
     for key in reading:
         if key not in READING:
             raise ConfigurationError(f'{key}: found an argument that is not known; expected one '
@@ -225,26 +233,26 @@ def _room(room: RoomLike, points: int, reading: dict[str, Any]) -> tuple[Scene, 
             f'{next(iter(reading))}: found it with a room that is in metres, z up; expected a '
             'scan or points; leave it out')
     if isinstance(room, (int, np.integer)) and not isinstance(room, bool) and room >= 0:
-        return room_named(str(room), points)
+        return room_named(str(room), max_points)
     if isinstance(room, (str, PathLike)):
-        return room_named(fspath(room), points, **reading)
+        return room_named(fspath(room), max_points, **reading)
     if room is None or isinstance(room, (bool, int, float)):
         raise ConfigurationError(f'room: found {room!r}; expected the path of a scan, a seed of 0 '
                                  'or more, (N, 3) points or a Scene')
-    scene = room if isinstance(room, Scene) else scene_of(room, max_points=points, **reading)
+    scene = room if isinstance(room, Scene) else scene_of(room, max_points=max_points, **reading)
     record: dict[str, Any] = {'sha256': sha256_of(scene)}
     if not scene.source.is_map:
         record['source_from_map'] = scene.source.matrix.tolist()
     return scene, record
 
 
-def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
-         mount: str | None = None) -> Rig:
-    """Return a rig with ``cameras`` cameras; with ``'auto'``, a rig for counting cameras."""
-    counted = isinstance(cameras, str) and cameras == AUTO
-    if not counted:
+def _read_rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
+              mount: str | None = None) -> Rig:
+    """Return a rig with a number of cameras; with ``'auto'`` they are of one kind, to count."""
+    auto = isinstance(cameras, str) and cameras == AUTO
+    if not auto:
         check_whole('cameras', cameras, 1, MAX_CAMERAS)
-    count = None if counted else cameras
+    count = None if auto else cameras
     if rig is None:
         return rig_of(int(count or CAMERAS), sensor, mount={'on': mount or MOUNT})
     if sensor != OMNIDIRECTIONAL:
@@ -256,7 +264,7 @@ def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
     if isinstance(rig, (str, PathLike)):
         rig = load_rig(fspath(rig))
     elif isinstance(rig, Mapping):
-        rig = rig_from(_document('rig', rig, RIG))
+        rig = rig_from(_checked_document('rig', rig, RIG))
     elif not isinstance(rig, Rig):
         raise ConfigurationError(f'rig: found {type(rig).__name__}; expected the path of a rig '
                                  'file, its content as a mapping, or a rig; see '
@@ -266,42 +274,43 @@ def _rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
     return with_count(rig, int(count or len(rig.cameras)))
 
 
-def _placement(placement: Any, rig: Rig | None, sensor: str) -> Placement:
+def _read_placement(placement: Any, rig: Rig | None, sensor: str) -> Placement:
     """Return a placement from any of the types that :func:`score` takes."""
     if isinstance(placement, ScoreResult):
         placement = placement.placement
     if isinstance(placement, (str, PathLike)):
         return load_placement(fspath(placement), rig)
     if isinstance(placement, Mapping):
-        return placement_from(_document('placement', placement, PLACEMENT), rig)
+        return placement_from(_checked_document('placement', placement, PLACEMENT), rig)
     if isinstance(placement, Placement):
         return placement if rig is None else placement_of(
-            rig, _poses(placement.poses, rig), room=placement.room, engine=placement.engine)
-    poses = _poses(placement, rig)
+            rig, _checked_poses(placement.poses, rig), room=placement.room,
+            engine=placement.engine)
+    poses = _checked_poses(placement, rig)
     return placement_of(rig or rig_of(len(poses), sensor), poses)
 
 
-def _poses(poses: Any, rig: Rig | None) -> np.ndarray:
-    """Return poses as (K, 3) or (K, 6) finite numbers, a row for each camera of a rig."""
+def _checked_poses(poses: Any, rig: Rig | None) -> np.ndarray:
+    """Return poses as an array (K, 3) or (K, 6) of finite numbers, a row for each camera."""
     try:
-        found = np.array(poses, dtype=np.float64)
+        array = np.array(poses, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ConfigurationError(
             f'placement: found {type(poses).__name__}; expected the path of a placement file, its '
             'content as a mapping, a placement, or poses (K, 3) or (K, 6)') from error
-    if found.ndim != 2 or found.shape[1] not in (3, 6) or not len(found):
-        raise ConfigurationError(f'placement: found an array of shape {found.shape}; expected '
+    if array.ndim != 2 or array.shape[1] not in (3, 6) or not len(array):
+        raise ConfigurationError(f'placement: found an array of shape {array.shape}; expected '
                                  '(K, 3) or (K, 6), a row for each camera')
-    if not np.isfinite(found).all():
+    if not np.isfinite(array).all():
         raise ConfigurationError('placement: found NaN or inf; expected finite metres and radians')
-    if rig is not None and len(found) != len(rig.cameras):
-        raise ConfigurationError(f'placement: found {len(found)} poses; expected '
+    if rig is not None and len(array) != len(rig.cameras):
+        raise ConfigurationError(f'placement: found {len(array)} poses; expected '
                                  f'{len(rig.cameras)}, one for each camera of the rig')
-    return found
+    return array
 
 
-def _document(name: str, data: Mapping[str, Any], schema: dict[str, Any]) -> Document:
-    """Return the content of a file as a checked document."""
+def _checked_document(name: str, data: Mapping[str, Any], schema: dict[str, Any]) -> Document:
+    """Return the content of a file as a document, after a check against a schema."""
     document = Document(name, dict(data))
     check(document, schema)
     return document
@@ -309,8 +318,9 @@ def _document(name: str, data: Mapping[str, Any], schema: dict[str, Any]) -> Doc
 
 def _counting(target: float, by: str, most: int) -> Counting:
     """Check the arguments of ``'auto'``, and return the criterion for enough cameras."""
-    if by not in COUNTED_BY:
-        raise ConfigurationError(f'by: found {by!r}; expected one of {", ".join(COUNTED_BY)}')
+    quantities = ('error', 'seen', 'coverage')
+    if by not in quantities:
+        raise ConfigurationError(f'by: found {by!r}; expected one of {", ".join(quantities)}')
     check_positive('target', target)
     if target > 1.0:
         raise ConfigurationError(f'target: found {target}; expected a share of at most 1')

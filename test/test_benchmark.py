@@ -145,18 +145,18 @@ def test_an_interrupted_comparison_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr(comparison, 'run_task', run_here)
     monkeypatch.setattr(comparison, 'WorkerPool', Here)
     with pytest.raises(KeyboardInterrupt):
-        comparison.play(SMALL, tmp_path, 1)
-    rows = comparison.play(SMALL, tmp_path, 1)
+        comparison.run_tasks(SMALL, tmp_path, 1)
+    rows = comparison.run_tasks(SMALL, tmp_path, 1)
     played = list(dict.fromkeys(row['planner'] for row in rows))
     assert played == [*REFERENCES, 'random', 'annealing']
     assert len(rows) == RANDOM_PLACEMENTS + 2 + 1 + 4 + 4
     assert done == [RANDOM_PLACEMENT, RAY_SEARCH, None, PROVED_OPTIMUM, 'random', 'annealing']
     with pytest.raises(ConfigurationError, match='another comparison'):
-        comparison.play(replace(SMALL, seeds=1), tmp_path, 1)
+        comparison.run_tasks(replace(SMALL, seeds=1), tmp_path, 1)
     # A model of the same name with other weights.
     monkeypatch.setattr(comparison, 'find_model', lambda name: tmp_path / 'protocol.json')
     with pytest.raises(ConfigurationError, match='weights'):
-        comparison.play(SMALL, tmp_path, 1)
+        comparison.run_tasks(SMALL, tmp_path, 1)
 
 
 def test_a_room_of_which_nothing_is_missed_is_noted_and_has_no_ratios():
@@ -261,10 +261,10 @@ def test_options_that_cannot_be_are_refused(tmp_path, monkeypatch, capsys, argum
 def test_another_scan_under_the_same_name_is_another_room(tmp_path):
     task = BenchmarkTask(str(tmp_path / 'a.npy'), 0.0, 'random')
     np.save(task.room, generate_room(1, 2000).points)
-    before = comparison.name_of(task)
-    assert comparison.name_of(task) == before
+    before = comparison.task_file_stem(task)
+    assert comparison.task_file_stem(task) == before
     np.save(task.room, generate_room(2, 2100).points)
-    assert comparison.name_of(task) != before
+    assert comparison.task_file_stem(task) != before
 
 
 @pytest.mark.parametrize(('arguments', 'cameras', 'path'), [
@@ -296,7 +296,7 @@ def test_a_ray_cluster_of_two_nodes_does_the_same(tmp_path):
     cluster = Cluster(initialize_head=True, head_node_args={'num_cpus': 1})
     try:
         cluster.add_node(num_cpus=1)
-        rows = comparison.play(SMALL, tmp_path / 'ray', 1, cluster.address)
+        rows = comparison.run_tasks(SMALL, tmp_path / 'ray', 1, cluster.address)
     finally:
         ray.shutdown()
         cluster.shutdown()

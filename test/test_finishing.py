@@ -20,17 +20,16 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted
 from ocp_ros.search.finishing import (
-    CHOICES_APART_M,
-    differ,
-    distinct,
-    ELITES_APART_M,
+    CHOICE_DISTANCE_M,
+    choose_robust,
+    distinct_placements,
     LATTICE_M,
     LatticeScorer,
+    max_distance,
+    MOUNTING_DRAWS,
     MOUNTING_ERROR_M,
-    MOUNTINGS,
+    MOUNTING_SEED,
     search_and_finish,
-    SEED,
-    steadiest,
 )
 from ocp_ros.search.registry import PLANNERS
 from ocp_ros.search.scorer import Scorer
@@ -82,9 +81,9 @@ def test_a_lattice_moves_cameras_by_less_than_its_edge_and_nowhere_they_may_not_
     space = space_of(engine)
     lattice = LatticeScorer(Scorer(engine), space)
     positions = np.array([space.random(np.random.default_rng(k), 1)[0] for k in range(100)])
-    snapped = lattice.snapped(positions)
+    snapped = lattice.snapped_positions(positions)
     assert space.contains(snapped).all()
-    np.testing.assert_array_equal(lattice.snapped(positions), snapped)
+    np.testing.assert_array_equal(lattice.snapped_positions(positions), snapped)
     near = np.linalg.norm(snapped - positions, axis=1)
     assert np.median(near) <= LATTICE_M * 0.71
 
@@ -92,15 +91,16 @@ def test_a_lattice_moves_cameras_by_less_than_its_edge_and_nowhere_they_may_not_
 def test_of_the_best_the_steadiest_is_chosen(engine):
     fine, space = Scorer(engine), space_of(engine)
     found = solve(planner(engine, 'annealing', 100), fine, 100)
-    steady = steadiest(found, space, fine, 10, time.perf_counter)
+    steady = choose_robust(found, space, fine, 10, time.perf_counter)
 
     def off(placement):
-        return np.mean(fine(list(mounted(placement, MOUNTING_ERROR_M, MOUNTINGS, SEED))).error)
+        moved = mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)
+        return np.mean(fine(list(moved)).error)
 
-    choices = distinct(found.best, 10, CHOICES_APART_M)
+    choices = distinct_placements(found.best, 10, CHOICE_DISTANCE_M)
     assert off(steady.placement) == min(off(space.placement(choice)) for choice in choices)
-    assert steady.evaluations == found.evaluations + MOUNTINGS * len(choices)
-    assert steadiest(found, space, fine, 1, time.perf_counter) is found
+    assert steady.evaluations == found.evaluations + MOUNTING_DRAWS * len(choices)
+    assert choose_robust(found, space, fine, 1, time.perf_counter) is found
 
 
 def test_a_yardstick_is_judged_anew_and_not_improved(engine):
@@ -108,7 +108,7 @@ def test_a_yardstick_is_judged_anew_and_not_improved(engine):
     found = search_and_finish(planner(engine, 'random', 60), score, 60)
     lattice = LatticeScorer(score, space)
     drawn = solve(planner(engine, 'random', 60), lattice, 51).best
-    assert any(np.array_equal(found.placement, space.placement(lattice.snapped(one)))
+    assert any(np.array_equal(found.placement, space.placement(lattice.snapped_positions(one)))
                for one in drawn)
     # One evaluation is enough.
     only = search_and_finish(planner(engine, 'random', 1), score, 1)
@@ -123,9 +123,9 @@ def test_the_archive_keeps_the_best_and_the_first_of_equals_and_elites_differ():
     numbers = [int(one[0, 0]) for one in archive.best]
     assert numbers == np.argsort(errors, kind='stable')[:ARCHIVE_SIZE].tolist()
     placements = [rng.uniform(0.0, 1.0, (3, 2)) for _ in range(60)]
-    chosen = distinct(placements, 10)
+    chosen = distinct_placements(placements, 10, 0.25)
     assert np.array_equal(chosen[0], placements[0]) and len(chosen) == 10
-    assert min(differ(one, other) for k, one in enumerate(chosen)
-               for other in chosen[:k]) >= ELITES_APART_M
+    assert min(max_distance(one, other) for k, one in enumerate(chosen)
+               for other in chosen[:k]) >= 0.25
     # Which camera has which number means nothing.
-    assert len(distinct([placements[0], placements[0][::-1]], 10)) == 1
+    assert len(distinct_placements([placements[0], placements[0][::-1]], 10, 0.1)) == 1

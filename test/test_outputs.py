@@ -26,7 +26,7 @@ from conftest import blank_report, made_room, random_checkpoint, refused
 from markdown_it import MarkdownIt
 from matplotlib.figure import Figure
 from ocp_ros.cli import main as cli
-from ocp_ros.compare.comparison import name_of
+from ocp_ros.compare.comparison import task_file_stem
 from ocp_ros.compare.protocol import BenchmarkTask
 from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.report.viewer import write_view
@@ -242,7 +242,7 @@ def test_a_name_that_is_no_utf8_is_shown_as_it_is(files, capsys):
     assert r'wrote out\udce9/installer.md' in capsys.readouterr().out
     assert r'caf\\udce9' in (files / out / 'installer.md').read_text()
     assert cli.main(['score', name, f'{out}/placement.yaml']) == 0
-    assert name_of(BenchmarkTask(str(files / name), 0.0, 'random')).startswith('caf')
+    assert task_file_stem(BenchmarkTask(str(files / name), 0.0, 'random')).startswith('caf')
     capsys.readouterr()
     assert 'found no such file' in refused(capsys, 'score', f'{name}x.ply', 'placement.yaml')
     with pytest.raises(ConfigurationError, match='TensorBoard'):

@@ -44,7 +44,7 @@ from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import best_addition, keeps_spacing, packed, Pool, random_sites
+from ocp_ros.search.candidate_pool import are_spaced, CandidatePool
 from ocp_ros.search.plan import plan as plan_problem
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.problem import Problem
@@ -77,7 +77,7 @@ def problem_of(scene, rig, engine=FAST):
 def found_by(scene, rig, evaluations=120, seed=0, start=()):
     """Search with few candidates."""
     problem = problem_of(scene, rig)
-    pool = Pool(problem, 120, dense=500)
+    pool = CandidatePool(problem, 120, max_grid_poses=500)
     budget = Budget(evaluations=evaluations)
     found = plan_problem(problem, budget, pool=pool, seed=seed, start=start)
     return found, problem.objective, pool
@@ -145,11 +145,11 @@ def test_a_search_beats_what_it_begins_with_and_chance(furnished, mount):
     rig = rig_of(2, 'd455', mount=MOUNTS[mount])
     answer, objective, pool = found_by(furnished, rig, 2000)
     rng = np.random.default_rng(0)
-    chance = [objective.loss([site.view for site in random_sites(rig, pool, rng)])
+    chance = [objective.loss([site.view for site in pool.random_sites(rig, rng)])
               for _ in range(40)]
     sites = ()
     for _ in range(2):
-        sites = (*sites, best_addition(objective, pool, sites))
+        sites = (*sites, pool.best_addition(objective, sites))
     greedy = objective.loss([site.view for site in sites])
     assert answer.loss <= greedy and answer.loss < min(chance)
     everywhere = objective.loss(pool.union_views(rig))
@@ -159,7 +159,7 @@ def test_a_search_beats_what_it_begins_with_and_chance(furnished, mount):
 def test_a_search_finds_the_best_choice_of_few(furnished):
     rig = rig_of(2, mount=MOUNTS['plane'])
     answer, objective, pool = found_by(furnished, rig, 3000)
-    views = pool.kind(rig.models[0]).views
+    views = pool.candidates_of(rig.models[0]).views
     best = min(objective.loss([one, other]) for k, one in enumerate(views) for other in views[:k])
     assert answer.loss <= best
 
@@ -183,19 +183,19 @@ def test_cameras_that_hardly_find_room_are_packed(furnished):
     # Four of them fit only near the corners of what the walls leave.
     rig = rig_of(4, mount=MOUNTS['plane'], spacing=2.6)
     answer, _, pool = found_by(furnished, rig, 50)
-    assert len(packed(rig, pool)) == 4
+    assert len(pool.packed_sites(rig)) == 4
     assert FeasibleRegion(furnished, rig).broken(answer.poses) == []
 
 
 def test_one_more_camera_is_the_best_of_all_candidates(furnished):
     rig = rig_of(2, 'd455', spacing=1.0)
     problem = problem_of(furnished, rig)
-    objective, pool = problem.objective, Pool(problem, 200)
-    kind = pool.kind(rig.models[0])
-    first = pool.site(rig.models[0], 7)
-    more = best_addition(objective, pool, [first])
+    objective, pool = problem.objective, CandidatePool(problem, 200)
+    kind = pool.candidates_of(rig.models[0])
+    first = pool.mounted_candidate(rig.models[0], 7)
+    more = pool.best_addition(objective, [first])
     losses = np.array([objective.loss([first.view, view]) for view in kind.views])
-    far = keeps_spacing(kind.poses, [first], 1.0)
+    far = are_spaced(kind.poses, [first], 1.0)
     assert 0 < far.sum() < len(far)
     assert objective.loss([first.view, more.view]) == losses[far].min()
 
@@ -218,13 +218,13 @@ def test_what_cannot_be_is_refused_by_name(furnished, more, words):
 def test_a_budget_runs_out_by_what_comes_first():
     now = [0.0]
     budget = Budget(10.0, 100, lambda: now[0])
-    assert budget.share(50, 100) == 0.5
+    assert budget.used_share(50, 100) == 0.5
     now[0] = 8.0
-    assert budget.share(50, 100) == 0.8 and budget.share(50, None) == 0.8
+    assert budget.used_share(50, 100) == 0.8 and budget.used_share(50, None) == 0.8
     other = budget.restarted()
-    assert other.share(0, 100) == 0.0 and other.elapsed == 0.0
+    assert other.used_share(0, 100) == 0.0 and other.elapsed == 0.0
     other.stop()
-    assert budget.stopped and budget.share(0, None) == 1.0
+    assert budget.stopped and budget.used_share(0, None) == 1.0
     with pytest.raises(ValueError, match='budget: found no limit'):
         Budget()
 
@@ -255,7 +255,7 @@ def test_counting_ends_where_no_more_find_room(furnished):
     planner = RigPlanner(furnished, rig, FAST, Budget(evaluations=60))
     plans = list(planner.count_up(lambda count: with_count(rig, count), 1, 9))
     assert 1 < len(plans) < 9
-    assert len(packed(with_count(rig, len(plans) + 1), planner.pool)) == len(plans)
+    assert len(planner.pool.packed_sites(with_count(rig, len(plans) + 1))) == len(plans)
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import Pool
+from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.plan import RigScorer
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, SCORES
@@ -74,7 +74,8 @@ def planned(files):
 
     def plan(name, seed=0, again=0):
         if (name, seed, again) not in known:
-            budget = Budget(evaluations=TURNS if PLANNERS[name].knows == OBSERVED else EVALUATIONS)
+            online = PLANNERS[name].input_kind == OBSERVED
+            budget = Budget(evaluations=TURNS if online else EVALUATIONS)
             planner = RigPlanner(scene, rig, FAST, budget, seed, planner=name)
             known[name, seed, again] = planner.plan(rig)
         return known[name, seed, again]
@@ -92,7 +93,7 @@ def few_candidates(monkeypatch):
 def decoder_of(scene, rig, candidates=120):
     """Return a decoder with few candidates."""
     problem = Problem.of(scene, rig, SimulationConfig(engine=FAST))
-    return Decoder(problem, Pool(problem, candidates, 600))
+    return Decoder(problem, CandidatePool(problem, candidates, 600))
 
 
 @pytest.mark.parametrize('name', planner_names())
@@ -121,9 +122,9 @@ def test_the_same_seed_gives_the_same_answer_within_the_budget(planned, name):
     one, again = planned(name), planned(name, again=1)
     assert np.array_equal(one.answer.poses, again.answer.poses)
     assert one.answer.evaluations == again.answer.evaluations
-    if PLANNERS[name].knows == SCORES:
+    if PLANNERS[name].input_kind == SCORES:
         assert 1 <= one.answer.evaluations <= EVALUATIONS
-    if PLANNERS[name].knows == OBSERVED:
+    if PLANNERS[name].input_kind == OBSERVED:
         assert one.answer.evaluations == TURNS
 
 
@@ -150,7 +151,7 @@ def test_whatever_is_proposed_is_hung_where_it_may(
     decode = decoder_of(furnished, rig, 60)
     places = np.array(places).reshape(-1, 2)[:len(cameras)]
     sites = decode(places)
-    full = decode.completed(sites)
+    full = decode.completed_sites(sites)
     assert len(sites) == min(len(places), len(full))
     judge = FeasibleRegion(furnished, rig)
     for hung in (sites, full):
@@ -166,7 +167,7 @@ def test_a_place_that_is_allowed_is_kept_and_another_is_the_nearest(furnished):
     free, inside = np.array([2.7132, 3.1457]), np.array([1.0, 2.0])
     first, second = decode(np.array([free, inside]))
     assert np.allclose(first.pose[:3], [*free, 1.9], atol=1e-4)
-    poses = decode.pool.kind(rig.models[0]).poses
+    poses = decode.pool.candidates_of(rig.models[0]).poses
     away = np.linalg.norm(poses[:, :2] - inside, axis=1)
     assert np.array_equal(second.pose, poses[np.argmin(away)])
     # Where another camera hangs nobody else may.
@@ -204,7 +205,8 @@ def test_who_leaves_cameras_out_gets_them_hung_where_they_help(furnished):
     rig = rig_of(3, 'omnidirectional')
     decode = decoder_of(furnished, rig)
     assert decode(np.empty((0, 2))) == ()
-    losses = [decode.objective.loss([site.view for site in decode.completed(decode(places))[:n]])
+    losses = [decode.objective.loss([
+        site.view for site in decode.completed_sites(decode(places))[:n]])
               for places in (np.array([[1.0, 1.0]]),) for n in (1, 2, 3)]
     assert losses == sorted(losses, reverse=True) and losses[2] < losses[0]
 
@@ -237,14 +239,14 @@ def test_who_has_had_enough_gets_the_best_so_far(furnished, few_candidates, name
     def progress(share, loss):
         calls.append((share, loss))
         # Planners without a scan report no loss.
-        if len(calls) >= 3 and (np.isfinite(loss) or PLANNERS[name].knows == OBSERVED):
+        if len(calls) >= 3 and (np.isfinite(loss) or PLANNERS[name].input_kind == OBSERVED):
             budget.stop()
 
     planner = RigPlanner(furnished, rig, FAST, budget, progress=progress, planner=name)
     plan = planner.plan(rig)
     assert budget.stopped
     assert FeasibleRegion(furnished, rig).broken(plan.answer.poses) == []
-    if PLANNERS[name].knows == SCORES:
+    if PLANNERS[name].input_kind == SCORES:
         assert plan.answer.evaluations == 3
         # What it had before all cameras hung is completed.
         assert plan.answer.loss <= calls[-1][1]

@@ -22,7 +22,7 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.search.annealing import TransDimensionalAnnealing
 from ocp_ros.search.planner import Planner, Scores
-from ocp_ros.search.population import BinaryParticleSwarm, matched
+from ocp_ros.search.population import BinaryParticleSwarm, match_positions
 from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
@@ -85,7 +85,7 @@ def test_the_same_seed_leaves_the_same_trace(name):
 def test_a_problem_with_a_known_answer_is_solved(name):
     result = run(name, 4000)
     assert result.depth_error < 0.05
-    assert np.abs(matched(TARGETS, result.placement[:, :2]) - TARGETS).max() < 0.25
+    assert np.abs(match_positions(TARGETS, result.placement[:, :2]) - TARGETS).max() < 0.25
 
 
 @pytest.mark.parametrize('name', sorted(set(planner_names(SCORES)) - {'random', 'regular_grid'}))
@@ -117,7 +117,7 @@ def test_bpso_solves_a_small_maximum_cover_exactly(seed):
     score, best = cover_problem(seed, SPACE.grid(16))
 
     class Small(BinaryParticleSwarm):
-        candidates = 16
+        max_candidates = 16
 
     planner = Small(SPACE, np.random.default_rng(seed), 3000)
     assert solve(planner, score, 3000).space_coverage == best
@@ -165,13 +165,13 @@ def test_differential_evolution_begins_anew_when_all_are_alike():
 def test_tdsa_without_energy_is_a_poisson_process(cameras, rate):
     """The number of cameras follows Poisson(lambda), cut off at K; their places are uniform."""
     class Free(TransDimensionalAnnealing):
-        births = 0.3
+        birth_probability = 0.3
 
-    Free.rate = rate
+    Free.expected_cameras = rate
     planner = Free(FreePlane(SPACE.low, SPACE.high, 1.9, cameras), np.random.default_rng(5), 100)
     placed, counts, places = np.empty((0, 2)), [], []
     for number in range(60000):
-        step = planner.step(placed, 0.0, 1.0, 1.0)
+        step = planner.take_step(placed, 0.0, 1.0, 1.0)
         next(step)
         try:
             step.send(Scores(np.zeros(1), np.zeros(1)))

@@ -285,7 +285,7 @@ def compared(tmp_path, monkeypatch):
 
     monkeypatch.setattr(comparison, 'run_task', run_here)
     monkeypatch.setattr(comparison, 'WorkerPool', Here)
-    return lambda: comparison.play(PROTOCOL, tmp_path, 1), played
+    return lambda: comparison.run_tasks(PROTOCOL, tmp_path, 1), played
 
 
 @pytest.mark.parametrize('damage', TASK_DAMAGES.values(), ids=TASK_DAMAGES)
@@ -312,7 +312,7 @@ def test_a_result_of_another_task_or_comparison_is_not_taken(compared, tmp_path)
     played.clear()
     run()
     assert played == ['annealing'] and task.read_bytes() == kept
-    comparison.play(replace(PROTOCOL, seeds=3), tmp_path / 'other')
+    comparison.run_tasks(replace(PROTOCOL, seeds=3), tmp_path / 'other')
     (tmp_path / 'other' / TASK).replace(task)
     run()
     assert task.read_bytes() == kept

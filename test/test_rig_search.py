@@ -24,7 +24,7 @@ from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.rig.rig_file import rig_from, rig_of
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import Pool
+from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point
@@ -59,7 +59,7 @@ def few_of(problem, most):
 def view_of(grid, place, heading, points):
     """Return what a pose of a grid sees, without cells."""
     flags = np.zeros(points, dtype=bool)
-    flags[grid.points(place, heading)] = True
+    flags[grid.visible_points(place, heading)] = True
     bits = no_bits(points)
     bits.view(np.uint8)[:-(-points // 8)] = np.packbits(flags, bitorder='little')
     return View(bits, no_bits(0))
@@ -86,7 +86,7 @@ def test_one_look_around_is_a_look_by_each_heading(mount):
             pose = grid.pose(place, heading)
             assert problem.region.allowed(pose[None], problem.rig.models[0]).all()
             seen = np.flatnonzero(unpack(problem.simulator.look(pose).seen, points))
-            assert np.array_equal(grid.points(place, heading), seen)
+            assert np.array_equal(grid.visible_points(place, heading), seen)
 
 
 @pytest.mark.parametrize('preset', ['fine', 'fast', 'paper'])
@@ -105,9 +105,11 @@ def test_many_looks_from_few_places_are_the_looks(preset):
 
 def test_candidates_that_are_few_for_want_of_time_are_spread_over_the_room():
     problem = problem_of(1)
-    whole, few = Pool(problem, 2000), Pool(problem, 2000, over=lambda: True)
+    whole = CandidatePool(problem, 2000)
+    few = CandidatePool(problem, 2000, should_stop=lambda: True)
     model = problem.rig.models[0]
-    places = [len(np.unique(pool.kind(model).poses[:, :3], axis=0)) for pool in (whole, few)]
+    places = [len(np.unique(pool.candidates_of(model).poses[:, :3], axis=0))
+              for pool in (whole, few)]
     assert not few.complete and len(few) < len(whole) and places[1] > 0.8 * places[0]
 
 
@@ -121,14 +123,16 @@ def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
     share = np.array(data.draw(strategies.lists(strategies.floats(0.0, 1.0), min_size=len(poses),
                                                 max_size=len(poses))))
     loss = problem.objective.loss([view_of(grid, *poses[k], points) for k in chosen])
-    own = poses_by_point([grid.points(*poses[k]) for k in chosen], points)
-    missed, _ = trees.cut(own, len(chosen), trees.unserved(own, np.ones(len(chosen))))
+    own = poses_by_point([grid.visible_points(*poses[k]) for k in chosen], points)
+    missed, _ = trees.loss_cuts(own, len(chosen),
+                                trees.unserved_nodes(own, np.ones(len(chosen))))
     assert np.maximum(missed, 0.0).sum() == pytest.approx(loss, abs=1e-6)
-    seen_by = poses_by_point([grid.points(*pose) for pose in poses], points)
-    consts, gains = trees.cut(seen_by, len(poses), trees.unserved(seen_by, share))
+    seen_by = poses_by_point([grid.visible_points(*pose) for pose in poses], points)
+    constants, gains = trees.loss_cuts(seen_by, len(poses),
+                                       trees.unserved_nodes(seen_by, share))
     choice = np.zeros(len(poses))
     choice[chosen] = 1.0
-    assert np.maximum(consts - gains @ choice, 0.0).sum() <= loss + 1e-6
+    assert np.maximum(constants - gains @ choice, 0.0).sum() <= loss + 1e-6
 
 
 @pytest.mark.parametrize('more', [
@@ -143,7 +147,7 @@ def test_no_choice_of_all_poses_is_below_the_bound(more):
     losses = {(one, other): problem.objective.loss([views[one], views[other]])
               for one, other in combinations(range(len(places)), 2)
               if np.linalg.norm(places[one] - places[other]) >= problem.rig.spacing}
-    least, best = min(losses.values()), relaxation.choices(
+    least, best = min(losses.values()), relaxation.find_choices(
         8, np.random.default_rng(0), lambda: False)[0]
     chosen = tuple(sorted(column.place for column in best.columns))
     assert losses[chosen] == pytest.approx(best.loss, abs=1e-6)
@@ -155,14 +159,14 @@ def test_poses_that_join_later_count():
     problem = problem_of(2, 'omnidirectional')
     relaxation, grid = few_of(problem, 10)
     relaxation.raise_bound(lambda: False)
-    before, rng = relaxation.choices(1, np.random.default_rng(0), lambda: False)[0], (
+    before, rng = relaxation.find_choices(1, np.random.default_rng(0), lambda: False)[0], (
         np.random.default_rng(1))
     places = problem.region.candidates(problem.rig.models[0], 200)[:, :3]
     first = len(grid.places)
-    grid.add(places, [np.zeros((1, 3))] * len(places))
-    relaxation.join([Column(0, first, 0)])
+    grid.add_poses(places, [np.zeros((1, 3))] * len(places))
+    relaxation.add_columns([Column(0, first, 0)])
     relaxation.raise_bound(lambda: False)
-    after = relaxation.choices(4, rng, lambda: False)[0]
+    after = relaxation.find_choices(4, rng, lambda: False)[0]
     assert relaxation.bound <= after.loss < before.loss and len(relaxation) == first + len(places)
 
 
@@ -170,7 +174,8 @@ def test_two_models_are_chosen_by_their_counts_and_nobody_too_near():
     rig = rig_from(Document('rig', {'cameras': [
         {'sensor': 'realsense_d455', 'count': 2}, {'sensor': 'omnidirectional'}], 'spacing': 1.5}))
     problem = Problem.of(made_room(8, 2000), rig, FAST)
-    answer = search(problem, Pool(problem, 60, dense=800), Budget(evaluations=40), 0)
+    pool = CandidatePool(problem, 60, max_grid_poses=800)
+    answer = search(problem, pool, Budget(evaluations=40), 0)
     assert problem.region.broken(answer.poses) == []
     assert answer.certificate.bound <= answer.loss == problem.objective.evaluate(
         answer.poses).loss
@@ -179,7 +184,7 @@ def test_two_models_are_chosen_by_their_counts_and_nobody_too_near():
 @pytest.mark.parametrize('seconds', [0, 3, 30, 300])
 def test_every_part_obeys_the_clock(seconds):
     problem = problem_of(3, regions=[MUST])
-    pool, now, late = Pool(problem, 60, dense=2000), [0.0], [0]
+    pool, now, late = CandidatePool(problem, 60, max_grid_poses=2000), [0.0], [0]
 
     def clock():
         now[0] += 1.0
@@ -196,15 +201,16 @@ def test_every_part_obeys_the_clock(seconds):
 
 def test_evaluations_make_the_answer_the_same_every_time():
     problem = problem_of(2)
-    one, again = (search(problem, Pool(problem, 60, dense=1000), Budget(evaluations=60), 3)
-                  for _ in range(2))
+    pools = [CandidatePool(problem, 60, max_grid_poses=1000) for _ in range(2)]
+    one, again = (search(problem, pool, Budget(evaluations=60), 3) for pool in pools)
     assert np.array_equal(one.poses, again.poses) and one.loss == again.loss
     assert one.certificate.bound == again.certificate.bound
 
 
 def test_off_the_grid_it_is_better_than_on_it():
     problem = problem_of(2)
-    known = search(problem, Pool(problem, 60, dense=1000), Budget(evaluations=400), 0).certificate
+    pool = CandidatePool(problem, 60, max_grid_poses=1000)
+    known = search(problem, pool, Budget(evaluations=400), 0).certificate
     assert known.found < known.on_grid and known.moved > 0.01
     assert known.bound <= known.found
 

@@ -89,12 +89,15 @@ def test_the_engine_agrees_with_the_truth_about_a_room(room):
 
 def test_a_generated_room_is_judged_on_points_that_no_search_saw_and_a_little_off():
     room = JudgedRoom('7', 0.0, SMALL, 3000, 4000)
-    simulator = room.problem.simulator
-    assert [one.config.engine.preset for one in (simulator, room.fine)] == [MESH, 'fine']
-    assert not set(map(tuple, room.scene.points)) & set(map(tuple, room.judged.points))
-    np.testing.assert_array_equal(room.scene.mesh.vertices, room.judged.mesh.vertices)
+    simulator = room.judge_problem.simulator
+    assert simulator.config.engine.preset == MESH
+    assert room.search_problem.simulator.config.engine.preset == 'fine'
+    points = set(map(tuple, room.search_scene.points))
+    assert not points & set(map(tuple, room.judge_scene.points))
+    np.testing.assert_array_equal(room.search_scene.mesh.vertices,
+                                  room.judge_scene.mesh.vertices)
     # The judge takes the mean over cameras that are mounted a little off.
-    placement = np.random.default_rng(0).uniform(*room.judged.bounds, (4, 3))
+    placement = np.random.default_rng(0).uniform(*room.judge_scene.bounds, (4, 3))
     judged = room.judge(placement)
     assert judged['exact'] == simulator.evaluate(placement).depth_error
     off = mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)
@@ -108,8 +111,9 @@ def test_a_scan_is_judged_on_points_that_are_held_out(tmp_path):
     save_scene(Scene(generate_room(7, 4000).points, 'scan'), path)
     room = judged_room(str(path), 0.0, SMALL)
     assert judged_room(str(path), 0.0, SMALL) is room
-    assert type(room.problem.simulator) is Simulator
-    searched, judged = (set(map(tuple, scene.points)) for scene in (room.scene, room.judged))
+    assert type(room.judge_problem.simulator) is Simulator
+    searched, judged = (set(map(tuple, scene.points))
+                        for scene in (room.search_scene, room.judge_scene))
     assert not searched & judged
     assert len(searched) + len(judged) == pytest.approx(4000, rel=0.1)
     assert abs(len(searched) - len(judged)) <= 1

@@ -76,7 +76,7 @@ def fuzz(options: argparse.Namespace, domain: int, watch: Watch) -> dict:
     processes: list[NodeProcess] = []
 
     def until(predicate: Callable[[], bool], what: str) -> None:
-        watch.until(predicate, PATIENCE, what, processes, 0.02)
+        watch.spin_until(predicate, PATIENCE, what, processes, 0.02)
 
     with stopped_at_the_end(processes), Progress(console=Console(stderr=True)) as progress:
         processes += start(options, domain)
@@ -106,8 +106,8 @@ def fuzz(options: argparse.Namespace, domain: int, watch: Watch) -> dict:
                 before = {one.name: rss_of(one.process.pid) for one in processes}
         growth = {one.name: rss_of(one.process.pid) - before[one.name] for one in processes}
         seconds = time.monotonic() - began
-        seen = dict(watch.node.health)
-        until(lambda: all(watch.node.health[one.name] is not seen.get(one.name)
+        seen = dict(watch.node.diagnostics)
+        until(lambda: all(watch.node.diagnostics[one.name] is not seen.get(one.name)
                           for one in processes), 'last word of every node')
         return {'faults': grown(growth), 'messages': fuzzer.sent,
                 'good_messages_answered': fuzzer.answered,
@@ -115,7 +115,7 @@ def fuzz(options: argparse.Namespace, domain: int, watch: Watch) -> dict:
                 'huge_cloud_points': options.points, 'huge_cloud_seconds': huge,
                 'rss_growth_mb': growth, 'seed': options.seed, 'refused': {
                     one.name: {key: int(value) for key, value
-                               in watch.node.health[one.name].items() if 'refused' in key}
+                               in watch.node.diagnostics[one.name].items() if 'refused' in key}
                     for one in processes}}
 
 

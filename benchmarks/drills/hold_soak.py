@@ -71,7 +71,8 @@ class Holding:
 
     def until_placed(self) -> np.ndarray:
         """Play until the placement is published: (K, 3) metres."""
-        self.watch.until(lambda: self.watch.node.placement is not None, 300.0, 'placement', [])
+        self.watch.spin_until(lambda: self.watch.node.placement is not None, 300.0, 'placement',
+                              [])
         return self.watch.node.placement
 
     def hold(self, seconds: float) -> list[PoseArray]:

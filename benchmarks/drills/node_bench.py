@@ -41,7 +41,7 @@ from ocp_ros.demo.node_processes import (
     NodeProcess,
     stopped_at_the_end,
 )
-from ocp_ros.demo.train_demo import start_all
+from ocp_ros.demo.train_demo import start_nodes
 from ocp_ros.demo.watcher import Watch
 from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -105,7 +105,7 @@ class Answers:
         self._published = 0.0
         self.node._turns._plan_ahead = self._reflect
         # A node that has just begun looks first whether another one commands.
-        watch.until(lambda: not self.node._waits(), PATIENCE, 'the right to command', [])
+        watch.spin_until(lambda: not self.node._waits(), PATIENCE, 'the right to command', [])
 
     def _reflect(self) -> None:
         """Think as the node does, and remember when that began."""
@@ -215,18 +215,20 @@ def training(pairs: int, seconds: float, out: Path) -> dict[str, Any]:
     processes: list[NodeProcess] = []
     with holder, Watch(domain) as watch, stopped_at_the_end(processes):
         def said(name: str) -> int:
-            return int(watch.node.health.get('trainer_node', {}).get(name, 0))
+            return int(watch.node.diagnostics.get('trainer_node', {}).get(name, 0))
 
-        start_all(options, domain, processes)
-        watch.until(lambda: said('transitions') >= 2 * STARTS, PATIENCE, 'transitions', processes)
+        start_nodes(options, domain, processes)
+        watch.spin_until(lambda: said('transitions') >= 2 * STARTS, PATIENCE, 'transitions',
+                         processes)
         pids = [process.process.pid for process in processes]
         began, first, cpu = time.monotonic(), said('transitions'), cpu_of(pids)
-        watch.until(lambda: time.monotonic() - began >= seconds, PATIENCE, 'end', processes)
-        before = watch.node.health['trainer_node']
-        watch.until(lambda: watch.node.health['trainer_node'] is not before, PATIENCE,
-                    'last word', processes)
+        watch.spin_until(lambda: time.monotonic() - began >= seconds, PATIENCE, 'end', processes)
+        diagnostics = watch.node.diagnostics
+        before = diagnostics['trainer_node']
+        watch.spin_until(lambda: diagnostics['trainer_node'] is not before, PATIENCE,
+                         'last word', processes)
         if said('inconsistent') or said('dropped'):
-            raise RuntimeError(f'found {watch.node.health["trainer_node"]}; expected that nothing '
+            raise RuntimeError(f'found {diagnostics["trainer_node"]}; expected that nothing '
                                'is dropped')
         count, took = said('transitions') - first, time.monotonic() - began
         return {'pairs': pairs, 'interactions_per_s': count / took,

@@ -35,7 +35,7 @@ from benchmarks.drills.drill import grown, run_drill
 from benchmarks.drills.soak_watch import check_files, Latency, Lies, MemoryWatch
 import numpy as np
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
-from ocp_ros.demo.train_demo import pair_of
+from ocp_ros.demo.train_demo import pair_parameters
 from ocp_ros.demo.watcher import Watch
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.shipped_models import find_model
@@ -101,7 +101,7 @@ class Soak:
         else:
             index = NAMESPACES.index(namespace)
             # Each life of a simulation is in another room.
-            parameters = pair_of(index, 1 + 7 * number, 'map')[kind]
+            parameters = pair_parameters(index, 1 + 7 * number, 'map')[kind]
             if kind == 'sim_node':
                 parameters |= {'scene.points': 3000, 'engine.preset': 'fast',
                                'use_sim_time': namespace == STEADY, 'resend_period': 0.2}
@@ -114,7 +114,8 @@ class Soak:
     def says(self, name: str) -> dict[str, str] | None:
         """Return what a node has said last in this life, None before it has said anything."""
         node = self.watch.node
-        return node.health[name] if node.said.get(name, -1) >= self._started[name] else None
+        stamp = node.diagnostics_stamps.get(name, -1)
+        return node.diagnostics[name] if stamp >= self._started[name] else None
 
     def ready(self, process: NodeProcess) -> bool:
         """
@@ -147,7 +148,7 @@ class Soak:
 
     def _count(self) -> None:
         """Add up what the nodes have refused; who was killed counts from 0 again."""
-        for name, values in self.watch.node.health.items():
+        for name, values in self.watch.node.diagnostics.items():
             now = sum(int(value) for key, value in values.items() if key in (
                 'refused_messages', 'weights_refused', 'refused_commands'))
             before = self._counted.get(name, 0)
@@ -160,7 +161,7 @@ class Soak:
             self.tick()
             return predicate()
 
-        self.watch.until(looked, self.options.patience, what, self.processes, 0.02)
+        self.watch.spin_until(looked, self.options.patience, what, self.processes, 0.02)
 
     def recovered(self, name: str) -> Callable[[], bool]:
         """Return what returns whether the loop goes on without, or with, a node of this name."""
@@ -204,7 +205,7 @@ class Soak:
                                            for kind in ('policy_node', 'sim_node'))):
                 self.start(name)
             self.until(lambda: all(one.turns > RECOVERED for one in self.latency.values())
-                       and 'trainer_node' in self.watch.node.health, 'first turns')
+                       and 'trainer_node' in self.watch.node.diagnostics, 'first turns')
             began = time.monotonic()
             most = self.options.kills or 60.0 * self.options.minutes
             task = bar.add_task('soak', total=most)

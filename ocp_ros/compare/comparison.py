@@ -56,8 +56,8 @@ class Comparison(NamedTuple):
 
     :ivar rows: of all runs, see :func:`~ocp_ros.compare.protocol.run_task`.
     :ivar summary: settings, date and versions; the figures of
-        :func:`~ocp_ros.compare.summary.summarise`; and ``pairs``, the first planner compared with
-        each other planner, see :func:`~ocp_ros.compare.summary.pairs`.
+        :func:`~ocp_ros.compare.summary.summarise`; and ``pairs``, the comparison of the first
+        planner with each other planner, see :func:`~ocp_ros.compare.summary.pairs`.
     """
 
     rows: Rows
@@ -72,78 +72,80 @@ def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
     :param protocol: what to compare.
     :param folder: of the results.
     :param command: the command line, for the record.
-    :param workers: processes on this machine; 0 for one on each core.
-    :param ray_address: a Ray cluster to use instead, such as ``auto``.
+    :param workers: number of processes on this machine; 0 for one on each core.
+    :param ray_address: of a Ray cluster that runs the tasks instead, such as ``auto``.
     :raises ConfigurationError: if the folder belongs to another comparison.
     """
     columns = (TextColumn(f'comparing planners, {protocol.cameras} cameras'), BarColumn(),
                MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=Console(stderr=True)) as progress:
         bar = progress.add_task('')
-        rows = play(protocol, folder, workers, ray_address,
-                    lambda done, total: progress.update(bar, completed=done, total=total))
+        rows = run_tasks(protocol, folder, workers, ray_address,
+                         lambda done, total: progress.update(bar, completed=done, total=total))
     rig = protocol.simulation.rig_file
+    libraries = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
     summary = {
-        'command': command, 'date': timestamp(),
-        'versions': {'python': platform.python_version(),
-                     **{name: version(name) for name in (
-                         'ocp_ros', 'numpy', 'numba', 'scipy', 'cma')}},
+        'command': command, 'date': timestamp(), 'versions': {
+            'python': platform.python_version(), **{name: version(name) for name in libraries}},
         'rotations': len(protocol.rotations), 'points': protocol.points,
         'judged_points': protocol.judged_points, **({'rig': Path(rig).name} if rig else {}),
         'cameras': protocol.cameras, **summarise(rows),
         'pairs': pairs(rows, protocol.planners[0])}
-    _write(folder, rows, summary)
+    _write_results(folder, rows, summary)
     return Comparison(rows, summary)
 
 
-def play(protocol: Protocol, folder: Path, workers: int = 0, ray_address: str | None = None,
-         progress: Callable[[int, int], None] = lambda done, total: None) -> Rows:
+def run_tasks(protocol: Protocol, folder: Path, workers: int = 0, ray_address: str | None = None,
+              progress: Callable[[int, int], None] = lambda done, total: None) -> Rows:
     """
     Run the tasks without results; return the rows of all tasks.
 
-    :param folder: each task writes a file here as soon as it is done.
-    :param progress: called with the number of finished tasks and of all tasks.
+    :param folder: the rows of each task are written to a file here as soon as it is done.
+    :param workers: number of processes on this machine; 0 for one on each core.
+    :param ray_address: of a Ray cluster that runs the tasks instead, such as ``auto``.
+    :param progress: called with the number of finished tasks and of all tasks, for its effect.
     :raises ConfigurationError: if the folder belongs to another comparison.
     """
     tasks = protocol.tasks
-    files = {task: folder / 'tasks' / f'{name_of(task)}.json' for task in tasks}
-    record = _claim(folder, protocol)
-    found = {task: rows for task in tasks
-             if (rows := _kept(files[task], record, task)) is not None}
-    left = [task for task in tasks if task not in found]
-    progress(len(found), len(tasks))
+    files = {task: folder / 'tasks' / f'{task_file_stem(task)}.json' for task in tasks}
+    record = _write_or_check_record(folder, protocol)
+    rows_by_task = {task: rows for task in tasks
+                    if (rows := _stored_rows(files[task], record, task)) is not None}
+    open_tasks = [task for task in tasks if task not in rows_by_task]
+    progress(len(rows_by_task), len(tasks))
     with WorkerPool(workers, ray_address) as pool:
-        for number, rows in pool.unordered(partial(run_task, protocol), left):
-            task, text = left[number], json.dumps(rows)
+        for number, rows in pool.unordered(partial(run_task, protocol), open_tasks):
+            task = open_tasks[number]
+            text = json.dumps(rows)
             write_atomically(files[task], json.dumps(
-                {'sha256': _seal(record, task, text), 'rows': rows}))
-            found[task] = json.loads(text)
-            progress(len(found), len(tasks))
-    return [row for task in tasks for row in found[task]]
+                {'sha256': _checksum(record, task, text), 'rows': rows}))
+            rows_by_task[task] = json.loads(text)
+            progress(len(rows_by_task), len(tasks))
+    return [row for task in tasks for row in rows_by_task[task]]
 
 
-def name_of(task: BenchmarkTask) -> str:
+def task_file_stem(task: BenchmarkTask) -> str:
     """Return the file name of a task, without extension."""
     stem = Path(task.room).stem
     if not task.room.isdecimal():
         # A scan with the same file name may be in another folder or may have changed.
         state = Path(task.room).stat()
-        known = f'{Path(task.room).resolve()} {state.st_size} {state.st_mtime_ns}'
-        stem += '-' + hashlib.sha256(os.fsencode(known)).hexdigest()[:8]
+        version_text = f'{Path(task.room).resolve()} {state.st_size} {state.st_mtime_ns}'
+        stem += '-' + hashlib.sha256(os.fsencode(version_text)).hexdigest()[:8]
     return f'{stem}-{task.rotation:g}-{task.planner}'
 
 
-def _seal(record: str, task: BenchmarkTask, rows: str) -> str:
-    """Return the SHA-256 of rows as JSON, of their task and of the record of their comparison."""
-    return hashlib.sha256(f'{record} {task!r} {rows}'.encode()).hexdigest()
+def _checksum(record: str, task: BenchmarkTask, rows_json: str) -> str:
+    """Return the SHA-256 of the record of a comparison, a task and the rows of the task."""
+    return hashlib.sha256(f'{record} {task!r} {rows_json}'.encode()).hexdigest()
 
 
-def _kept(path: Path, record: str, task: BenchmarkTask) -> Rows | None:
-    """Return the stored rows of a task; None if there are none or they are damaged."""
+def _stored_rows(path: Path, record: str, task: BenchmarkTask) -> Rows | None:
+    """Return the stored rows of a task; None if there are no rows or they are damaged."""
     try:
-        kept = json.loads(read_regular(path))
-        if kept['sha256'] == _seal(record, task, json.dumps(kept['rows'])):
-            return kept['rows']
+        stored = json.loads(read_regular(path))
+        if stored['sha256'] == _checksum(record, task, json.dumps(stored['rows'])):
+            return stored['rows']
         reason = 'the checksum is another'
     except FileNotFoundError:
         return None
@@ -154,18 +156,19 @@ def _kept(path: Path, record: str, task: BenchmarkTask) -> Rows | None:
     return None
 
 
-def _claim(folder: Path, protocol: Protocol) -> str:
-    """Return the record of a comparison; write it, or check that the folder has the same."""
+def _write_or_check_record(folder: Path, protocol: Protocol) -> str:
+    """Return the record of a comparison; write it, or check it if the folder has a record."""
     files = {protocol.model: find_model(protocol.model)}
     if rig := protocol.simulation.rig_file:
         files['rig'] = Path(rig)
-    common = {
+    settings = {
         'ocp_ros': __version__,
         # The contents of files with the same name may differ.
         'files': {name: sha256_of_file(path) for name, path in files.items()},
         **{name: value for name, value in asdict(protocol).items()
            if name not in ('rooms', 'rotations', 'planners')}}
-    path, text = folder / 'protocol.json', json.dumps(common, indent=2) + '\n'
+    path = folder / 'protocol.json'
+    text = json.dumps(settings, indent=2) + '\n'
     if not path.exists():
         write_atomically(path, text)
     elif read_regular(path) != text.encode():
@@ -176,16 +179,16 @@ def _claim(folder: Path, protocol: Protocol) -> str:
     return text
 
 
-def _write(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
+def _write_results(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
     """Write the runs as CSV and as JSON, and their summary."""
-    lines = io.StringIO()
+    csv_text = io.StringIO()
     # The CSV table leaves lists out.
-    names = dict.fromkeys(name for row in rows for name in row
-                          if name not in ('placement', 'trace', 'trajectory'))
-    table = csv.DictWriter(lines, list(names), extrasaction='ignore')
+    columns = dict.fromkeys(name for row in rows for name in row
+                            if name not in ('placement', 'trace', 'trajectory'))
+    table = csv.DictWriter(csv_text, list(columns), extrasaction='ignore')
     table.writeheader()
     table.writerows({name: printable(value) if isinstance(value, str) else value
                      for name, value in row.items()} for row in rows)
-    write_atomically(folder / 'results.csv', lines.getvalue())
+    write_atomically(folder / 'results.csv', csv_text.getvalue())
     write_atomically(folder / 'results.json', json.dumps(rows))
     write_atomically(folder / 'summary.json', json.dumps(summary, indent=1) + '\n')

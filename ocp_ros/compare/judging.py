@@ -35,103 +35,104 @@ from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 
-#: Number of points of the judge's scan.
-JUDGED_POINTS = 90_000
-#: Number of points of the search's scan.
-POINTS = 60_000
+#: Number of points of the scans for the judge and for searches.
+JUDGE_POINTS = 90_000
+SEARCH_POINTS = 60_000
 #: Number of sets of mounting errors that are averaged.
 MOUNTING_DRAWS = 8
 #: Horizontal displacement of each camera by a mounting error, metres.
 MOUNTING_ERROR_M = 0.02
 #: Random seed of the mounting errors; searches use another seed.
 MOUNTING_SEED = 0
-#: Engine of the judge: depth maps of all points at once, as the depth error is defined. With a
-#: finer coverage grid, rays to its cells would take as long as rays to the points.
+#: Engine of the judge. As the depth error is defined, its depth maps have all points (one fold).
+#: With a finer coverage grid, rays to its cells would take as long as rays to the points.
 JUDGE_ENGINE = EngineConfig(preset='fine', error_rows=128, coverage_cell=0.5, error_folds=1)
 
 
-def score_of(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
+def error_and_coverage(problem: Problem, placement: np.ndarray) -> tuple[float, float]:
     """
     Return the error of a placement in metres, and its space coverage in cubic metres.
 
     With a rig file the error is the objective value times the depth error of seeing nothing. This
     is the depth error if the rig has no other requirements.
+
+    :param placement: (K, 3) or (K, 6), metres, map frame, and radians.
     """
-    result = problem.judge(problem.look(placement))
-    return problem.error(result), result.space_coverage
+    evaluation = problem.judge(problem.look(placement))
+    return problem.error(evaluation), evaluation.space_coverage
 
 
 class JudgedRoom:
     """
     A room with one scan for searches and one for the judge.
 
-    :param name: the seed of a generated room, or the path of a scan.
+    :param name: the seed of a generated room or the path of a scan, as text.
     :param rotation: degrees about the vertical axis.
     :param config: the rig, or a rig file, and the engine of the search.
-    :param points: number of points for searches.
-    :param judged_points: number of points for the judge in a generated room; of a scan, half of
-        the points are held out for the judge.
-    :param scale: metres per unit of a scan.
+    :param search_points: number of points for searches; a scan is split into two halves of this
+        number, one for searches and one for the judge.
+    :param judge_points: number of points for the judge in a generated room.
+    :param scale: metres per unit of a scan; 0 for the unit in the file.
     :param up: the axis of a scan that points up.
     :param half: random seed that selects the half of a scan for searches.
-    :ivar scene: the scan for searches.
-    :ivar judged: the scan for the judge.
+    :ivar search_scene: the scan for searches.
+    :ivar judge_scene: the scan for the judge.
     """
 
-    def __init__(self, name: str, rotation: float, config: SimulationConfig, points: int = POINTS,
-                 judged_points: int = JUDGED_POINTS, scale: float = 0.0, up: str = BY_FILE,
-                 half: int = 0) -> None:
+    def __init__(self, name: str, rotation: float, config: SimulationConfig,
+                 search_points: int = SEARCH_POINTS, judge_points: int = JUDGE_POINTS,
+                 scale: float = 0.0, up: str = BY_FILE, half: int = 0) -> None:
         self.config = config
         if name.isdecimal():
-            self.scene = make_room(name, rotation, points)
+            self.search_scene = make_room(name, rotation, search_points)
             # A second scan from the same tripods has other points.
-            self.judged = make_room(name, rotation, judged_points)
+            self.judge_scene = make_room(name, rotation, judge_points)
         else:
-            self.scene, self.judged = _halves(
-                make_room(name, rotation, 2 * points, scale=scale, up=up), half)
+            self.search_scene, self.judge_scene = _split_scan(
+                make_room(name, rotation, 2 * search_points, scale=scale, up=up), half)
 
     @cached_property
-    def promising(self) -> Problem:
-        """Return the problem of the search, with its scan and the engine of promised errors."""
-        return make_problem(self.scene, self.config)
+    def search_problem(self) -> Problem:
+        """Return the problem of a search: its scan, with the engine that computes its scores."""
+        return make_problem(self.search_scene, self.config)
 
     @cached_property
-    def problem(self) -> Problem:
+    def judge_problem(self) -> Problem:
         """Return the problem of the judge: its scan, with ray casting if there is a mesh."""
-        return make_problem(self.judged, replace(
-            self.config, engine=with_rays(JUDGE_ENGINE, self.judged)))
+        return make_problem(self.judge_scene, replace(
+            self.config, engine=with_rays(JUDGE_ENGINE, self.judge_scene)))
 
-    @property
-    def fine(self) -> Simulator:
-        """Return the engine on the scan for searches."""
-        return self.promising.simulator
-
-    def truth(self) -> Simulator:
-        """Return a simulator on the scan for searches, with ray casting if there is a mesh."""
+    def ray_simulator(self) -> Simulator:
+        """Create a simulator on the scan for searches, with ray casting if there is a mesh."""
         engine = replace(self.config.engine, coverage_cell=JUDGE_ENGINE.coverage_cell)
-        return Simulator(self.scene, replace(self.config, engine=with_rays(engine, self.scene)))
+        return Simulator(self.search_scene, replace(
+            self.config, engine=with_rays(engine, self.search_scene)))
+
+    def promised_error(self, placement: np.ndarray) -> float:
+        """Return the error, metres, of a placement (K, 3) or (K, 6) by the search's engine."""
+        return error_and_coverage(self.search_problem, placement)[0]
 
     def judge(self, placement: np.ndarray) -> dict[str, float]:
         """
         Evaluate a final placement.
 
         :param placement: (K, 3) or (K, 6), metres, map frame, and radians.
-        :returns: ``exact``, metres, of the placement itself; ``depth_error``, metres, the mean
-            over mounting errors of 2 cm; ``space_coverage``, cubic metres.
+        :returns: ``exact``, the error of the placement itself, metres; ``depth_error``, the mean
+            error over mounting errors of 2 cm, metres; ``space_coverage``, cubic metres.
         """
-        error, coverage = score_of(self.problem, placement)
-        off = [score_of(self.problem, moved)[0]
-               for moved in mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)]
-        return {'exact': error, 'depth_error': float(np.mean(off)), 'space_coverage': coverage}
+        error, coverage = error_and_coverage(self.judge_problem, placement)
+        errors = [error_and_coverage(self.judge_problem, moved)[0] for moved in mounted(
+            placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)]
+        return {'exact': error, 'depth_error': float(np.mean(errors)), 'space_coverage': coverage}
 
 
 @lru_cache(maxsize=2)
 def judged_room(*settings) -> JudgedRoom:
-    """Return a room; the last two rooms are cached; see :class:`JudgedRoom`."""
+    """Return a room, given the arguments of :class:`JudgedRoom`; the last two are cached."""
     return JudgedRoom(*settings)
 
 
-def _halves(scene: Scene, half: int) -> tuple[Scene, Scene]:
-    """Split the points of a scan at random into a half for the search and one for the judge."""
-    held_out = np.random.default_rng(half).permutation(len(scene)) < len(scene) // 2
+def _split_scan(scene: Scene, seed: int) -> tuple[Scene, Scene]:
+    """Split the points of a scan at random into a half for searches and a half for the judge."""
+    held_out = np.random.default_rng(seed).permutation(len(scene)) < len(scene) // 2
     return (Scene(scene.points[~held_out], scene.name), Scene(scene.points[held_out], scene.name))

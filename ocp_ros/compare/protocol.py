@@ -30,7 +30,7 @@ import time
 from typing import Any
 
 import numpy as np
-from ocp_ros.compare.judging import JUDGED_POINTS, judged_room, JudgedRoom, POINTS, score_of
+from ocp_ros.compare.judging import JUDGE_POINTS, judged_room, JudgedRoom, SEARCH_POINTS
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.rig.rig_config import RigConfig
@@ -41,7 +41,7 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
 from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import Pool, random_sites
+from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.greedy import GreedySwap
 from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_grid import PoseGrid
@@ -66,13 +66,13 @@ RAY_SEARCH = 'truth_search'
 PROVED_OPTIMUM = 'priced_plane'
 #: References for comparison, which are not planners.
 REFERENCES = (RANDOM_PLACEMENT, RAY_SEARCH, PROVED_OPTIMUM)
-#: One run of a planner.
+#: The figures of one run of a planner, by name.
 Row = dict[str, Any]
 
 
 def rooms_of_s3dis() -> list[str]:
     """
-    Return the test rooms of S3DIS; [] if ``S3DIS_DIR`` is not set.
+    Return the paths of the test rooms of S3DIS; [] if ``S3DIS_DIR`` is not set.
 
     :raises SceneError: if ``S3DIS_DIR`` is not a folder of S3DIS.
     """
@@ -83,7 +83,7 @@ def rooms_of_s3dis() -> list[str]:
 
 def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
     """
-    Return the scans of a folder.
+    Return the paths of the scans in a folder; each is read once, as a check.
 
     :param scale: metres per unit of the scans; 0 for the unit in each file.
     :param up: the axis of the scans that points up.
@@ -92,9 +92,10 @@ def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
     found = [str(path.resolve()) for path in scans_in(folder)]
     if not found:
         raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
+    points = 15000
     for path in found:
         try:
-            make_room(path, 0.0, 15000, scale=scale, up=up)
+            make_room(path, 0.0, points, scale=scale, up=up)
         except SceneError as error:
             raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
                              'first, or move it out') from error
@@ -102,9 +103,14 @@ def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
 
 
 def placing(cameras: int | None = None, rig: str | Path | None = None) -> SimulationConfig:
-    """Return the configuration of cameras on a plane, by default four, or of a rig file."""
-    plane = RigConfig() if cameras is None else RigConfig(cameras=cameras)
-    return SimulationConfig(plane, PROMISING, rig_file='' if rig is None else str(rig))
+    """
+    Return the configuration of cameras to place.
+
+    :param cameras: number of cameras on a plane; None for the default.
+    :param rig: path of a rig file, which replaces the cameras on a plane.
+    """
+    rig_config = RigConfig() if cameras is None else RigConfig(cameras=cameras)
+    return SimulationConfig(rig_config, PROMISING, rig_file='' if rig is None else str(rig))
 
 
 @dataclass(frozen=True)
@@ -119,16 +125,16 @@ class Protocol:
     :ivar seeds: number of runs of each planner and budget.
     :ivar scale: metres per unit of the scans; 0 for the unit in each file.
     :ivar up: the direction of the scans that points up, ``'auto'`` or ``'file'``.
-    :ivar simulation: the rig, or a rig file whose constraints apply to each planner; and the
-        engine of searches, which gives the promised errors.
+    :ivar simulation: the cameras on a plane, or a rig file whose constraints apply to each
+        planner; and the engine of searches, which computes the promised errors.
     :ivar model: weights of trained planners: path or name.
     :ivar points: number of points of the scan for searches.
     :ivar judged_points: number of points of the scan for the judge.
     :ivar half: random seed that selects the half of a scan for searches; the judge has the other.
     :ivar truths: number of searches with ray casting; their best result is the best known.
-    :ivar truth_budget: their evaluations.
-    :ivar candidates: of the grid on the plane.
-    :ivar proving: largest time of the proof, seconds.
+    :ivar truth_budget: number of evaluations of each of these searches.
+    :ivar candidates: number of places of the grid for ``PROVED_OPTIMUM``.
+    :ivar proving: largest time of this proof, seconds.
     """
 
     rooms: tuple[str, ...] = tuple(map(str, TEST))
@@ -140,8 +146,8 @@ class Protocol:
     up: str = BY_FILE
     simulation: SimulationConfig = field(default_factory=placing)
     model: str = DEFAULT_MODEL
-    points: int = POINTS
-    judged_points: int = JUDGED_POINTS
+    points: int = SEARCH_POINTS
+    judged_points: int = JUDGE_POINTS
     half: int = 0
     truths: int = 3
     truth_budget: int = 3000
@@ -150,15 +156,15 @@ class Protocol:
 
     def __post_init__(self) -> None:
         """Reject settings that cannot be compared."""
-        known = planners_for(bool(self.simulation.rig_file))
+        available = planners_for(bool(self.simulation.rig_file))
         for name in self.planners:
-            if name not in known:
+            if name not in available:
                 raise ConfigurationError(f'planners: found {name!r}; expected some of '
-                                         f'{sorted(known)}')
-        for figure in ('planners', 'rooms', 'rotations', 'budgets'):
-            given = getattr(self, figure)
-            if len(set(given)) < len(given):
-                raise ConfigurationError(f'{figure}: found {list(given)}; expected each once')
+                                         f'{sorted(available)}')
+        for setting in ('planners', 'rooms', 'rotations', 'budgets'):
+            values = getattr(self, setting)
+            if len(set(values)) < len(values):
+                raise ConfigurationError(f'{setting}: found {list(values)}; expected each once')
         if not 0.0 <= self.scale < np.inf or self.up not in UP_CHOICES:
             raise ConfigurationError(
                 f'protocol: found scale={self.scale!r} and up={self.up!r}; expected a number '
@@ -175,7 +181,7 @@ class Protocol:
                 f'{self.seeds} seeds; expected at least one of each, all above 0')
 
     def runs(self, planner: str) -> list[tuple[int, int]]:
-        """Return the budget and the seed of each run of a planner or yardstick in a room."""
+        """Return budget and seed of each run of a planner or reference in a room."""
         if planner == RANDOM_PLACEMENT:
             return [(1, seed) for seed in range(RANDOM_PLACEMENTS)]
         if planner == PROVED_OPTIMUM:
@@ -201,32 +207,37 @@ class Protocol:
         return len(self.simulation.placed_rig.cameras)
 
     @property
-    def yardsticks(self) -> tuple[str, ...]:
-        """Return the references; for rig files the default planner replaces ``PROVED_OPTIMUM``."""
+    def references(self) -> tuple[str, ...]:
+        """Return the names of the references; ``PROVED_OPTIMUM`` is not for rig files."""
         return (RANDOM_PLACEMENT, RAY_SEARCH) if self.simulation.rig_file else REFERENCES
 
     @property
     def tasks(self) -> list['BenchmarkTask']:
         """Return the independent tasks: each a room, a rotation, and a planner or reference."""
         return [BenchmarkTask(room, rotation, planner) for room in self.rooms
-                for rotation in self.rotations for planner in (*self.yardsticks, *self.planners)]
+                for rotation in self.rotations for planner in (*self.references, *self.planners)]
 
 
 @dataclass(frozen=True)
 class BenchmarkTask:
-    """One planner in one room, with all budgets and seeds."""
+    """
+    One planner in one room, with all budgets and seeds.
+
+    :ivar room: seed of a generated room or path of a scan, as text.
+    :ivar rotation: degrees about the vertical axis.
+    :ivar planner: name of a planner or reference.
+    """
 
     room: str
     rotation: float
     planner: str
 
 
-#: Number of places on the plane whose views together count as everything visible from it.
+#: Number of places on the plane whose views together count as everything visible from the plane.
 REFERENCE_PLACES = 400
-PRESETS = {
-    'full': Protocol(),
-    'smoke': Protocol(rooms=tuple(map(str, TEST[:2])), budgets=(100, 400), seeds=2),
-}
+#: Protocols by name.
+PRESETS = {'full': Protocol(),
+           'smoke': Protocol(rooms=tuple(map(str, TEST[:2])), budgets=(100, 400), seeds=2)}
 
 
 def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
@@ -238,54 +249,55 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
     """
     room = protocol.room(task.room, task.rotation)
     return [{**asdict(task), 'budget': budget, 'seed': seed, **row, **room.judge(row['placement']),
-             'promised': score_of(room.promising, row['placement'])[0],
+             'promised': room.promised_error(row['placement']),
              'placement': row['placement'].tolist()}
             for (budget, seed), row in zip(protocol.runs(task.planner),
-                                           _runs(protocol, room, task.planner))]
+                                           _run_all(protocol, room, task.planner))]
 
 
-def _runs(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
-    """Yield the result of each run of a planner or reference."""
+def _run_all(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
+    """Run a planner or reference with every budget and seed; yield the figures of each run."""
     if planner == RANDOM_PLACEMENT:
-        return _random(room.problem)
+        return _draw_placements(room.judge_problem)
     if planner == PROVED_OPTIMUM:
-        return _proofs(protocol, room.promising)
-    if planner == RAY_SEARCH and room.promising.rig.free:
-        return _exchanged(protocol, room.truth())
+        return _prove_optimum(protocol, room.search_problem)
+    if planner == RAY_SEARCH and room.search_problem.rig.free:
+        return _search_with_rays(protocol, room.ray_simulator())
     if planner == RAY_SEARCH:
-        config = room.config
-        return _plans(protocol, make_problem(room.scene, replace(
-            config, engine=with_rays(config.engine, room.scene))), RAY_SEARCH)
-    return _plans(protocol, room.promising, planner)
+        engine = with_rays(room.config.engine, room.search_scene)
+        return _run_planner(protocol, make_problem(room.search_scene, replace(
+            room.config, engine=engine)), RAY_SEARCH)
+    return _run_planner(protocol, room.search_problem, planner)
 
 
-def _plans(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
+def _run_planner(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
     """Plan with every budget and seed; for ``RAY_SEARCH``, use the default planner."""
     planner = RIG_SEARCH if name == RAY_SEARCH else name
-    turns = problem.simulator.config.episode.turns
-    free = problem.rig.free
-    if free:
+    config = problem.simulator.config
+    on_plane = problem.rig.free
+    if on_plane:
         # Load the compiled kernels from disk before time is measured.
         problem.judge(problem.look(problem.start(
-            np.random.default_rng(0), problem.simulator.config.episode, protocol.cameras)))
+            np.random.default_rng(0), config.episode, protocol.cameras)))
     for budget, seed in protocol.runs(name):
-        began = time.process_time()
-        # A time step of an online planner is an evaluation: its budget is that of the episode.
-        answer = plan(problem, Budget(evaluations=budget or turns), planner, seed=seed,
+        start_time = time.process_time()
+        # A time step of an online planner is an evaluation; its budget in the protocol is 0.
+        evaluations = budget or config.episode.turns
+        result = plan(problem, Budget(evaluations=evaluations), planner, seed=seed,
                       model=protocol.model, clock=time.process_time)
-        row = {'evaluations': answer.evaluations, 'seconds': time.process_time() - began,
-               'placement': answer.poses[:, :3] if free else answer.poses,
-               'trace': [] if answer.trace is None else answer.trace.tolist()}
-        if answer.outcome is not None:
-            times = answer.outcome.seconds
-            row |= {'seconds': float(times.sum()), 'seconds_per_turn': float(np.median(times)),
-                    'seconds_at_most': float(times.max()),
-                    'trajectory': answer.outcome.trajectory.tolist()}
+        row = {'evaluations': result.evaluations, 'seconds': time.process_time() - start_time,
+               'placement': result.poses[:, :3] if on_plane else result.poses,
+               'trace': [] if result.trace is None else result.trace.tolist()}
+        if result.outcome is not None:
+            seconds = result.outcome.seconds
+            row |= {'seconds': float(seconds.sum()), 'seconds_per_turn': float(np.median(seconds)),
+                    'seconds_at_most': float(seconds.max()),
+                    'trajectory': result.outcome.trajectory.tolist()}
         yield row
 
 
-def _exchanged(protocol: Protocol, simulator: Simulator) -> Iterator[Row]:
-    """Search on the plane with ray casting, for the best known placement."""
+def _search_with_rays(protocol: Protocol, simulator: Simulator) -> Iterator[Row]:
+    """Search on the plane with a simulator that casts rays; yield the figures of each run."""
     space = space_of(simulator)
     for budget, seed in protocol.runs(RAY_SEARCH):
         planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
@@ -294,55 +306,61 @@ def _exchanged(protocol: Protocol, simulator: Simulator) -> Iterator[Row]:
                'placement': result.placement, 'trace': result.trace.tolist()}
 
 
-def _proofs(protocol: Protocol, problem: Problem) -> Iterator[Row]:
-    """Run column generation on a grid of places, then with added places near the best ones."""
-    fine, began = problem.simulator, time.process_time()
-    space = space_of(fine)
-    rng, grid, still = np.random.default_rng(0), PoseGrid(fine), np.zeros((1, 3))
+def _prove_optimum(protocol: Protocol, problem: Problem) -> Iterator[Row]:
+    """Run column generation on a grid of places, then with added places; yield one row."""
+    simulator = problem.simulator
+    start_time = time.process_time()
+    space = space_of(simulator)
+    rng = np.random.default_rng(0)
+    grid = PoseGrid(simulator)
 
-    def over() -> bool:
-        return time.process_time() - began >= protocol.proving
+    def should_stop() -> bool:
+        return time.process_time() - start_time >= protocol.proving
 
-    def add(places: np.ndarray) -> None:
-        grid.add(space.placement(space.inside(places)), [still] * len(places))
+    def add_places(positions: np.ndarray) -> None:
+        headings = [np.zeros((1, 3))] * len(positions)
+        grid.add_poses(space.placement(space.inside(positions)), headings)
 
-    add(space.grid(protocol.candidates))
+    add_places(space.grid(protocol.candidates))
     relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid], [space.cameras], 0.0,
-                                  len(fine.scene))
-    relaxation.raise_bound(over)
+                                  len(simulator.scene))
+    relaxation.raise_bound(should_stop)
     max_choices = 8
-    best = relaxation.choices(max_choices, rng, over)[0]
+    best = relaxation.find_choices(max_choices, rng, should_stop)[0]
     directions = 8
     angles = np.arange(directions) * (2.0 * np.pi / directions)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    # Metres from the best placement at which places join the grid, one after the other.
-    for step in (0.2, 0.1, 0.05, 0.02):
-        places = grid.places[[column.place for column in best.columns], :2]
-        add((places[:, None] + step * np.concatenate([ring, 0.5 * ring])).reshape(-1, 2))
-        relaxation.join(best.columns)
-        relaxation.raise_bound(over)
-        best = min([best, *relaxation.choices(max_choices, rng, over)])
-    unit, bound = fine.depth_error.worst, min(relaxation.bound, best.loss)
-    # With a smaller gap the placement counts as proved optimal.
-    yield {'evaluations': 0, 'seconds': time.process_time() - began,
+    # One round after the other, places on rings around the best cameras join the grid.
+    for radius_m in (0.2, 0.1, 0.05, 0.02):
+        best_positions = grid.places[[column.place for column in best.columns], :2]
+        rings = radius_m * np.concatenate([ring, 0.5 * ring])
+        add_places((best_positions[:, None] + rings).reshape(-1, 2))
+        relaxation.add_columns(best.columns)
+        relaxation.raise_bound(should_stop)
+        best = min([best, *relaxation.find_choices(max_choices, rng, should_stop)])
+    error_per_loss = simulator.depth_error.worst
+    bound = min(relaxation.bound, best.loss)
+    # With a gap below 0.1 % the placement counts as proved optimal.
+    yield {'evaluations': 0, 'seconds': time.process_time() - start_time,
            'placement': grid.places[[column.place for column in best.columns]], 'trace': [],
-           'found': unit * best.loss, 'bound': unit * bound,
+           'found': error_per_loss * best.loss, 'bound': error_per_loss * bound,
            'proved': bool(bound >= best.loss * (1.0 - 1e-3))}
 
 
-def _random(problem: Problem) -> Iterator[Row]:
+def _draw_placements(problem: Problem) -> Iterator[Row]:
     """Yield random feasible placements without end, with the error of all candidates together."""
-    rng, rig = np.random.default_rng(0), problem.rig
+    rng = np.random.default_rng(0)
+    rig = problem.rig
     if rig.free:
         space = space_of(problem.simulator)
         views = problem.simulator.look_many(space.placement(space.grid(REFERENCE_PLACES)))
     else:
-        pool = Pool(problem, REFERENCE_PLACES)
+        pool = CandidatePool(problem, REFERENCE_PLACES)
         views = pool.union_views(rig)
-    least = problem.error(problem.judge(views))
+    lower_bound = problem.error(problem.judge(views))
     while True:
         placement = space.placement(space.random(rng)) if rig.free else np.array(
-            [site.pose for site in random_sites(rig, pool, rng)])
+            [site.pose for site in pool.random_sites(rig, rng)])
         if len(placement):
-            yield {'lower_bound': least, 'evaluations': 1, 'seconds': 0.0, 'trace': [],
+            yield {'lower_bound': lower_bound, 'evaluations': 1, 'seconds': 0.0, 'trace': [],
                    'placement': placement}

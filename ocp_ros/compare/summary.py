@@ -37,47 +37,56 @@ import numpy as np
 from ocp_ros.compare.protocol import PROVED_OPTIMUM, RANDOM_PLACEMENT, RAY_SEARCH, REFERENCES
 from scipy import stats
 
+#: Rows of :func:`~ocp_ros.compare.protocol.run_task`.
 Rows = list[dict[str, Any]]
 #: Added to errors before their logarithm, metres: the error is 0 in some rooms.
 LOG_OFFSET_M = 0.01
 
 
 def best_known(rows: Rows) -> dict[str, float]:
-    """Return the smallest delivered depth error of the searches with ray casting, by room."""
+    """
+    Return the smallest delivered depth error of the searches with ray casting, by room.
+
+    It is the mean over the rotations of a room, metres.
+    """
     best: dict[str, dict[float, float]] = defaultdict(lambda: defaultdict(lambda: np.inf))
     for row in rows:
         if row['planner'] == RAY_SEARCH:
-            turned = best[row['room']]
-            turned[row['rotation']] = min(turned[row['rotation']], row['depth_error'])
-    return {room: float(np.mean(list(turned.values()))) for room, turned in best.items()}
+            errors = best[row['room']]
+            errors[row['rotation']] = min(errors[row['rotation']], row['depth_error'])
+    return {room: float(np.mean(list(errors.values()))) for room, errors in best.items()}
 
 
 def per_room(rows: Rows, planner: str, budget: int, figure: str) -> dict[str, float]:
-    """Return the mean of a figure over seeds and rotations, by room."""
-    cases = defaultdict(list)
+    """
+    Return the mean of a figure over seeds and rotations, by room.
+
+    :param figure: name of the figure in the rows, such as ``depth_error``.
+    """
+    values_by_room = defaultdict(list)
     for row in rows:
         if row['planner'] == planner and row['budget'] == budget:
-            cases[row['room']].append(row[figure])
-    return {room: float(np.mean(values)) for room, values in cases.items()}
+            values_by_room[row['room']].append(row[figure])
+    return {room: float(np.mean(values)) for room, values in values_by_room.items()}
 
 
-def runs_in(rows: Rows) -> list[tuple[str, int]]:
-    """Return the compared planners with each of their budgets."""
+def planners_and_budgets(rows: Rows) -> list[tuple[str, int]]:
+    """Return each compared planner with each of its budgets, without the references."""
     return list(dict.fromkeys((row['planner'], row['budget']) for row in rows
                               if row['planner'] not in REFERENCES))
 
 
 def interval(values: np.ndarray, total: Callable[..., np.ndarray] = np.sum) -> list[float]:
     """
-    Return the 95 % bootstrap interval of a sum over rooms.
+    Return the 95 % bootstrap interval of a sum over rooms: its lower and upper end.
 
-    :param values: (R,) one for each room.
+    :param values: (R,) one for each of R rooms.
     :param total: ``np.sum``, or ``np.mean`` for the interval of the mean.
     """
     rng = np.random.default_rng(0)
-    # 2000 resamples of the bootstrap.
-    draws = total(values[rng.integers(len(values), size=(2000, len(values)))], axis=1)
-    return [float(edge) for edge in np.percentile(draws, [2.5, 97.5])]
+    resamples = 2000
+    totals = total(values[rng.integers(len(values), size=(resamples, len(values)))], axis=1)
+    return [float(end) for end in np.percentile(totals, [2.5, 97.5])]
 
 
 def summarise(rows: Rows) -> dict[str, Any]:
@@ -86,52 +95,57 @@ def summarise(rows: Rows) -> dict[str, Any]:
 
     :param rows: of :func:`~ocp_ros.compare.protocol.run_task`.
     :returns: ``planners``: by planner and budget (as text) ``sum`` of the delivered errors and its
-        ``interval``, ``rooms`` (the errors by room), ``wins``, ``regret`` (of the sums),
-        ``regret_geometric`` (mean over rooms), ``promised`` (sum), ``promise_over_delivered``
-        (mean over rooms), ``promise_worst_room`` (the ratio farthest from 1), ``gap_closed``,
-        ``seconds`` and ``evaluations`` (means), ``seeds``, and for online planners, whose budget
-        is 0, ``seconds_per_turn`` (median) and ``seconds_at_most``. A ratio is None if its
-        denominator is 0. Most of these are also in ``truth``, for the searches with ray casting,
-        and, if there are proofs, in ``exact``, for the placements of column generation, with
-        ``bounds`` by room; then ``exact`` and the planners have ``promised_over_bound`` (of sums).
-        Further: ``rank_tests`` by budget, ``rooms`` with their reference errors, and ``notes`` on
-        rooms whose errors are too small to compare planners.
+        ``interval``, ``rooms`` (the errors by room), ``wins`` (number of rooms with the least
+        error), ``regret`` (of the sums), ``regret_geometric`` (mean over rooms), ``promised``
+        (sum), ``promise_over_delivered`` (mean over rooms), ``promise_worst_room`` (the ratio
+        farthest from 1), ``gap_closed`` (reduction of a random placement's error, as a share of
+        that by the best known placement), ``seconds`` and ``evaluations`` (means), ``seeds``, and
+        for online planners, whose budget is 0, ``seconds_per_turn`` (median) and
+        ``seconds_at_most``. A ratio is None if its denominator is 0. Most of these are also in
+        ``truth``, for the searches with ray casting, and, if there are proofs, in ``exact``, for
+        the placements of column generation, with ``bounds`` by room; then ``exact`` and the
+        planners have ``promised_over_bound`` (of sums). Further: ``rank_tests`` by budget,
+        ``rooms`` with their reference errors, and ``notes`` on rooms whose errors are too small to
+        compare planners.
     """
-    known, rooms = best_known(rows), list(dict.fromkeys(row['room'] for row in rows))
-    control = per_room(rows, RANDOM_PLACEMENT, 1, 'depth_error')
-    least = per_room(rows, RANDOM_PLACEMENT, 1, 'lower_bound')
-    runs = runs_in(rows)
+    best_errors = best_known(rows)
+    rooms = list(dict.fromkeys(row['room'] for row in rows))
+    random_errors = per_room(rows, RANDOM_PLACEMENT, 1, 'depth_error')
+    lower_bounds = per_room(rows, RANDOM_PLACEMENT, 1, 'lower_bound')
+    runs = planners_and_budgets(rows)
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
-    summary: dict[str, Any] = {'rooms': {
-        room: {'best_known': known[room], 'random_placement': control[room],
-               'share': _share(known[room], control[room]),
-               'lower_bound': least[room]} for room in rooms}, 'planners': {}, 'rank_tests': {}}
+    summary: dict[str, Any] = {'rooms': {}, 'planners': {}, 'rank_tests': {}}
+    for room in rooms:
+        summary['rooms'][room] = {
+            'best_known': best_errors[room], 'random_placement': random_errors[room],
+            'share': _ratio(best_errors[room], random_errors[room]),
+            'lower_bound': lower_bounds[room]}
     # Below this share of a random placement's error the best known error is too small to compare.
     saturated_share = 0.01
     summary['notes'] = [
-        f'{Path(room).stem}: found that the best known leaves {known[room]:.3f} m, less than '
-        f'{100.0 * saturated_share:g} % of what a random placement leaves; expected more to be '
-        'missed; ratios to so little say nothing: use fewer cameras or a larger room'
-        for room in rooms if control[room] > 0.0 and known[room] < saturated_share * control[room]]
-    chance = sum(control.values())
+        f'{Path(room).stem}: found that the best known leaves {best_errors[room]:.3f} m, less '
+        f'than {100.0 * saturated_share:g} % of what a random placement leaves; expected more to '
+        'be missed; ratios to so little say nothing: use fewer cameras or a larger room'
+        for room in rooms if random_errors[room] > 0.0
+        and best_errors[room] < saturated_share * random_errors[room]]
+    random_sum, best_sum = sum(random_errors.values()), sum(best_errors.values())
     for planner, budget in runs:
         values = np.array([errors[planner, budget][room] for room in rooms])
         rivals = [errors[run] for run in runs if run[1] == budget]
-        figures = {
-            **_delivered(rows, planner, budget, known),
+        least_errors = np.array([min(rival[room] for rival in rivals) for room in rooms])
+        summary['planners'].setdefault(planner, {})[str(budget)] = {
+            **_planner_figures(rows, planner, budget, best_errors),
             'interval': interval(values), 'rooms': errors[planner, budget],
-            'wins': sum(errors[planner, budget][room] <= min(rival[room] for rival in rivals)
-                        for room in rooms),
-            'gap_closed': _share(chance - values.sum(), chance - sum(known.values()))}
-        summary['planners'].setdefault(planner, {})[str(budget)] = figures
+            'wins': int(np.sum(values <= least_errors)),
+            'gap_closed': _ratio(random_sum - values.sum(), random_sum - best_sum)}
     if proofs := [row for row in rows if row['planner'] == PROVED_OPTIMUM]:
-        summary['exact'] = _proved(rows, proofs, known)
+        summary['exact'] = _proof_figures(rows, proofs, best_errors)
         bound = sum(row['bound'] for row in proofs) / len(proofs) * len(rooms)
-        for figures in (*(run for runs in summary['planners'].values() for run in runs.values()),
-                        summary['exact']):
-            figures['promised_over_bound'] = _share(figures['promised'], bound)
-    last, = {row['budget'] for row in rows if row['planner'] == RAY_SEARCH}
-    summary['truth'] = _delivered(rows, RAY_SEARCH, last, known)
+        for figures in (*(figures for budgets in summary['planners'].values()
+                          for figures in budgets.values()), summary['exact']):
+            figures['promised_over_bound'] = _ratio(figures['promised'], bound)
+    ray_budget, = {row['budget'] for row in rows if row['planner'] == RAY_SEARCH}
+    summary['truth'] = _planner_figures(rows, RAY_SEARCH, ray_budget, best_errors)
     for budget in dict.fromkeys(budget for _, budget in runs):
         names = [planner for planner, other in runs if other == budget]
         summary['rank_tests'][str(budget)] = ranks(
@@ -139,76 +153,80 @@ def summarise(rows: Rows) -> dict[str, Any]:
     return summary
 
 
-def _proved(rows: Rows, proofs: Rows, known: dict[str, float]) -> dict[str, Any]:
+def _proof_figures(rows: Rows, proofs: Rows, best_errors: dict[str, float]) -> dict[str, Any]:
     """Return the figures of the placements of column generation, and their optimality gaps."""
-    gaps = [_share(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
-    return {**_delivered(rows, PROVED_OPTIMUM, proofs[0]['budget'], known),
+    gaps = [_ratio(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
+    return {**_planner_figures(rows, PROVED_OPTIMUM, proofs[0]['budget'], best_errors),
             'candidates': proofs[0]['budget'], 'proved': sum(row['proved'] for row in proofs),
             'worst_gap': max(gaps), 'bounds': {row['room']: row['bound'] for row in proofs}}
 
 
-def _delivered(rows: Rows, planner: str, budget: int, known: dict[str, float]) -> dict[str, Any]:
+def _planner_figures(rows: Rows, planner: str, budget: int, best_errors: dict[str, float]
+                     ) -> dict[str, Any]:
     """Return a planner's delivered and promised errors over all rooms, and its seconds."""
     delivered = per_room(rows, planner, budget, 'depth_error')
     promised = per_room(rows, planner, budget, 'promised')
-    kept = [promised[room] / error for room, error in delivered.items() if error > 0.0]
-    regrets = [error / known[room] for room, error in delivered.items() if known[room] > 0.0]
-    own = [row for row in rows if (row['planner'], row['budget']) == (planner, budget)]
+    ratios = [promised[room] / error for room, error in delivered.items() if error > 0.0]
+    regrets = [error / best_errors[room] for room, error in delivered.items()
+               if best_errors[room] > 0.0]
+    planner_rows = [row for row in rows if (row['planner'], row['budget']) == (planner, budget)]
     figures: dict[str, Any] = {
         'sum': sum(delivered.values()), 'promised': sum(promised.values()),
-        'regret': _share(sum(delivered.values()), sum(known.values())),
+        'regret': _ratio(sum(delivered.values()), sum(best_errors.values())),
         'regret_geometric': float(stats.gmean(regrets)) if regrets else None,
-        'promise_over_delivered': float(np.mean(kept)) if kept else None,
-        'promise_worst_room': max(kept, key=lambda share: abs(share - 1.0), default=None),
-        'seeds': len({row['seed'] for row in own})}
+        'promise_over_delivered': float(np.mean(ratios)) if ratios else None,
+        'promise_worst_room': max(ratios, key=lambda ratio: abs(ratio - 1.0), default=None),
+        'seeds': len({row['seed'] for row in planner_rows})}
     for name in ('seconds', 'evaluations'):
         figures[name] = float(np.mean(list(per_room(rows, planner, budget, name).values())))
-    if 'seconds_per_turn' in own[0]:
-        figures['seconds_per_turn'] = float(np.median([row['seconds_per_turn'] for row in own]))
-        figures['seconds_at_most'] = float(np.max([row['seconds_at_most'] for row in own]))
+    if 'seconds_per_turn' in planner_rows[0]:
+        for name, reduce in (('seconds_per_turn', np.median), ('seconds_at_most', np.max)):
+            figures[name] = float(reduce([row[name] for row in planner_rows]))
     return figures
 
 
-def _share(part: float, whole: float) -> float | None:
+def _ratio(numerator: float, denominator: float) -> float | None:
     """Return a ratio; None if the denominator is 0, as in rooms without any depth error."""
-    return float(part / whole) if whole > 0.0 else None
+    return float(numerator / denominator) if denominator > 0.0 else None
 
 
 def budgets_of(summary: dict[str, Any]) -> list[str]:
-    """Return the budgets, the smallest first; 0 is the budget of online planners."""
+    """Return the budgets in a summary as text, the smallest first; online planners have 0."""
     return sorted({budget for runs in summary['planners'].values() for budget in runs}, key=int)
 
 
 def last_runs(summary: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """Return the figures of each planner at the largest budget, online planners included."""
-    last = budgets_of(summary)[-1]
-    return {name: runs.get(last, runs.get('0')) for name, runs in summary['planners'].items()
-            if last in runs or '0' in runs}
+    largest = budgets_of(summary)[-1]
+    return {name: figures.get(largest, figures.get('0')) for name, figures
+            in summary['planners'].items() if largest in figures or '0' in figures}
 
 
 def ranks(errors: dict[str, np.ndarray]) -> dict[str, Any]:
     """
     Rank planners over rooms.
 
-    :param errors: by planner (R,), one for each room.
-    :returns: mean ranks (1 is best), the p-value of the Friedman test that all planners are equal,
-        and for each planner the p-value of Wilcoxon's signed-rank test against the planner of best
-        mean rank, corrected after Holm. With too few rooms or planners there are no p-values.
+    :param errors: by planner (R,), one for each of R rooms.
+    :returns: ``mean_rank`` by planner (1 is best), ``leader`` (the planner of best mean rank),
+        ``friedman_p``, the p-value of the Friedman test that all planners are equal, and
+        ``against_leader``, for each planner the p-value of Wilcoxon's signed-rank test against the
+        leader, corrected after Holm. With too few rooms or planners there are no p-values.
     """
-    names, table = list(errors), np.array(list(errors.values()))
-    mean = stats.rankdata(table, axis=0).mean(axis=1)
-    leader = int(np.argmin(mean))
-    result: dict[str, Any] = {'mean_rank': dict(zip(names, map(float, mean))),
+    names = list(errors)
+    table = np.array(list(errors.values()))
+    mean_ranks = stats.rankdata(table, axis=0).mean(axis=1)
+    leader = int(np.argmin(mean_ranks))
+    result: dict[str, Any] = {'mean_rank': dict(zip(names, map(float, mean_ranks))),
                               'leader': names[leader], 'friedman_p': None, 'against_leader': {}}
     if table.shape[1] < 5 or len(names) < 3:
         return result
     result['friedman_p'] = float(stats.friedmanchisquare(*table).pvalue)
     others = [k for k in range(len(names)) if k != leader and (table[k] != table[leader]).any()]
-    values = [float(stats.wilcoxon(table[k], table[leader]).pvalue) for k in others]
-    highest = 0.0
-    for place, k in enumerate(np.argsort(values)):
-        highest = max(highest, min(1.0, (len(values) - place) * values[k]))
-        result['against_leader'][names[others[k]]] = highest
+    p_values = [float(stats.wilcoxon(table[k], table[leader]).pvalue) for k in others]
+    corrected = 0.0
+    for rank, k in enumerate(np.argsort(p_values)):
+        corrected = max(corrected, min(1.0, (len(p_values) - rank) * p_values[k]))
+        result['against_leader'][names[others[k]]] = corrected
     return result
 
 
@@ -223,26 +241,26 @@ def pairs(rows: Rows, first: str) -> dict[str, dict[str, Any]]:
         ``ratio``, the first planner's error divided by the other's, with its 95 % bootstrap
         ``interval``; and ``p`` of the signed-rank test, None with too few or equal errors.
     """
-    runs = runs_in(rows)
+    runs = planners_and_budgets(rows)
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
     (base,) = [run for run in runs if run[0] == first][-1:]
     rooms = list(errors[base])
-    own = np.array([errors[base][room] for room in rooms])
-    return {_named(run, runs): pair(own, np.array([errors[run][room] for room in rooms]))
-            for run in runs}
+    first_errors = np.array([errors[base][room] for room in rooms])
+    return {_run_name(run, runs): pair(first_errors, np.array([by_room[room] for room in rooms]))
+            for run, by_room in errors.items()}
 
 
-def _named(run: tuple[str, int], runs: list[tuple[str, int]]) -> str:
+def _run_name(run: tuple[str, int], runs: list[tuple[str, int]]) -> str:
     """Return a planner's name, with its budget if there are several."""
     planner, budget = run
     return planner if sum(name == planner for name, _ in runs) == 1 else f'{planner}, {budget:,}'
 
 
-def pair(own: np.ndarray, other: np.ndarray) -> dict[str, Any]:
-    """Compare the errors (R,) of two planners in the same rooms; see :func:`pairs`."""
-    gain = np.log(own + LOG_OFFSET_M) - np.log(other + LOG_OFFSET_M)
-    tested = len(gain) >= 5 and np.any(gain != 0.0)
-    return {'sum': float(other.sum()), 'wins': int(np.sum(own < other)), 'rooms': len(gain),
-            'ratio': float(np.exp(gain.mean())),
-            'interval': np.exp(interval(gain, np.mean)).tolist(),
-            'p': float(stats.wilcoxon(gain).pvalue) if tested else None}
+def pair(first_errors: np.ndarray, other_errors: np.ndarray) -> dict[str, Any]:
+    """Compare the errors (R,), metres, of two planners in the same rooms; see :func:`pairs`."""
+    log_ratios = np.log(first_errors + LOG_OFFSET_M) - np.log(other_errors + LOG_OFFSET_M)
+    tested = len(log_ratios) >= 5 and np.any(log_ratios != 0.0)
+    return {'sum': float(other_errors.sum()), 'wins': int(np.sum(first_errors < other_errors)),
+            'rooms': len(log_ratios), 'ratio': float(np.exp(log_ratios.mean())),
+            'interval': np.exp(interval(log_ratios, np.mean)).tolist(),
+            'p': float(stats.wilcoxon(log_ratios).pvalue) if tested else None}

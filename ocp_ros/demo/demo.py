@@ -40,44 +40,42 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
-#: Longest wait for the first turn, seconds: the kernels are compiled on a machine that has never
-#: run them.
+#: Longest wait for the first turn, seconds: the first run on a machine compiles the kernels.
 START_TIMEOUT_S = 180.0
 
 
-def parser() -> argparse.ArgumentParser:
-    """Build the parser."""
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
     defaults = SimNodeConfig()
-    top = argparse.ArgumentParser(prog='demo', description=__doc__)
-    top.add_argument('--room', type=Path, help='scan of the room; default: a generated room')
-    top.add_argument('--cameras', type=int, default=defaults.rig.cameras)
-    top.add_argument('--turns', type=int, default=defaults.episode.turns)
-    top.add_argument('--height', type=float, default=defaults.rig.height, help='metres')
-    top.add_argument('--seed', type=int, default=defaults.scene.seed, help='seed of the generated '
-                                                                           'room')
-    top.add_argument('--scale', type=float, default=defaults.scene.scale,
-                     help='metres per unit of the scan, 0.001 for millimetres')
-    top.add_argument('--up', choices=UP_CHOICES, default=defaults.scene.up,
-                     help='direction of the scan that points up, such as --up=-y; auto: guess it')
-    top.add_argument('--drop-nonfinite', action='store_true',
-                     help='leave out points with NaN or inf')
-    top.add_argument('--all-rooms', action='store_true',
-                     help='keep what the scan shows of other rooms through openings')
-    top.add_argument('--planner', choices=PLANNERS, default=PolicyNodeConfig.planner,
-                     help='planner of the moves')
-    top.add_argument('--model', default=PolicyNodeConfig.model, help='weights: path or name')
-    top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
-    return top
+    parser = argparse.ArgumentParser(prog='demo', description=__doc__)
+    parser.add_argument('--room', type=Path, help='scan of the room; default: a generated room')
+    parser.add_argument('--cameras', type=int, default=defaults.rig.cameras)
+    parser.add_argument('--turns', type=int, default=defaults.episode.turns)
+    parser.add_argument('--height', type=float, default=defaults.rig.height, help='metres')
+    parser.add_argument('--seed', type=int, default=defaults.scene.seed,
+                        help='seed of the generated room')
+    parser.add_argument('--scale', type=float, default=defaults.scene.scale,
+                        help='metres per unit of the scan, 0.001 for millimetres')
+    parser.add_argument('--up', choices=UP_CHOICES, default=defaults.scene.up,
+                        help='direction of the scan that points up, such as --up=-y; auto: guess')
+    parser.add_argument('--drop-nonfinite', action='store_true',
+                        help='leave out points with NaN or inf')
+    parser.add_argument('--all-rooms', action='store_true',
+                        help='keep what the scan shows of other rooms through openings')
+    parser.add_argument('--planner', choices=PLANNERS, default=PolicyNodeConfig.planner,
+                        help='planner of the moves')
+    parser.add_argument('--model', default=PolicyNodeConfig.model, help='weights: path or name')
+    parser.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
+    return parser
 
 
 def sim_parameters(options: argparse.Namespace) -> dict[str, Any]:
     """Return the parameters of ``sim_node`` that the options set."""
-    room = {'scene.file': str(options.room.resolve())} if options.room else {}
-    return {**room, 'rig.cameras': options.cameras, 'episode.turns': options.turns,
+    scene_file = {'scene.file': str(options.room.resolve())} if options.room else {}
+    return {**scene_file, 'rig.cameras': options.cameras, 'episode.turns': options.turns,
             'rig.height': options.height, 'scene.seed': options.seed,
             'scene.scale': options.scale, 'scene.up': options.up,
-            'scene.drop_nonfinite': options.drop_nonfinite,
-            'scene.all_rooms': options.all_rooms}
+            'scene.drop_nonfinite': options.drop_nonfinite, 'scene.all_rooms': options.all_rooms}
 
 
 def policy_parameters(options: argparse.Namespace) -> dict[str, Any]:
@@ -86,8 +84,10 @@ def policy_parameters(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
-    """Start both nodes and watch them until the placement is final."""
-    node, logs, processes = watch.node, options.out / 'logs', []
+    """Start both nodes and wait until the placement is final; show the progress."""
+    watcher = watch.node
+    logs = options.out / 'logs'
+    processes: list[NodeProcess] = []
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[error]}'))
     with stopped_at_the_end(processes), \
@@ -95,83 +95,87 @@ def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
         task = progress.add_task('starting nodes', total=options.turns, error='')
         processes.append(
             NodeProcess('sim_node', domain, logs / 'sim_node.log', sim_parameters(options)))
-        watch.until(lambda: node.scene is not None and bool(node.turns()),
-                    START_TIMEOUT_S, 'first turn of sim_node', processes)
+        watch.spin_until(lambda: watcher.scene is not None and bool(watcher.turns()),
+                         START_TIMEOUT_S, 'first turn of sim_node', processes)
         for warning in processes[0].warnings():
             progress.console.print(warning, markup=False)
         processes.append(NodeProcess(
             'policy_node', domain, logs / 'policy_node.log', policy_parameters(options)))
-        seen = 1
-        while node.final_turn() is None:
-            watch.until(lambda: len(node.turns()) > seen or node.final_turn() is not None,
-                        START_TIMEOUT_S if seen == 1 else 60.0, 'next turn', processes)
-            seen = len(node.turns())
-            progress.update(task, description='placing cameras', completed=seen - 1,
-                            error=f'depth error {node.turns()[-1][1]["depth_error"]:.2f} m')
+        turn_timeout_s = START_TIMEOUT_S
+        turns = watcher.turns()[:1]
+        while watcher.final_turn() is None:
+            watch.spin_until(
+                lambda: len(watcher.turns()) > len(turns) or watcher.final_turn() is not None,
+                turn_timeout_s, 'next turn', processes)
+            turn_timeout_s = 60.0
+            turns = watcher.turns()
+            progress.update(task, description='placing cameras', completed=len(turns) - 1,
+                            error=f'depth error {turns[-1][1]["depth_error"]:.2f} m')
 
 
-def result_of(options: argparse.Namespace, node: Watcher) -> dict[str, Any]:
-    """Collect the numbers of the episode, as the nodes published them."""
-    final = node.final_turn()
-    fields = [fields for _, fields in node.turns()[:final + 1]]
-    answered = [b['received'] - a['received'] for a, b in zip(fields[1:-1], fields[2:])]
+def collect_result(options: argparse.Namespace, watcher: Watcher) -> dict[str, Any]:
+    """Return the figures of the episode, as the nodes published them."""
+    final_turn = watcher.final_turn()
+    fields = [fields for _, fields in watcher.turns()[:final_turn + 1]]
+    # The first turn waits for the start of the policy.
+    seconds = [later['received'] - earlier['received']
+               for earlier, later in zip(fields[1:-1], fields[2:])]
+    scores = {f'{name}_{end}': values[name] for name in ('depth_error', 'space_coverage')
+              for end, values in (('start', fields[0]), ('end', fields[-1]))}
     return {
         'room': str(options.room.name if options.room else f'room-{options.seed}'),
-        'points': len(node.scene), 'cameras': len(node.placement), 'turns': final,
-        'depth_error_start': fields[0]['depth_error'],
-        'depth_error_end': fields[-1]['depth_error'],
-        'space_coverage_start': fields[0]['space_coverage'],
-        'space_coverage_end': fields[-1]['space_coverage'],
-        'seconds_per_turn': float(np.median(answered)) if answered else None,
-        'positions': np.round(node.placement, 4).tolist(), 'planner': options.planner,
+        'points': len(watcher.scene), 'cameras': len(watcher.placement),
+        'turns': final_turn, **scores,
+        'seconds_per_turn': float(np.median(seconds)) if seconds else None,
+        'positions': np.round(watcher.placement, 4).tolist(), 'planner': options.planner,
         'model': options.model, 'date': timestamp()}
 
 
-def picture(options: argparse.Namespace, node: Watcher, result: dict[str, Any],
-            path: Path) -> None:
+def draw_result(options: argparse.Namespace, watcher: Watcher, result: dict[str, Any],
+                path: Path) -> None:
     """Draw the room, the trajectories of the cameras and their final positions."""
     config = SimulationConfig(rig=RigConfig(cameras=result['cameras'], height=options.height))
-    scene = Scene(node.scene, name=result['room'])
-    visible = Simulator(scene, config).evaluate(node.placement).visible
-    ways = np.stack([positions for positions, _ in node.turns()[:result['turns'] + 1]])
+    scene = Scene(watcher.scene, name=result['room'])
+    visible = Simulator(scene, config).evaluate(watcher.placement).visible
+    trajectories = np.stack([positions for positions, _ in watcher.turns()[:result['turns'] + 1]])
     draw_placement(
-        path, scene.points, visible, ways, config.rig.max_range,
+        path, scene.points, visible, trajectories, config.rig.max_range,
         f'{result["room"]}: {result["cameras"]} cameras placed in {result["turns"]} turns',
         f'depth error {result["depth_error_start"]:.2f} m → {result["depth_error_end"]:.2f} m, '
         f'space coverage {result["space_coverage_start"]:.0f} m³ → '
         f'{result["space_coverage_end"]:.0f} m³, {result["points"]:,} points')
 
 
-def table(result: dict[str, Any]) -> Table:
+def result_table(result: dict[str, Any]) -> Table:
     """Return the results as a table for the terminal."""
-    rows = Table(title=f'{result["room"]}: {result["points"]:,} points, '
-                 f'{result["cameras"]} cameras, {result["turns"]} turns')
+    table = Table(title=f'{result["room"]}: {result["points"]:,} points, '
+                  f'{result["cameras"]} cameras, {result["turns"]} turns')
     for name in ('', 'start', 'end'):
-        rows.add_column(name, justify='left' if not name else 'right')
+        table.add_column(name, justify='left' if not name else 'right')
     for name, key, unit in (('depth error', 'depth_error', 'm'),
                             ('space coverage', 'space_coverage', 'm³')):
-        rows.add_row(name, *(f'{result[f"{key}_{end}"]:.2f} {unit}' for end in ('start', 'end')))
+        table.add_row(name, *(f'{result[f"{key}_{end}"]:.2f} {unit}' for end in ('start', 'end')))
     for number, (x, y, z) in enumerate(result['positions'], start=1):
-        rows.add_row(f'camera {number}', '', f'x {x:.2f}  y {y:.2f}  z {z:.2f} m')
+        table.add_row(f'camera {number}', '', f'x {x:.2f}  y {y:.2f}  z {z:.2f} m')
     if result['seconds_per_turn'] is not None:
-        rows.add_row('time per turn', '', f'{1e3 * result["seconds_per_turn"]:.0f} ms')
-    return rows
+        table.add_row('time per turn', '', f'{1e3 * result["seconds_per_turn"]:.0f} ms')
+    return table
 
 
-def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, Any]:
+def run_demo(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, Any]:
     """Run an episode, draw its final placement, and return the results."""
     run_episode(options, domain, watch)
-    result = result_of(options, watch.node)
-    picture(options, watch.node, result, options.out / 'demo.png')
+    result = collect_result(options, watch.node)
+    draw_result(options, watch.node, result, options.out / 'demo.png')
     result['config'] = {
         'sim_node': to_nested(from_flat(SimNodeConfig, sim_parameters(options))),
         'policy_node': to_nested(from_flat(PolicyNodeConfig, policy_parameters(options)))}
     return result
 
 
-def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
+def print_result(options: argparse.Namespace, result: dict[str, Any]) -> None:
     """Print the results as a table, and the names of the written files."""
-    Console().print(table(result))
+    Console().print(result_table(result))
     if result['depth_error_end'] > result['depth_error_start']:
         print(f'{result["planner"]} left the cameras worse than it found them: a policy may when '
               'the room or the number of cameras is unlike those it was trained with.')
@@ -180,9 +184,9 @@ def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
 
 def main(args: list[str] | None = None) -> int:
     """Run the demo; report bad input in one sentence with exit code 2."""
-    options = parser().parse_args(args)
-    return run_watched('demo', options.out, lambda domain, watch: play(options, domain, watch),
-                       lambda result: show(options, result), (RuntimeError, OSError))
+    options = build_parser().parse_args(args)
+    return run_watched('demo', options.out, lambda domain, watch: run_demo(options, domain, watch),
+                       lambda result: print_result(options, result), (RuntimeError, OSError))
 
 
 if __name__ == '__main__':

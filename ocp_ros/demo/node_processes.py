@@ -26,9 +26,6 @@ import sys
 
 from ocp_ros.ros.runtime.node_main import END_SIGNALS, PARENT_VARIABLE, undisturbed
 
-#: Seconds that a node has to end after SIGINT: enough also for a busy machine.
-STOP_TIMEOUT_S = 60.0
-
 
 def free_domain() -> tuple[int, socket.socket]:
     """
@@ -36,16 +33,18 @@ def free_domain() -> tuple[int, socket.socket]:
 
     :returns: the domain id, and a bound socket that reserves the domain while it is open. Node
         processes inherit the socket: a node that outlives its parent keeps the domain reserved.
+    :raises RuntimeError: if all domains are in use.
     """
+    first_port = 32768
     for domain in range(1, 101):
-        holder = socket.socket()
+        reservation = socket.socket()
         try:
-            holder.bind(('127.0.0.1', 32768 + domain))
+            reservation.bind(('127.0.0.1', first_port + domain))
         except OSError:
-            holder.close()
+            reservation.close()
             continue
-        holder.set_inheritable(True)
-        return domain, holder
+        reservation.set_inheritable(True)
+        return domain, reservation
     raise RuntimeError('found no free ROS domain between 1 and 100; stop some running demos')
 
 
@@ -53,13 +52,13 @@ class NodeProcess:
     """
     One node in its own process; its output goes to a file.
 
-    It ends when the parent process ends, even if the parent is killed.
+    The node ends when the parent process ends, even if the parent is killed.
 
     :param name: the node's module in ``ocp_ros.ros``.
     :param domain: ROS domain id.
     :param log: file for its output.
-    :param parameters: dotted name to value.
-    :param namespace: such as ``env_0``; empty for none.
+    :param parameters: values of ROS parameters by dotted name.
+    :param namespace: ROS namespace of the node, such as ``env_0``; empty for none.
     """
 
     def __init__(self, name: str, domain: int, log: Path, parameters: dict,
@@ -72,26 +71,25 @@ class NodeProcess:
         for key, value in parameters.items():
             # ROS reads values as YAML; JSON is valid YAML and escapes all characters of a path.
             arguments += ['-p', f'{key}:={json.dumps(value, default=str)}']
+        variables = {'ROS_DOMAIN_ID': str(domain), PARENT_VARIABLE: str(os.getpid()),
+                     'PYTHONUNBUFFERED': '1', 'PYTHONFAULTHANDLER': '1'}
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, 'wb') as file:
             self.process = subprocess.Popen(
                 arguments, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
-                close_fds=False,
-                env={**os.environ, 'ROS_DOMAIN_ID': str(domain),
-                     PARENT_VARIABLE: str(os.getpid()), 'PYTHONUNBUFFERED': '1',
-                     'PYTHONFAULTHANDLER': '1'})
+                close_fds=False, env={**os.environ, **variables})
 
-    def check(self) -> None:
+    def check_running(self) -> None:
         """
         Check that the node still runs.
 
-        :raises RuntimeError: if it has ended; the text has the last line of its output.
+        :raises RuntimeError: if the node has ended; the text has the last line of its output.
         """
         if self.process.poll() is not None:
             raise RuntimeError(f'{self.name} ended with code {self.process.returncode}: '
-                               f'{self.tail()}')
+                               f'{self.last_line()}')
 
-    def tail(self) -> str:
+    def last_line(self) -> str:
         """Return the last line of the node's output."""
         lines = self.log.read_text(errors='replace').strip().splitlines()
         return lines[-1] if lines else 'no output'
@@ -102,14 +100,15 @@ class NodeProcess:
         return [line for line in lines if line.startswith('[WARN')]
 
     def interrupt(self) -> None:
-        """Ask the node to end."""
+        """Send SIGINT to the node, unless the node has ended."""
         if self.process.poll() is None:
             self.process.send_signal(signal.SIGINT)
 
     def wait(self) -> int:
-        """Wait for the node to end, and return its exit code; kill it after ``STOP_TIMEOUT_S``."""
+        """Wait for the node to end, and return its exit code; after a minute, kill the node."""
         try:
-            return self.process.wait(timeout=STOP_TIMEOUT_S)
+            # This is enough also for a busy machine.
+            return self.process.wait(timeout=60.0)
         except subprocess.TimeoutExpired:
             self.process.kill()
             return self.process.wait()
@@ -135,6 +134,6 @@ def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
 
 
 def end_on_signals() -> None:
-    """Make SIGTERM and a closed terminal end a demo like Ctrl-C, also in the background."""
+    """Let SIGTERM and a closed terminal end this process as Ctrl-C does."""
     for number in END_SIGNALS:
         signal.signal(number, signal.default_int_handler)

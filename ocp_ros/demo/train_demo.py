@@ -35,108 +35,115 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
 
 
-def parser() -> argparse.ArgumentParser:
-    """Build the parser."""
-    top = argparse.ArgumentParser(prog='train_demo', description=__doc__)
-    top.add_argument('--turns', type=int, default=400, help='turns to play in all')
-    top.add_argument('--pairs', type=int, default=1, choices=range(1, 65), metavar='1..64',
-                     help='pairs of sim and policy')
-    top.add_argument('--seed', type=int, default=1, help='of the first generated room')
-    top.add_argument('--model', default=DEFAULT_MODEL,
-                     help='weights to start from: path or name')
-    top.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
-    return top
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(prog='train_demo', description=__doc__)
+    parser.add_argument('--turns', type=int, default=400, help='turns to play in all')
+    parser.add_argument('--pairs', type=int, default=1, choices=range(1, 65), metavar='1..64',
+                        help='pairs of sim and policy')
+    parser.add_argument('--seed', type=int, default=1, help='of the first generated room')
+    parser.add_argument('--model', default=DEFAULT_MODEL,
+                        help='weights to start from: path or name')
+    parser.add_argument('--out', type=Path, default=Path('out'), help='folder for the results')
+    return parser
 
 
 def namespaces(pairs: int) -> list[str]:
-    """Return the namespaces of ``pairs`` pairs; a single pair has none."""
+    """Return the namespace of each pair; that of a single pair is empty."""
     return [f'env_{number}' for number in range(pairs)] if pairs > 1 else ['']
 
 
-def pair_of(number: int, seed: int, model: str) -> dict[str, dict[str, Any]]:
-    """Return the nodes of a pair and their parameters; each pair has its own room."""
+def pair_parameters(number: int, seed: int, model: str) -> dict[str, dict[str, Any]]:
+    """Return the parameters of each node of a pair, by node; each pair has its own room."""
     # One thread per policy: the other pairs use the other cores.
     return {'policy_node': {'model': model, 'explore': True, 'seed': number, 'threads': 1},
             'sim_node': {'scene.seed': seed + number, 'seed': number, 'auto_reset': True}}
 
 
-def start_all(options: argparse.Namespace, domain: int, processes: list[NodeProcess]) -> None:
-    """Start the trainer first, so that it receives every turn, and then all pairs."""
-    names, logs = namespaces(options.pairs), options.out / 'logs'
+def start_nodes(options: argparse.Namespace, domain: int, processes: list[NodeProcess]) -> None:
+    """
+    Start the trainer first, so that it receives every turn, and then all pairs.
+
+    :param processes: the started processes are added to it.
+    """
+    sources = namespaces(options.pairs)
+    logs = options.out / 'logs'
     # With these settings the demo takes a few minutes.
-    trainer = {'publish_every': 20, 'updates_per_turn': 0.0625, 'sac.learning_starts': 100,
-               'sac.burn_in': 20, 'sac.batch_size': 16, 'sac.buffer_size': 4000,
-               'sac.learning_rate': 1e-4, 'sac.gamma': 0.99}
+    settings = {'publish_every': 20, 'updates_per_turn': 0.0625, 'sac.learning_starts': 100,
+                'sac.burn_in': 20, 'sac.batch_size': 16, 'sac.buffer_size': 4000,
+                'sac.learning_rate': 1e-4, 'sac.gamma': 0.99}
     processes.append(NodeProcess('trainer_node', domain, logs / 'trainer_node.log', {
         'model': options.model, 'folder': str(options.out / 'trainer'),
-        'sources': ','.join(names), **trainer}))
-    for number, namespace in enumerate(names):
-        for name, parameters in pair_of(number, options.seed, options.model).items():
+        'sources': ','.join(sources), **settings}))
+    for number, namespace in enumerate(sources):
+        for name, parameters in pair_parameters(number, options.seed, options.model).items():
             log = logs / namespace / f'{name}.log'
             processes.append(NodeProcess(name, domain, log, parameters, namespace))
 
 
-def policies_of(watch: Watch, pairs: int) -> list[dict[str, str]]:
-    """Return the latest diagnostic values of each policy; empty if none have come yet."""
-    return [watch.node.health.get(f'{namespace}/policy_node'.lstrip('/'), {})
+def policy_diagnostics(watch: Watch, pairs: int) -> list[dict[str, str]]:
+    """Return the latest diagnostic values of each policy; {} for a policy without values yet."""
+    return [watch.node.diagnostics.get(f'{namespace}/policy_node'.lstrip('/'), {})
             for namespace in namespaces(pairs)]
 
 
-def play(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, float]:
-    """Run until all turns are played and all have new weights; return speed and losses."""
-    node, processes = watch.node, []
+def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict[str, float]:
+    """Train until all turns are done and all policies have new weights; return the figures."""
+    processes: list[NodeProcess] = []
+    losses: list[float] = []
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[state]}'))
 
-    def turns() -> int:
-        return int(node.health.get('trainer_node', {}).get('turns', 0))
+    def trainer_value(name: str, default: Any = 0) -> Any:
+        return watch.node.diagnostics.get('trainer_node', {}).get(name, default)
 
     with stopped_at_the_end(processes), \
             Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task('starting nodes', total=options.turns, state='')
-        start_all(options, domain, processes)
+        start_nodes(options, domain, processes)
 
-        losses: list[float] = []
-
-        def done() -> bool:
-            loss = node.health.get('trainer_node', {}).get('critic_loss', '-')
+        def is_done() -> bool:
+            loss = trainer_value('critic_loss', '-')
             if loss != '-' and losses[-1:] != [float(loss)]:
                 losses.append(float(loss))
-            swapped = [int(one.get('weights_swapped', 0))
-                       for one in policies_of(watch, options.pairs)]
-            progress.update(task, completed=min(turns(), options.turns), state=(
-                f'{node.health.get("trainer_node", {}).get("updates", 0)} updates, '
-                f'{min(swapped)} sets of weights arrived'))
-            return turns() >= options.turns and min(swapped) > 0
+            turns = int(trainer_value('turns'))
+            swaps = min(int(values.get('weights_swapped', 0))
+                        for values in policy_diagnostics(watch, options.pairs))
+            progress.update(task, completed=min(turns, options.turns), state=(
+                f'{trainer_value("updates")} updates, {swaps} sets of weights arrived'))
+            return turns >= options.turns and swaps > 0
 
-        patience = START_TIMEOUT_S + 10.0 * options.pairs
-        watch.until(lambda: turns() > 1, patience, 'first turns', processes)
+        timeout_s = START_TIMEOUT_S + 10.0 * options.pairs
+        watch.spin_until(lambda: int(trainer_value('turns')) > 1, timeout_s, 'first turns',
+                         processes)
         progress.update(task, description='training')
-        began, first = time.monotonic(), turns()
-        watch.until(done, 2.0 * patience + options.turns, 'new weights in every policy_node',
-                    processes)
-        return {'turns_per_second': (turns() - first) / (time.monotonic() - began),
+        start_time = time.monotonic()
+        first_turns = int(trainer_value('turns'))
+        watch.spin_until(is_done, 2.0 * timeout_s + options.turns,
+                         'new weights in every policy_node', processes)
+        turns = int(trainer_value('turns')) - first_turns
+        return {'turns_per_second': turns / (time.monotonic() - start_time),
                 'critic_loss_at_first': losses[0] if losses else nan,
                 'critic_loss_at_last': losses[-1] if losses else nan}
 
 
-def result_of(options: argparse.Namespace, watch: Watch, played: dict[str, float]
-              ) -> dict[str, Any]:
-    """Collect the counts that the nodes published in their diagnostics."""
-    trainer, policies = watch.node.health['trainer_node'], policies_of(watch, options.pairs)
+def collect_result(options: argparse.Namespace, watch: Watch, figures: dict[str, float]
+                   ) -> dict[str, Any]:
+    """Return the figures of the training and the counts of the nodes' diagnostics."""
+    trainer = watch.node.diagnostics['trainer_node']
+    policies = policy_diagnostics(watch, options.pairs)
     names = ('turns', 'transitions', 'incomplete', 'inconsistent', 'dropped', 'updates',
              'weights_published')
     sources = {name.removeprefix('turns '): int(value) for name, value in trainer.items()
                if name.startswith('turns ')}
-    return {'pairs': options.pairs, **played,
-            **{name: int(trainer[name]) for name in names},
+    return {'pairs': options.pairs, **figures, **{name: int(trainer[name]) for name in names},
             'turns_by_source': sources,
             'weights_arrived': min(int(policy['weights_swapped']) for policy in policies),
             'policy_updates': min(int(policy['weights_updates']) for policy in policies),
             'run': trainer['run']}
 
 
-def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
+def print_result(options: argparse.Namespace, result: dict[str, Any]) -> None:
     """Print the results as a table."""
     table = Table('what', 'count', title='Training over ROS')
     for name, value in result.items():
@@ -147,12 +154,12 @@ def show(options: argparse.Namespace, result: dict[str, Any]) -> None:
 
 
 def main(args: list[str] | None = None) -> int:
-    """Run the demo."""
-    options = parser().parse_args(args)
+    """Run the demo; return the exit code."""
+    options = build_parser().parse_args(args)
     return run_watched(
         'train_demo', options.out,
-        lambda domain, watch: result_of(options, watch, play(options, domain, watch)),
-        lambda result: show(options, result))
+        lambda domain, watch: collect_result(options, watch, run_training(options, domain, watch)),
+        lambda result: print_result(options, result))
 
 
 if __name__ == '__main__':

@@ -46,25 +46,32 @@ from std_msgs.msg import Float64MultiArray
 
 
 class Watcher(Node):
-    """Record the scene, every turn, the placement and the diagnostics of a loop."""
+    """
+    Record the scene, every turn, the placement and the diagnostics of a simulation and a policy.
+
+    :ivar scene: (N, 3) points, metres, map frame; None until they come.
+    :ivar placement: (K, 3) final positions, metres, map frame; None until they come.
+    :ivar placement_stamp: nanoseconds.
+    :ivar positions: (K, 3) of each turn, by stamp in nanoseconds.
+    :ivar rewards: fields of the reward topic of each turn, by stamp in nanoseconds.
+    :ivar diagnostics: latest diagnostic values by node.
+    :ivar diagnostics_stamps: stamp of these values by node, nanoseconds.
+    """
 
     def __init__(self, **kwargs) -> None:
         super().__init__('watcher', **kwargs)
         self.scene: np.ndarray | None = None
         self.placement: np.ndarray | None = None
         self.placement_stamp = 0
-        #: Positions (K, 3), and fields of the reward topic, by stamp in nanoseconds.
         self.positions: dict[int, np.ndarray] = {}
         self.rewards: dict[int, dict[str, float]] = {}
-        #: Latest diagnostic values by node.
-        self.health: dict[str, dict[str, str]] = {}
-        #: Stamp of these values by node, nanoseconds.
-        self.said: dict[str, int] = {}
+        self.diagnostics: dict[str, dict[str, str]] = {}
+        self.diagnostics_stamps: dict[str, int] = {}
         self.create_subscription(PointCloud2, topics.SCENE, self._on_scene, LATCHED)
         self.create_subscription(PoseArray, topics.PLACEMENT, self._on_placement, LATCHED)
         self.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, RECORDER)
         self.create_subscription(Float64MultiArray, topics.REWARD, self._on_reward, RECORDER)
-        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_health, 10)
+        self.create_subscription(DiagnosticArray, '/diagnostics', self._on_diagnostics, 10)
 
     def _on_scene(self, message: PointCloud2) -> None:
         """Store the points of the scene."""
@@ -86,12 +93,12 @@ class Watcher(Node):
         # A turn that is sent again keeps its first time of arrival.
         self.rewards.setdefault(stamp, {**fields, 'received': time.monotonic()})
 
-    def _on_health(self, message: DiagnosticArray) -> None:
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
         """Store the diagnostic values of each node."""
         for status in message.status:
             name = status.name.lstrip('/')
-            self.health[name] = {v.key: v.value for v in status.values}
-            self.said[name] = stamp_to_ns(message.header.stamp)
+            self.diagnostics[name] = {item.key: item.value for item in status.values}
+            self.diagnostics_stamps[name] = stamp_to_ns(message.header.stamp)
 
     def turns(self) -> list[tuple[np.ndarray, dict[str, float]]]:
         """Return positions and fields of every complete turn, oldest first."""
@@ -106,9 +113,10 @@ class Watcher(Node):
 
 class Watch:
     """
-    A watcher with its own context and executor; use it in a ``with`` statement.
+    A watcher with its own ROS context and executor; use it in a ``with`` statement.
 
     :param domain: ROS domain id.
+    :ivar node: the watcher.
     """
 
     def __init__(self, domain: int) -> None:
@@ -119,7 +127,7 @@ class Watch:
         self.executor.add_node(self.node)
 
     def __enter__(self) -> 'Watch':
-        """Return the watch."""
+        """Return this object."""
         return self
 
     def __exit__(self, *exception) -> None:
@@ -128,44 +136,44 @@ class Watch:
         self.node.destroy_node()
         rclpy.shutdown(context=self.context)
 
-    def until(self, predicate: Callable[[], bool], timeout: float, what: str,
-              processes: list[NodeProcess], step: float = 0.1) -> None:
+    def spin_until(self, predicate: Callable[[], bool], timeout_s: float, condition: str,
+                   processes: list[NodeProcess], step_s: float = 0.1) -> None:
         """
-        Spin until a condition holds.
+        Receive messages until a condition holds.
 
         :param predicate: returns whether the condition holds.
-        :param timeout: longest wait, seconds.
-        :param what: name of the condition for the error message.
-        :param processes: nodes that have to stay alive during the wait.
-        :param step: seconds between two checks if no message comes.
-        :raises RuntimeError: if the time is over or a node dies.
+        :param timeout_s: longest wait, seconds.
+        :param condition: name of the condition for the error message.
+        :param processes: nodes that have to run during the wait.
+        :param step_s: seconds between two checks if no message comes.
+        :raises RuntimeError: if the time is over or a node has ended.
         """
-        deadline = time.monotonic() + timeout
+        deadline = time.monotonic() + timeout_s
         while not predicate():
             for process in processes:
-                process.check()
+                process.check_running()
             if time.monotonic() > deadline:
-                words = '; '.join(f'{process.name}: {process.tail()}' for process in processes)
+                lines = '; '.join(f'{one.name}: {one.last_line()}' for one in processes)
                 raise RuntimeError(
-                    f'found no {what} within {timeout:.0f} s; last words: {words}')
-            self.executor.spin_once(timeout_sec=step)
+                    f'found no {condition} within {timeout_s:.0f} s; last lines: {lines}')
+            self.executor.spin_once(timeout_sec=step_s)
 
 
 def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any]],
                 show: Callable[[dict[str, Any]], None],
                 errors: tuple[type[Exception], ...] = (RuntimeError,)) -> int:
     """
-    Run a demo with node processes in a ROS domain of their own, and write the result.
+    Run a demo with node processes in a separate ROS domain, and write the result.
 
     Nodes communicate by UDP, so that a node may be killed without harm to the others.
 
     :param name: of the demo, and of its JSON file.
     :param out: folder for the file.
-    :param play: gets the domain id and the watch; returns the result as plain data, with sentences
-        under ``faults`` if anything failed.
+    :param play: runs the demo: receives the domain id and the watch, and returns the result as
+        plain data, with sentences under ``faults`` if anything failed.
     :param show: prints the result.
-    :param errors: errors that are printed as one sentence.
-    :returns: exit code: 2 after such an error or with faults, 130 after an interrupt.
+    :param errors: types of errors that are printed as one sentence.
+    :returns: exit code: 2 after such an error or with faults, 130 after an interrupt, otherwise 0.
     """
     end_on_signals()
     try:
@@ -173,11 +181,11 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
     except ConfigurationError as error:
         print(f'{name}: {error}', file=sys.stderr)
         return 2
-    before = dict(os.environ)
+    environment = dict(os.environ)
     os.environ.update(local_transport())
-    domain, holder = free_domain()
+    domain, reservation = free_domain()
     try:
-        with holder, Watch(domain) as watch:
+        with reservation, Watch(domain) as watch:
             result = play(domain, watch)
     except errors as error:
         print(f'{name}: {error}', file=sys.stderr)
@@ -186,7 +194,7 @@ def run_watched(name: str, out: Path, play: Callable[[int, Watch], dict[str, Any
         return 130
     finally:
         os.environ.clear()
-        os.environ.update(before)
+        os.environ.update(environment)
     write_atomically(out / f'{name}.json', json.dumps(result, indent=2) + '\n')
     show(result)
     for fault in (faults := result.get('faults', [])):

@@ -16,15 +16,17 @@
 Trans-dimensional simulated annealing (TDSA), after Liu, Sridharan and Fookes (2013).
 
 The chain lives on placements of any number of cameras up to K, with the target density
-lambda^n / n! exp(-E / T) over n cameras placed uniformly: a Poisson process when E is 0. Each step
-proposes a birth, a death or a move, and accepts
+lambda^n / n! exp(-E / T) over n cameras placed uniformly: E is the depth error and T the
+temperature; if E is 0, it is a Poisson process. Each step proposes a birth (one camera more), a
+death (one camera less) or a move, and accepts it with the probability
 
     birth  n -> n + 1   (p_d / p_b) lambda / (n + 1) exp(-dE / T)
     death  n -> n - 1   (p_b / p_d) n / lambda       exp(-dE / T)
     move                                             exp(-dE / T)
 
-with p_b and p_d at the numbers of cameras before and after the proposal: there is no death at 0
-and no birth at K. T decreases by a constant factor in each step.
+with p_b and p_d, the probabilities of proposing a birth and a death, at the numbers of cameras
+before and after the proposal: there is no death at 0 and no birth at K. T decreases by a constant
+factor in each step.
 
 The text of the source was not available. The moves and the acceptance are those of reversible-jump
 annealing in this project's design, so details may differ from the source.
@@ -32,81 +34,92 @@ annealing in this project's design, so details may differ from the source.
 
 import numpy as np
 from ocp_ros.search.planner import Planner, Scores, Search
-
-#: First and last temperature, in multiples of the standard deviation of random placements' errors.
-FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.5, 2e-4
-#: Standard deviation of the first and last moves, as shares of the longer edge of the space.
-FIRST_STEP, LAST_STEP = 0.25, 0.01
-#: Number of random placements from which the temperature is computed.
-PILOTS = 16
+from ocp_ros.util.annealing import between
 
 
 class FixedAnnealing(Planner):
     """Simulated annealing of K cameras, without births and deaths."""
 
-    births = 0.0
+    birth_probability = 0.0
 
     def search(self) -> Search:
         """Anneal once, until the budget is used up."""
-        count = min(PILOTS, max(self.budget // 5, 2))
-        pilots = [self.space.random(self.rng) for _ in range(count)]
-        scores = yield pilots
-        placed, error = pilots[np.argmin(scores.error)], scores.error.min()
-        spread = max(float(np.std(scores.error)), 1e-9)
-        steps = max(self.budget - len(pilots), 2)
+        # The errors of some random placements set the temperature, and the best one is the start.
+        count = min(16, max(self.budget // 5, 2))
+        samples = [self.space.random(self.rng) for _ in range(count)]
+        scores = yield samples
+        placed = samples[np.argmin(scores.error)]
+        error = scores.error.min()
+        error_deviation = max(float(np.std(scores.error)), 1e-9)
+        steps = max(self.budget - count, 2)
         for step in range(steps):
             share = step / (steps - 1)
-            cooling = (LAST_TEMPERATURE / FIRST_TEMPERATURE) ** share
-            temperature = spread * FIRST_TEMPERATURE * cooling
-            sigma = self.space.size.max() * FIRST_STEP * (LAST_STEP / FIRST_STEP) ** share
-            placed, error = yield from self.step(placed, error, temperature, sigma)
+            # Temperatures are multiples of the standard deviation of the errors; the standard
+            # deviations of moves are shares of the longer edge of the space.
+            temperature = error_deviation * between(0.5, 2e-4, share)
+            deviation = self.space.size.max() * between(0.25, 0.01, share)
+            placed, error = yield from self.take_step(placed, error, temperature, deviation)
 
-    def step(self, placed: np.ndarray, error: float, temperature: float, sigma: float):
-        """Propose one change and accept or reject it; return the positions and their error."""
-        trial, ratio = self.propose(placed, sigma)
+    def take_step(self, placed: np.ndarray, error: float, temperature: float, deviation: float):
+        """
+        Propose one change and accept or reject it.
+
+        :param placed: (n, 2) positions of the cameras, metres.
+        :param error: their depth error, metres.
+        :param temperature: metres.
+        :param deviation: standard deviation of a move along each axis, metres.
+        :returns: the positions after the step, and their error.
+        """
+        trial, ratio = self.propose(placed, deviation)
         scores: Scores = yield [trial]
-        fall = (error - scores.error[0]) / temperature
-        if np.log(max(self.rng.random(), 1e-300)) < fall + np.log(ratio):
+        log_acceptance = (error - scores.error[0]) / temperature + np.log(ratio)
+        if np.log(max(self.rng.random(), 1e-300)) < log_acceptance:
             return trial, scores.error[0]
         return placed, error
 
-    def propose(self, placed: np.ndarray, sigma: float) -> tuple[np.ndarray, float]:
-        """Return changed positions and the acceptance ratio without the factor exp(-dE / T)."""
-        choice, count = self.rng.random(), len(placed)
-        birth, death = self.probabilities(count)
-        if choice < birth:
+    def propose(self, placed: np.ndarray, deviation: float) -> tuple[np.ndarray, float]:
+        """
+        Draw a birth, a death or a move.
+
+        :param placed: (n, 2) positions of the cameras, metres.
+        :param deviation: standard deviation of a move along each axis, metres.
+        :returns: the changed positions, and the acceptance ratio without exp(-dE / T).
+        """
+        draw, count = self.rng.random(), len(placed)
+        birth, death = self.proposal_probabilities(count)
+        if draw < birth:
             trial = np.vstack([placed, self.space.random(self.rng, 1)])
-            back = self.probabilities(count + 1)[1]
-            return trial, back / birth * self.rate / (count + 1)
-        if choice < birth + death:
+            reverse_death = self.proposal_probabilities(count + 1)[1]
+            return trial, reverse_death / birth * self.expected_cameras / (count + 1)
+        if draw < birth + death:
             trial = np.delete(placed, self.rng.integers(count), axis=0)
-            back = self.probabilities(count - 1)[0]
-            return trial, back / death * count / self.rate
+            reverse_birth = self.proposal_probabilities(count - 1)[0]
+            return trial, reverse_birth / death * count / self.expected_cameras
         trial = placed.copy()
         if count:
             camera = self.rng.integers(count)
-            moved = self.space.folded(trial[camera] + self.rng.normal(0.0, sigma, 2))
+            moved = self.space.folded(trial[camera] + self.rng.normal(0.0, deviation, 2))
             # The target density is 0 outside the feasible region.
             trial[camera] = moved if self.space.contains(moved) else trial[camera]
         return trial, 1.0
 
     @property
-    def rate(self) -> float:
-        """Return lambda, the expected number of cameras if E is 0."""
+    def expected_cameras(self) -> float:
+        """Return lambda, the expected number of cameras if the depth error is always 0."""
         return float(self.space.cameras)
 
-    def probabilities(self, count: int) -> tuple[float, float]:
-        """Return the probabilities of proposing a birth and a death at a number of cameras."""
-        either = 2.0 * self.births
+    def proposal_probabilities(self, count: int) -> tuple[float, float]:
+        """Return the probabilities of proposing a birth and a death if there are n cameras."""
+        birth_or_death = 2.0 * self.birth_probability
         if count == 0:
-            return either, 0.0
+            return birth_or_death, 0.0
         if count >= self.space.cameras:
-            return 0.0, either
-        return self.births, self.births
+            return 0.0, birth_or_death
+        return self.birth_probability, self.birth_probability
 
 
 class TransDimensionalAnnealing(FixedAnnealing):
     """TDSA: births, deaths and moves."""
 
     #: p_b and p_d for 1 to K - 1 cameras; the other proposals are moves.
-    births = 0.1
+    birth_probability = 0.1

@@ -20,7 +20,7 @@ import time
 
 from ocp_ros.util.settings import check_positive, check_whole, ConfigurationError
 
-#: Gets the used share of the budget and the smallest loss so far.
+#: Receives the used share of the budget and the smallest loss so far; its result is ignored.
 Progress = Callable[[float, float], None]
 
 
@@ -42,19 +42,21 @@ class Budget:
                 'budget: found no limit; expected seconds, evaluations or both')
         check_positive('seconds', seconds)
         check_whole('evaluations', evaluations)
-        self.seconds, self.evaluations = seconds, evaluations
-        self._clock, self._began = clock, clock()
+        self.seconds = seconds
+        self.evaluations = evaluations
+        self._clock = clock
+        self._start_time = clock()
         self._stopped = Event()
 
     def restarted(self, seconds: float | None = None) -> 'Budget':
         """
-        Return a budget with the same limits that starts now; stopping one stops the other too.
+        Return a budget that starts now; stopping either of the two budgets stops both.
 
-        :param seconds: largest time; None for the same as before.
+        :param seconds: largest time; None for that of this budget. The other limit is the same.
         """
-        other = Budget(self.seconds if seconds is None else seconds, self.evaluations, self._clock)
-        other._stopped = self._stopped
-        return other
+        copy = Budget(self.seconds if seconds is None else seconds, self.evaluations, self._clock)
+        copy._stopped = self._stopped
+        return copy
 
     @property
     def stopped(self) -> bool:
@@ -68,20 +70,24 @@ class Budget:
     @property
     def elapsed(self) -> float:
         """Return the seconds since the budget was created."""
-        return self._clock() - self._began
+        return self._clock() - self._start_time
 
-    def share(self, evaluations: int, most: int | None) -> float:
+    def deadline_check(self, share: float) -> Callable[[], bool]:
+        """Return a function that returns whether a share of the time is used, or it is stopped."""
+        return lambda: self.used_share(0, None) >= share
+
+    def used_share(self, evaluations: int, max_evaluations: int | None) -> float:
         """
-        Return the used share of the budget; at 1 or more it is used up.
+        Return the used share of the budget; at 1 or more the budget is used up.
 
         :param evaluations: number of evaluations so far.
-        :param most: largest number of evaluations of this part of the search; None for any number.
+        :param max_evaluations: limit of their number; None if the time alone counts.
         """
         if self.stopped:
             return 1.0
         shares = [0.0]
         if self.seconds is not None:
             shares.append(self.elapsed / self.seconds)
-        if most is not None:
-            shares.append(evaluations / most)
+        if max_evaluations is not None:
+            shares.append(evaluations / max_evaluations)
         return max(shares)

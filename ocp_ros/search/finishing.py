@@ -13,14 +13,14 @@
 # limitations under the License.
 
 """
-Search on a lattice of places, then finish by local search between them.
+Search on a lattice of positions, then finish by local search between them.
 
 Computing a view is the slow part of an evaluation, and it takes longer with more points. So for
-most of the budget, the planner evaluates cameras at places of a lattice, and the view of each
-place is computed once. At the end, the best placements are evaluated again and improved by local
-search between these places. Among the best results, the answer is the placement with the best mean
-score over small mounting errors. This excludes a placement whose score depends on the exact cells
-of a map.
+most of the budget, the planner evaluates cameras at positions of a lattice, and the view of each
+position is computed once. At the end, the best placements are evaluated again and improved by
+local search between these positions. Among the best results, the answer is the placement with the
+best mean score over small mounting errors. This excludes a placement whose score depends on the
+exact cells of a map.
 """
 
 from collections.abc import Callable, Sequence
@@ -32,55 +32,54 @@ from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import mounted
 from ocp_ros.search.greedy import descend
 from ocp_ros.search.planner import Planner, Scores, Search
-from ocp_ros.search.population import matched
+from ocp_ros.search.population import match_positions
 from ocp_ros.search.solve import Result, solve
 
-#: Metres between the places of the lattice.
+#: Distance of the positions of the lattice, metres.
 LATTICE_M = 0.25
-#: Share of the evaluations for the end, and the share of these for the elites.
-FINISH_SHARE, ELITE_SHARE = 0.15, 0.1
-#: Smallest difference of two placements in the position of one camera, metres: among the elites,
-#: and in the last choice.
-ELITES_APART_M, CHOICES_APART_M = 0.25, 0.06
-#: For the last choice: share of the evaluations at the end, and largest number of placements.
-CHOICE_SHARE, CHOICES = 0.15, 24
-#: Number of drawn mounting errors for each placement, and their size in metres.
-MOUNTINGS, MOUNTING_ERROR_M = 8, 0.05
-#: Random seed of the mounting errors.
-SEED = 1
-
-Score = Callable[[Sequence[np.ndarray]], Scores]
+#: Mounting errors for the robust choice: their number for each placement, their size in metres,
+#: and their random seed.
+MOUNTING_DRAWS = 8
+MOUNTING_ERROR_M = 0.05
+MOUNTING_SEED = 1
+#: Smallest :func:`max_distance` of placements among which the robust choice is made.
+CHOICE_DISTANCE_M = 0.06
+#: Returns the scores of placements (n, 3).
+ScoreFunction = Callable[[Sequence[np.ndarray]], Scores]
 
 
 class LatticeScorer:
     """
-    Score placements with each camera moved to its nearest place on a lattice.
+    Score placements with each camera moved to its nearest position on a lattice.
 
-    A room has some hundred such places, so the view of each is computed once and cached.
+    A room has some hundred such positions, so the view of each is computed once and cached.
 
     :param score: returns the scores of placements (n, 3).
     :param space: feasible region of the cameras.
     """
 
-    def __init__(self, score: Score, space: FreePlane) -> None:
-        self._score, self._space = score, space
+    def __init__(self, score: ScoreFunction, space: FreePlane) -> None:
+        self._score = score
+        self._space = space
 
     def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
-        """Score B placements (n, 3)."""
-        return self._score([self._space.placement(self.snapped(placement[:, :2]))
+        """Return the scores of B placements (n, 3)."""
+        return self._score([self._space.placement(self.snapped_positions(placement[:, :2]))
                             for placement in placements])
 
-    def snapped(self, positions: np.ndarray) -> np.ndarray:
-        """Move positions (n, 2) to feasible positions at, or nearest to, places of the lattice."""
+    def snapped_positions(self, positions: np.ndarray) -> np.ndarray:
+        """Return the feasible positions at, or nearest to, the lattice for positions (n, 2)."""
         return self._space.inside((np.floor(positions / LATTICE_M) + 0.5) * LATTICE_M)
 
 
 class FinishingDescent(Planner):
     """
-    Evaluate the elites of another search again, and improve the best ones by local search.
+    Evaluate the elites, the best placements of another search, and improve them by local search.
 
     :param elites: positions (n, 2) each, the best first.
-    :param settings: of :class:`~ocp_ros.search.planner.Planner`.
+    :param space: feasible region of the cameras.
+    :param rng: the only source of random numbers.
+    :param budget: expected number of evaluations.
     """
 
     def __init__(self, elites: Sequence[np.ndarray], space: FreePlane, rng: np.random.Generator,
@@ -95,34 +94,36 @@ class FinishingDescent(Planner):
             yield from descend(self, self._elites[number], scores.error[number])
 
 
-def distinct(placements: Sequence[np.ndarray], most: int, apart: float = ELITES_APART_M
-             ) -> list[np.ndarray]:
+def distinct_placements(placements: Sequence[np.ndarray], max_count: int, min_distance: float
+                        ) -> list[np.ndarray]:
     """
-    Choose placements that differ.
+    Choose placements that differ from each other.
 
     :param placements: positions (n, 2) each, the best first.
-    :param most: largest number of placements to choose.
-    :param apart: smallest difference of two placements in the position of one camera, metres.
+    :param max_count: largest number of placements to choose.
+    :param min_distance: smallest :func:`max_distance` of two chosen placements with the same
+        number of cameras, metres.
     """
     chosen: list[np.ndarray] = []
     for placement in placements:
-        if len(chosen) >= most:
+        if len(chosen) >= max_count:
             break
-        if all(len(other) != len(placement) or differ(placement, other) >= apart
+        if all(len(other) != len(placement) or max_distance(placement, other) >= min_distance
                for other in chosen):
             chosen.append(placement)
     return chosen
 
 
-def differ(one: np.ndarray, other: np.ndarray) -> float:
-    """Return the largest distance between matched cameras of two placements (n, 2), metres."""
-    return float(np.linalg.norm(matched(one, other) - one, axis=1).max(initial=0.0))
+def max_distance(placement: np.ndarray, other: np.ndarray) -> float:
+    """Return the largest distance of matched cameras of two placements (n, 2), metres."""
+    distances = np.linalg.norm(match_positions(placement, other) - placement, axis=1)
+    return float(distances.max(initial=0.0))
 
 
-def search_and_finish(planner: Planner, score: Score, evaluations: int,
+def search_and_finish(planner: Planner, score: ScoreFunction, evaluations: int,
                       clock: Callable[[], float] = time.perf_counter) -> Result:
     """
-    Run a planner on a lattice of places, then finish by local search between them.
+    Run a planner on a lattice of positions, then finish by local search between them.
 
     :param planner: the method; if its :attr:`~ocp_ros.search.planner.Planner.descends` is false,
         its placements are evaluated again without a local search.
@@ -130,43 +131,51 @@ def search_and_finish(planner: Planner, score: Score, evaluations: int,
     :param evaluations: largest number of placements to evaluate.
     :param clock: returns the current time, seconds.
     :returns: the placement; the trace is that of the search, then of the local search, without the
-        last choice.
+        robust choice.
     """
     lattice = LatticeScorer(score, planner.space)
-    last = max(int(FINISH_SHARE * evaluations), 1)
-    found = solve(planner, lattice, max(evaluations - last, 1), clock=clock)
-    choices = int(CHOICE_SHARE * last) // MOUNTINGS if planner.descends else 0
-    most = max(int(ELITE_SHARE * last), 1) if planner.descends else last
-    elites = distinct([lattice.snapped(one) for one in found.best], most)
-    finish = FinishingDescent(elites, planner.space, planner.rng, last)
-    limit = last - MOUNTINGS * choices if planner.descends else len(elites)
-    end = solve(finish, score, limit, clock=clock)
-    trace = np.vstack([found.trace, end.trace + [found.evaluations, found.seconds, 0.0]])
-    end = replace(end, evaluations=found.evaluations + end.evaluations,
-                  seconds=found.seconds + end.seconds, trace=trace)
-    return steadiest(end, planner.space, score, choices, clock)
+    # Shares of the evaluations: the finish, and of these the elites and the robust choice.
+    finish_share, elite_share, choice_share = 0.15, 0.1, 0.15
+    finishing = max(int(finish_share * evaluations), 1)
+    search_result = solve(planner, lattice, max(evaluations - finishing, 1), clock=clock)
+    choices = int(choice_share * finishing) // MOUNTING_DRAWS if planner.descends else 0
+    max_elites = max(int(elite_share * finishing), 1) if planner.descends else finishing
+    elites = distinct_placements([lattice.snapped_positions(one) for one in search_result.best],
+                                 max_elites, min_distance=0.25)
+    descent = FinishingDescent(elites, planner.space, planner.rng, finishing)
+    limit = finishing - MOUNTING_DRAWS * choices if planner.descends else len(elites)
+    result = solve(descent, score, limit, clock=clock)
+    later_trace = result.trace + [search_result.evaluations, search_result.seconds, 0.0]
+    result = replace(result, evaluations=search_result.evaluations + result.evaluations,
+                     seconds=search_result.seconds + result.seconds,
+                     trace=np.vstack([search_result.trace, later_trace]))
+    return choose_robust(result, planner.space, score, choices, clock)
 
 
-def steadiest(found: Result, space: FreePlane, score: Score, most: int,
-              clock: Callable[[], float]) -> Result:
+def choose_robust(result: Result, space: FreePlane, score: ScoreFunction, max_choices: int,
+                  clock: Callable[[], float]) -> Result:
     """
     Choose the placement with the smallest mean error over small mounting errors.
 
-    :param found: result of a search.
+    :param result: of a search.
     :param space: feasible region of its cameras.
     :param score: returns the scores of placements (n, 3).
-    :param most: number of placements to choose from; with fewer than two, ``found`` is returned.
+    :param max_choices: number of placements to choose from; with fewer than two, ``result`` is
+        returned.
     :param clock: returns the current time, seconds.
     """
-    choices = distinct(found.best, min(most, CHOICES), CHOICES_APART_M)
+    choices = distinct_placements(result.best, min(max_choices, 24), CHOICE_DISTANCE_M)
     if len(choices) < 2:
-        return found
-    began, placements = clock(), [space.placement(choice) for choice in choices]
-    off = [float(np.mean(score(list(mounted(placement, MOUNTING_ERROR_M, MOUNTINGS, SEED))).error))
-           for placement in placements]
-    chosen = placements[int(np.argmin(off))]
+        return result
+    start_time = clock()
+    placements = [space.placement(choice) for choice in choices]
+    moved = [mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)
+             for placement in placements]
+    mean_errors = [np.mean(score(list(displaced)).error) for displaced in moved]
+    chosen = placements[int(np.argmin(mean_errors))]
     scores = score([chosen])
-    return replace(found, placement=chosen, depth_error=float(scores.error[0]),
-                   space_coverage=float(scores.space_coverage[0]),
-                   evaluations=found.evaluations + MOUNTINGS * len(choices),
-                   seconds=found.seconds + clock() - began)
+    return replace(
+        result, placement=chosen, depth_error=float(scores.error[0]),
+        space_coverage=float(scores.space_coverage[0]),
+        evaluations=result.evaluations + MOUNTING_DRAWS * len(choices),
+        seconds=result.seconds + clock() - start_time)

@@ -15,13 +15,13 @@
 """
 Baselines without a search, and greedy placement with local search.
 
-Greedy placement adds one camera after the other, each at the best remaining place.
+Greedy placement adds one camera after the other, each at the best remaining position.
 
-Space coverage and the reduction of the depth error are monotone and submodular. So greedy
-placement by either of them reaches at least 1 - 1/e of the optimum on the same candidates
-(Nemhauser, Wolsey and Fisher, 1978). This says little about the remaining depth error: after a
-reduction by 90 % it is twice as large as after 95 %. The candidates are a grid as fine as the
-budget allows.
+Space coverage and the reduction of the depth error are monotone and submodular: the gain of a
+camera is never negative, and never larger after more cameras. So greedy placement by either of
+them reaches at least 1 - 1/e of the optimum on the same candidates (Nemhauser, Wolsey and Fisher,
+1978). This says little about the remaining depth error: after a reduction by 90 % it is twice as
+large as after 95 %. The candidates are a grid as fine as the budget allows.
 """
 
 from collections.abc import Callable, Generator, Sequence
@@ -29,17 +29,8 @@ from collections.abc import Callable, Generator, Sequence
 import numpy as np
 from ocp_ros.search.planner import Planner, Scores, Search
 
-#: First and last step of the local search, metres, and the number of directions that it tries.
-FIRST_STEP, LAST_STEP, DIRECTIONS = 0.4, 0.02, 8
-#: Candidates of a search with exchange: their smallest number; the evaluations of the budget for
-#: each candidate and camera; and their largest number.
-MIN_CANDIDATES, EVALUATIONS_EACH, MAX_CANDIDATES = 20, 16, 150
-#: Number of random places from which two removed cameras are placed again.
-REBUILDING_PLACES = 48
-#: Placements that are drawn together.
-BATCH = 32
 NO_CAMERAS = np.empty((0, 2))
-#: Yields placements, gets scores, and ends with positions and their depth error.
+#: Yields placements, receives their scores, and returns positions (n, 2) and their depth error.
 PlacementSteps = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float]]
 
 
@@ -51,7 +42,7 @@ class Random(Planner):
     def search(self) -> Search:
         """Draw placements until the budget is used up."""
         while True:
-            yield [self.space.random(self.rng) for _ in range(BATCH)]
+            yield [self.space.random(self.rng) for _ in range(32)]
 
 
 class RegularGrid(Planner):
@@ -61,16 +52,18 @@ class RegularGrid(Planner):
 
     def search(self) -> Search:
         """Try every number of columns once."""
-        cameras, low, size = self.space.cameras, self.space.low, self.space.size
+        cameras = self.space.cameras
         arrangements = []
         for columns in range(1, cameras + 1):
             rows = -(-cameras // columns)
             x, y = np.meshgrid((np.arange(columns) + 0.5) / columns,
                                (np.arange(rows) + 0.5) / rows)
-            cells = np.stack([x, y], axis=-1).reshape(-1, 2)
-            # If there are more cells than cameras, cells in the middle stay empty.
-            keep = np.argsort(-np.abs(cells - 0.5).max(axis=1), kind='stable')[:cameras]
-            arrangements.append(self.space.inside(low + cells[np.sort(keep)] * size))
+            # Centres of the cells, as shares of the edges of the space.
+            centres = np.stack([x, y], axis=-1).reshape(-1, 2)
+            # If there are more cells than cameras, the cells nearest to the centre stay empty.
+            used = np.argsort(-np.abs(centres - 0.5).max(axis=1), kind='stable')[:cameras]
+            arrangements.append(self.space.inside(
+                self.space.low + centres[np.sort(used)] * self.space.size))
         yield arrangements
 
 
@@ -80,7 +73,7 @@ class GreedyError(Planner):
     def search(self) -> Search:
         """Add cameras until the placement is complete."""
         candidates = self.space.grid(max(self.budget // self.space.cameras, 1))
-        yield from fill(self.space.cameras, candidates, self.energy)
+        yield from add_cameras(self.space.cameras, candidates, self.energy)
 
 
 class GreedyCoverage(GreedyError):
@@ -89,7 +82,7 @@ class GreedyCoverage(GreedyError):
     descends = False
 
     def energy(self, scores: Scores) -> np.ndarray:
-        """Return the negative space coverage."""
+        """Return the negative space coverage: (B,) cubic metres."""
         return -scores.space_coverage
 
 
@@ -98,82 +91,99 @@ class GreedySwap(Planner):
     Greedy by depth error, then exchanges of one camera at a time, then a local search.
 
     The rest of the budget is used for ruin and recreate: two cameras of the best placement are
-    removed and added again greedily at random places, followed by the local search.
+    removed and added again greedily at random positions, followed by the local search.
     """
 
     def search(self) -> Search:
         """Place greedily, exchange, run the local search, and repeat it by ruin and recreate."""
         cameras = self.space.cameras
         # A coarse grid suffices: neighbours have similar views, and the local search refines.
-        most = np.clip(self.budget // (EVALUATIONS_EACH * cameras), MIN_CANDIDATES,
-                       MAX_CANDIDATES)
-        candidates = self.space.grid(int(most))
-        placed, _ = yield from fill(cameras, candidates, self.energy)
-        best, error = yield from exchange(placed, candidates)
+        candidates = self.space.grid(int(np.clip(self.budget // (16 * cameras), 20, 150)))
+        placed, _ = yield from add_cameras(cameras, candidates, self.energy)
+        best, error = yield from exchange_cameras(placed, candidates)
         best, error = yield from descend(self, best, error)
         while True:
-            kept = self.rng.permutation(cameras)[min(2, cameras):]
-            places = np.array([self.space.random(self.rng, 1)[0]
-                               for _ in range(REBUILDING_PLACES)])
-            start, other_error = yield from fill(
-                cameras, places, self.energy, best[kept])
-            other, other_error = yield from descend(self, start, other_error)
-            if other_error < error:
-                best, error = other, other_error
+            remaining = self.rng.permutation(cameras)[min(2, cameras):]
+            positions = np.array([self.space.random(self.rng, 1)[0] for _ in range(48)])
+            recreated, trial_error = yield from add_cameras(
+                cameras, positions, self.energy, best[remaining])
+            trial, trial_error = yield from descend(self, recreated, trial_error)
+            if trial_error < error:
+                best, error = trial, trial_error
 
 
-def fill(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.ndarray],
-         placed: np.ndarray = NO_CAMERAS) -> PlacementSteps:
+def add_cameras(cameras: int, candidates: np.ndarray, energy: Callable[[Scores], np.ndarray],
+                placed: np.ndarray = NO_CAMERAS) -> PlacementSteps:
     """
-    Place cameras one by one.
+    Add cameras greedily, one by one.
 
-    :param candidates: (M, 2).
-    :param energy: returns the value to minimise for each score.
-    :param placed: (n, 2), cameras that are already placed.
-    :returns: the positions (cameras, 2) and their depth error.
+    :param cameras: K, number of cameras at the end.
+    :param candidates: (M, 2) positions to choose from, metres.
+    :param energy: returns the values to minimise, (B,) for B scores.
+    :param placed: (n, 2) positions of cameras that are already placed, metres.
+    :returns: the positions (K, 2) and their depth error.
     """
     error = np.inf
     for _ in range(cameras - len(placed)):
-        scores = yield [np.vstack([placed, place]) for place in candidates]
+        scores = yield [np.vstack([placed, candidate]) for candidate in candidates]
         choice = int(np.argmin(energy(scores)))
-        placed, error = np.vstack([placed, candidates[choice]]), scores.error[choice]
+        placed = np.vstack([placed, candidates[choice]])
+        error = scores.error[choice]
     return placed, error
 
 
-def best_place(placed: np.ndarray, camera: int, places: np.ndarray) -> PlacementSteps:
-    """Move one camera to the best of some places (M, 2), even if its old place is better."""
-    trials = np.repeat(placed[None], len(places), axis=0)
-    trials[:, camera] = places
+def move_to_best(placed: np.ndarray, camera: int, positions: np.ndarray) -> PlacementSteps:
+    """
+    Move one camera to the best of some positions, even if its old position is better.
+
+    :param placed: (n, 2) positions of all cameras, metres.
+    :param camera: row of the camera to move.
+    :param positions: (M, 2) to choose from, metres.
+    """
+    trials = np.repeat(placed[None], len(positions), axis=0)
+    trials[:, camera] = positions
     scores = yield list(trials)
     choice = int(np.argmin(scores.error))
     return trials[choice], scores.error[choice]
 
 
-def exchange(placed: np.ndarray, candidates: np.ndarray) -> PlacementSteps:
-    """Move one camera at a time to its best candidate, until no exchange reduces the error."""
+def exchange_cameras(placed: np.ndarray, candidates: np.ndarray) -> PlacementSteps:
+    """Move cameras (n, 2) one at a time to their best candidates (M, 2) until none improves."""
     scores = yield [placed]
-    error, unchanged, camera = scores.error[0], 0, 0
+    error = scores.error[0]
+    unchanged = camera = 0
     while unchanged < len(placed):
-        trial, trial_error = yield from best_place(placed, camera, candidates)
+        trial, trial_error = yield from move_to_best(placed, camera, candidates)
         unchanged += 1
         if trial_error < error:
-            placed, error, unchanged = trial, trial_error, 1
+            placed, error = trial, trial_error
+            unchanged = 1
         camera = (camera + 1) % len(placed)
     return placed, error
 
 
 def descend(planner: Planner, placed: np.ndarray, error: float) -> PlacementSteps:
-    """Run a local search: move one camera at a time on a ring of places with decreasing radius."""
-    step, unchanged, camera = FIRST_STEP, 0, 0
-    while step >= LAST_STEP:
+    """
+    Run a local search: move one camera at a time on a ring of positions with decreasing radius.
+
+    :param planner: gives the feasible region and the random numbers.
+    :param placed: (n, 2) positions of the cameras, metres.
+    :param error: their depth error, metres.
+    """
+    radius_m = 0.4
+    directions = 8
+    unchanged = camera = 0
+    while radius_m >= 0.02:
         angle = planner.rng.uniform(0.0, 2.0 * np.pi)
-        angles = angle + np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
-        ring = placed[camera] + step * np.stack([np.cos(angles), np.sin(angles)], axis=1)
-        trial, trial_error = yield from best_place(placed, camera, planner.space.inside(ring))
+        angles = angle + np.arange(directions) * (2.0 * np.pi / directions)
+        ring = placed[camera] + radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+        trial, trial_error = yield from move_to_best(placed, camera, planner.space.inside(ring))
         unchanged += 1
         if trial_error < error:
-            placed, error, unchanged = trial, trial_error, 0
+            placed, error = trial, trial_error
+            unchanged = 0
         camera = (camera + 1) % len(placed)
         if unchanged >= len(placed):
-            step, unchanged = 0.5 * step, 0
+            radius_m *= 0.5
+            unchanged = 0
     return placed, error

@@ -18,8 +18,8 @@ Compute a placement by a planner's name, for a rig under all its constraints.
 There are three kinds of planners. A planner with input ``SCAN`` chooses full poses itself. A
 planner with input ``SCORES`` proposes positions and receives their scores; for a rig, the cameras
 are mounted at feasible poses near these positions before they are scored. A planner with input
-``OBSERVED`` runs an episode. On a plane, positions are a placement, and planners of the first kind
-are not available.
+``OBSERVED`` moves the cameras in an episode. On a plane, positions are a placement, and planners
+with input ``SCAN`` are not available.
 """
 
 from collections.abc import Callable, Sequence
@@ -31,9 +31,9 @@ import numpy as np
 from ocp_ros.online.rollout import play
 from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import check_regions, check_room, MountedCamera, Pool, pool_of
+from ocp_ros.search.candidate_pool import CandidatePool, check_regions, MountedCamera, pool_of
 from ocp_ros.search.finishing import search_and_finish
-from ocp_ros.search.pose_annealing import answered, SearchResult, views_of
+from ocp_ros.search.pose_annealing import result_of_placement, SearchResult
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
 from ocp_ros.search.scorer import Scorer
@@ -42,56 +42,52 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem, space_of
 from ocp_ros.util.settings import ConfigurationError
 
-#: Number of placements to measure the time of an evaluation, and largest number of evaluations
-#: that a planner expects: some planners create a grid of this size.
-PILOTS, MAX_EVALUATIONS = 4, 100_000
 
-
-def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH, pool: Pool | None = None,
-         seed: int = 0, start: Sequence[MountedCamera] = (), progress: Progress | None = None,
-         model: str = DEFAULT_MODEL, clock: Callable[[], float] = time.perf_counter
-         ) -> SearchResult:
+def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,
+         pool: CandidatePool | None = None, seed: int = 0, start: Sequence[MountedCamera] = (),
+         progress: Progress | None = None, model: str = DEFAULT_MODEL,
+         clock: Callable[[], float] = time.perf_counter) -> SearchResult:
     """
     Find the best placement of the cameras of a problem.
 
     :param problem: the rig in the room.
     :param budget: of the search; on a plane it must have evaluations. Without evaluations, a
         planner with input ``SCORES`` estimates their number from the time. For an online planner
-        an evaluation is a time step; it takes at most the time steps of an episode, and fewer than
-        both limits only if the budget is stopped.
+        an evaluation is a time step: the planner takes as many as the budget and the episode
+        allow, or fewer if the budget is stopped.
     :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
     :param pool: candidates of all models of a rig; None to create them.
     :param seed: random seed.
-    :param start: a placement of a rig; the result is not worse than it. Empty for none.
-    :param progress: called several times a second or after each placement or time step; on a
-        plane, after each time step alone.
+    :param start: a placement of a rig; the result is not worse. Empty for none.
+    :param progress: called several times a second with input ``SCAN``, otherwise after each
+        placement or time step; on a plane, after each time step alone.
     :param model: weights of trained online planners: path or name.
     :param clock: returns the current time, seconds, for traces and time steps.
     :raises ConfigurationError: if there is no placement, or the planner cannot plan on a plane.
     """
-    knows, make = PLANNERS[planner]
+    input_kind, make = PLANNERS[planner]
     if problem.rig.free:
-        if knows == SCAN or budget.evaluations is None or start:
+        if input_kind == SCAN or budget.evaluations is None or start:
             raise ConfigurationError(
                 f'--planner {planner}: found it for cameras on a plane; expected a planner that '
                 'is not for rigs, evaluations and no placement to begin with; use a rig file')
-        if knows == OBSERVED:
-            return _played(make, problem, None, budget, seed, progress, model, clock)
-        return _searched_on_plane(make, problem, budget, seed, clock)
+        if input_kind == OBSERVED:
+            return _place_by_episode(make, problem, None, budget, seed, progress, model, clock)
+        return _place_on_plane(make, problem, budget, seed, clock)
     if pool is None:
         pool = pool_of(problem, budget)
         check_regions(problem.objective, pool)
-    check_room(problem.objective, pool)
-    if knows == SCAN:
+    pool.check_fit(problem.objective)
+    if input_kind == SCAN:
         return make(problem, pool, budget, seed, start, progress)
-    if knows == OBSERVED:
-        found = _played(make, problem, pool, budget, seed, progress, model, clock)
+    if input_kind == OBSERVED:
+        result = _place_by_episode(make, problem, pool, budget, seed, progress, model, clock)
     else:
-        found = _searched(make, problem, pool, budget, seed, progress)
+        result = _place_by_scores(make, problem, pool, budget, seed, progress)
     if not start:
-        return found
-    before = answered(problem.objective, start, found.evaluations)
-    return before if before.loss < found.loss else found
+        return result
+    start_result = result_of_placement(problem.objective, start, result.evaluations)
+    return start_result if start_result.loss < result.loss else result
 
 
 class RigScorer(Scorer):
@@ -103,7 +99,8 @@ class RigScorer(Scorer):
     positions are not used.
 
     :param decoder: mounts the cameras.
-    :param budget: see :class:`~ocp_ros.search.scorer.Scorer`, as for ``progress``.
+    :param budget: of the search; see :class:`~ocp_ros.search.scorer.Scorer`.
+    :param progress: called after each placement.
     """
 
     def __init__(self, decoder: Decoder, budget: Budget, progress: Progress | None = None) -> None:
@@ -111,49 +108,54 @@ class RigScorer(Scorer):
         self.decoder = decoder
 
     def judge(self, placement: np.ndarray) -> tuple[float, float]:
-        """Return the objective value and the space coverage, cubic metres."""
-        found = self.decoder.objective.judge(views_of(self.decoder(placement[:, :2])))
-        return found.loss, found.space_coverage
+        """Return the objective value and the space coverage, cubic metres, of positions (n, 3)."""
+        sites = self.decoder(placement[:, :2])
+        evaluation = self.decoder.objective.judge([site.view for site in sites])
+        return evaluation.loss, evaluation.space_coverage
 
 
-def _searched(make: Callable, problem: Problem, pool: Pool, budget: Budget, seed: int,
-              progress: Progress | None) -> SearchResult:
+def _place_by_scores(make: Callable, problem: Problem, pool: CandidatePool, budget: Budget,
+                     seed: int, progress: Progress | None) -> SearchResult:
     """Find a placement of a rig by a planner with input ``SCORES``; see :func:`plan`."""
-    decoder, space = Decoder(problem, pool), problem.region.space
-    expected = budget.evaluations or _expected(decoder, budget, seed)
+    decoder = Decoder(problem, pool)
+    expected = budget.evaluations or _estimate_evaluations(decoder, budget, seed)
     scorer = RigScorer(decoder, budget, progress)
-    planner = make(space, np.random.default_rng([seed, 0]), expected)
+    planner = make(problem.region.space, np.random.default_rng([seed, 0]), expected)
     result = solve(planner, scorer, budget.evaluations or sys.maxsize)
-    sites = decoder.completed(decoder(result.placement[:, :2]))
-    return answered(problem.objective, sites, scorer.evaluations)
+    sites = decoder.completed_sites(decoder(result.placement[:, :2]))
+    return result_of_placement(problem.objective, sites, scorer.evaluations)
 
 
-def _searched_on_plane(make: Callable, problem: Problem, budget: Budget, seed: int,
-                       clock: Callable[[], float]) -> SearchResult:
+def _place_on_plane(make: Callable, problem: Problem, budget: Budget, seed: int,
+                    clock: Callable[[], float]) -> SearchResult:
     """Find a placement on a plane by a planner with input ``SCORES``; see :func:`plan`."""
     planner = make(space_of(problem.simulator), np.random.default_rng([seed, budget.evaluations]),
                    budget.evaluations)
     result = search_and_finish(planner, Scorer(problem.simulator), budget.evaluations, clock)
-    return replace(_on_plane(problem, result.placement, result.evaluations), trace=result.trace)
+    return replace(_plane_result(problem, result.placement, result.evaluations),
+                   trace=result.trace)
 
 
-def _expected(decoder: Decoder, budget: Budget, seed: int) -> int:
-    """Estimate the number of placements that can be scored in the time of the budget."""
-    rng, scorer = np.random.default_rng([seed, 1]), RigScorer(decoder, budget)
-    began = time.monotonic()
-    scorer([decoder.region.space.random(rng) for _ in range(PILOTS)])
-    each = (time.monotonic() - began) / scorer.evaluations
-    return int(np.clip((budget.seconds - budget.elapsed) / each, 1, MAX_EVALUATIONS))
+def _estimate_evaluations(decoder: Decoder, budget: Budget, seed: int) -> int:
+    """Estimate the number of placements that can be scored in the remaining time of the budget."""
+    rng = np.random.default_rng([seed, 1])
+    scorer = RigScorer(decoder, budget)
+    start_time = time.monotonic()
+    scorer([decoder.region.space.random(rng) for _ in range(4)])
+    seconds_each = (time.monotonic() - start_time) / scorer.evaluations
+    # Some planners create a grid of this size, so there is a limit.
+    return int(np.clip((budget.seconds - budget.elapsed) / seconds_each, 1, 100_000))
 
 
-def _played(make: Callable, problem: Problem, pool: Pool | None, budget: Budget, seed: int,
-            progress: Progress | None, model: str, clock: Callable[[], float]) -> SearchResult:
+def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool | None,
+                      budget: Budget, seed: int, progress: Progress | None, model: str,
+                      clock: Callable[[], float]) -> SearchResult:
     """
     Find a placement by an online planner; see :func:`plan`.
 
     The episode is simulated: each time step adds the visible points to the observed cloud, and
     constraints and headings are applied as in ``policy_node``. The cameras are then mounted at
-    their last poses, or at the nearest feasible ones.
+    their last poses, or at the nearest feasible ones. ``pool`` is None on a plane.
     """
     online = make(problem.simulator.config.episode, problem.rig,
                   np.random.default_rng([seed, 1]), model)
@@ -161,24 +163,26 @@ def _played(make: Callable, problem: Problem, pool: Pool | None, budget: Budget,
     turns = min(episode.config.turns, budget.evaluations or episode.config.turns)
     episode.config = replace(episode.config, turns=turns)
 
-    def over(turn: int) -> bool:
+    def should_stop(turns_taken: int) -> bool:
         if progress is not None:
-            progress(turn / turns, np.inf)
-        # The time limit does not end an episode: it takes seconds, and candidates may take longer.
+            progress(turns_taken / turns, np.inf)
+        # The time limit does not end an episode, which takes seconds: candidates may take longer.
         return budget.stopped
 
-    outcome, turn = play(online, episode, over, clock), episode.turn
+    outcome = play(online, episode, should_stop, clock)
+    last = episode.turn
     if pool is None:
         space = space_of(problem.simulator)
-        found = _on_plane(problem, space.placement(space.inside(turn.positions[:, :2])), turn.step)
+        placement = space.placement(space.inside(last.positions[:, :2]))
+        result = _plane_result(problem, placement, last.step)
     else:
-        sites = Decoder(problem, pool)(turn.positions, turn.headings)
-        found = answered(problem.objective, sites, turn.step)
-    return replace(found, outcome=outcome)
+        sites = Decoder(problem, pool)(last.positions, last.headings)
+        result = result_of_placement(problem.objective, sites, last.step)
+    return replace(result, outcome=outcome)
 
 
-def _on_plane(problem: Problem, placement: np.ndarray, evaluations: int) -> SearchResult:
+def _plane_result(problem: Problem, placement: np.ndarray, evaluations: int) -> SearchResult:
     """Return a placement on a plane (K, 3), metres, as a search result."""
     poses = np.hstack([placement, np.zeros_like(placement)])
     sites = [MountedCamera(pose, view) for pose, view in zip(poses, problem.look(poses))]
-    return answered(problem.objective, sites, evaluations)
+    return result_of_placement(problem.objective, sites, evaluations)

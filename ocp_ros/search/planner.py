@@ -34,7 +34,7 @@ class Scores(NamedTuple):
     space_coverage: np.ndarray
 
 
-#: A search yields placements, positions (n, 2) each, and receives their scores.
+#: A search yields placements, positions (n, 2) each, metres, and receives their scores.
 Search = Generator[Sequence[np.ndarray], Scores, None]
 
 
@@ -45,7 +45,6 @@ class Planner(ABC):
     A method is a generator: it yields placements and receives their scores.
 
     :cvar descends: whether a local search may improve the result at the end; False for baselines.
-
     :param space: feasible region of the cameras.
     :param rng: the only source of random numbers.
     :param budget: expected number of evaluations.
@@ -54,16 +53,18 @@ class Planner(ABC):
     descends: ClassVar[bool] = True
 
     def __init__(self, space: FreePlane, rng: np.random.Generator, budget: int) -> None:
-        self.space, self.rng, self.budget = space, rng, budget
+        self.space = space
+        self.rng = rng
+        self.budget = budget
         self._search = self.search()
         self._batch: Sequence[np.ndarray] | None = next(self._search, None)
 
     @abstractmethod
     def search(self) -> Search:
-        """Yield batches of positions (n, 2), each camera inside the space."""
+        """Yield batches of placements, positions (n, 2) in the space, and receive their scores."""
 
     def energy(self, scores: Scores) -> np.ndarray:
-        """Return the value that the method minimises: (B,)."""
+        """Return the values that the method minimises, one for each of B placements: (B,)."""
         return scores.error
 
     def ask(self) -> Sequence[np.ndarray] | None:

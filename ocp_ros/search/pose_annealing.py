@@ -24,7 +24,7 @@ the score is that of the written placement.
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
@@ -32,48 +32,55 @@ from ocp_ros.online.rollout import Outcome
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import (
-    best_addition,
-    keeps_spacing,
-    MountedCamera,
-    packed,
-    Pool,
-    quick_of,
-    random_site,
-)
+from ocp_ros.search.candidate_pool import are_spaced, CandidatePool, MountedCamera, Sites, views_of
 from ocp_ros.search.proof.certificate import Certificate
+from ocp_ros.search.scorer import coarse_objective
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
-from ocp_ros.simulation.simulator import View
 from ocp_ros.util.annealing import annealed, between
 
-#: Number of independent searches.
-SEARCHES = 4
-#: Number of candidates for each camera in the first placement of a search.
-FIRST_CANDIDATES = 300
-#: Share of the budget for exchanges among candidates, scored with smaller depth maps.
-EXCHANGE_TIME_SHARE = 0.35
-#: First and last temperature of the exchanges and of the moves, in multiples of the loss of the
-#: first placement.
-FIRST_EXCHANGE_TEMPERATURE, LAST_EXCHANGE_TEMPERATURE = 0.06, 5e-4
-FIRST_MOVE_TEMPERATURE, LAST_MOVE_TEMPERATURE = 0.01, 1e-4
-#: Share of exchanges with any candidate; the others take one of the nearest ``NEIGHBOURS``.
-ANYWHERE_SHARE = 0.3
-NEIGHBOURS = 12
-#: Share of exchanges among the moves.
-EXCHANGE_SHARE = 0.1
-#: Standard deviation of the first and last moves: metres and radians.
-FIRST_STEP = np.array([0.4, 0.3])
-LAST_STEP = np.array([0.01, 0.01])
-#: Share of the moves that draw a new roll, if the mount allows several.
-ROLL_SHARE = 0.2
-#: Number of moves that are drawn together; the first feasible one is used.
-MOVES_DRAWN = 4
-#: Smallest loss that is used to compute temperatures.
-MIN_LOSS = 1e-3
-#: Seconds between two reports of progress.
-REPORT_EVERY_S = 0.2
 T = TypeVar('T')
+
+
+@dataclass(frozen=True)
+class AnnealingTuning:
+    """
+    Constants of the annealing of poses.
+
+    Temperatures are multiples of the loss of the first placement. An *exchange* replaces the pose
+    of a camera by a candidate, a *move* displaces and rotates a camera.
+
+    :ivar searches: number of independent searches.
+    :ivar first_candidates: candidates compared for each camera of the first placement.
+    :ivar exchange_budget_share: share of the budget for exchanges, scored with smaller depth maps.
+    :ivar exchange_temperatures: first and last temperature of the exchanges.
+    :ivar move_temperatures: first and last temperature of the moves.
+    :ivar any_candidate_share: share of the exchanges that draw among all candidates.
+    :ivar neighbours: number of nearest candidates among which the other exchanges draw.
+    :ivar exchange_share: share of exchanges among the moves.
+    :ivar first_deviations: standard deviations of the first moves: metres and radians.
+    :ivar last_deviations: standard deviations of the last moves: metres and radians.
+    :ivar roll_share: share of the moves that draw a new roll, if the mount allows several.
+    :ivar drawn_poses: number of poses drawn for a move; the first feasible pose is used.
+    :ivar min_loss: smallest loss that is used to compute temperatures.
+    """
+
+    searches: int = 4
+    first_candidates: int = 300
+    exchange_budget_share: float = 0.35
+    exchange_temperatures: tuple[float, float] = (0.06, 5e-4)
+    move_temperatures: tuple[float, float] = (0.01, 1e-4)
+    any_candidate_share: float = 0.3
+    neighbours: int = 12
+    exchange_share: float = 0.1
+    first_deviations: tuple[float, float] = (0.4, 0.3)
+    last_deviations: tuple[float, float] = (0.01, 0.01)
+    roll_share: float = 0.2
+    drawn_poses: int = 4
+    min_loss: float = 1e-3
+
+
+TUNING = AnnealingTuning()
 
 
 @dataclass(frozen=True)
@@ -91,7 +98,7 @@ class SearchResult:
     :ivar outcome: of an online planner's episode.
     """
 
-    sites: tuple[MountedCamera, ...]
+    sites: Sites
     loss: float
     losses: tuple[float, ...]
     evaluations: int
@@ -106,197 +113,226 @@ class SearchResult:
         return np.array([site.pose for site in self.sites])
 
 
-def views_of(sites: Sequence[MountedCamera]) -> list[View]:
-    """Return the views of mounted cameras."""
-    return [site.view for site in sites]
-
-
-def answered(objective: Objective, sites: Sequence[MountedCamera], evaluations: int
-             ) -> SearchResult:
+def result_of_placement(objective: Objective, sites: Sequence[MountedCamera], evaluations: int
+                        ) -> SearchResult:
     """Return a placement as the result of a single search."""
     loss = objective.loss(views_of(sites))
     return SearchResult(tuple(sites), loss, (loss,), evaluations)
 
 
-class Search:
+class RigSearch:
     """
-    One search by simulated annealing.
+    A search for the placement of a rig: it counts evaluations and stores the smallest loss.
 
     :param problem: the rig in the room.
-    :param quick: the objective with smaller depth maps.
     :param pool: candidates.
-    :param budget: of all searches.
+    :param budget: of the search; several searches may share it.
     :param rng: the only source of random numbers.
-    :param start: first placement; empty to choose one greedily.
+    :param start: a placement; empty for none.
     """
 
-    def __init__(self, problem: Problem, quick: Objective, pool: Pool, budget: Budget,
+    def __init__(self, problem: Problem, pool: CandidatePool, budget: Budget,
                  rng: np.random.Generator, start: Sequence[MountedCamera] = ()) -> None:
-        self.problem, self.objective, self.quick = problem, problem.objective, quick
-        self.rig, self.pool, self.budget = problem.rig, pool, budget
-        self.rng, self.start = rng, tuple(start)
-        self.most = budget.evaluations and max(budget.evaluations // SEARCHES, 1)
-        self.evaluations, self.share, self.least = 0, 0.0, np.inf
-
-    def run(self) -> tuple[MountedCamera, ...]:
-        """Return the best placement."""
-        first = self.start or self.fill()
-        self.judge(first)
-        loss = max(self.quick.loss(views_of(first)), MIN_LOSS)
-        chosen = annealed(
-            first, lambda sites: self.quick.loss(views_of(sites)), self._exchanged,
-            self._temperatures(loss * FIRST_EXCHANGE_TEMPERATURE, loss * LAST_EXCHANGE_TEMPERATURE,
-                               0.0, EXCHANGE_TIME_SHARE), self.rng)
-        if self.start and self.objective.loss(views_of(first)) < self.objective.loss(
-                views_of(chosen)):
-            # The full depth maps decide between the two placements.
-            chosen = first
-        return self.descend(chosen, loss, EXCHANGE_TIME_SHARE)
-
-    def descend(self, sites: tuple[MountedCamera, ...], loss: float, begin: float, end: float = 1.0
-                ) -> tuple[MountedCamera, ...]:
-        """
-        Anneal a placement by moves and rotations with decreasing steps.
-
-        :param loss: temperatures are multiples of it.
-        :param begin: used share of the budget at which the steps start to decrease.
-        :param end: used share of the budget at which to stop.
-        """
-        return annealed(sites, self.judge, self._moved,
-                        self._temperatures(loss * FIRST_MOVE_TEMPERATURE,
-                                           loss * LAST_MOVE_TEMPERATURE, begin, end), self.rng)
-
-    def fill(self) -> tuple[MountedCamera, ...]:
-        """Place one camera after the other greedily, each among some random candidates."""
-        sites: list[MountedCamera] = []
-        count = FIRST_CANDIDATES
-        if self.most is not None:
-            count = int(np.clip(self.most // (4 * len(self.rig.cameras)), 1, FIRST_CANDIDATES))
-        for camera in self.rig.cameras:
-            total = len(self.pool.kind(camera.model).poses)
-            # Without time left, compare few candidates.
-            some = max(min(count if self.used() < 1.0 else 8, total), 1)
-            among = np.sort(self.rng.choice(total, some, replace=False))
-            self.evaluations += some
-            site = (best_addition(self.quick, self.pool, sites, among)
-                    or random_site(self.rig, self.pool, sites, self.rng))
-            if site is None:
-                return tuple(packed(self.rig, self.pool))
-            sites.append(site)
-        return tuple(sites)
+        self.problem = problem
+        self.pool = pool
+        self.budget = budget
+        self.rng = rng
+        self.start = tuple(start)
+        self.max_evaluations = budget.evaluations
+        self.evaluations = 0
+        self.least_loss = np.inf
 
     def judge(self, sites: Sequence[MountedCamera]) -> float:
         """Return the loss of a placement, and update the smallest loss."""
-        loss = self.objective.loss(views_of(sites))
-        self.least = min(self.least, loss)
+        loss = self.problem.objective.loss(views_of(sites))
+        self.least_loss = min(self.least_loss, loss)
         return loss
 
-    def used(self) -> float:
+    def used_share(self) -> float:
         """Return the used share of the budget."""
-        return self.budget.share(self.evaluations, self.most)
+        return self.budget.used_share(self.evaluations, self.max_evaluations)
 
-    def _temperatures(self, first: float, last: float, begin: float, end: float
-                      ) -> Iterator[float]:
-        """Yield one temperature for each step, until a share ``end`` of the budget is used."""
-        while (used := self.used()) < end:
-            self.share = max(used - begin, 0.0) / (end - begin)
+
+class AnnealingSearch(RigSearch):
+    """
+    One search by simulated annealing.
+
+    :param coarse: the objective with smaller depth maps.
+    :param settings: of :class:`RigSearch`; the first placement is chosen greedily if there is no
+        ``start``. The searches share the evaluations of the budget.
+    """
+
+    def __init__(self, coarse: Objective, *settings: Any) -> None:
+        super().__init__(*settings)
+        self.coarse_objective = coarse
+        if self.max_evaluations is not None:
+            self.max_evaluations = max(self.max_evaluations // TUNING.searches, 1)
+        #: From 0 to 1: by it, temperatures and moves decrease.
+        self._progress = 0.0
+
+    def run(self) -> Sites:
+        """Return the best placement."""
+        first = self.start or self.place_greedily()
+        self.judge(first)
+        loss = max(self.coarse_objective.loss(views_of(first)), TUNING.min_loss)
+        best = annealed(first, lambda sites: self.coarse_objective.loss(views_of(sites)),
+                        self._exchange_camera, self._temperatures(
+                            loss, TUNING.exchange_temperatures, 0.0, TUNING.exchange_budget_share),
+                        self.rng)
+        objective = self.problem.objective
+        # The full depth maps decide between the two placements.
+        if self.start and objective.loss(views_of(first)) < objective.loss(views_of(best)):
+            best = first
+        return annealed(best, self.judge, self._change_camera, self._temperatures(
+            loss, TUNING.move_temperatures, TUNING.exchange_budget_share, 1.0), self.rng)
+
+    def place_greedily(self) -> Sites:
+        """Return a placement: one camera after the other, each the best of random candidates."""
+        rig = self.problem.rig
+        sites: list[MountedCamera] = []
+        max_count = TUNING.first_candidates
+        if self.max_evaluations is not None:
+            max_count = int(np.clip(self.max_evaluations // (4 * len(rig.cameras)), 1, max_count))
+        for camera in rig.cameras:
+            total = len(self.pool.candidates_of(camera.model).poses)
+            # Without time left, compare few candidates.
+            count = max(min(max_count if self.used_share() < 1.0 else 8, total), 1)
+            rows = np.sort(self.rng.choice(total, count, replace=False))
+            self.evaluations += count
+            site = (self.pool.best_addition(self.coarse_objective, sites, rows)
+                    or self.pool.random_site(rig, sites, self.rng))
+            if site is None:
+                return self.pool.packed_sites(rig)
+            sites.append(site)
+        return tuple(sites)
+
+    def _temperatures(self, loss: float, multiples: tuple[float, float], first_share: float,
+                      last_share: float) -> Iterator[float]:
+        """
+        Yield a temperature for each step, and count the step as an evaluation.
+
+        :param loss: unit of the temperatures.
+        :param multiples: first and last temperature, in multiples of the loss.
+        :param first_share: used share of the budget at which the temperature starts to decrease.
+        :param last_share: used share of the budget at which the steps end.
+        """
+        first, last = (loss * multiple for multiple in multiples)
+        while (used_share := self.used_share()) < last_share:
+            self._progress = max(used_share - first_share, 0.0) / (last_share - first_share)
             self.evaluations += 1
-            yield between(first, last, self.share)
+            yield between(first, last, self._progress)
 
-    def _exchanged(self, sites: tuple[MountedCamera, ...]) -> tuple[MountedCamera, ...] | None:
-        """Replace the pose of one camera by a candidate, any or a near one; None if too close."""
+    def _exchange_camera(self, sites: Sites) -> Sites | None:
+        """Return sites with one pose replaced by a candidate; None if cameras are too close."""
         camera = int(self.rng.integers(len(sites)))
-        model = self.rig.cameras[camera].model
-        kind = self.pool.kind(model)
-        if self.rng.random() < ANYWHERE_SHARE:
-            number = int(self.rng.integers(len(kind.poses)))
+        model = self.problem.rig.cameras[camera].model
+        candidates = self.pool.candidates_of(model)
+        if self.rng.random() < TUNING.any_candidate_share:
+            row = int(self.rng.integers(len(candidates.poses)))
         else:
-            number = int(self.rng.choice(kind.near(sites[camera].pose, NEIGHBOURS + 1)))
+            # The nearest candidate may be the pose itself.
+            row = int(self.rng.choice(
+                candidates.nearest_rows(sites[camera].pose, TUNING.neighbours + 1)))
         others = (*sites[:camera], *sites[camera + 1:])
-        site = self.pool.site(model, number)
-        if not keeps_spacing(site.pose[None], others, self.rig.spacing)[0]:
+        site = self.pool.mounted_candidate(model, row)
+        if not are_spaced(site.pose[None], others, self.problem.rig.spacing)[0]:
             return None
         return (*sites[:camera], site, *sites[camera + 1:])
 
-    def _moved(self, sites: tuple[MountedCamera, ...]) -> tuple[MountedCamera, ...] | None:
-        """Move and rotate one camera, or sometimes replace its pose by a candidate."""
-        if self.rng.random() < EXCHANGE_SHARE:
-            return self._exchanged(sites)
-        far, turn = between(FIRST_STEP, LAST_STEP, self.share)
-        return moved(self.problem, sites, far, turn, self.rng)
+    def _change_camera(self, sites: Sites) -> Sites | None:
+        """Return sites with one camera moved, or sometimes exchanged; None if infeasible."""
+        if self.rng.random() < TUNING.exchange_share:
+            return self._exchange_camera(sites)
+        metres, radians = between(np.array(TUNING.first_deviations),
+                                  np.array(TUNING.last_deviations), self._progress)
+        return move_camera(self.problem, sites, metres, radians, self.rng)
 
 
-def moved(problem: Problem, sites: tuple[MountedCamera, ...], far: float, turn: float,
-          rng: np.random.Generator) -> tuple[MountedCamera, ...] | None:
+def move_camera(problem: Problem, sites: Sites, metres: float, radians: float,
+                rng: np.random.Generator) -> Sites | None:
     """
-    Move and rotate one camera of a placement at random; None if no drawn pose is feasible.
+    Move and rotate one random camera of a placement; return the sites.
 
-    :param far: standard deviation of the move along each axis, metres.
-    :param turn: standard deviation of yaw and pitch, radians.
+    :param metres: standard deviation of the move along each axis.
+    :param radians: standard deviation of yaw and pitch.
+    :returns: None if no drawn pose is feasible.
     """
     camera = int(rng.integers(len(sites)))
     others = (*sites[:camera], *sites[camera + 1:])
     model = problem.rig.cameras[camera].model
-    poses = poses_around(problem.region, sites[camera].pose, model, far, turn, MOVES_DRAWN, rng)
-    good = problem.region.allowed(poses, model) & keeps_spacing(poses, others, problem.rig.spacing)
-    if not good.any():
+    poses = poses_around(problem.region, sites[camera].pose, model, metres, radians,
+                         TUNING.drawn_poses, rng)
+    feasible = problem.region.allowed(poses, model) & are_spaced(
+        poses, others, problem.rig.spacing)
+    if not feasible.any():
         return None
-    pose = poses[int(np.argmax(good))]
+    pose = poses[int(np.argmax(feasible))]
     site = MountedCamera(pose, problem.simulator.look(pose, camera))
     return (*sites[:camera], site, *sites[camera + 1:])
 
 
-def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, far: float,
-                 turn: float, count: int, rng: np.random.Generator) -> np.ndarray:
+def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, metres: float,
+                 radians: float, count: int, rng: np.random.Generator) -> np.ndarray:
     """
     Draw poses on the mount near a pose, feasible or not, rounded as in files.
 
+    :param region: feasible region of the rig's cameras.
     :param pose: (6,) metres, map frame, and radians.
-    :param far: standard deviation of the position along each axis, metres.
-    :param turn: standard deviation of yaw and pitch, radians; omnidirectional cameras keep them.
-    :returns: (count, 6).
+    :param model: the camera model; omnidirectional cameras keep their heading.
+    :param metres: standard deviation of the position along each axis.
+    :param radians: standard deviation of yaw and pitch.
+    :param count: M, number of poses.
+    :returns: (M, 6) metres and radians.
     """
     poses = np.repeat(pose[None], count, axis=0)
-    poses[:, :3] += rng.normal(0.0, far, (count, 3))
+    poses[:, :3] += rng.normal(0.0, metres, (count, 3))
     poses[:, :3] = region.onto_mount(poses[:, :3])
     if not model.omnidirectional:
-        poses[:, 3:5] += rng.normal(0.0, turn, (count, 2))
+        poses[:, 3:5] += rng.normal(0.0, radians, (count, 2))
         poses[:, 4] = np.clip(poses[:, 4], *region.rig.pitch)
         if len(rolls := region.rig.rolls) > 1:
-            flipped = rng.random(count) < ROLL_SHARE
-            poses[flipped, 5] = rng.choice(rolls, np.count_nonzero(flipped))
+            rerolled = rng.random(count) < TUNING.roll_share
+            poses[rerolled, 5] = rng.choice(rolls, np.count_nonzero(rerolled))
     return as_written(poses)
 
 
-def anneal(problem: Problem, pool: Pool, budget: Budget, seed: int,
+def anneal(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
            start: Sequence[MountedCamera] = (), progress: Progress | None = None) -> SearchResult:
     """
-    Find the best placement of a rig's cameras by annealing; see :func:`in_background`.
+    Find the best placement of a rig's cameras by several searches; see :func:`run_threads`.
 
-    :param start: a placement; the result is not worse than it. Empty for none.
+    :param problem: the rig in the room.
+    :param pool: candidates of all its models.
+    :param budget: of all searches together.
+    :param seed: random seed.
+    :param start: a placement; the result is not worse. Empty for none.
+    :param progress: called several times a second.
     """
-    quick = quick_of(problem.objective)
-    searches = [Search(problem, quick, pool, budget, np.random.default_rng([seed, k]),
-                       start if k == 0 else ()) for k in range(SEARCHES)]
-    found = in_background([one.run for one in searches], budget, progress and (lambda: progress(
-        min(one.used() for one in searches), min(one.least for one in searches))))
-    losses = [one.judge(sites) for one, sites in zip(searches, found)]
+    coarse = coarse_objective(problem.objective)
+    searches = [AnnealingSearch(coarse, problem, pool, budget, np.random.default_rng([seed, k]),
+                                start if k == 0 else ()) for k in range(TUNING.searches)]
+    report = progress and (lambda: progress(min(search.used_share() for search in searches),
+                                            min(search.least_loss for search in searches)))
+    placements = run_threads([search.run for search in searches], budget, report)
+    losses = [search.judge(sites) for search, sites in zip(searches, placements)]
     best = int(np.argmin(losses))
-    return SearchResult(found[best], losses[best], tuple(losses),
-                        sum(one.evaluations for one in searches))
+    return SearchResult(placements[best], losses[best], tuple(losses),
+                        sum(search.evaluations for search in searches))
 
 
-def in_background(tasks: Sequence[Callable[[], T]], budget: Budget,
-                  report: Callable[[], None] | None) -> list[T]:
+def run_threads(tasks: Sequence[Callable[[], T]], budget: Budget,
+                report: Callable[[], None] | None) -> list[T]:
     """
-    Run each task in a thread, and report several times a second.
+    Run each task in a thread, report several times a second, and return the tasks' results.
 
     :param budget: of the tasks; it is stopped if a report fails or is interrupted.
+    :param report: called with no arguments, for its effect; None for no reports.
     """
+    report_interval_s = 0.2
     with ThreadPoolExecutor(len(tasks)) as workers:
         runs = [workers.submit(task) for task in tasks]
         try:
-            while wait(runs, REPORT_EVERY_S).not_done:
+            while wait(runs, report_interval_s).not_done:
                 if report is not None:
                     report()
         except BaseException:

@@ -15,8 +15,8 @@
 """
 Convert positions on a plane to feasible poses of a rig's cameras.
 
-Most planners choose the horizontal position of a camera alone. The decoder chooses a feasible pose
-at this position, or near it, with the height of the mount and the heading of the best score.
+Most planners choose only the horizontal position of a camera. The decoder chooses a feasible pose
+at this position, or near it, with the height and the heading of the best score.
 """
 
 from collections.abc import Sequence
@@ -24,42 +24,34 @@ from functools import cached_property
 
 import numpy as np
 from ocp_ros.rig.placement_file import as_written
-from ocp_ros.search.candidate_pool import (
-    best_addition,
-    keeps_spacing,
-    MountedCamera,
-    packed,
-    Pool,
-    quick_of,
-)
-from ocp_ros.search.scorer import remembered_looks
+from ocp_ros.search.candidate_pool import are_spaced, CandidatePool, MountedCamera, Sites
+from ocp_ros.search.scorer import cached_look, coarse_objective
 from ocp_ros.simulation.problem import Problem
-
-#: Number of candidates near a position whose heights and headings are compared.
-NEAREST = 24
 
 
 class Decoder:
     """
     Choose feasible poses for the cameras of a rig at given positions, or near them.
 
-    Camera k of the rig gets row k. The candidates of its model that satisfy the spacing and are
-    nearest to the position are compared by the objective. The best one gives height and heading.
-    With these, or with the desired heading, the camera is mounted at the position itself if that
-    is feasible, otherwise at the candidate. If no candidate satisfies the spacing, all cameras are
-    packed close together. So every result satisfies all constraints.
+    Camera k of the rig gets position k. The candidates of its model that satisfy the spacing and
+    are nearest to the position are compared by the objective; the best candidate gives height and
+    heading, unless the caller desires others. The camera is mounted at the position itself if this
+    is feasible, otherwise at the best candidate. If no candidate satisfies the spacing, all
+    cameras are packed close together. So every result satisfies all constraints.
 
     :param problem: the rig in the room.
     :param pool: candidates of all its models.
     """
 
-    def __init__(self, problem: Problem, pool: Pool) -> None:
-        self.pool, self.objective, self.region = pool, problem.objective, problem.region
-        self.rig, self._quick = problem.rig, quick_of(problem.objective)
-        self._look = remembered_looks(problem.simulator)
+    def __init__(self, problem: Problem, pool: CandidatePool) -> None:
+        self.pool = pool
+        self.objective = problem.objective
+        self.region = problem.region
+        self.rig = problem.rig
+        self._coarse_objective = coarse_objective(problem.objective)
+        self._look = cached_look(problem.simulator)
 
-    def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None
-                 ) -> tuple[MountedCamera, ...]:
+    def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None) -> Sites:
         """
         Choose a feasible pose for each position.
 
@@ -69,61 +61,59 @@ class Decoder:
         :returns: n sites that satisfy all constraints together.
         """
         sites: list[MountedCamera] = []
-        for number, place in enumerate(positions):
-            site = self._near(place, sites, None if headings is None else headings[number])
+        for k, position in enumerate(positions):
+            site = self._mount_near(position, sites, None if headings is None else headings[k])
             if site is None:
-                return self._packed[:len(positions)]
+                return self._packed_sites[:len(positions)]
             sites.append(site)
         return tuple(sites)
 
-    def completed(self, sites: Sequence[MountedCamera]) -> tuple[MountedCamera, ...]:
-        """Add the missing cameras of the rig greedily."""
+    def completed_sites(self, sites: Sequence[MountedCamera]) -> Sites:
+        """Return the given cameras and the missing ones of the rig, added greedily."""
         sites = list(sites)
         while len(sites) < len(self.rig.cameras):
-            more = best_addition(self.objective, self.pool, sites)
-            if more is None:
-                return self._packed
-            sites.append(more)
+            site = self.pool.best_addition(self.objective, sites)
+            if site is None:
+                return self._packed_sites
+            sites.append(site)
         return tuple(sites)
 
     @cached_property
-    def _packed(self) -> tuple[MountedCamera, ...]:
+    def _packed_sites(self) -> Sites:
         """Return all cameras, as close together as the spacing allows."""
-        return tuple(packed(self.rig, self.pool))
+        return self.pool.packed_sites(self.rig)
 
-    def _near(self, place: np.ndarray, sites: Sequence[MountedCamera], heading: np.ndarray | None
-              ) -> MountedCamera | None:
-        """Mount the next camera near a place (2,) or (3,); None if no candidate is feasible."""
+    def _mount_near(self, position: np.ndarray, sites: Sequence[MountedCamera],
+                    heading: np.ndarray | None) -> MountedCamera | None:
+        """Mount the next camera near (2,) or (3,) metres; None if no candidate is feasible."""
         model = self.rig.cameras[len(sites)].model
-        poses = self.pool.kind(model).poses
-        far = self.pool.left(self.rig, sites)
-        away = np.linalg.norm(poses[far, :2] - place[:2], axis=1)
-        near = far[np.argsort(away, kind='stable')[:self._count(len(sites))]]
-        site = best_addition(self._quick, self.pool, sites, near)
-        if site is None:
+        # If candidates differ only in position, the nearest one is the best.
+        same_height = self.rig.mount.on in ('plane', 'ceiling')
+        count = 1 if same_height and model.omnidirectional else 24
+        poses = self.pool.candidates_of(model).poses
+        rows = self.pool.spaced_rows(self.rig, sites)
+        distances = np.linalg.norm(poses[rows, :2] - position[:2], axis=1)
+        nearest = rows[np.argsort(distances, kind='stable')[:count]]
+        candidate = self.pool.best_addition(self._coarse_objective, sites, nearest)
+        if candidate is None:
             return None
-        asked = site.pose.copy()
-        asked[:len(place)] = place
+        desired_pose = candidate.pose.copy()
+        desired_pose[:len(position)] = position
         if heading is not None:
-            asked[3:] = heading
-        found = self._there(asked, sites)
-        if found is None and heading is not None:
-            found = self._there(np.concatenate([place[:2], site.pose[2:]]), sites)
-        return found or site
+            desired_pose[3:] = heading
+        site = self._mount_at(desired_pose, sites)
+        if site is None and heading is not None:
+            site = self._mount_at(np.concatenate([position[:2], candidate.pose[2:]]), sites)
+        return site or candidate
 
-    def _count(self, camera: int) -> int:
-        """Return the number of candidates to compare: 1 if they differ in position alone."""
-        on, heights, _ = self.rig.mount
-        level = on in ('plane', 'ceiling')
-        return 1 if level and self.rig.cameras[camera].model.omnidirectional else NEAREST
-
-    def _there(self, pose: np.ndarray, sites: Sequence[MountedCamera]) -> MountedCamera | None:
-        """Mount the next camera at a pose (6,), at the mount's height; None if infeasible."""
-        camera, pose = len(sites), pose.copy()
+    def _mount_at(self, pose: np.ndarray, sites: Sequence[MountedCamera]) -> MountedCamera | None:
+        """Mount the next camera at a pose (6,), moved onto the mount; None if infeasible."""
+        camera = len(sites)
+        pose = pose.copy()
         pose[:3] = self.region.onto_mount(pose[None, :3])[0]
         poses = as_written(pose[None])
         model = self.rig.cameras[camera].model
-        spaced = keeps_spacing(poses, sites, self.rig.spacing)
+        spaced = are_spaced(poses, sites, self.rig.spacing)
         if not (spaced & self.region.allowed(poses, model))[0]:
             return None
         return MountedCamera(poses[0], self._look(poses[0], camera))

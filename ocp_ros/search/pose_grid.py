@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Poses of a camera on a grid of places and headings, and the visible points of each pose."""
+"""Poses of a camera on a grid of positions and headings, and the visible points of each pose."""
 
 from collections.abc import Callable, Sequence
 
@@ -23,84 +23,109 @@ from ocp_ros.rig.placement_file import as_written
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.threads import mapped
 
-#: Metres between places.
-FIRST_STEP_M = 0.3
-#: Approximate largest number of poses, and of bytes for their visible points; if there would be
-#: more, places are farther apart.
-MAX_GRID_POSES, MAX_BYTES = 40_000, 1_000_000_000
-#: Number of places whose views are computed between two checks of the time.
-PLACES_AT_A_TIME = 16
+#: Approximate largest number of poses; if there would be more, places are farther apart.
+MAX_GRID_POSES = 40_000
 
 
 class PoseGrid:
     """
-    Poses of one camera model: places, each with headings; visible points are computed once.
+    Poses of one camera model: places (positions), each with some headings.
+
+    The visible points of each pose are computed once. P is the number of places, H the number of
+    headings of a place, N the number of points of the scene. A pose is given by the number of its
+    place and the number of its heading at this place.
 
     :param simulator: the engine.
-    :param camera: a camera of this model.
+    :param camera: index of a camera of this model in the rig.
     :ivar places: (P, 3) metres, map frame.
-    :ivar headings: P x (H, 3) yaw, pitch and roll in radians.
-    :ivar step: largest distance of a feasible place from the grid, metres; 0 if unknown.
+    :ivar headings: P arrays (H, 3): yaw, pitch and roll in radians.
+    :ivar step: largest distance of a feasible position from the nearest place, metres; 0 if
+        unknown.
     """
 
     def __init__(self, simulator: Simulator, camera: int = 0) -> None:
-        self._simulator, self._camera = simulator, camera
-        self.places, self.step = np.empty((0, 3)), 0.0
+        self._simulator = simulator
+        self._camera = camera
+        self.places = np.empty((0, 3))
         self.headings: list[np.ndarray] = []
-        self._sees: list[tuple[np.ndarray, np.ndarray]] = []
+        self.step = 0.0
+        #: For each place the visible points, and their headings as bits; see ``look_around``.
+        self._visible: list[tuple[np.ndarray, np.ndarray]] = []
 
     @classmethod
     def of(cls, region: FeasibleRegion, simulator: Simulator, model: CameraModel, camera: int,
-           most: int = MAX_GRID_POSES, over: Callable[[], bool] = lambda: False) -> 'PoseGrid':
+           max_poses: int = MAX_GRID_POSES, should_stop: Callable[[], bool] = lambda: False
+           ) -> 'PoseGrid':
         """
         Create a grid over the feasible region of a mount.
 
-        :param most: largest number of poses.
-        :param over: returns whether to stop; the grid then has fewer places.
-        :raises ConfigurationError: if the camera has no feasible place.
+        :param region: feasible region of the rig's cameras.
+        :param simulator: the engine.
+        :param model: the camera model.
+        :param camera: index of a camera of this model in the rig.
+        :param max_poses: largest number of poses.
+        :param should_stop: returns whether to stop; the grid then has fewer places.
+        :raises ConfigurationError: if the camera has no feasible pose.
         """
         grid = cls(simulator, camera)
-        most = min(most, 10 * MAX_BYTES // len(simulator.scene))
-        places, headings, grid.step = region.pose_grid(model, FIRST_STEP_M, most)
+        # A pose takes about 0.1 byte for each point of the scene, all poses at most 1 GB.
+        max_poses = min(max_poses, 10 * 1_000_000_000 // len(simulator.scene))
+        distance_m = 0.3
+        places, headings, grid.step = region.pose_grid(model, distance_m, max_poses)
         # In random order, the first n places are spread over the room for any n.
         order = np.random.default_rng(0).permutation(len(places))
-        for first in range(0, len(places), PLACES_AT_A_TIME):
-            if first and over():
+        # The time is checked before each batch of places.
+        batch_size = 16
+        for first in range(0, len(places), batch_size):
+            if first and should_stop():
                 break
-            some = order[first:first + PLACES_AT_A_TIME]
-            grid.add(places[some], headings[some])
+            batch = order[first:first + batch_size]
+            grid.add_poses(places[batch], headings[batch])
         return grid
 
     def __len__(self) -> int:
         """Return the number of poses."""
         return sum(map(len, self.headings))
 
-    def add(self, places: np.ndarray, headings: Sequence[np.ndarray]) -> None:
-        """Add places (P, 3), metres, with headings P x (H, 3), radians; compute their views."""
-        poses = [as_written(np.column_stack([np.repeat(place[None], len(some), axis=0), some]))
-                 for place, some in zip(places, headings)]
-        self.places = np.vstack([self.places, *(some[:1, :3] for some in poses)])
-        self.headings = [*self.headings, *(some[:, 3:] for some in poses)]
-        self._sees = [*self._sees, *mapped(lambda some: self._simulator.look_around(
-            some[0, :3], some[:, 3:], self._camera), poses)]
+    def add_poses(self, places: np.ndarray, headings: Sequence[np.ndarray]) -> None:
+        """
+        Add places with their headings, and compute the visible points.
+
+        :param places: (Q, 3) metres, map frame.
+        :param headings: Q arrays (H, 3): yaw, pitch and roll in radians.
+        """
+        # For each place the poses (H, 6).
+        poses = [as_written(np.column_stack([np.repeat(place[None], len(angles), axis=0), angles]))
+                 for place, angles in zip(places, headings)]
+        self.places = np.vstack([self.places, *(rows[:1, :3] for rows in poses)])
+        self.headings = [*self.headings, *(rows[:, 3:] for rows in poses)]
+        self._visible = [*self._visible, *mapped(lambda rows: self._simulator.look_around(
+            rows[0, :3], rows[:, 3:], self._camera), poses)]
 
     def pose(self, place: int, heading: int) -> np.ndarray:
         """Return a pose: (6,) metres, map frame, and radians, rounded as in files."""
         return np.append(self.places[place], self.headings[place][heading])
 
-    def points(self, place: int, heading: int) -> np.ndarray:
-        """Return the points that a pose sees, in the engine's order: (n,) int32."""
-        points, bits = self._sees[place]
+    def visible_points(self, place: int, heading: int) -> np.ndarray:
+        """Return the numbers of the points that a pose sees, in the engine's order: (n,) int32."""
+        points, bits = self._visible[place]
         return points[(bits[:, heading >> 6] >> np.uint64(heading & 63)) & np.uint64(1) > 0]
 
-    def batches(self, places: np.ndarray) -> list[list[int]]:
-        """Batch places whose headings together fit into 64 bits; one with more is alone."""
-        batches, left = [], 0
+    def batch_places(self, places: np.ndarray) -> list[list[int]]:
+        """
+        Split places into batches whose headings together fit into 64 bits.
+
+        A place with more than 64 headings has a batch of its own.
+
+        :param places: (n,) int, numbers of the places.
+        """
+        batches: list[list[int]] = []
+        free_bits = 0
         for place in places.tolist():
-            left -= len(self.headings[place])
-            if left < 0:
+            free_bits -= len(self.headings[place])
+            if free_bits < 0:
                 batches.append([])
-                left = 64 - len(self.headings[place])
+                free_bits = 64 - len(self.headings[place])
             batches[-1].append(place)
         return batches
 
@@ -108,15 +133,15 @@ class PoseGrid:
         """
         Return which poses of a batch of places see each point.
 
-        A batch has several places only if all their headings fit into one word of 64 bits.
-
-        :returns: (N, W) uint64: bits of the headings of the first place, then of the next places.
+        :param places: a batch of :meth:`batch_places`.
+        :returns: (N, W) uint64, a bit for each pose: the headings of the first place, then of the
+            next places. W is the number of words of 64 bits, more than 1 only for a single place.
         """
-        words = self._sees[places[0]][1].shape[1]
-        first = 0
+        words = self._visible[places[0]][1].shape[1]
+        first_bit = 0
         seen_by = np.zeros((len(self._simulator.scene), words), dtype=np.uint64)
         for place in places:
-            points, bits = self._sees[place]
-            seen_by[points] |= bits << np.uint64(first)
-            first += len(self.headings[place])
+            points, bits = self._visible[place]
+            seen_by[points] |= bits << np.uint64(first_bit)
+            first_bit += len(self.headings[place])
         return seen_by

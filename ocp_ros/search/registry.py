@@ -53,11 +53,7 @@ from ocp_ros.util.yaml_files import nearest
 RIG_SEARCH = 'rig_search'
 #: Input of a planner: the scan itself, the scores of its proposals, or the observed cloud.
 SCAN, SCORES, OBSERVED = 'the scan', 'scores', 'observed points'
-#: Entry-point group of packages with planners.
-GROUP = 'ocp_ros.planners'
-#: Environment variable with the names of broken planners for which a warning was given; and names
-#: that planners must not have, since they mean something else.
-WARNED_VARIABLE = 'OCP_ROS_BROKEN_PLANNERS'
+#: Names of the references of a comparison, which planners must not have.
 RESERVED_NAMES = ('random_placement', 'truth_search', 'priced_plane')
 
 _log = logging.getLogger(__name__)
@@ -67,7 +63,7 @@ class RegisteredPlanner(NamedTuple):
     """
     A planner of the table.
 
-    :ivar knows: input of the planner: ``SCAN``, ``SCORES`` or ``OBSERVED``.
+    :ivar input_kind: input of the planner: ``SCAN``, ``SCORES`` or ``OBSERVED``.
     :ivar make: for ``SCAN``, a function that returns the result, such as
         :func:`~ocp_ros.search.rig_search.search`; for ``SCORES``, creates a
         :class:`~ocp_ros.search.planner.Planner` from a space, a random generator and a budget; for
@@ -75,12 +71,12 @@ class RegisteredPlanner(NamedTuple):
         configuration, a rig, a random generator and weights (path or name).
     """
 
-    knows: str
+    input_kind: str
     make: Callable[..., Any]
 
 
-def _without_weights(planner: type[Online]) -> Callable[..., Online]:
-    """Return a function that creates an online planner without weights."""
+def _maker_without_weights(planner: type[Online]) -> Callable[..., Online]:
+    """Return a function that creates an online planner and ignores the weights."""
     def make(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator, model: str = ''
              ) -> Online:
         return planner(*settings_of(episode, rig, rng))
@@ -88,9 +84,9 @@ def _without_weights(planner: type[Online]) -> Callable[..., Online]:
     return make
 
 
-def _learned(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
-             model: str = DEFAULT_MODEL) -> Online:
-    """Return the online planner of a trained policy."""
+def _make_learned(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
+                  model: str = DEFAULT_MODEL) -> Online:
+    """Create the online planner of a trained policy."""
     # Imported only here: the import of PyTorch takes longer than most searches.
     from ocp_ros.policy.checkpoint import Checkpoint
     from ocp_ros.policy.policy import make_policy
@@ -98,10 +94,11 @@ def _learned(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
     return planned_by(policy, settings_of(episode, rig, rng))
 
 
-def _learned_lookahead(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
-                       model: str = DEFAULT_MODEL) -> Lookahead:
-    """Return the lookahead planner with a trained policy as its guide."""
-    return Lookahead(*settings_of(episode, rig, rng), guide=_learned(episode, rig, rng, model))
+def _make_learned_lookahead(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
+                            model: str = DEFAULT_MODEL) -> Lookahead:
+    """Create the lookahead planner with a trained policy as its guide."""
+    return Lookahead(*settings_of(episode, rig, rng),
+                     guide=_make_learned(episode, rig, rng, model))
 
 
 PLANNERS = {name: RegisteredPlanner(*planner) for name, planner in {
@@ -117,20 +114,24 @@ PLANNERS = {name: RegisteredPlanner(*planner) for name, planner in {
     'bee_colony': (SCORES, BeeColony),
     'differential_evolution': (SCORES, DifferentialEvolution),
     'cma_es': (SCORES, CmaEs),
-    'greedy_step': (OBSERVED, _without_weights(GreedyStep)),
-    'learned': (OBSERVED, _learned),
-    'lookahead': (OBSERVED, _without_weights(Lookahead)),
-    'learned_lookahead': (OBSERVED, _learned_lookahead)}.items()}
+    'greedy_step': (OBSERVED, _maker_without_weights(GreedyStep)),
+    'learned': (OBSERVED, _make_learned),
+    'lookahead': (OBSERVED, _maker_without_weights(Lookahead)),
+    'learned_lookahead': (OBSERVED, _make_learned_lookahead)}.items()}
 
 
-def planner_names(*knows: str) -> tuple[str, ...]:
-    """Return the names of planners with one of these inputs; without arguments, of all."""
-    return tuple(name for name, planner in PLANNERS.items() if planner.knows in (
-        knows or (SCAN, SCORES, OBSERVED)))
+def planner_names(*input_kinds: str) -> tuple[str, ...]:
+    """
+    Return the names of planners.
+
+    :param input_kinds: some of ``SCAN``, ``SCORES`` and ``OBSERVED``; none for all planners.
+    """
+    return tuple(name for name, planner in PLANNERS.items()
+                 if not input_kinds or planner.input_kind in input_kinds)
 
 
 def planners_for(rig: bool = False) -> tuple[str, ...]:
-    """Return the names of the planners for rigs, or for cameras on a plane."""
+    """Return the names of the planners for rigs if ``rig``, otherwise for cameras on a plane."""
     return planner_names() if rig else planner_names(SCORES, OBSERVED)
 
 
@@ -139,13 +140,13 @@ def check_planner(name: str, counting: bool = False) -> None:
     Check that a planner exists and supports the task.
 
     :param counting: whether the task is to choose the number of cameras.
-    :raises ConfigurationError: if not; the message begins with the option.
+    :raises ConfigurationError: if the planner does not; the message begins with the option.
     """
     if name not in tuple(PLANNERS):
         raise ConfigurationError(
             f'--planner: found {name!r}; expected one of {", ".join(PLANNERS)}; '
             f'{nearest(str(name), PLANNERS, "choose one of them")}')
-    if counting and PLANNERS[name].knows == OBSERVED:
+    if counting and PLANNERS[name].input_kind == OBSERVED:
         raise ConfigurationError(
             f'--count: found auto with --planner {name}, which moves the cameras there are and '
             'compares no numbers of them; expected a number; name one, or a planner that '
@@ -156,7 +157,7 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
     """
     Add a planner to the table, for commands and calls.
 
-    It is added in this process alone; worker processes load the planners of entry points.
+    The planner is added only in this process; worker processes load the planners of entry points.
 
     :param name: unique; a letter, then letters, digits and _.
     :param planner: a subclass of :class:`~ocp_ros.search.planner.Planner` or of
@@ -169,24 +170,26 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
     if name in (*PLANNERS, *RESERVED_NAMES):
         raise ConfigurationError(f'planner: found the name {name!r}, which another planner has; '
                                  'expected one of its own; choose another')
-    kinds = [kind for kind in (Planner, Online)
-             if isinstance(planner, type) and issubclass(planner, kind)]
-    if len(kinds) != 1 or getattr(planner, '__abstractmethods__', ()):
+    bases = [base for base in (Planner, Online)
+             if isinstance(planner, type) and issubclass(planner, base)]
+    if len(bases) != 1 or getattr(planner, '__abstractmethods__', ()):
         raise ConfigurationError(
             f'planner {name}: found {printable(repr(planner))}; expected a class that is derived '
             'from Planner (offline) or Online and has all their methods; see docs/tasks/python.md')
     PLANNERS[name] = (RegisteredPlanner(SCORES, planner) if issubclass(planner, Planner)
-                      else RegisteredPlanner(OBSERVED, _without_weights(planner)))
+                      else RegisteredPlanner(OBSERVED, _maker_without_weights(planner)))
 
 
 def _load_plugins() -> None:
     """Register the planners of installed packages; skip a broken planner with a warning."""
-    warned = [name for name in os.environ.get(WARNED_VARIABLE, '').split(',') if name]
-    for entry in entry_points(group=GROUP):
+    # The names of broken planners for which a warning was given.
+    variable = 'OCP_ROS_BROKEN_PLANNERS'
+    warned = [name for name in os.environ.get(variable, '').split(',') if name]
+    for entry in entry_points(group='ocp_ros.planners'):
         try:
             register_planner(entry.name, entry.load())
         except (Exception, SystemExit) as error:  # Another package may raise any error.
-            # Workers load them too and inherit the variable, so the warning is given once.
+            # Worker processes load the planners too and inherit the variable.
             if entry.name not in warned:
                 reason = printable(f'{type(error).__name__}: {error}')[:300]
                 _log.warning(
@@ -195,7 +198,7 @@ def _load_plugins() -> None:
                     printable(entry.value), entry.dist.name if entry.dist else 'a package', reason)
             warned.append(entry.name)
     if warned:
-        os.environ[WARNED_VARIABLE] = ','.join(warned)
+        os.environ[variable] = ','.join(warned)
 
 
 _load_plugins()

@@ -23,24 +23,17 @@ from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import best_addition, check_regions, pool_of, random_sites
+from ocp_ros.search.candidate_pool import check_regions, pool_of
 from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_annealing import SearchResult
-from ocp_ros.search.proof.certificate import Certificate, not_covered
+from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
 from ocp_ros.search.proof.column_generation import ColumnGeneration
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
-from ocp_ros.search.rig_search import certified, relaxation_of
+from ocp_ros.search.rig_search import prove_gap, relaxation_of
 from ocp_ros.simulation.objective import RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError
-
-#: Share of the time of a proof for the views of the grid.
-VIEWS_TIME_SHARE = 0.5
-#: Number of random placements for comparison.
-RANDOM_PLACEMENTS = 64
-#: A target share is reached if the share is below it by at most this.
-ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -51,8 +44,8 @@ class RigPlan:
     :ivar rig: the rig.
     :ivar answer: the placement.
     :ivar evaluation: of the placement by the objective.
-    :ivar union_bound: evaluation with the union of the views of all candidates for each camera,
-        placements found so far included; no choice among these is better.
+    :ivar union_bound: evaluation if each camera has the union of the views of all its candidates
+        and of the placements found so far; no choice among these poses is better.
     :ivar worst: the depth error without any visible point, metres.
     :ivar random: (R,) losses of random feasible placements; empty if hardly any is feasible.
     :ivar candidates: number of candidates.
@@ -82,18 +75,24 @@ class RigPlan:
         :returns: visible points ``seen``, covered space ``coverage`` and reduction of the depth
             ``error``, each as a share of the value of :attr:`union_bound`; 1 if that value is 0.
         """
-        worth, most = self.evaluation, self.union_bound
-        pairs = {'seen': (len(worth.seen), len(most.seen)),
-                 'coverage': (worth.space_coverage, most.space_coverage),
-                 'error': (self.worst - worth.depth_error, self.worst - most.depth_error)}
-        return {name: float(part / whole) if whole > 0.0 else 1.0
-                for name, (part, whole) in pairs.items()}
+        result, bound = self.evaluation, self.union_bound
+        pairs = {'seen': (len(result.seen), len(bound.seen)),
+                 'coverage': (result.space_coverage, bound.space_coverage),
+                 'error': (self.worst - result.depth_error, self.worst - bound.depth_error)}
+        return {name: float(value / largest) if largest > 0.0 else 1.0
+                for name, (value, largest) in pairs.items()}
 
     def reaches(self, by: str, target: float) -> bool:
-        """Return whether a share reaches a target and all requirements of the rig are met."""
+        """
+        Return whether a share reaches a target and all requirements of the rig are met.
+
+        :param by: name of one of the :attr:`shares`.
+        :param target: from 0 to 1.
+        """
+        rounding = 1e-9
         met = all(share >= region.must_see
                   for region, share in zip(self.rig.regions, self.evaluation.regions))
-        return met and self.evaluation.connected and self.shares[by] >= target - ROUNDING
+        return met and self.evaluation.connected and self.shares[by] >= target - rounding
 
 
 class RigPlanner:
@@ -102,8 +101,8 @@ class RigPlanner:
 
     :param scene: the room.
     :param rig: a rig; the planned rigs may differ from it in the number of cameras alone.
-    :param engine: settings.
-    :param budget: of a search; that of the first plan includes the candidates.
+    :param engine: settings of the engine.
+    :param budget: of a search; that of the first search includes the candidates.
     :param seed: random seed.
     :param progress: called several times a second.
     :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
@@ -116,9 +115,14 @@ class RigPlanner:
                  progress: Progress | None = None, planner: str = RIG_SEARCH,
                  model: str = DEFAULT_MODEL) -> None:
         check_planner(planner)
-        self.planner, self.model = planner, model
-        self.scene, self.engine, self.budget, self.seed = scene, engine, budget, seed
-        self._progress, self._problems = progress, {}
+        self.planner = planner
+        self.model = model
+        self.scene = scene
+        self.engine = engine
+        self.budget = budget
+        self.seed = seed
+        self._progress = progress
+        self._problems: dict[Rig, Problem] = {}
         problem = self.problem(rig)
         self.pool = pool_of(problem, budget)
         check_regions(problem.objective, self.pool)
@@ -136,30 +140,32 @@ class RigPlanner:
         Find the best placement of a rig.
 
         :param before: result for a rig with one camera less; the new placement is not worse if
-            one more camera fits beside that one.
+            one more camera fits into that result.
         :raises ConfigurationError: if the cameras do not fit into the room.
         """
-        problem, start = self.problem(rig), ()
-        if before is not None:
-            more = best_addition(problem.objective, self.pool, before.sites)
-            # If the added camera does not fit, the search starts without a placement.
-            start = () if more is None else (*before.sites, more)
+        problem = self.problem(rig)
+        start: tuple = ()
+        # If no camera can be added, the search starts without a placement.
+        if before is not None and (
+                site := self.pool.best_addition(problem.objective, before.sites)) is not None:
+            start = (*before.sites, site)
         answer = plan(problem, self.budget, self.planner, self.pool, self.seed, start,
                       self._progress, self.model)
-        return self._compared(rig, answer)
+        return self._with_comparison(rig, answer)
 
-    def _compared(self, rig: Rig, answer: SearchResult) -> RigPlan:
-        """Return a placement with its evaluation and the values for comparison."""
+    def _with_comparison(self, rig: Rig, answer: SearchResult) -> RigPlan:
+        """Return a placement with its evaluation, the union bound and random placements."""
         objective = self.problem(rig).objective
-        self.pool.add(rig, answer.sites)
-        rng = np.random.default_rng([self.seed, RANDOM_PLACEMENTS])
-        drawn = [random_sites(rig, self.pool, rng) for _ in range(RANDOM_PLACEMENTS)]
+        self.pool.add_placement(rig, answer.sites)
+        count = 64
+        rng = np.random.default_rng([self.seed, count])
+        drawn = [self.pool.random_sites(rig, rng) for _ in range(count)]
+        losses = [objective.loss([site.view for site in sites]) for sites in drawn if sites]
         return RigPlan(
             rig, answer, objective.evaluate(answer.poses),
             objective.judge(self.pool.union_views(rig)), objective.simulator.depth_error.worst,
-            np.array([objective.loss([site.view for site in sites]) for sites in drawn if sites]),
-            len(self.pool), self.budget.elapsed, self.planner, answer.certificate,
-            answer.uncertain)
+            np.array(losses), len(self.pool), self.budget.elapsed, self.planner,
+            answer.certificate, answer.uncertain)
 
     def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
         """
@@ -171,32 +177,32 @@ class RigPlanner:
         problem = self.problem(plan.rig)
         if plan.certificate is not None or plan.uncertain:
             return plan
-        if (reason := not_covered(problem.objective)) is not None:
+        if (reason := unprovable_reason(problem.objective)) is not None:
             return replace(plan, uncertain=reason)
 
-        def relax() -> ColumnGeneration:
-            return relaxation_of(problem, self.pool,
-                                 lambda: budget.share(0, None) >= VIEWS_TIME_SHARE)
+        def make_relaxation() -> ColumnGeneration:
+            # Half of the time is for the views of the grid.
+            return relaxation_of(problem, self.pool, budget.deadline_check(0.5))
 
         loss = plan.evaluation.loss
-        known, reason = certified(problem, relax, loss, loss, budget)
-        return replace(plan, certificate=known, uncertain=reason,
+        certificate, reason = prove_gap(problem, make_relaxation, loss, loss, budget)
+        return replace(plan, certificate=certificate, uncertain=reason,
                        seconds=plan.seconds + budget.elapsed)
 
-    def count_up(self, rig_of_count: Callable[[int], Rig], first: int, most: int
+    def count_up(self, rig_of_count: Callable[[int], Rig], first_count: int, last_count: int
                  ) -> Iterator[RigPlan]:
         """
-        Plan with an increasing number of cameras, each time from the last plan.
+        Yield a plan for each number of cameras; each search starts from the last plan.
 
         So the loss never increases with the number of cameras.
 
         :param rig_of_count: returns the rig with a number of cameras.
-        :param first: first number of cameras.
-        :param most: last number of cameras; it ends earlier if no more cameras fit or the budget
-            is stopped.
+        :param first_count: first number of cameras.
+        :param last_count: last number of cameras; the plans end earlier if no more cameras fit or
+            the budget is stopped.
         """
         before = None
-        for count in range(first, most + 1):
+        for count in range(first_count, last_count + 1):
             try:
                 plan = self.plan(rig_of_count(count), before)
             except ConfigurationError:
@@ -206,4 +212,5 @@ class RigPlanner:
             yield plan
             if self.budget.stopped:
                 return
-            before, self.budget = plan.answer, self.budget.restarted()
+            before = plan.answer
+            self.budget = self.budget.restarted()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The loop of a planner: it measures time, counts evaluations, and keeps best and trace."""
+"""Run a planner: measure the time, count evaluations, and store the best placements."""
 
 from bisect import insort
 from collections.abc import Callable, Sequence
@@ -39,7 +39,7 @@ class Result:
     :ivar seconds: duration of the search.
     :ivar trace: (T, 3) evaluations, seconds (at the end of the batch) and depth error at each
         improvement.
-    :ivar best: positions (n, 2) of the best placements, the best first.
+    :ivar best: positions (n, 2) of each of the best placements, the best first, metres.
     """
 
     placement: np.ndarray
@@ -55,19 +55,20 @@ class Archive:
     """The best placements so far, at most ``ARCHIVE_SIZE``."""
 
     def __init__(self) -> None:
-        self._kept: list[tuple] = []
+        #: Each: the rank, a unique number, and the positions.
+        self._entries: list[tuple] = []
         self._numbers = itertools.count()
 
     def add(self, rank: tuple[float, ...], positions: np.ndarray) -> None:
         """Store a placement (n, 2) if it is among the best; the smallest rank is best."""
-        # Numbers are unique: among equal ranks the first wins, and positions are never compared.
-        insort(self._kept, (*rank, next(self._numbers), positions))
-        del self._kept[ARCHIVE_SIZE:]
+        # By the number, the first of equal ranks wins, and positions are never compared.
+        insort(self._entries, (*rank, next(self._numbers), positions))
+        del self._entries[ARCHIVE_SIZE:]
 
     @property
     def best(self) -> tuple[np.ndarray, ...]:
         """Return the stored placements, the best first."""
-        return tuple(item[-1] for item in self._kept)
+        return tuple(entry[-1] for entry in self._entries)
 
 
 def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], evaluations: int,
@@ -83,36 +84,39 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     :raises ValueError: if a planner places cameras outside its space or too many cameras, or no
         placement was scored.
     """
-    began, count = clock(), 0
-    best, found, trace = (np.inf, 0, 0.0), None, []
+    start_time = clock()
+    count = 0
+    best_rank: tuple[float, ...] = (np.inf, 0, 0.0)
+    best: tuple[np.ndarray, float, float] | None = None
+    trace = []
     archive = Archive()
     while (batch := planner.ask()) is not None and count < evaluations:
         batch = batch[:evaluations - count]
         for positions in batch:
-            _check(planner, positions)
+            _check_positions(planner, positions)
         scores = score([planner.space.placement(positions) for positions in batch])
-        now = clock() - began
+        seconds = clock() - start_time
         for k, energy in enumerate(planner.energy(scores)):
             # Among equal energies, prefer more cameras, then more space coverage.
             rank = float(energy), -len(batch[k]), -float(scores.space_coverage[k])
             archive.add(rank, batch[k])
-            if rank < best:
-                best, found = rank, (batch[k].copy(), float(scores.error[k]),
-                                     float(scores.space_coverage[k]))
-                trace.append((count + k + 1, now, found[1]))
+            if rank < best_rank:
+                best_rank = rank
+                best = batch[k].copy(), float(scores.error[k]), float(scores.space_coverage[k])
+                trace.append((count + k + 1, seconds, best[1]))
         count += len(scores.error)
         if len(scores.error) < len(planner.ask()):
             break
         planner.tell(scores)
-    if found is None:
+    if best is None:
         raise ValueError(f'{type(planner).__name__}: found no placement in {count} evaluations; '
                          'expected at least one; give it a budget of 1 or more')
-    return Result(planner.space.placement(found[0]), *found[1:], count,
-                  clock() - began, np.array(trace), archive.best)
+    return Result(planner.space.placement(best[0]), *best[1:], count,
+                  clock() - start_time, np.array(trace), archive.best)
 
 
-def _check(planner: Planner, positions: np.ndarray) -> None:
-    """Reject positions outside the planner's feasible region, and too many cameras."""
+def _check_positions(planner: Planner, positions: np.ndarray) -> None:
+    """Reject positions (n, 2) outside the planner's feasible region, and too many cameras."""
     space = planner.space
     if len(positions) > space.cameras or not space.contains(positions).all():
         raise ValueError(

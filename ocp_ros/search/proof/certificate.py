@@ -30,8 +30,8 @@ class Certificate:
 
     :ivar candidates: number of poses of the grid.
     :ivar step: largest distance of a feasible place from the grid, metres.
-    :ivar turn: degrees between the headings of a place; 0 if each place has one heading.
-    :ivar rows: of the depth maps.
+    :ivar turn: degrees between the headings at a place; 0 if each place has one heading.
+    :ivar rows: number of rows of the depth maps.
     :ivar found: loss of the placement.
     :ivar bound: lower bound of the loss of every placement on the grid.
     :ivar closed: whether the bound is the best of this relaxation, so more time does not raise it.
@@ -60,7 +60,7 @@ class Certificate:
         return max((self.on_grid - self.found) / self.on_grid, 0.0) if self.on_grid > 0.0 else 0.0
 
 
-def not_covered(objective: Objective) -> str | None:
+def unprovable_reason(objective: Objective) -> str | None:
     """Return the reason why no bound can be proved for a rig; None if one can be proved."""
     if objective.rig.seen_by > 1:
         return (f'found seen_by: {objective.rig.seen_by}; expected 1, for bounds are known where '

@@ -15,14 +15,16 @@
 """
 Column generation: a lower bound for all poses of dense grids, and good choices of poses.
 
-A linear program chooses among a pool of some hundred poses. Its loss is bounded from below by
-Benders cuts (:mod:`ocp_ros.search.proof.loss_trees`), computed at its optima and half way from
-them to a core point. Its multipliers price all poses of the grids. They prove a bound that holds
-for every choice of these poses (a Lagrangian bound), and the poses with the largest gains join the
-pool, until no pose would improve the choice.
+A linear program chooses among some hundred poses of the grids, its *columns*. Its loss is bounded
+from below by Benders cuts, which are linear (:mod:`ocp_ros.search.proof.loss_trees`). They are
+computed at its optima and half way from them to a core point, an interior point of the relaxation.
+The multipliers of the cuts give the gains of all poses of the grids. The gains prove a bound that
+holds for every choice of these poses (a Lagrangian bound), and the poses with the largest gains
+become columns, until no pose would improve the choice.
 """
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from functools import partial
 from itertools import chain
 from typing import NamedTuple
@@ -30,28 +32,48 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.cut_program import CutProgram
-from ocp_ros.search.proof.loss_trees import LossTrees, NOTHING, poses_by_point
+from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point, ZERO_TOLERANCE
 from ocp_ros.util.threads import mapped
 from scipy.spatial.distance import cdist
 
-#: Number of poses of each grid in the first pool.
-FIRST_COLUMNS = 300
-#: Largest number of poses that join at a time, and of these at one place.
-NEW_COLUMNS, MAX_COLUMNS_PER_PLACE = 150, 3
-#: A pose leaves the pool if it gains less than this share of the gain of a chosen pose.
-DROP_COST = 0.5
-#: Relative tolerance between a program's optimum and the loss: first, then later.
-FIRST_TOLERANCE, LAST_TOLERANCE = 0.01, 0.002
-#: Largest number of optima of a program, and of programs.
-ROUNDS, PROGRAMS = 60, 12
-#: Largest relative difference of bound and program's optimum at which the bound is closed.
-CLOSED_GAP = 0.004
-#: Smallest loss for relative tolerances: smaller losses are mostly noise and slow to prove.
-MIN_LOSS = 0.02
-#: Losses with a relative difference below this are equal.
-EQUAL_LOSS = 1e-6
-#: Smallest distance of other choices from a place of the best choice, metres.
-PLACES_APART_M = 0.6
+
+@dataclass(frozen=True)
+class ColumnTuning:
+    """
+    Constants of column generation.
+
+    :ivar first_columns: number of poses of each grid that are columns at first.
+    :ivar new_columns: largest number of poses that become columns at a time.
+    :ivar new_columns_per_place: largest number of these at one place.
+    :ivar dropped_gain_share: a column is dropped if it gains less than this share of the gain of a
+        chosen pose.
+    :ivar first_tolerance: largest difference between the optimum of the first program and its
+        loss, as a share of the loss.
+    :ivar later_tolerance: the same for the later programs.
+    :ivar max_rounds: largest number of optima of a program.
+    :ivar max_programs: largest number of programs.
+    :ivar closed_gap: largest relative difference of bound and optimum of a closed bound.
+    :ivar min_loss: smallest loss for relative tolerances: smaller losses are mostly noise and slow
+        to prove.
+    :ivar equal_loss: losses with a relative difference below this are equal.
+    :ivar other_place_m: smallest distance of other choices from a place of the best one, metres.
+    """
+
+    first_columns: int = 300
+    new_columns: int = 150
+    new_columns_per_place: int = 3
+    dropped_gain_share: float = 0.5
+    first_tolerance: float = 0.01
+    later_tolerance: float = 0.002
+    max_rounds: int = 60
+    max_programs: int = 12
+    closed_gap: float = 0.004
+    min_loss: float = 0.02
+    equal_loss: float = 1e-6
+    other_place_m: float = 0.6
+
+
+TUNING = ColumnTuning()
 
 
 class Column(NamedTuple):
@@ -67,7 +89,7 @@ class Choice(NamedTuple):
     A choice of poses.
 
     :ivar loss: of these poses.
-    :ivar columns: of the poses, sorted by grid.
+    :ivar columns: the poses, sorted by grid.
     """
 
     loss: float
@@ -78,32 +100,35 @@ class ColumnGeneration:
     """
     The relaxed choice of poses on grids; places may be added to the grids later.
 
+    Sizes of arrays: T nodes of the trees, n columns, H headings of a place.
+
     :param trees: of the loss.
     :param grids: one for each camera model.
     :param counts: number of poses to choose from each grid.
     :param spacing: smallest distance of two cameras, metres.
     :param points: N, number of points of the scene.
-    :ivar bound: lower bound of the loss of every choice among the priced poses; these are all
-        poses of the grids, unless places were added since.
+    :ivar bound: lower bound of the loss of every choice of poses whose gains were computed: all
+        poses of the grids, except at places that were added later.
     :ivar closed: whether the bound is the best that the relaxation can give.
     """
 
     def __init__(self, trees: LossTrees, grids: Sequence[PoseGrid], counts: Sequence[int],
                  spacing: float, points: int) -> None:
-        self.trees, self.grids, self.counts = trees, grids, np.array(counts)
-        self.spacing, self._points = spacing, points
-        self.bound, self.closed = 0.0, False
-        self._pool: list[Column] = []
-        self._seen_by = poses_by_point((), points)
-        self._share = np.zeros(0)
-        #: For each active cut, the customers that were served by less than 1 at its point.
-        self._cuts: list[np.ndarray] = []
+        self.trees = trees
+        self.grids = grids
+        self.counts = np.array(counts)
+        self.spacing = spacing
+        self._point_count = points
+        #: For each active cut, the unserved nodes of its choice: (T,) bool.
+        self._cut_nodes: list[np.ndarray] = []
         rng = np.random.default_rng(0)
+        columns = []
         for number, grid in enumerate(grids):
-            poses = [Column(number, place, heading) for place, some in enumerate(grid.headings)
-                     for heading in range(len(some))]
-            some = rng.choice(len(poses), min(FIRST_COLUMNS, len(poses)), replace=False)
-            self.join([poses[k] for k in some])
+            poses = [Column(number, place, heading) for place, angles in enumerate(grid.headings)
+                     for heading in range(len(angles))]
+            first = rng.choice(len(poses), min(TUNING.first_columns, len(poses)), replace=False)
+            columns += [poses[k] for k in first]
+        self._set_columns(columns)
 
     def __len__(self) -> int:
         """Return the number of poses of all grids."""
@@ -113,216 +138,226 @@ class ColumnGeneration:
         """Return a pose: (6,) metres, map frame, and radians."""
         return self.grids[column.grid].pose(column.place, column.heading)
 
-    def join(self, columns: Iterable[Column]) -> None:
-        """Add poses to the pool."""
-        known = set(self._pool)
-        self._set_pool([*self._pool, *(column for column in columns if column not in known)])
+    def add_columns(self, columns: Iterable[Column]) -> None:
+        """Add poses to the columns of the program, unless they are columns already."""
+        known = set(self._columns)
+        self._set_columns([*self._columns, *(one for one in columns if one not in known)])
 
-    def _set_pool(self, pool: list[Column]) -> None:
-        """Replace the pool."""
-        self._pool = pool
-        self._seen_by = poses_by_point(
-            [self.grids[one.grid].points(one.place, one.heading) for one in pool], self._points)
-        self._group = np.array([one.grid for one in pool])
-        places = np.array([self.pose(one)[:3] for one in pool])
-        self._near = cdist(places, places) < self.spacing
-        self._share = np.zeros(len(pool))
+    def _set_columns(self, columns: list[Column]) -> None:
+        """Replace the columns; their shares are 0 until the program is solved."""
+        self._columns = columns
+        visible_points = [self.grids[grid].visible_points(place, heading)
+                          for grid, place, heading in columns]
+        self._seen_by = poses_by_point(visible_points, self._point_count)
+        self._grid_numbers = np.array([one.grid for one in columns])
+        self._positions = np.array([self.pose(one)[:3] for one in columns])
+        self._too_near = cdist(self._positions, self._positions) < self.spacing
+        self._shares = np.zeros(len(columns))
 
-    def raise_bound(self, over: Callable[[], bool],
+    def raise_bound(self, should_stop: Callable[[], bool],
                     places: Sequence[np.ndarray] | None = None) -> None:
         """
-        Raise the bound until no pose improves the choice, or until ``over``.
+        Raise the bound until no pose improves the choice.
 
-        :param over: returns whether to stop.
-        :param places: for each grid the numbers of the places to price; None for all. Otherwise
-            the bound does not hold for the other places.
+        :param should_stop: returns whether to stop earlier.
+        :param places: for each grid the numbers of the places for which the bound has to hold;
+            None for all places.
         """
-        self.bound, self.closed = 0.0, False
+        self.bound = 0.0
+        self.closed = False
         places = [np.arange(len(grid.places)) for grid in self.grids] if places is None else places
-        for program in range(PROGRAMS):
-            tolerance = LAST_TOLERANCE if program else FIRST_TOLERANCE
-            value, multipliers, lost = self._relaxed(tolerance, over)
-            gains = self._gains(multipliers, places, over)
+        for program in range(TUNING.max_programs):
+            optimum, multipliers, constant = self._solve_relaxation(
+                TUNING.later_tolerance if program else TUNING.first_tolerance, should_stop)
+            gains = self._pose_gains(multipliers, places, should_stop)
             if gains is None:
                 return
-            self.bound = max(self.bound, lost - sum(
-                self._most(of_grid, count) for of_grid, count in zip(gains, self.counts)))
-            own, needed = self._needed(gains)
-            better = self._better(gains, needed)
-            gap = value - self.bound
-            self.closed = bool(program and gap <= CLOSED_GAP * max(value, MIN_LOSS)) or not better
-            if self.closed or over():
+            largest_gain = sum(map(self._largest_gain, gains, self.counts))
+            self.bound = max(self.bound, constant - largest_gain)
+            column_gains = np.array([gains[grid][place][heading] if place in gains[grid] else 0.0
+                                     for grid, place, heading in self._columns])
+            # For each grid, the least gain of as many columns as are chosen.
+            chosen_gains = np.array([
+                np.sort(column_gains[self._grid_numbers == grid])[::-1][:count].min(initial=np.inf)
+                for grid, count in enumerate(self.counts)])
+            new_columns = self._improving_columns(gains, chosen_gains)
+            max_gap = TUNING.closed_gap * max(optimum, TUNING.min_loss)
+            self.closed = not new_columns or bool(program and optimum - self.bound <= max_gap)
+            if self.closed or should_stop():
                 return
-            self._set_pool([*self._staying(own, needed), *better])
+            self._set_columns([*self._kept_columns(column_gains, chosen_gains), *new_columns])
 
-    def _most(self, gains: dict[int, np.ndarray], count: int) -> float:
-        """Return the largest total gain of ``count`` poses, given the gains at each place."""
+    def _largest_gain(self, gains: dict[int, np.ndarray], count: int) -> float:
+        """Return the largest total gain of ``count`` poses, given the gains (H,) at each place."""
         # With a spacing, there is at most one camera at a place.
-        each = [best[:1] if self.spacing > 0.0 else best
-                for best in (-np.sort(-values) for values in gains.values())]
-        return float(np.sort(np.concatenate([*each, np.zeros(count)]))[-count:].sum())
+        per_place = [best[:1] if self.spacing > 0.0 else best
+                     for best in (-np.sort(-values) for values in gains.values())]
+        return float(np.sort(np.concatenate([*per_place, np.zeros(count)]))[-count:].sum())
 
-    def _relaxed(self, tolerance: float, over: Callable[[], bool]
-                 ) -> tuple[float, np.ndarray, float]:
+    def _solve_relaxation(self, tolerance: float, should_stop: Callable[[], bool]
+                          ) -> tuple[float, np.ndarray, float]:
         """
-        Solve the linear program of the pool.
+        Solve the linear program of the columns.
 
         :param tolerance: largest difference of cuts and loss, as a share of the loss.
-        :returns: its optimum, the multipliers (T,) of all customers, and the constant of the
+        :returns: its optimum, the multipliers (T,) of all nodes, and the constant of the
             Lagrangian bound, which is its value without any chosen pose.
         """
-        trees, count = self.trees, len(self._pool)
-        program = CutProgram(self._group, self.counts, len(trees.slack))
-        core = (self.counts / np.bincount(self._group))[self._group]
-        made = self._cuts or [trees.unserved(self._seen_by, core)]
-        for number, unserved in enumerate(made):
-            program.add(number, *trees.cut(self._seen_by, count, unserved))
-        made = list(made)
-        for _ in range(ROUNDS):
-            found = program.solve(over)
-            value, above = found.losses.sum(), 0.0
-            for share in (found.share, 0.5 * (core + found.share)):
-                unserved = trees.unserved(self._seen_by, share)
-                consts, gains = trees.cut(self._seen_by, count, unserved)
-                losses = np.maximum(consts - gains @ found.share, 0.0)
-                above = max(above, losses.sum())
-                raised = losses > found.losses + EQUAL_LOSS * above / len(losses)
-                program.add(len(made), consts, gains, raised)
-                made.append(unserved)
-            core = 0.5 * (core + found.share)
-            near = above - value <= tolerance * max(above, MIN_LOSS)
-            if near or not found.optimal or over():
+        trees = self.trees
+        count = len(self._columns)
+        program = CutProgram(self._grid_numbers, self.counts, len(trees.slacks))
+        core = (self.counts / np.bincount(self._grid_numbers))[self._grid_numbers]
+        cut_nodes = [*self._cut_nodes] or [trees.unserved_nodes(self._seen_by, core)]
+        for number, unserved in enumerate(cut_nodes):
+            program.add_cuts(number, *trees.loss_cuts(self._seen_by, count, unserved))
+        for _ in range(TUNING.max_rounds):
+            solution = program.solve(should_stop)
+            optimum = solution.losses.sum()
+            # The largest value of the new cuts at the solution.
+            loss = 0.0
+            for shares in (solution.shares, 0.5 * (core + solution.shares)):
+                unserved = trees.unserved_nodes(self._seen_by, shares)
+                constants, gains = trees.loss_cuts(self._seen_by, count, unserved)
+                losses = np.maximum(constants - gains @ solution.shares, 0.0)
+                loss = max(loss, losses.sum())
+                raised = losses > solution.losses + TUNING.equal_loss * loss / len(losses)
+                program.add_cuts(len(cut_nodes), constants, gains, raised)
+                cut_nodes.append(unserved)
+            core = 0.5 * (core + solution.shares)
+            converged = loss - optimum <= tolerance * max(loss, TUNING.min_loss)
+            if converged or not solution.optimal or should_stop():
                 break
         # Cuts that were added in the last round have no multipliers yet.
-        cuts, multipliers = program.cuts, found.multipliers
-        active = np.flatnonzero(multipliers > NOTHING)
-        weights, lost = np.zeros(len(trees.weight)), 0.0
+        active = np.flatnonzero(solution.multipliers > ZERO_TOLERANCE)
+        multipliers = np.zeros(len(trees.weights))
+        slack = 0.0
         for k in active:
-            number, part = cuts[k]
-            first, last = trees.parts[part], trees.parts[part + 1]
-            weights[first:last] += multipliers[k] * made[number][first:last]
-            lost -= multipliers[k] * trees.slack[part]
-        self._cuts = [made[number] for number in dict.fromkeys(cuts[active, 0].tolist())]
-        self._share = found.share
-        weights *= trees.weight
-        return float(value), weights, float(weights.sum() + lost)
+            number, part = program.cuts[k]
+            first, last = trees.part_starts[part], trees.part_starts[part + 1]
+            multipliers[first:last] += solution.multipliers[k] * cut_nodes[number][first:last]
+            slack -= solution.multipliers[k] * trees.slacks[part]
+        multipliers *= trees.weights
+        self._cut_nodes = [cut_nodes[number]
+                           for number in dict.fromkeys(program.cuts[active, 0].tolist())]
+        self._shares = solution.shares
+        return float(optimum), multipliers, float(multipliers.sum() + slack)
 
-    def _gains(self, multipliers: np.ndarray, places: Sequence[np.ndarray],
-               over: Callable[[], bool]) -> list[dict[int, np.ndarray]] | None:
+    def _pose_gains(self, multipliers: np.ndarray, places: Sequence[np.ndarray],
+                    should_stop: Callable[[], bool]) -> list[dict[int, np.ndarray]] | None:
         """
-        Return for each grid the gains of the headings at each place.
+        Compute the gain of each pose: the sum of the multipliers of the nodes that it serves.
 
-        The gain of a pose is the sum of the multipliers of the nodes that it serves.
-
-        :param multipliers: (T,) of the nodes of the trees, metres.
+        :param multipliers: (T,) of the nodes of the trees, in units of the loss.
         :param places: for each grid the numbers of the places.
-        :param over: returns whether to stop.
-        :returns: None if ``over`` has ended the computation.
+        :returns: for each grid the gains (H,) of the headings by place; None if ``should_stop``
+            has ended the computation.
         """
-        trees = self.trees.priced(multipliers)
+        trees = self.trees.gain_trees(multipliers)
 
-        def gains_of(grid: PoseGrid, batch: list[int]) -> list[tuple[int, np.ndarray]]:
-            if over():
+        def batch_gains(grid: PoseGrid, batch: list[int]) -> list[tuple[int, np.ndarray]]:
+            if should_stop():
                 return []
             ends = np.cumsum([len(grid.headings[place]) for place in batch])
             # The last bits of the last word belong to no pose.
-            gains = trees.gains(grid.seen_by(batch))[:ends[-1]]
+            gains = trees.pose_gains(grid.seen_by(batch))[:ends[-1]]
             return list(zip(batch, np.split(gains, ends[:-1])))
 
-        found = [dict(chain(*mapped(partial(gains_of, grid), grid.batches(some))))
-                 for grid, some in zip(self.grids, places)]
-        return None if over() else found
+        gains = [dict(chain(*mapped(partial(batch_gains, grid), grid.batch_places(numbers))))
+                 for grid, numbers in zip(self.grids, places)]
+        return None if should_stop() else gains
 
-    def _needed(self, gains: Sequence[dict[int, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-        """Return the gains (n,) of the pool, and for each grid its ``count``-th largest gain."""
-        own = np.array([gains[one.grid][one.place][one.heading]
-                        if one.place in gains[one.grid] else 0.0 for one in self._pool])
-        return own, np.array([np.sort(own[self._group == group])[::-1][:count].min(initial=np.inf)
-                              for group, count in enumerate(self.counts)])
-
-    def _better(self, gains: Sequence[dict[int, np.ndarray]], needed: np.ndarray) -> list[Column]:
-        """Return the poses with larger gains than needed, only a few of each place."""
-        known, found = set(self._pool), []
-        for number, of_grid in enumerate(gains):
-            least = needed[number] * (1.0 + EQUAL_LOSS) + NOTHING
-            for place, values in of_grid.items():
-                best = np.argsort(-values, kind='stable')[:2 * MAX_COLUMNS_PER_PLACE]
-                columns = [(values[k], Column(number, place, int(k))) for k in best
-                           if values[k] > least]
-                found += [pair for pair in columns if pair[1] not in known][:MAX_COLUMNS_PER_PLACE]
+    def _improving_columns(self, gains: Sequence[dict[int, np.ndarray]], chosen_gains: np.ndarray
+                           ) -> list[Column]:
+        """Return poses with larger gains than chosen columns of their grid, a few per place."""
+        known = set(self._columns)
+        found: list[tuple[float, Column]] = []
+        for number, grid_gains in enumerate(gains):
+            min_gain = chosen_gains[number] * (1.0 + TUNING.equal_loss) + ZERO_TOLERANCE
+            for place, values in grid_gains.items():
+                best = np.argsort(-values, kind='stable')[:2 * TUNING.new_columns_per_place]
+                pairs = [(values[k], Column(number, place, int(k))) for k in best
+                         if values[k] > min_gain]
+                pairs = [pair for pair in pairs if pair[1] not in known]
+                found += pairs[:TUNING.new_columns_per_place]
         found.sort(key=lambda pair: -pair[0])
-        return [column for _, column in found[:NEW_COLUMNS]]
+        return [column for _, column in found[:TUNING.new_columns]]
 
-    def _staying(self, own: np.ndarray, needed: np.ndarray) -> list[Column]:
-        """Return the poses that stay in the pool: chosen ones, and those with large gains."""
-        stays = (self._share > NOTHING) | (own >= DROP_COST * needed[self._group])
-        for group, count in enumerate(self.counts):
-            members = np.flatnonzero(self._group == group)
-            stays[members[np.argsort(-own[members], kind='stable')[:2 * count]]] = True
-        return [one for one, stay in zip(self._pool, stays) if stay]
+    def _kept_columns(self, column_gains: np.ndarray, chosen_gains: np.ndarray) -> list[Column]:
+        """Return the columns to keep: those with a share, and those with large gains (n,)."""
+        kept = (self._shares > ZERO_TOLERANCE) | (
+            column_gains >= TUNING.dropped_gain_share * chosen_gains[self._grid_numbers])
+        for grid, count in enumerate(self.counts):
+            rows = np.flatnonzero(self._grid_numbers == grid)
+            kept[rows[np.argsort(-column_gains[rows], kind='stable')[:2 * count]]] = True
+        return [column for column, keep in zip(self._columns, kept) if keep]
 
-    def choices(self, count: int, rng: np.random.Generator, over: Callable[[], bool]
-                ) -> list[Choice]:
+    def find_choices(self, count: int, rng: np.random.Generator, should_stop: Callable[[], bool]
+                     ) -> list[Choice]:
         """
-        Round the solution of the program, and improve it by exchanges of one pose.
+        Round the shares of the program to choices, and improve them by exchanges of one pose.
 
         After the first choice, every second attempt excludes the poses near a place of the best
         choice.
 
         :param count: largest number of different choices.
+        :param rng: the shares are multiplied by random numbers, except at the first attempt.
+        :param should_stop: returns whether to return the choices so far.
         :returns: the best first; [] if the spacing leaves too few places.
         """
-        found: dict[tuple[int, ...], float] = {}
-        allowed = np.ones(len(self._share), dtype=bool)
-        places = np.array([self.pose(one)[:3] for one in self._pool])
+        losses: dict[tuple[int, ...], float] = {}
+        allowed = np.ones(len(self._shares), dtype=bool)
         for attempt in range(2 * count):
-            share = self._share * (rng.exponential(size=len(self._share)) if attempt else 1.0)
-            if found:
-                best = min(found, key=lambda chosen: found[chosen])
-                centre = places[best[attempt // 2 % len(best)]]
-                least = PLACES_APART_M if attempt % 2 else 0.0
-                allowed = np.linalg.norm(places - centre, axis=1) >= least
-            chosen = self._rounded(share, allowed)
+            shares = self._shares * (rng.exponential(size=len(self._shares)) if attempt else 1.0)
+            if losses:
+                best = min(losses, key=lambda rows: losses[rows])
+                centre = self._positions[best[attempt // 2 % len(best)]]
+                min_distance = TUNING.other_place_m if attempt % 2 else 0.0
+                allowed = np.linalg.norm(self._positions - centre, axis=1) >= min_distance
+            chosen = self._round_shares(shares, allowed)
             if chosen is None:
                 continue
-            chosen, loss = self._exchanged(chosen, allowed, over)
-            found[tuple(sorted(chosen))] = loss
-            if len(found) == count or over():
+            loss = self._exchange_poses(chosen, allowed, should_stop)
+            losses[tuple(sorted(chosen))] = loss
+            if len(losses) == count or should_stop():
                 break
-        return sorted(Choice(loss, tuple(self._pool[k] for k in chosen))
-                      for chosen, loss in found.items())
+        return sorted(Choice(loss, tuple(self._columns[k] for k in rows))
+                      for rows, loss in losses.items())
 
-    def _rounded(self, share: np.ndarray, allowed: np.ndarray) -> list[int] | None:
-        """Return a choice of the allowed poses with the largest shares; None if there is none."""
+    def _round_shares(self, shares: np.ndarray, allowed: np.ndarray) -> list[int] | None:
+        """Choose allowed columns, (n,) bool, with the largest shares (n,); None if too few fit."""
         chosen: list[int] = []
-        left = self.counts.copy()
-        for k in np.argsort(-share, kind='stable'):
-            if allowed[k] and left[self._group[k]] and not self._near[k, chosen].any():
+        missing = self.counts.copy()
+        for k in np.argsort(-shares, kind='stable'):
+            grid = self._grid_numbers[k]
+            if allowed[k] and missing[grid] and not self._too_near[k, chosen].any():
                 chosen.append(int(k))
-                left[self._group[k]] -= 1
-        return None if left.any() else chosen
+                missing[grid] -= 1
+        return None if missing.any() else chosen
 
-    def _exchanged(self, chosen: list[int], allowed: np.ndarray, over: Callable[[], bool]
-                   ) -> tuple[list[int], float]:
-        """Make the best exchange of one pose until none helps; return the choice and its loss."""
+    def _exchange_poses(self, chosen: list[int], allowed: np.ndarray,
+                        should_stop: Callable[[], bool]) -> float:
+        """Replace in ``chosen`` one column at a time while this helps; return the last loss."""
         loss = np.inf
         while True:
-            best = (loss * (1.0 - EQUAL_LOSS), None, None)
-            for number, own in enumerate(chosen):
+            best_loss = loss * (1.0 - TUNING.equal_loss)
+            exchange: tuple[int, int] | None = None
+            for number, old in enumerate(chosen):
                 others = chosen[:number] + chosen[number + 1:]
-                share = np.zeros(len(self._pool))
-                share[others] = 1.0
-                consts, gains = self.trees.cut(self._seen_by, len(share),
-                                               self.trees.unserved(self._seen_by, share))
-                losses = np.maximum(consts[:, None] - gains, 0.0).sum(axis=0)
-                good = (self._group == self._group[own]) & ~self._near[others].any(axis=0)
-                good[others] = False
-                losses[~(good & allowed)] = np.inf
-                if losses.min() < best[0]:
-                    best = (float(losses.min()), number, int(np.argmin(losses)))
-            if best[1] is None:
-                return chosen, loss
-            loss = best[0]
-            chosen[best[1]] = best[2]
-            if over():
-                return chosen, loss
+                shares = np.zeros(len(self._columns))
+                shares[others] = 1.0
+                constants, gains = self.trees.loss_cuts(
+                    self._seen_by, len(shares), self.trees.unserved_nodes(self._seen_by, shares))
+                losses = np.maximum(constants[:, None] - gains, 0.0).sum(axis=0)
+                feasible = allowed & (self._grid_numbers == self._grid_numbers[old])
+                feasible &= ~self._too_near[others].any(axis=0)
+                feasible[others] = False
+                losses[~feasible] = np.inf
+                if losses.min() < best_loss:
+                    best_loss = float(losses.min())
+                    exchange = number, int(np.argmin(losses))
+            if exchange is None:
+                return loss
+            loss = best_loss
+            chosen[exchange[0]] = exchange[1]
+            if should_stop():
+                return loss

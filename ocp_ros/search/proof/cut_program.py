@@ -20,50 +20,52 @@ from typing import NamedTuple
 import highspy
 import numpy as np
 
-#: Steps of the simplex method between two checks of the time, and largest number of such blocks:
-#: degenerate programs may cycle.
-ITERATIONS, LOOKS = 300, 20
-
 
 class Optimum(NamedTuple):
     """
-    Solution of the linear program.
+    Solution of the linear program; sizes as in :class:`CutProgram`.
 
     :ivar optimal: whether it was solved to the optimum; the multipliers are valid in any case.
-    :ivar losses: (B,) of the parts.
-    :ivar share: (n,) from 0 to 1, the chosen share of each pose.
-    :ivar multipliers: (R,) of the cuts, at least 0; the sum over a part's cuts is at most 1.
+    :ivar losses: (B,) loss of each part.
+    :ivar shares: (n,) from 0 to 1, the chosen share of each pose.
+    :ivar multipliers: (R,) dual values of the cuts, at least 0; the sum over a part's cuts is at
+        most 1.
     """
 
     optimal: bool
     losses: np.ndarray
-    share: np.ndarray
+    shares: np.ndarray
     multipliers: np.ndarray
 
 
 class CutProgram:
     """
-    Minimise the sum of the losses of the parts, none below 0, over choices of poses.
+    Minimise the sum of the losses of B parts, none below 0, over choices among n poses.
 
-    :param group: (n,) int64, the group of each pose: a group has the poses of one camera model.
+    A cut is a lower bound of the loss of a part, linear in the choice.
+
+    :param groups: (n,) int64, the group of each pose: a group has the poses of one camera model.
     :param counts: (G,) number of poses to choose from each group.
-    :param parts: B, number of parts of the loss.
-    :ivar cuts: (R, 2) int64: the number of each cut, given by the caller, and its part.
+    :param parts: B.
+    :ivar cuts: (R, 2) int64: of each of R cuts, the number from :meth:`add_cuts` and the part.
     """
 
-    def __init__(self, group: np.ndarray, counts: np.ndarray, parts: int) -> None:
-        self._parts, self._groups = parts, len(counts)
+    def __init__(self, groups: np.ndarray, counts: np.ndarray, parts: int) -> None:
+        self._part_count = parts
+        self._group_count = len(counts)
         self.cuts = np.empty((0, 2), dtype=np.int64)
         self._solver = highspy.Highs()
         for name, value in (('output_flag', False), ('threads', 1),
-                            ('simplex_iteration_limit', ITERATIONS)):
+                            ('simplex_iteration_limit', 300)):
             self._solver.setOptionValue(name, value)
-        members = group == np.arange(len(counts))[:, None]
+        members = groups == np.arange(len(counts))[:, None]
         program = highspy.HighsLp()
-        program.num_col_, program.num_row_ = parts + len(group), len(counts)
-        program.col_cost_ = np.repeat([1.0, 0.0], [parts, len(group)])
-        program.col_lower_ = np.zeros(parts + len(group))
-        program.col_upper_ = np.repeat([highspy.kHighsInf, 1.0], [parts, len(group)])
+        # The variables are the losses of the parts, then the shares of the poses.
+        program.num_col_ = parts + len(groups)
+        program.num_row_ = len(counts)
+        program.col_cost_ = np.repeat([1.0, 0.0], [parts, len(groups)])
+        program.col_lower_ = np.zeros(parts + len(groups))
+        program.col_upper_ = np.repeat([highspy.kHighsInf, 1.0], [parts, len(groups)])
         program.row_lower_ = program.row_upper_ = np.asarray(counts, dtype=np.float64)
         program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
         program.a_matrix_.start_ = np.append(0, np.cumsum(members.sum(axis=1))).astype(np.int32)
@@ -71,38 +73,38 @@ class CutProgram:
         program.a_matrix_.value_ = np.ones(members.sum())
         self._solver.passModel(program)
 
-    def add(self, number: int, consts: np.ndarray, gains: np.ndarray,
-            which: np.ndarray | slice = slice(None)) -> None:
+    def add_cuts(self, number: int, constants: np.ndarray, gains: np.ndarray,
+                 selected: np.ndarray | slice = slice(None)) -> None:
         """
-        Add cuts: the loss of part b is at least ``consts[b] - gains[b] @ choice``.
+        Add cuts: the loss of part b is at least ``constants[b] - gains[b] @ choice``.
 
-        :param number: for :attr:`cuts`.
-        :param consts: (B,).
-        :param gains: (B, n).
-        :param which: the parts whose cuts are added.
+        :param number: of these cuts, for :attr:`cuts`.
+        :param constants: (B,) loss of each part if no pose is chosen.
+        :param gains: (B, n) its reduction by each pose.
+        :param selected: (B,) bool, the parts whose cuts are added.
         """
-        for part in np.arange(self._parts)[which]:
-            used = np.flatnonzero(gains[part])
-            index = np.append(part, used + self._parts).astype(np.int32)
-            self._solver.addRow(consts[part], highspy.kHighsInf, len(index), index,
-                                np.append(1.0, gains[part, used]))
+        for part in np.arange(self._part_count)[selected]:
+            poses = np.flatnonzero(gains[part])
+            columns = np.append(part, poses + self._part_count).astype(np.int32)
+            self._solver.addRow(constants[part], highspy.kHighsInf, len(columns), columns,
+                                np.append(1.0, gains[part, poses]))
             self.cuts = np.vstack([self.cuts, (number, part)])
 
-    def solve(self, over: Callable[[], bool]) -> Optimum:
-        """Solve the program; if ``over`` returns True, return the solution so far."""
-        limit = highspy.HighsModelStatus.kIterationLimit
-        for _ in range(LOOKS):
+    def solve(self, should_stop: Callable[[], bool]) -> Optimum:
+        """Solve the program; if ``should_stop`` returns True, return the solution so far."""
+        # Each run ends at the iteration limit; degenerate programs may cycle.
+        max_runs = 20
+        for _ in range(max_runs):
             self._solver.run()
             status = self._solver.getModelStatus()
-            if status != limit or over():
+            if status != highspy.HighsModelStatus.kIterationLimit or should_stop():
                 break
         solution = self._solver.getSolution()
         values = np.nan_to_num(np.array(solution.col_value))
-        duals = np.nan_to_num(np.array(solution.row_dual)[self._groups:])
+        duals = np.nan_to_num(np.array(solution.row_dual)[self._group_count:])
         multipliers = np.maximum(duals, 0.0)
         parts = self.cuts[:, 1]
-        totals = np.bincount(parts, multipliers, self._parts)
-        return Optimum(
-            status == highspy.HighsModelStatus.kOptimal, values[:self._parts],
-            np.clip(values[self._parts:], 0.0, 1.0),
-            multipliers / np.maximum(totals, 1.0)[parts])
+        totals = np.bincount(parts, multipliers, self._part_count)
+        losses, shares = np.split(values, [self._part_count])
+        return Optimum(status == highspy.HighsModelStatus.kOptimal, losses,
+                       np.clip(shares, 0.0, 1.0), multipliers / np.maximum(totals, 1.0)[parts])
