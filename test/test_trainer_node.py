@@ -103,7 +103,7 @@ class Loop:
         values = dict.fromkeys(topics.REWARD_FIELDS, 0.0)
         values |= {'previous_nanosec': previous, 'stamp_nanosec': stamp, 'step': step,
                    'reward': sum(shares)}
-        values |= {topics.share(number): share for number, share in enumerate(shares)}
+        values |= {topics.share_field(number): share for number, share in enumerate(shares)}
         self.rewards.publish(fields_to_msg(values))
 
     def turn(self, stamp):

@@ -92,7 +92,7 @@ class TrainerNode(Node):
         for name in [name for name in names if name] or [self.get_namespace().strip('/')]:
             self._add(f'/{name}')
         self.create_timer(0.1, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._health = diagnostics.Health(self, self._status)
+        self._status_publisher = diagnostics.StatusPublisher(self, self._status)
         self.get_logger().info(
             f'run {self.learner.run}: {self.learner.updates} updates so far from '
             f'{self.learner.transitions} transitions, checkpoints in {self.learner.folder}')

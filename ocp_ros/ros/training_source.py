@@ -158,7 +158,7 @@ class Source:
         if fields['step'] < 1:
             return []
         shares = []
-        while (name := topics.share(len(shares))) in fields:
+        while (name := topics.share_field(len(shares))) in fields:
             shares.append(fields[name])
         worth = [fields['reward'], *shares]
         # Comparisons with NaN are false, so NaN is refused as well.

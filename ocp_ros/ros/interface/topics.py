@@ -62,15 +62,17 @@ TRAINING_FIELDS = ('hold', 'updates', 'behind', 'turns', 'transitions', 'incompl
                    'inconsistent', 'refused', 'dropped')
 
 
-def camera_info(camera: int) -> str:
-    """Return the topic of the sensor_msgs/CameraInfo of a camera."""
+def camera_info_topic(camera: int) -> str:
+    """Return the topic on which the CameraInfo messages of a camera are published."""
     return f'camera_{camera}/camera_info'
 
 
-def share(number: int) -> str:
+def share_field(number: int) -> str:
     """
-    Return the name of the field of ``reward`` with the reward share of one camera's move.
+    Return the name of the field of ``reward`` with the share of the reward of one camera's move.
 
-    :param number: 0 for the camera that chose first, and so on; step 0 has no such fields.
+    The message of step 0 has no such fields.
+
+    :param number: 0 for the camera that chose first, 1 for the second, and so on.
     """
     return f'share_{number}'

@@ -22,9 +22,12 @@ from ocp_ros.ros.interface.frames import publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
 from ocp_ros.util.settings import ConfigurationError, setting
 
-LEARNED, LOOKAHEAD, BOTH = PLANNERS = 'learned', 'lookahead', 'learned_lookahead'
-#: Defaults with ``manual``: few turns with long moves, since each turn is work for a person.
-BY_HAND = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
+LEARNED = 'learned'
+LOOKAHEAD = 'lookahead'
+LEARNED_LOOKAHEAD = 'learned_lookahead'
+PLANNERS = LEARNED, LOOKAHEAD, LEARNED_LOOKAHEAD
+#: Defaults if ``manual`` is true: few turns with long moves, as each turn is work for a person.
+MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
 
 
 @dataclass(frozen=True)
@@ -32,7 +35,7 @@ class PolicyNodeConfig:
     """Parameters of ``policy_node``."""
 
     planner: str = setting(
-        BOTH, 'planner of the moves: learned, a trained policy; lookahead, which plans on the '
+        LEARNED_LOOKAHEAD, 'planner of the moves: learned, a trained policy; lookahead, which plans on the '
               'observed points and needs no weights; learned_lookahead, lookahead to which the '
               'policy proposes placements', choices=PLANNERS)
     model: str = setting(
@@ -115,21 +118,21 @@ class PolicyNodeConfig:
             raise ConfigurationError(
                 f'min_range: found {self.min_range} m with max_range {self.max_range} m; '
                 'expected less than it')
-        if self.scan and not self.clouds:
+        if self.scan and not self.live_topics:
             raise ConfigurationError('scan: found one without cloud_topics; expected live cameras '
                                      'to register to it; name the topics of their clouds')
-        if self.manual and not self.clouds:
+        if self.manual and not self.live_topics:
             raise ConfigurationError('manual: found true without cloud_topics; expected live '
                                      'cameras that a person moves; name the topics of their '
                                      'clouds')
 
     @property
-    def clouds(self) -> list[str]:
+    def live_topics(self) -> list[str]:
         """Return the topics of live clouds; empty with a simulation."""
         names = [name.strip() for name in self.cloud_topics.split(',')]
         return [name for name in names if name]
 
     @property
-    def weightless(self) -> bool:
-        """Return whether no policy is needed, and so no weights."""
+    def needs_no_weights(self) -> bool:
+        """Return whether no policy is needed, and therefore no weights."""
         return self.planner == LOOKAHEAD and not self.explore
