@@ -44,7 +44,7 @@ from ocp_ros.ros.interface.frames import CameraFrames, publish_tf
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.interface.views import CloudView, RigView
 from ocp_ros.ros.runtime import diagnostics
-from ocp_ros.ros.runtime.managed_node import autostart, ManagedNode
+from ocp_ros.ros.runtime.managed_node import autostart, create_steady_timer, ManagedNode
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.episode import Episode
@@ -52,8 +52,6 @@ from ocp_ros.simulation.point_maps import maps_of
 from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import group, MAX_SEED, setting
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Float64MultiArray, Header
 from std_srvs.srv import Trigger
@@ -93,8 +91,8 @@ class SimNode(ManagedNode):
         self._make_publishers()
         self.create_subscription(PoseArray, topics.CAMERA_COMMANDS, self._on_command, LOOP)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._resend_timer = self.create_timer(self.config.resend_period, self._on_command_timeout,
-                                               clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._resend_timer = create_steady_timer(
+            self, self.config.resend_period, self._on_command_timeout)
         self._status_publisher = diagnostics.StatusPublisher(self, self._status)
         scene = self.simulator.scene
         models = self.problem.models

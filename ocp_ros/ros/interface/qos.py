@@ -31,19 +31,14 @@ def _make_profile(reliability: ReliabilityPolicy, durability: DurabilityPolicy, 
         depth=depth, liveliness=LivelinessPolicy.AUTOMATIC)
 
 
-def _make_reliable_profile(durability: DurabilityPolicy, depth: int) -> QoSProfile:
-    """Return a reliable profile that keeps the last ``depth`` messages."""
-    return _make_profile(ReliabilityPolicy.RELIABLE, durability, depth)
-
-
 #: Turns, commands and rewards: no message may be lost.
-LOOP = _make_reliable_profile(DurabilityPolicy.VOLATILE, 10)
+LOOP = _make_profile(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE, 10)
 
 #: Turns and rewards for a recorder: it must not miss a turn, and the loop does not wait for it.
-RECORDER = _make_reliable_profile(DurabilityPolicy.VOLATILE, 200)
+RECORDER = _make_profile(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE, 200)
 
 #: The latest state (scene, placement, weights, markers), also sent to late subscribers.
-LATCHED = _make_reliable_profile(DurabilityPolicy.TRANSIENT_LOCAL, 1)
+LATCHED = _make_profile(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL, 1)
 
 #: Poses of live cameras: a subscription with this profile matches publishers of any profile.
 POSES = _make_profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 10)

@@ -28,9 +28,8 @@ from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import cloud_with_values
 from ocp_ros.ros.interface.markers import rig_markers
 from ocp_ros.ros.interface.qos import LATCHED
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.simulation.point_maps import PointMaps
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, PointCloud2
@@ -118,8 +117,7 @@ class CloudView:
             OnDemandPublisher(node, PointCloud2, coverage_topic, self._coverage_cloud),
             OnDemandPublisher(node, PointCloud2, error_topic, self._error_cloud)]
         # The timer publishes once the present callback, which may answer a turn, has ended.
-        self._update_timer = node.create_timer(
-            1e-3, self._update, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._update_timer = create_steady_timer(node, 1e-3, self._update)
         self._update_timer.cancel()
 
     def show_turn(self, header: Header) -> None:

@@ -33,10 +33,9 @@ from ocp_ros.ros.interface.conversions import MessageError, shortened
 from ocp_ros.ros.interface.frames import CameraClouds, LiveRig
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.util.settings import ConfigurationError, UserError
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -72,7 +71,7 @@ class Calibrator:
         self.drift_warnings: list[str] = []
         self.drift_checks = 0
         node.create_service(Trigger, '~/calibrate', self._on_calibrate)
-        node.create_timer(1.0, self._check_drift, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        create_steady_timer(node, 1.0, self._check_drift)
 
     def apply_config(self, config: PolicyNodeConfig) -> None:
         """Continue with new parameters."""
@@ -158,7 +157,7 @@ class Calibrator:
             for number, pose in enumerate(poses)), frame=rig.frame)
 
     def _calibrate(self, placement: Placement, clouds: Mapping[int, np.ndarray]
-                    ) -> tuple[bool, str]:
+                   ) -> tuple[bool, str]:
         """
         Register the cameras, and write their registered poses beside the placement file, if any.
 

@@ -30,8 +30,7 @@ from geometry_msgs.msg import PoseArray
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.runtime import diagnostics
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
 from rclpy.publisher import Publisher
@@ -66,8 +65,7 @@ class Commander:
         """
         self._on_may_command = on_may_command
         # The graph is checked every 0.15 to 0.35 s.
-        self._node.create_timer(random.uniform(0.15, 0.35), self._check_graph,
-                                clock=Clock(clock_type=ClockType.STEADY_TIME))
+        create_steady_timer(self._node, random.uniform(0.15, 0.35), self._check_graph)
         self._check_graph()
 
     def end(self) -> None:

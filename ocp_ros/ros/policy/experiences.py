@@ -22,9 +22,8 @@ from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, MessageError, msg_to_fields
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.policy.recorded_policy import RecordedPolicy, RecordedValues
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.training.experience import Experience, to_bytes
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
@@ -49,7 +48,7 @@ class Experiences:
         self._wait_asked_at: float | None = None
         self._publisher = node.create_publisher(UInt8MultiArray, topics.EXPERIENCE, LOOP)
         node.create_subscription(Float64MultiArray, topics.TRAINING, self._on_training, LATCHED)
-        node.create_timer(0.5, self._check_silence, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        create_steady_timer(node, 0.5, self._check_silence)
 
     @property
     def must_wait(self) -> bool:

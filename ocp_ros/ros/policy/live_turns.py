@@ -59,9 +59,8 @@ from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.instructions import FINAL, instructions, needs_move
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy.turns import Turns
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.util.settings import ConfigurationError
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
@@ -140,10 +139,9 @@ class LiveTurns:
         node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, POSES)
         for topic, name in self._topic_names(config.live_topics).items():
             node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
         # A turn can become due without a message: this is checked ten times a second.
-        node.create_timer(0.1, self._play_turn, clock=steady)
-        self._resend_timer = node.create_timer(RESEND_S, self._resend, clock=steady)
+        create_steady_timer(node, 0.1, self._play_turn)
+        self._resend_timer = create_steady_timer(node, RESEND_S, self._resend)
 
     def _begin_waiting(self) -> None:
         """Begin to wait for cameras and clouds, without any data of earlier turns."""

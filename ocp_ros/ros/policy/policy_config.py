@@ -22,10 +22,8 @@ from ocp_ros.ros.interface.frames import publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
 from ocp_ros.util.settings import ConfigurationError, setting
 
-LEARNED = 'learned'
-LOOKAHEAD = 'lookahead'
-LEARNED_LOOKAHEAD = 'learned_lookahead'
-PLANNERS = LEARNED, LOOKAHEAD, LEARNED_LOOKAHEAD
+#: Names of the planners.
+PLANNERS = LEARNED, LOOKAHEAD, LEARNED_LOOKAHEAD = 'learned', 'lookahead', 'learned_lookahead'
 #: Defaults if ``manual`` is true: few turns with long moves, as each turn is work for a person.
 MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
 
@@ -35,9 +33,10 @@ class PolicyNodeConfig:
     """Parameters of ``policy_node``."""
 
     planner: str = setting(
-        LEARNED_LOOKAHEAD, 'planner of the moves: learned, a trained policy; lookahead, which plans on the '
-              'observed points and needs no weights; learned_lookahead, lookahead to which the '
-              'policy proposes placements', choices=PLANNERS)
+        LEARNED_LOOKAHEAD,
+        'planner of the moves: learned, a trained policy; lookahead, which plans on the '
+        'observed points and needs no weights; learned_lookahead, lookahead to which the '
+        'policy proposes placements', choices=PLANNERS)
     model: str = setting(
         DEFAULT_MODEL, 'weights: a path, or the name of a shipped model; lookahead ignores it')
     turns: int = setting(

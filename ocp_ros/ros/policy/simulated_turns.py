@@ -29,8 +29,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.policy.commander import Commander
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
@@ -92,8 +91,7 @@ class SimulatedTurns:
         self._may_wait = True
         # If the turn before had a reward, the next reward is awaited for 0.25 s: messages of
         # different topics overtake each other, and only a reward shows that an episode begins.
-        self._reward_timer = node.create_timer(0.25, self._answer_without_reward,
-                                       clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._reward_timer = create_steady_timer(node, 0.25, self._answer_without_reward)
         self._reward_timer.cancel()
         # Subscribe to the reward first, so that a new episode is noticed before its first answer.
         node.create_subscription(Float64MultiArray, topics.REWARD, self.on_reward, LOOP)

@@ -17,8 +17,7 @@
 from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from rclpy.node import Node
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
@@ -63,8 +62,7 @@ class StatusPublisher:
         self._node = node
         self._make_status = make_status
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        # Steady time: the status is published even if /clock stops.
-        node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        create_steady_timer(node, 1.0, self.publish)
 
     def publish(self) -> None:
         """Publish the status as it is now."""

@@ -28,11 +28,15 @@ from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.ros.runtime.parameters import declare, read_config, watch_parameters
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.settings import ConfigurationError, setting
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
@@ -43,8 +47,13 @@ def autostart() -> Any:
                          'commands, such as `ros2 lifecycle set`')
 
 
+def create_steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
+    """Create a timer that runs on a steady clock: also while /clock stops or jumps."""
+    return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
 def _profile_of(topic: str, profile: QoSProfile | int, settings: dict[str, Any]
-                 ) -> QoSProfile | int:
+                ) -> QoSProfile | int:
     """Return a copy of a profile that ``qos_overrides`` parameters may change, if they may."""
     # All nodes have the topics that begin with these names.
     common_topics = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')

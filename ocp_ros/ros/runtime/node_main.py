@@ -82,7 +82,7 @@ def explain_refusal(error: Exception) -> str:
     """Return in one sentence why ROS refused to start a node: its security or its arguments."""
     text = ' '.join(str(error).split())
     if is_security_error(error):
-        return (f'found that ROS cannot enable security, as ROS_SECURITY_ENABLE asks ({text}); '
+        return (f'found that ROS cannot keep it safe, as ROS_SECURITY_ENABLE asks ({text}); '
                 'expected a ROS 2 with SROS 2 (the one from apt, not that from PyPI) and its keys '
                 'in a keystore; see docs/tasks/secure_nodes.md')
     return (f'found ROS arguments that cannot be read ({text}); '

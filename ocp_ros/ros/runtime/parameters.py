@@ -57,9 +57,9 @@ def declare(node: Node, config_type: type[T],
         given = node._parameter_overrides.get(flag)
         if given is not None and given.value is True:
             defaults |= other_defaults
-    values = {name: node.declare_parameter(name, defaults[name],
-                                            _describe_parameter(field)).value
-              for name, field in settings.items()}
+    values = {
+        name: node.declare_parameter(name, defaults[name], _describe_parameter(field)).value
+        for name, field in settings.items()}
     # rclpy would ignore unknown parameters without a warning. Those with the prefix
     # qos_overrides change the quality of service of topics.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
