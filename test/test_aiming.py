@@ -43,7 +43,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.policy.turns import STEADY_NS, Turns
+from ocp_ros.ros.policy.turns import STEADY_NS, Turns, WaitLimits
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
@@ -228,7 +228,7 @@ class TurnedRig(Rig):
 
 
 def test_a_live_turn_waits_until_cameras_are_turned():
-    turns = Turns(['a'], 0.05, 20.0, 2.0, lambda: 0.0, arrival_angle=0.1)
+    turns = Turns(['a'], WaitLimits(0.05, 20.0, 2.0, arrival_angle=0.1), lambda: 0.0)
     here = np.array([[1.0, 1.0, 1.9], [3.0, 1.0, 1.9]])
     now = [rotation_matrix(0.0), rotation_matrix(1.0)]
     turns.on_poses(1, here, now)
@@ -238,7 +238,7 @@ def test_a_live_turn_waits_until_cameras_are_turned():
     assert not turns.cameras_stand
     for stamp in (3, 3 + STEADY_NS):
         turns.on_poses(stamp, here, [rotation_matrix(2.0), rotation_matrix(1.45)])
-    assert turns.cameras_stand and turns.standing_since_ns == 3
+    assert turns.cameras_stand and turns.standing_begin.stamp == 3
 
 
 def test_who_moves_cameras_by_hand_is_told_how_to_turn_them(graph, probe, rig_file):

@@ -64,10 +64,8 @@ class SimNodeConfig(SimulationConfig):
     scene: SceneConfig = group(SceneConfig)
     seed: int = setting(0, 'seed of the start positions', 0, MAX_SEED)
     auto_reset: bool = setting(False, 'begin the next episode when one ends', running=True)
-    resend_period: float = setting(
-        0.5, 'time without a command after which the latest turn is sent again, '
-             'seconds', 0.02, 60.0,
-        running=True)
+    resend_period: float = setting(0.5, 'time without a command after which the latest turn is '
+                                   'sent again, seconds', 0.02, 60.0, running=True)
     frame_id: str = setting('map', 'frame of every message')
     publish_tf: bool = publish_tf()
     autostart: bool = autostart()

@@ -56,9 +56,8 @@ MAX_SILENCE_S = 60.0
 class TrainerNodeConfig(LearnerConfig):
     """Parameters of ``trainer_node``."""
 
-    sources: str = setting(
-        '', 'namespaces to learn from, separated by commas; empty: its own namespace and every '
-            'namespace in which a policy explores')
+    sources: str = setting('', 'namespaces to learn from, separated by commas; empty: its own '
+                           'namespace and every namespace in which a policy explores')
     most_behind: int = setting(
         100, 'policies wait while more gradient steps than this are due', 1, 1 << 31)
     agent: AgentConfig = group(AgentConfig)

@@ -173,9 +173,8 @@ class TransitionSource:
         max_reward = 1e9
         # Comparisons with NaN are false: NaN is refused as well.
         if not (np.abs(rewards) <= max_reward).all():
-            raise MessageError(
-                f'reward: found reward and shares from {min(rewards):g} to {max(rewards):g}; '
-                f'expected finite numbers within {max_reward:g}')
+            raise MessageError(f'reward: found reward and shares from {min(rewards):g} to '
+                               f'{max(rewards):g}; expected finite numbers within {max_reward:g}')
         return self.assembler.add_reward(Reward(
             previous, stamp, int(fields['step']), fields['reward'], tuple(shares),
             bool(fields['terminated'])))

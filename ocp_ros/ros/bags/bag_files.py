@@ -87,9 +87,8 @@ class Bag:
         try:
             with self._explain_errors():
                 if not find_spec('rosbags'):
-                    raise ConfigurationError(
-                        f'{self.path}: found no package to read bags with; expected rosbags; '
-                        'install it: pip install rosbags')
+                    raise ConfigurationError(f'{self.path}: found no package to read bags with; '
+                                             'expected rosbags; install it: pip install rosbags')
                 self._is_ros1, self._bag_path, self._files = _identify_bag(self.path)
                 self._description = self._start_process()
         except BaseException:
@@ -212,8 +211,7 @@ class Bag:
             try:
                 while (answer := self._read_answer())[0] != END:
                     answer_kind, number, time, content = answer
-                    name = topics[number].name
-                    kind = KINDS[topics[number].kind]
+                    name, kind = topics[number].name, KINDS[topics[number].kind]
                     if answer_kind == MESSAGE:
                         yield Recorded(name, kind, time, bytes(content))
                     else:

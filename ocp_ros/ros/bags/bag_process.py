@@ -21,7 +21,6 @@ the topics, then, for each line of its standard input, messages. An answer is a 
 content. An error of the bag is one line on standard error.
 """
 
-from collections.abc import Iterator
 from importlib import import_module
 from itertools import islice
 import json
@@ -33,8 +32,7 @@ from typing import Any, BinaryIO
 
 from ocp_ros.util.confinement import allow_seconds, confine, limit
 
-CLOUD = 'sensor_msgs/msg/PointCloud2'
-POSES = 'geometry_msgs/msg/PoseArray'
+CLOUD, POSES = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseArray'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 #: The message types that are read, by their names in bags; old bags use another name for
 #: transforms, with the same layout.
@@ -150,9 +148,8 @@ class AnswerWriter:
         """
         connections = [connection for connection in self._reader.connections
                        if connection.topic in names and connection.msgtype in KINDS]
-        recorded: Iterator = iter(())
-        if connections:
-            recorded = self._reader.messages(connections, start, stop)
+        # The reader would take no connections for all connections.
+        recorded = self._reader.messages(connections, start, stop) if connections else ()
         for connection, time, raw in islice(recorded, max_messages):
             topic = self._names.index(connection.topic)
             kind = KINDS[connection.msgtype]

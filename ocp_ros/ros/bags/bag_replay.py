@@ -99,8 +99,7 @@ class Replay(Node):
 
     def _check_poses(self, has_poses: bool) -> None:
         """Check that each camera has a pose; warn if there are neither poses nor transforms."""
-        given = len(self.options.poses)
-        clouds = len(self._cloud_topics)
+        given, clouds = len(self.options.poses), len(self._cloud_topics)
         if given and has_poses:
             raise ConfigurationError('--pose: found it with recorded poses; expected one of the '
                                      'two; name with --topics the clouds alone')

@@ -74,8 +74,7 @@ def cloud_to_msg(points: np.ndarray, header: Header) -> PointCloud2:
     return message
 
 
-def cloud_with_values(points: np.ndarray, name: str, values: np.ndarray, header: Header
-                      ) -> PointCloud2:
+def value_cloud(points: np.ndarray, name: str, values: np.ndarray, header: Header) -> PointCloud2:
     """
     Pack the points of a cloud, with a number for each.
 
@@ -115,20 +114,18 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
     is_unpadded = size == height * width * step
     row_step = width * step if is_unpadded else message.row_step
     if row_step < width * step or size != row_step * height:
-        raise MessageError(
-            f'cloud: found {size} bytes and row_step {row_step}; expected {height} rows of at '
-            f'least {width} x {step} bytes')
+        raise MessageError(f'cloud: found {size} bytes and row_step {row_step}; expected {height} '
+                           f'rows of at least {width} x {step} bytes')
     if height * width == 0:
         return np.empty((0, 3), dtype=np.float32)
     points = np.empty((height, width, 3), dtype=np.float32)
     byte_order = '>' if message.is_bigendian else '<'
-    data = memoryview(message.data)
     # Values too large for float32 become inf, and their points are left out below.
     with np.errstate(over='ignore', invalid='ignore'):
         for k, field in enumerate(fields):
             points[..., k] = np.ndarray(
-                (height, width), byte_order + NUMPY_TYPES[field.datatype], data, field.offset,
-                (row_step, step))
+                (height, width), byte_order + NUMPY_TYPES[field.datatype],
+                memoryview(message.data), field.offset, (row_step, step))
     points = points.reshape(-1, 3)
     finite = np.isfinite(points).all(axis=1)
     return points if finite.all() else points[finite]

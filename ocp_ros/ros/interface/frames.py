@@ -23,7 +23,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose
 from ocp_ros.ros.interface.conversions import (
     MessageError,
-    positions_to_msg,
+    quaternion_of,
     rotation_of,
     stamp_to_ns,
 )
@@ -207,14 +207,12 @@ class CameraFrames:
 
 def transform_to_msg(header: Header, child_frame: str, pose: Pose) -> TransformStamped:
     """Pack the pose of a child frame in its parent frame, which is the frame of the header."""
-    message = positions_to_msg(
-        pose.position[None], header, heading_of(pose.rotation)[None]).poses[0]
-    position = message.position
+    x, y, z = map(float, pose.position)
     return TransformStamped(
         header=Header(stamp=header.stamp, frame_id=header.frame_id.lstrip('/')),
         child_frame_id=child_frame,
-        transform=Transform(translation=Vector3(x=position.x, y=position.y, z=position.z),
-                            rotation=message.orientation))
+        transform=Transform(translation=Vector3(x=x, y=y, z=z),
+                            rotation=quaternion_of(heading_of(pose.rotation))))
 
 
 def transform_cloud(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
@@ -287,14 +285,13 @@ def points_in_range(points: np.ndarray, camera_positions: np.ndarray, min_range:
     :param max_range: largest distance, metres.
     :returns: the M <= N points in range, (M, 3) float32, all finite.
     """
-    squared_distances = np.full(len(points), np.inf, dtype=np.float32)
+    # Squared distance of each point to its nearest camera.
+    nearest_squared = np.full(len(points), np.inf, dtype=np.float32)
     with np.errstate(over='ignore', invalid='ignore'):
         for camera_position in camera_positions.astype(np.float32):
             offsets = points - camera_position
-            squared_distances = np.fmin(squared_distances,
-                                        np.einsum('ij,ij->i', offsets, offsets))
-    keep = (squared_distances >= min_range * min_range) & (
-        squared_distances <= max_range * max_range)
+            nearest_squared = np.fmin(nearest_squared, np.einsum('ij,ij->i', offsets, offsets))
+    keep = (nearest_squared >= min_range * min_range) & (nearest_squared <= max_range * max_range)
     return points if keep.all() else points[keep]
 
 

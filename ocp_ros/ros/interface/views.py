@@ -25,7 +25,7 @@ from typing import Any
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
 from ocp_ros.ros.interface import topics
-from ocp_ros.ros.interface.conversions import cloud_with_values
+from ocp_ros.ros.interface.conversions import value_cloud
 from ocp_ros.ros.interface.markers import rig_markers
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
@@ -53,11 +53,11 @@ class RigView:
         self._header = Header()
         self._poses: list[Pose] = []
         self._trajectories: list[np.ndarray] = []
-        self._publishers = [OnDemandPublisher(node, MarkerArray, topic, self._markers)]
+        self._publishers = [LazyPublisher(node, MarkerArray, topic, self._markers)]
         for camera in range(camera_infos):
             model = models[camera if len(models) > 1 else 0]
             if camera_info(model, Header()) is not None:
-                self._publishers.append(OnDemandPublisher(
+                self._publishers.append(LazyPublisher(
                     node, CameraInfo, topics.camera_info_topic(camera),
                     partial(self._camera_info_message, camera, model)))
 
@@ -113,9 +113,8 @@ class CloudView:
         self._evaluate = evaluate
         self._maps: PointMaps | None = None
         self._header = Header()
-        self._publishers = [
-            OnDemandPublisher(node, PointCloud2, coverage_topic, self._coverage_cloud),
-            OnDemandPublisher(node, PointCloud2, error_topic, self._error_cloud)]
+        self._publishers = [LazyPublisher(node, PointCloud2, coverage_topic, self._coverage_cloud),
+                            LazyPublisher(node, PointCloud2, error_topic, self._error_cloud)]
         # The timer publishes once the present callback, which may answer a turn, has ended.
         self._update_timer = create_steady_timer(node, 1e-3, self._update)
         self._update_timer.cancel()
@@ -143,15 +142,15 @@ class CloudView:
         """Return the cloud with the number of cameras that see each point."""
         if (maps := self._latest_maps()) is None:
             return None
-        return cloud_with_values(maps.points, 'count', maps.count.astype(np.uint32), self._header)
+        return value_cloud(maps.points, 'count', maps.count.astype(np.uint32), self._header)
 
     def _error_cloud(self) -> PointCloud2 | None:
         """Return the cloud of the points that have a depth error, with this error."""
         if (maps := self._latest_maps()) is None:
             return None
         has_error = maps.error > 0.0
-        return cloud_with_values(maps.points[has_error], 'error',
-                                 maps.error[has_error].astype(np.float32), self._header)
+        return value_cloud(maps.points[has_error], 'error',
+                           maps.error[has_error].astype(np.float32), self._header)
 
 
 def camera_info(model: CameraModel, header: Header) -> CameraInfo | None:
@@ -174,7 +173,7 @@ def camera_info(model: CameraModel, header: Header) -> CameraInfo | None:
         p=[fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0])
 
 
-class OnDemandPublisher:
+class LazyPublisher:
     """
     Publish the latest state (latched) while there are subscribers, also for late subscribers.
 

@@ -90,13 +90,12 @@ class Calibrator:
             response.message = 'busy with another registration; call it again'
             return response
         try:
-            camera_clouds = self._latest_clouds()
-            placement = self._placement(camera_clouds.rig)
+            placement, clouds = self._placement_and_clouds()
         except MessageError as error:
             response.message = shortened(error)
             return response
         response.success, response.message = await self._start_job(
-            lambda: self._calibrate(placement, camera_clouds.clouds))
+            lambda: self._calibrate(placement, clouds))
         return response
 
     def _check_drift(self) -> None:
@@ -107,11 +106,10 @@ class Calibrator:
             return
         self._checked_at = time.monotonic()
         try:
-            camera_clouds = self._latest_clouds()
-            placement = self._placement(camera_clouds.rig)
+            placement, clouds = self._placement_and_clouds()
         except MessageError:
             return
-        self._start_job(lambda: self._find_drift(placement, camera_clouds.clouds))
+        self._start_job(lambda: self._find_drift(placement, clouds))
 
     def _start_job(self, job: Callable[[], tuple[bool, str]]) -> Future:
         """
@@ -145,6 +143,13 @@ class Calibrator:
             self._surfaces = ScanSurfaces(load_scene(self._config.scan))
         return self._surfaces
 
+    def _placement_and_clouds(self) -> tuple[Placement, dict[str, np.ndarray]]:
+        """Return the placement as reported, and the newest clouds by the names of the cameras."""
+        rig, clouds = self._latest_clouds()
+        placement = self._placement(rig)
+        return placement, {placement.cameras[number].camera.name: cloud for number, cloud
+                           in clouds.items() if number < len(placement.cameras)}
+
     def _placement(self, rig: LiveRig) -> Placement:
         """Return the placement with the reported poses of the cameras."""
         poses = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in rig.poses])
@@ -156,53 +161,43 @@ class Calibrator:
                    tuple(pose[:3].tolist()), tuple(np.rad2deg(pose[3:]).tolist()), 'free')
             for number, pose in enumerate(poses)), frame=rig.frame)
 
-    def _calibrate(self, placement: Placement, clouds: Mapping[int, np.ndarray]
+    def _calibrate(self, placement: Placement, clouds: Mapping[str, np.ndarray]
                    ) -> tuple[bool, str]:
         """
         Register the cameras, and write their registered poses beside the placement file, if any.
 
-        :param clouds: by camera number: (N, 3) metres, body frame.
+        :param clouds: by the name of the camera: (N, 3) metres, body frame.
         :returns: whether any camera was registered, and a line of text for each camera.
         """
-        registrations, unusable_clouds = calibrate(
-            self._scan_surfaces(), placement, _clouds_by_name(placement, clouds))
-        report_lines = []
+        registrations, unusable_clouds = calibrate(self._scan_surfaces(), placement, clouds)
+        lines = []
         for placed in placement.cameras:
             name = placed.camera.name
             registration = registrations.get(name)
-            if registration is None or registration.refused:
-                reason = registration.refused if registration else unusable_clouds.get(
-                    name, 'it has no cloud')
-                report_lines.append(f'{name}: refused: {reason}')
-                continue
-            offset = registration.pose.position - placed.position
-            report_lines.append(
-                f'{name}: {np.linalg.norm(offset):.3f} m from where it was said to be, '
-                f'expected within {1000.0 * registration.certainty.metres[0]:.0f} mm')
+            if registration is None:
+                lines.append(f'{name}: refused: {unusable_clouds.get(name, "it has no cloud")}')
+            elif registration.refused:
+                lines.append(f'{name}: refused: {registration.refused}')
+            else:
+                distance = np.linalg.norm(registration.pose.position - placed.position)
+                lines.append(f'{name}: {distance:.3f} m from where it was said to be, expected '
+                             f'within {1000.0 * registration.certainty.metres[0]:.0f} mm')
         built = as_built(placement, registrations, 'policy_node')
         any_registered = any(not registration.refused for registration in registrations.values())
         if any_registered and self._config.placement_file:
             path = Path(self._config.placement_file)
             path = path.with_name(f'{path.stem}_as_built{path.suffix}')
             save_placement(path, built)
-            report_lines.append(f'wrote {path}')
-        return any_registered, '\n'.join(report_lines)
+            lines.append(f'wrote {path}')
+        return any_registered, '\n'.join(lines)
 
-    def _find_drift(self, placement: Placement, clouds: Mapping[int, np.ndarray]
+    def _find_drift(self, placement: Placement, clouds: Mapping[str, np.ndarray]
                     ) -> tuple[bool, str]:
         """Find cameras that have drifted; return whether there is none, and a text about them."""
-        self.drift_warnings = drift(self._scan_surfaces(), placement,
-                                    _clouds_by_name(placement, clouds))
+        self.drift_warnings = drift(self._scan_surfaces(), placement, clouds)
         self.drift_checks += 1
         return not self.drift_warnings, '; '.join(self.drift_warnings)
 
     def status(self) -> tuple[str, dict[str, object]]:
         """Return the drift warnings as text (empty if there are none), and values to show."""
         return '; '.join(self.drift_warnings), {'drift_checks': self.drift_checks}
-
-
-def _clouds_by_name(placement: Placement, clouds: Mapping[int, np.ndarray]
-                    ) -> dict[str, np.ndarray]:
-    """Return the clouds of the numbered cameras by the names of the cameras."""
-    return {placement.cameras[number].camera.name: cloud for number, cloud in clouds.items()
-            if number < len(placement.cameras)}

@@ -85,11 +85,10 @@ class Commander:
     def must_wait(self) -> bool:
         """Return whether this node may not command yet."""
         return not self._has_commanded and (
-            self._publisher is None or time.monotonic() < self._ready_at
-            or self._other_publishers > 0)
+            self._publisher is None or time.monotonic() < self._ready_at or self._rival_count > 0)
 
     @property
-    def _other_publishers(self) -> int:
+    def _rival_count(self) -> int:
         """Return the number of publishers of commands that other nodes have."""
         return self._node.count_publishers(self._topic) - (self._publisher is not None)
 
@@ -97,7 +96,7 @@ class Commander:
         """Create the publisher if other nodes have none, destroy it if they have, or report."""
         if self._has_commanded:
             return
-        if self._other_publishers > 0:
+        if self._rival_count > 0:
             if self._publisher is not None:
                 self._node.destroy_publisher(self._publisher)
                 self._publisher = None

@@ -142,12 +142,9 @@ class Decider:
         """
         count = len(poses.poses)
         movable = self.count_movable(poses)
-        if self.rig is None:
-            models = self.models * count
-            pitch_limits = 0.0, 0.5 * np.pi
-        else:
-            models = self.rig.models
-            pitch_limits = self.rig.pitch
+        models = self.models * count if self.rig is None else self.models
+        pitch_limits = (0.0, 0.5 * np.pi) if self.rig is None else self.rig.pitch
+        if self.rig is not None:
             with_fixed = movable + len(self.rig.fixed)
             if count not in (movable, with_fixed):
                 others = f', or {with_fixed} with fixed ones' if self.rig.fixed else ''

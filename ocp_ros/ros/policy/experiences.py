@@ -44,8 +44,8 @@ class Experiences:
                  on_caught_up: Callable[[], None]) -> None:
         self._get_policy = get_policy
         self._on_caught_up = on_caught_up
-        #: Time at which the trainer last asked to wait, steady clock; None if it does not ask.
-        self._wait_asked_at: float | None = None
+        #: Time at which the trainer last asked to hold, by a steady clock; None if it does not.
+        self._hold_time: float | None = None
         self._publisher = node.create_publisher(UInt8MultiArray, topics.EXPERIENCE, LOOP)
         node.create_subscription(Float64MultiArray, topics.TRAINING, self._on_training, LATCHED)
         create_steady_timer(node, 0.5, self._check_silence)
@@ -53,8 +53,7 @@ class Experiences:
     @property
     def must_wait(self) -> bool:
         """Return whether the next turn has to wait for the trainer."""
-        return (self._wait_asked_at is not None
-                and time.monotonic() - self._wait_asked_at < MAX_SILENCE_S)
+        return self._hold_time is not None and time.monotonic() - self._hold_time < MAX_SILENCE_S
 
     def _on_training(self, message: Float64MultiArray) -> None:
         """Read whether the trainer asks to wait; ignore a message that cannot be read."""
@@ -62,15 +61,15 @@ class Experiences:
             hold = bool(msg_to_fields(message, ('hold',))['hold'])
         except MessageError:
             return
-        had_to_wait = self._wait_asked_at is not None
-        self._wait_asked_at = time.monotonic() if hold else None
+        had_to_wait = self._hold_time is not None
+        self._hold_time = time.monotonic() if hold else None
         if had_to_wait and not hold:
             self._on_caught_up()
 
     def _check_silence(self) -> None:
         """Continue without a trainer that has become silent."""
-        if self._wait_asked_at is not None and not self.must_wait:
-            self._wait_asked_at = None
+        if self._hold_time is not None and not self.must_wait:
+            self._hold_time = None
             self._on_caught_up()
 
     def publish(self, stamp: int, turn: int, targets: np.ndarray) -> None:

@@ -71,14 +71,13 @@ def _rotation_text(yaw: float, pitch: float) -> str:
 
 def _move_text(position: np.ndarray, target: np.ndarray) -> str:
     """Return the move of one camera in words: the distance along each axis, and the target."""
-    # Shorter distances would be printed as 0.00 m.
-    min_distance_m = 0.005
     directions = (('towards +x', 'towards -x'), ('towards +y', 'towards -y'), ('up', 'down'))
     move = target - position
-    texts = [f'{abs(distance):.2f} m {positive if distance >= 0.0 else negative}'
-             for distance, (positive, negative) in zip(move, directions, strict=True)
-             if abs(distance) >= min_distance_m]
-    axes = 3 if abs(move[2]) >= min_distance_m else 2
+    # Shorter distances would be printed as 0.00 m.
+    is_printed = np.abs(move) >= 0.005
+    texts = [f'{abs(move[axis]):.2f} m {positive if move[axis] >= 0.0 else negative}'
+             for axis, (positive, negative) in enumerate(directions) if is_printed[axis]]
+    axes = 3 if is_printed[2] else 2
     # Adding 0 changes -0 to 0.
     coordinates = [f'{coordinate + 0.0:.2f}' for coordinate in np.round(target, 2)[:axes]]
     return f'{" and ".join(texts)}, to ({", ".join(coordinates)})'

@@ -58,7 +58,7 @@ from ocp_ros.ros.interface.qos import LATCHED, LOOP, POSES, SENSOR
 from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.instructions import FINAL, instructions, needs_move
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.policy.turns import Turns
+from ocp_ros.ros.policy.turns import Turns, WaitLimits
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.util.settings import ConfigurationError
 from rclpy.impl.implementation_singleton import rclpy_implementation
@@ -145,18 +145,17 @@ class LiveTurns:
 
     def _begin_waiting(self) -> None:
         """Begin to wait for cameras and clouds, without any data of earlier turns."""
-        self._turns: Turns[PointCloud2] = Turns(self._config.live_topics, *self._wait_limits()[:3])
-        self._turns.set_limits(*self._wait_limits())
+        self._turns: Turns[PointCloud2] = Turns(self._config.live_topics, self._wait_limits())
         self._seen_jumps = self._turns.stamp_jumps
 
-    def _wait_limits(self) -> tuple[float, float, float, float, float]:
-        """Return the arguments of ``Turns.set_limits``: a distance (m), three times, an angle."""
+    def _wait_limits(self) -> WaitLimits:
+        """Return the limits of waiting for cameras and clouds."""
         config = self._config
         arrival_timeout = math.inf if config.manual else config.arrival_timeout
         # With a final placement the same command need not be sent for every cloud.
         min_duration = max(config.turn_seconds, RESEND_S if self._is_final() else 0.0)
-        return (config.arrival_distance, arrival_timeout, config.cloud_timeout, min_duration,
-                config.arrival_angle)
+        return WaitLimits(config.arrival_distance, arrival_timeout, config.cloud_timeout,
+                          min_duration, config.arrival_angle)
 
     def hold_cameras(self) -> None:
         """Command cameras that may be moving to stay where they are."""
@@ -177,7 +176,7 @@ class LiveTurns:
     def apply_config(self, config: PolicyNodeConfig) -> None:
         """Continue with new parameters."""
         self._config = config
-        self._turns.set_limits(*self._wait_limits())
+        self._turns.limits = self._wait_limits()
 
     def _topic_names(self, clouds: list[str]) -> dict[str, str]:
         """Return the full names of the cloud topics, by their given names."""
@@ -189,9 +188,8 @@ class LiveTurns:
                                      ) from error
         fused_topic = self._node.resolve_topic_name(topics.OBSERVATION)
         if len(set(names.values())) < len(clouds) or fused_topic in names.values():
-            raise ConfigurationError(
-                f'cloud_topics: found {clouds}; expected each once, and not {fused_topic}, '
-                'which is where the fused cloud goes')
+            raise ConfigurationError(f'cloud_topics: found {clouds}; expected each once, and not '
+                                     f'{fused_topic}, which is where the fused cloud goes')
         return names
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
@@ -222,10 +220,9 @@ class LiveTurns:
         """Refuse poses of another rig than the one that has been commanded."""
         found = len(rig.poses), rig.frame
         if self._rig_size not in (None, found):
-            raise MessageError(
-                f'poses: found {found[0]} cameras in the frame {found[1]!r}; expected '
-                f'{self._rig_size[0]} in {self._rig_size[1]!r}, as before; for another rig start '
-                f'{self._node.get_name()} again')
+            raise MessageError(f'poses: found {found[0]} cameras in the frame {found[1]!r}; '
+                               f'expected {self._rig_size[0]} in {self._rig_size[1]!r}, as '
+                               f'before; for another rig start {self._node.get_name()} again')
 
     def _play_turn(self) -> None:
         """Read the clouds that this turn can use, and play the turn once it is due."""
@@ -266,7 +263,7 @@ class LiveTurns:
         if self._is_final():
             return
         rig = self._rig._replace(poses=list(map(Pose, *self._turns.mean_poses)),
-                                 standing_since_ns=self._turns.standing_since_ns)
+                                 standing_since_ns=self._turns.standing_begin.stamp)
         points, camera_positions = transform_cloud(
             msg_to_cloud(message), message.header.frame_id, rig, self._transforms)
         self._fused_cloud.add(points_in_range(
@@ -275,7 +272,8 @@ class LiveTurns:
     def _answer_turn(self) -> None:
         """Ask for the command of this turn, send it, and begin to wait for the cameras."""
         self._log_missing()
-        header = Header(stamp=ns_to_stamp(self._turns.cloud_stamp), frame_id=self._rig.frame)
+        stamp = ns_to_stamp(max(self._turns.used_stamps.values()))
+        header = Header(stamp=stamp, frame_id=self._rig.frame)
         poses = self._standing_poses(header)
         was_final = self._is_final()
         try:
@@ -288,7 +286,7 @@ class LiveTurns:
             return
         if not self._is_final():
             self._decided_turns += 1
-            self._turns_with_cloud.update(self._turns.used_topics)
+            self._turns_with_cloud.update(self._turns.used_stamps.keys())
         if not was_final:
             self._observation_publisher.publish(cloud_to_msg(self._fused_cloud.points, header))
         self._commander.publish(self._command)
@@ -304,7 +302,7 @@ class LiveTurns:
         self._sent_positions = targets
         self._sent_rotations = target_rotations
         if self._is_final():
-            self._turns.set_limits(*self._wait_limits())
+            self._turns.limits = self._wait_limits()
         self._plan_ahead()
 
     @property
@@ -446,8 +444,7 @@ class LiveTurns:
         """Return a warning (empty if there is none) and values to show, for diagnostics."""
         silent_topics = self._turns.silent_topics()
         warning = ''
-        if self._turns.poses_missing and not (
-                self._config.manual and self._command is not None):
+        if self._turns.poses_missing and not (self._config.manual and self._command is not None):
             warning = f'nothing on {topics.CAMERA_POSES}'
         elif self._turns.jumped_source():
             warning = (f'stamps of {self._turns.jumped_source()} go back: found two clocks, or '

@@ -49,8 +49,7 @@ class PolicyViews:
         self._models = models
         self._rig_state = rig_state
         self._turn: tuple[np.ndarray, PoseArray] | None = None
-        self._cloud_view = CloudView(
-            node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._evaluate)
+        self._cloud_view = CloudView(node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._maps)
         camera_infos = 0 if rig_state is None else len(models)
         self._rig_view = RigView(node, topics.RIG_MARKERS, models, camera_infos) if live else None
 
@@ -73,7 +72,7 @@ class PolicyViews:
             return msg_to_poses(poses)
         return [Pose.of(row) for row in self._rig_state(poses).placement]
 
-    def _evaluate(self) -> PointMaps | None:
+    def _maps(self) -> PointMaps | None:
         """Return the maps of the latest turn; None if there is no turn or it cannot be used."""
         if self._turn is None:
             return None

@@ -48,6 +48,26 @@ JUMP_REPORT_S = 10.0
 POSES = ''
 
 
+class WaitLimits(NamedTuple):
+    """
+    Limits of waiting for cameras and clouds.
+
+    :ivar arrival_distance: a camera within this distance of its target has arrived, metres; the
+        height counts only if the camera was sent up or down.
+    :ivar arrival_timeout: longest wait for cameras, seconds.
+    :ivar cloud_timeout: longest wait for clouds after the cameras stand, seconds; at least one
+        cloud is needed in any case.
+    :ivar min_duration: shortest duration of a turn, seconds.
+    :ivar arrival_angle: a camera within this angle of its target has arrived, radians.
+    """
+
+    arrival_distance: float
+    arrival_timeout: float
+    cloud_timeout: float
+    min_duration: float = 0.0
+    arrival_angle: float = np.pi
+
+
 class _Poses(NamedTuple):
     """Measured poses: stamp in nanoseconds, positions (K, 3) in metres, K rotations (3, 3)."""
 
@@ -56,7 +76,7 @@ class _Poses(NamedTuple):
     rotations: Sequence[np.ndarray]
 
 
-class _Moment(NamedTuple):
+class Moment(NamedTuple):
     """The stamp of poses, nanoseconds, and the time on the steady clock, seconds."""
 
     stamp: int
@@ -70,36 +90,31 @@ class Turns(Generic[T]):
     Below, K is the number of cameras.
 
     :param topics: names of the cloud topics.
-    :param arrival_distance: a camera within this distance of its target has arrived, metres; the
-        height counts only if the camera was sent up or down.
-    :param arrival_timeout: longest wait for cameras, seconds.
-    :param cloud_timeout: longest wait for clouds after the cameras stand, seconds; at least one
-        cloud is needed in any case.
+    :param limits: limits of waiting; they may be replaced at any time.
     :param clock: returns seconds of a steady clock.
-    :param min_duration: shortest duration of a turn, seconds.
-    :param arrival_angle: a camera within this angle of its target has arrived, radians.
     :ivar positions: (K, 3) metres, newest positions of the cameras; None while no poses came since
         a command to go elsewhere.
     :ivar overdue: whether this turn continues although the cameras have not arrived.
     :ivar overdue_turns: number of turns that were overdue.
     :ivar stamp_jumps: number of times that stamps went back.
+    :ivar used_stamps: by topic: stamp of the cloud that this turn has used, nanoseconds.
+    :ivar standing_begin: stamp of the first poses that show all cameras standing at their targets,
+        from which on clouds are used, and the time at which this was found; None while the cameras
+        do not stand.
     """
 
-    def __init__(self, topics: list[str], arrival_distance: float, arrival_timeout: float,
-                 cloud_timeout: float, clock: Callable[[], float] = time.monotonic,
-                 min_duration: float = 0.0, arrival_angle: float = np.pi) -> None:
+    def __init__(self, topics: list[str], limits: WaitLimits,
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self._topics = topics
+        self.limits = limits
         self._clock = clock
-        self.set_limits(
-            arrival_distance, arrival_timeout, cloud_timeout, min_duration, arrival_angle)
         #: Newest stamp of each source (cloud topic or ``POSES``), nanoseconds.
         self._newest_stamps: dict[str, int] = {}
         #: Stamp of the newest poses, or the first stamp after the stamps went back, nanoseconds.
         self._pose_stamp = 0
         #: The newest unread cloud of each topic, with its stamp.
         self._unread_clouds: dict[str, tuple[int, T]] = {}
-        #: For each topic the stamp of the cloud that this turn has used.
-        self._used_stamps: dict[str, int] = {}
+        self.used_stamps: dict[str, int] = {}
         #: Time since which the clouds of a topic have been waiting for a newer transform.
         self._transform_waits: dict[str, float] = {}
         #: Topics whose wait ended without a cloud, now or before; using a cloud removes its topic.
@@ -116,9 +131,7 @@ class Turns(Generic[T]):
         self._rotations: Sequence[np.ndarray] = ()
         self._target_rotations: Mapping[int, np.ndarray] = {}
         self._command_time = clock()
-        #: The first poses that show all cameras standing at their targets, and the time at which
-        #: this was found; None while the cameras do not stand.
-        self._standing_begin: _Moment | None = None
+        self.standing_begin: Moment | None = None
         #: Time at which all cameras were first measured at their targets.
         self._arrived_at: float | None = None
         #: The first poses from which all later poses differ by noise only.
@@ -132,15 +145,6 @@ class Turns(Generic[T]):
         self._pose_time = clock()
         #: Source whose stamps went back last, and the time of that.
         self._last_jump = '', -math.inf
-
-    def set_limits(self, arrival_distance: float, arrival_timeout: float, cloud_timeout: float,
-                   min_duration: float, arrival_angle: float = np.pi) -> None:
-        """Set the limits of waiting; the parameters are those of the class."""
-        self._arrival_distance = arrival_distance
-        self._arrival_timeout = arrival_timeout
-        self._cloud_timeout = cloud_timeout
-        self._min_duration = min_duration
-        self._arrival_angle = arrival_angle
 
     def on_command(self, targets: np.ndarray, rotations: Mapping[int, np.ndarray] | None = None,
                    height_changes: np.ndarray | None = None) -> None:
@@ -162,17 +166,16 @@ class Turns(Generic[T]):
                                 else height_changes)
         self._target_rotations = rotations or {}
         self._arrived_at = None
-        self._standing_begin = None
-        if self._cameras_arrived():
-            self._standing_begin = _Moment(self._pose_stamp, self._command_time)
-        else:
+        self.standing_begin = Moment(self._pose_stamp, self._command_time)
+        if not self._cameras_arrived():
+            self.standing_begin = None
             self.positions = None
         self.drop_clouds()
 
     def drop_clouds(self) -> None:
         """Drop the clouds of this turn, and wait for new ones."""
         self._unread_clouds.clear()
-        self._used_stamps.clear()
+        self.used_stamps.clear()
         self._transform_waits.clear()
 
     def on_poses(self, stamp: int, positions: np.ndarray,
@@ -198,8 +201,8 @@ class Turns(Generic[T]):
         self._pose_time = self._clock()
         self._recent_poses.append(poses)
         if self._targets is None and self._reference and not self.overdue and (
-                self._left_reference(leaving_factor * self._arrival_distance,
-                                     leaving_factor * self._arrival_angle)):
+                self._left_reference(leaving_factor * self.limits.arrival_distance,
+                                     leaving_factor * self.limits.arrival_angle)):
             # Something else than this node moves the cameras.
             self._wait_for_standing()
         # Measured poses of a standing camera vary by 2 cm and 0.02 radians at most.
@@ -234,9 +237,9 @@ class Turns(Generic[T]):
 
     def _wait_for_standing(self) -> None:
         """Wait again for cameras that do not stand any more."""
-        self._standing_begin = None
+        self.standing_begin = None
         self._arrived_at = None
-        self._used_stamps.clear()
+        self.used_stamps.clear()
 
     def _left_reference(self, distance: float, angle: float) -> bool:
         """Return whether a camera has no reference pose, or is farther from it (m, radians)."""
@@ -254,8 +257,8 @@ class Turns(Generic[T]):
         offsets = self.positions - self._targets
         offsets[~self._height_changes, 2] = 0.0
         distances = np.linalg.norm(offsets, axis=1)
-        return bool((distances <= factor * self._arrival_distance).all()) and all(
-            angle_between(self._rotations[camera], rotation) <= factor * self._arrival_angle
+        return bool((distances <= factor * self.limits.arrival_distance).all()) and all(
+            angle_between(self._rotations[camera], rotation) <= factor * self.limits.arrival_angle
             for camera, rotation in self._target_rotations.items())
 
     def on_cloud(self, topic: str, stamp: int, cloud: T) -> None:
@@ -292,11 +295,11 @@ class Turns(Generic[T]):
         now = self._clock()
         _, last_jump_time = self._last_jump
         self._last_jump = source, now
-        if self._standing_begin is not None:
+        if self.standing_begin is not None:
             # A source with stamps of two clocks must not restart the wait for ever.
-            is_repeated = now - last_jump_time <= 2.0 * self._cloud_timeout
-            self._standing_begin = _Moment(
-                stamp, self._standing_begin.time if is_repeated else now)
+            is_repeated = now - last_jump_time <= 2.0 * self.limits.cloud_timeout
+            self.standing_begin = Moment(
+                stamp, self.standing_begin.time if is_repeated else now)
 
     def take_cloud(self, excluded_topics: Collection[str] = ()) -> tuple[str, T] | None:
         """
@@ -307,10 +310,10 @@ class Turns(Generic[T]):
         if self._stop_waiting_for_cameras():
             for topic in self._topics:
                 if topic in self._unread_clouds and (
-                        topic not in (*self._used_stamps, *excluded_topics)) and (
-                        self._unread_clouds[topic][0] >= self._standing_begin.stamp) and (
+                        topic not in (*self.used_stamps, *excluded_topics)) and (
+                        self._unread_clouds[topic][0] >= self.standing_begin.stamp) and (
                         self._cloud_leads.get(topic, 0) <= MAX_LEAD_NS):
-                    self._used_stamps[topic], cloud = self._unread_clouds.pop(topic)
+                    self.used_stamps[topic], cloud = self._unread_clouds.pop(topic)
                     self._silent_topics.discard(topic)
                     return topic, cloud
         return None
@@ -326,57 +329,57 @@ class Turns(Generic[T]):
         # Clouds wait a second for a newer transform.
         if now - self._transform_waits.setdefault(topic, now) > 1.0:
             return False
-        del self._used_stamps[topic]
+        del self.used_stamps[topic]
         self._unread_clouds.setdefault(topic, (stamp, cloud))
         return True
 
     def refuse_cloud(self, topic: str) -> None:
         """Wait for another cloud of a topic: the one that was taken cannot be used."""
-        del self._used_stamps[topic]
+        del self.used_stamps[topic]
         self._transform_waits.pop(topic, None)
 
     def is_due(self) -> bool:
         """Return whether this turn has all its clouds, or at least one and the wait is over."""
         time_is_up = self._stop_waiting_for_cameras() and self._cloud_time_is_up()
         if time_is_up:
-            self._silent_topics |= set(self._topics) - set(self._used_stamps)
+            self._silent_topics |= set(self._topics) - set(self.used_stamps)
         too_early = (self._targets is not None
-                     and self._clock() - self._command_time < self._min_duration)
-        return not too_early and (len(self._used_stamps) == len(self._topics)
-                                  or (time_is_up and bool(self._used_stamps)))
+                     and self._clock() - self._command_time < self.limits.min_duration)
+        return not too_early and (len(self.used_stamps) == len(self._topics)
+                                  or (time_is_up and bool(self.used_stamps)))
 
     def _cloud_time_is_up(self) -> bool:
         """Return whether the cameras have been standing for ``cloud_timeout`` seconds."""
-        return self._clock() - self._standing_begin.time >= self._cloud_timeout
+        return self._clock() - self.standing_begin.time >= self.limits.cloud_timeout
 
     def _stop_waiting_for_cameras(self) -> bool:
         """Return whether the cameras stand; if the wait for them is over, let them count so."""
         self._update_standing()
         now = self._clock()
-        timeout = self._arrival_timeout
+        timeout = self.limits.arrival_timeout
         if self._targets is None:
             # No command was sent yet: the wait is limited even if a person moves the cameras.
             timeout = min(timeout, 20.0)
-        if self._standing_begin is None and self.positions is not None and (
+        if self.standing_begin is None and self.positions is not None and (
                 now - self._command_time >= timeout):
-            self._standing_begin = _Moment(self._pose_stamp, now)
+            self.standing_begin = Moment(self._pose_stamp, now)
             self._averaged_from = self._pose_stamp
             self.overdue = True
             self.overdue_turns += 1
-        return self._standing_begin is not None
+        return self.standing_begin is not None
 
     def _update_standing(self) -> None:
         """Mark the cameras as standing if they have been still at their targets."""
-        if self._standing_begin is not None or self._arrived_at is None:
+        if self.standing_begin is not None or self._arrived_at is None:
             return
         now = self._clock()
         if self._reference and (self._pose_stamp - self._reference.stamp >= STEADY_NS
                                 or now - self._pose_time >= QUIET_S):
-            self._standing_begin = _Moment(self._reference.stamp, now)
+            self.standing_begin = Moment(self._reference.stamp, now)
             self._averaged_from = self._reference.stamp
-        elif now - self._arrived_at >= self._cloud_timeout:
+        elif now - self._arrived_at >= self.limits.cloud_timeout:
             # The measured poses never become still: end the wait.
-            self._standing_begin = _Moment(self._pose_stamp, now)
+            self.standing_begin = Moment(self._pose_stamp, now)
 
     def silent_topics(self) -> dict[str, str]:
         """Return the topics whose wait ended without a cloud, with a reason for each."""
@@ -390,8 +393,8 @@ class Turns(Generic[T]):
         if self._cloud_leads.get(topic, 0) > MAX_LEAD_NS:
             return f'stamps {self._cloud_leads[topic] * 1e-9:.1f} s after the poses'
         lag_ns = 0
-        if self._standing_begin is not None:
-            lag_ns = self._standing_begin.stamp - self._newest_stamps[topic]
+        if self.standing_begin is not None:
+            lag_ns = self.standing_begin.stamp - self._newest_stamps[topic]
         return f'stamps {lag_ns * 1e-9:.1f} s before the poses' if lag_ns > 0 else 'nothing usable'
 
     def jumped_source(self) -> str:
@@ -402,19 +405,9 @@ class Turns(Generic[T]):
         return 'the poses' if source == POSES else source
 
     @property
-    def used_topics(self) -> set[str]:
-        """Return the topics whose clouds this turn has used."""
-        return set(self._used_stamps)
-
-    @property
     def cameras_stand(self) -> bool:
         """Return whether the cameras count as standing."""
-        return self._standing_begin is not None
-
-    @property
-    def standing_since_ns(self) -> int:
-        """Return the stamp of the poses from which on clouds are used, nanoseconds."""
-        return self._standing_begin.stamp
+        return self.standing_begin is not None
 
     @property
     def no_command_sent(self) -> bool:
@@ -424,17 +417,13 @@ class Turns(Generic[T]):
     @property
     def lacks_clouds(self) -> bool:
         """Return whether the wait for clouds is over, but no cloud can be used."""
-        return self.cameras_stand and not self._used_stamps and self._cloud_time_is_up()
+        return self.cameras_stand and not self.used_stamps and self._cloud_time_is_up()
 
     @property
     def poses_missing(self) -> bool:
         """Return whether no camera poses have come for ``cloud_timeout`` seconds."""
-        return self.positions is None and self._clock() - self._command_time >= self._cloud_timeout
-
-    @property
-    def cloud_stamp(self) -> int:
-        """Return the stamp of the newest cloud that this turn has used, nanoseconds."""
-        return max(self._used_stamps.values())
+        turn_duration = self._clock() - self._command_time
+        return self.positions is None and turn_duration >= self.limits.cloud_timeout
 
 
 def _mean_rotation(rotations: Sequence[np.ndarray]) -> np.ndarray:

@@ -216,9 +216,8 @@ class ManagedNode(LifecycleNode):
         # Each available transition begins with its number and its label.
         labels = {number: label for number, label, *_ in self._state_machine.available_transitions}
         if transition_id not in labels:
-            self.get_logger().warning(
-                f'life cycle: found the transition {transition_id} while the node is '
-                f'{self._state_machine.current_state[1]}; expected one of '
-                f'{sorted(set(labels.values()))}')
+            self.get_logger().warning(f'life cycle: found the transition {transition_id} while '
+                                      f'the node is {self._state_machine.current_state[1]}; '
+                                      f'expected one of {sorted(set(labels.values()))}')
             return FAILURE
         return super()._LifecycleNodeMixin__change_state(transition_id)

@@ -57,9 +57,8 @@ def declare(node: Node, config_type: type[T],
         given = node._parameter_overrides.get(flag)
         if given is not None and given.value is True:
             defaults |= other_defaults
-    values = {
-        name: node.declare_parameter(name, defaults[name], _describe_parameter(field)).value
-        for name, field in settings.items()}
+    values = {name: node.declare_parameter(name, defaults[name], _descriptor_of(field)).value
+              for name, field in settings.items()}
     # rclpy would ignore unknown parameters without a warning. Those with the prefix
     # qos_overrides change the quality of service of topics.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
@@ -155,8 +154,7 @@ def _check_changes(node: Node, config_type: type, parameters: list[Parameter]
     try:
         for name, value in changes.items():
             before = node.get_parameter(name).value
-            if value != before and not (
-                    settings[name].metadata['running'] or unconfigured):
+            if value != before and not (settings[name].metadata['running'] or unconfigured):
                 raise ConfigurationError(
                     f'{node.get_name()}: {name}: found {value!r}, but it is read once, at the '
                     f'start; expected {before!r}; start the node again to change it')
@@ -166,7 +164,7 @@ def _check_changes(node: Node, config_type: type, parameters: list[Parameter]
     return SetParametersResult(successful=True)
 
 
-def _describe_parameter(field: Field) -> ParameterDescriptor:
+def _descriptor_of(field: Field) -> ParameterDescriptor:
     """Return the description of a parameter; rclpy refuses values outside its range."""
     low, high, choices = (field.metadata[key] for key in ('low', 'high', 'choices'))
     constraints = [f'one of {", ".join(choices)}'] if choices else []
