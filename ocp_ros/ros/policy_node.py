@@ -113,9 +113,8 @@ class PolicyNode(ManagedNode):
                 self._refuse, self._must_wait, self._decider.describe_gain, self._plan_ahead,
                 self._decider.add_fixed_poses)
         else:
-            self._turns = SimulatedTurns(
-                self, self._commander, self._decide, self._on_turn_info, self._refuse,
-                self._must_wait, self._plan_ahead)
+            self._turns = SimulatedTurns(self, self._commander, self._decide, self._on_turn_info,
+                                         self._refuse, self._must_wait, self._plan_ahead)
         if self._live is not None and self.config.scan:
             from ocp_ros.ros.policy.calibrator import Calibrator
             self._calibrator = Calibrator(self, self.config, self._decider,
@@ -348,9 +347,8 @@ class PolicyNode(ManagedNode):
         return level, warning or message, {
             'planner': 'exploring' if self.config.explore else self.config.planner,
             'weights_run': (checkpoint and checkpoint.run) or '-',
-            'weights_updates': 0 if checkpoint is None else checkpoint.updates,
-            'step': self._step, **self._convergence.diagnostic_values(), **self._counts,
-            **live_values, **drift_values}
+            'weights_updates': 0 if checkpoint is None else checkpoint.updates, 'step': self._step,
+            **self._convergence.diagnostic_values(), **self._counts, **live_values, **drift_values}
 
 
 def has_message(node: Node) -> bool:

@@ -125,9 +125,8 @@ class SimNode(ManagedNode):
         self._frames = CameraFrames(self, self.config.publish_tf)
         models = self.problem.models
         self._rig_view = RigView(self, topics.MARKERS, models, len(models))
-        self._cloud_view = CloudView(
-            self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
-            lambda: maps_of(self.simulator, self._camera_poses()))
+        self._cloud_view = CloudView(self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
+                                     lambda: maps_of(self.simulator, self._camera_poses()))
 
     def _header(self) -> Header:
         """Return a header with the latest turn's stamp."""

@@ -280,9 +280,8 @@ class Replay(Node):
     def _publish_camera_poses(self, header: Header) -> None:
         """Publish the camera poses, with the stamp of a cloud (its header is given)."""
         poses = [self._cloud_poses[name] for name in self._cloud_topics]
-        message = positions_to_msg(
-            np.array([pose.position for pose in poses]),
-            Header(stamp=header.stamp, frame_id=self.options.fixed_frame))
+        message = positions_to_msg(np.array([pose.position for pose in poses]),
+                                   Header(stamp=header.stamp, frame_id=self.options.fixed_frame))
         for pose_message, pose in zip(message.poses, poses, strict=True):
             x, y, z, w = Rotation.from_matrix(pose.rotation).as_quat()
             pose_message.orientation = Quaternion(x=x, y=y, z=z, w=w)

@@ -41,10 +41,9 @@ def options_of(arguments: argparse.Namespace) -> ReplayOptions:
     # TOPIC=FRAME names the frame of one topic, and FRAME that of all others.
     frames = [(topic, frame) for topic, _, frame in (
         text.rpartition('=') for text in arguments.frame)]
-    return ReplayOptions(
-        tuple(arguments.topics), arguments.rate, arguments.loop, arguments.start,
-        arguments.duration, tuple(frames), tuple(map(pose_of, arguments.pose)),
-        arguments.fixed_frame, arguments.wait)
+    return ReplayOptions(tuple(arguments.topics), arguments.rate, arguments.loop, arguments.start,
+                         arguments.duration, tuple(frames), tuple(map(pose_of, arguments.pose)),
+                         arguments.fixed_frame, arguments.wait)
 
 
 def pose_of(text: str) -> np.ndarray:

@@ -123,9 +123,8 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
     # Values too large for float32 become inf, and their points are left out below.
     with np.errstate(over='ignore', invalid='ignore'):
         for k, field in enumerate(fields):
-            points[..., k] = np.ndarray(
-                (height, width), byte_order + NUMPY_TYPES[field.datatype],
-                memoryview(message.data), field.offset, (row_step, step))
+            points[..., k] = np.ndarray((height, width), byte_order + NUMPY_TYPES[field.datatype],
+                                        memoryview(message.data), field.offset, (row_step, step))
     points = points.reshape(-1, 3)
     finite = np.isfinite(points).all(axis=1)
     return points if finite.all() else points[finite]

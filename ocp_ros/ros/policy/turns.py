@@ -298,8 +298,7 @@ class Turns(Generic[T]):
         if self.standing_begin is not None:
             # A source with stamps of two clocks must not restart the wait for ever.
             is_repeated = now - last_jump_time <= 2.0 * self.limits.cloud_timeout
-            self.standing_begin = Moment(
-                stamp, self.standing_begin.time if is_repeated else now)
+            self.standing_begin = Moment(stamp, self.standing_begin.time if is_repeated else now)
 
     def take_cloud(self, excluded_topics: Collection[str] = ()) -> tuple[str, T] | None:
         """

@@ -171,9 +171,8 @@ def _descriptor_of(field: Field) -> ParameterDescriptor:
     if not field.metadata['running']:
         # Not declared read-only: rclpy would refuse a change without saying what to do.
         constraints.append('read once, at the start')
-    descriptor = ParameterDescriptor(
-        description=field.metadata['description'],
-        additional_constraints='; '.join(constraints))
+    descriptor = ParameterDescriptor(description=field.metadata['description'],
+                                     additional_constraints='; '.join(constraints))
     if low is not None and field.type is int:
         descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
     elif low is not None:
