@@ -150,7 +150,6 @@ class SimNode(ManagedNode):
         self._stamp = max(self.get_clock().now().nanoseconds, self._stamp + 1)
         self._turn_answered = False
         header = self._header()
-        turn = self.episode.turn
         positions, headings = np.hsplit(self.episode.placement, [3])
         self._sent_poses = positions_to_msg(positions, header, headings)
         self._turn_messages = (
@@ -158,8 +157,8 @@ class SimNode(ManagedNode):
             (self._poses_publisher, self._sent_poses),
             (self._observation_publisher, cloud_to_msg(self.episode.observed_cloud, header)))
         self._send_messages()
-        self._coverage_publisher.publish(Float64(data=turn.space_coverage))
-        self._error_publisher.publish(Float64(data=turn.depth_error))
+        self._coverage_publisher.publish(Float64(data=self.episode.turn.space_coverage))
+        self._error_publisher.publish(Float64(data=self.episode.turn.depth_error))
         self._rig_view.show_turn(header, self._camera_poses())
         self._frames.publish(header, self._camera_poses())
         self._cloud_view.show_turn(header)

@@ -116,9 +116,8 @@ class TrainerNode(Node):
         silent_since = time.monotonic() - MAX_SILENCE_S
         # The first source, the own namespace, is always kept.
         for namespace, source in list(self.sources.items())[1:]:
-            lacks_room = len(self.sources) + len(new) > MAX_SOURCES
-            if source.last_transition_time < silent_since and (
-                    lacks_room or namespace not in found):
+            is_full = len(self.sources) + len(new) > MAX_SOURCES
+            if source.last_transition_time < silent_since and (is_full or namespace not in found):
                 self._drop_source(namespace)
         for namespace in new[:MAX_SOURCES - len(self.sources)]:
             self._add_source(namespace)

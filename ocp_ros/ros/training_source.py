@@ -37,7 +37,6 @@ from ocp_ros.training.encoded_environment import cameras_of, encoded_space
 from ocp_ros.training.experience import Experience, ExperienceError, from_bytes
 from ocp_ros.training.transitions import Assembler, Reward, Transition
 from rclpy.node import Node
-from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 
@@ -109,14 +108,13 @@ class TransitionSource:
             UInt8MultiArray, topic_of(namespace, topics.POLICY_WEIGHTS), LATCHED)
         self._status_publisher = node.create_publisher(
             Float64MultiArray, topic_of(namespace, topics.TRAINING), LATCHED)
-        self._subscriptions: list[Subscription] = []
-        for message_type, name, callback in (
+        self._subscriptions = [
+            node.create_subscription(message_type, topic_of(namespace, name),
+                                     self._store_transitions_of(callback), RECORDER)
+            for message_type, name, callback in (
                 (Float64MultiArray, topics.REWARD, self._on_reward),
                 (PoseArray, topics.CAMERA_POSES, self._on_poses),
-                (UInt8MultiArray, topics.EXPERIENCE, self._on_experience)):
-            self._subscriptions.append(node.create_subscription(
-                message_type, topic_of(namespace, name), self._store_transitions_of(callback),
-                RECORDER))
+                (UInt8MultiArray, topics.EXPERIENCE, self._on_experience))]
 
     def _store_transitions_of(self, callback):
         """

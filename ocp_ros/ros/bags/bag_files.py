@@ -283,9 +283,8 @@ def _identify_bag(path: Path) -> tuple[bool, Path, list[Path]]:
 
 def _check_metadata(path: Path) -> None:
     """Refuse metadata with YAML aliases: when they are expanded, they may fill the memory."""
-    # A bag of hundreds of topics and files has a tenth of this size.
-    max_bytes = 2_000_000
-    text = read_regular(path, max_bytes)
+    # At most 2 MB are read: a bag of hundreds of topics and files has a tenth of that.
+    text = read_regular(path, 2_000_000)
     loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
     # This finds all aliases and some other texts; the parser decides which they are.
     alias = re.compile(rb'(^|[\s,\[{])\*\w')

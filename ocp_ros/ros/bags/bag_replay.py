@@ -191,7 +191,10 @@ class Replay(Node):
         if self._next_item is None:
             self._next_item = next(self._scheduled_items, None)
             if self._next_item is None:
-                self._finish(self._no_cloud_error())
+                has_clouds = any(self.counts[name] for name in self._cloud_topics)
+                self._finish(None if has_clouds else ConfigurationError(
+                    f'{self.bag.path}: found no cloud that could be published; expected some; '
+                    'the warnings say why'))
                 return
         due_time, stamp_shift, item = self._next_item
         wait_s = self._start_time + due_time - time.monotonic()
@@ -204,13 +207,6 @@ class Replay(Node):
         """Wait, for each publisher up to 2 s, until reliable subscribers have all messages."""
         for publisher in self.publishers:
             publisher.wait_for_all_acked(Duration(seconds=2.0))
-
-    def _no_cloud_error(self) -> ConfigurationError | None:
-        """Return an error if no cloud was published; else None."""
-        if any(self.counts[name] for name in self._cloud_topics):
-            return None
-        return ConfigurationError(f'{self.bag.path}: found no cloud that could be published; '
-                                  'expected some; the warnings say why')
 
     def _finish(self, error: ConfigurationError | None = None) -> None:
         """Stop the timer, and set the result of ``done`` or its error."""
@@ -303,8 +299,7 @@ class TransformTree:
         """
         for transform in transforms:
             name = transform.child_frame_id.lstrip('/')
-            translation = transform.transform.translation
-            position = np.array([translation.x, translation.y, translation.z])
+            position = np.array([getattr(transform.transform.translation, axis) for axis in 'xyz'])
             if not np.isfinite(position).all():
                 raise MessageError(f'transform of {name!r}: found {position.tolist()}; expected '
                                    'finite metres')

@@ -121,18 +121,17 @@ class Transforms:
             raise MessageError(f'cloud: found the frame {frame!r} ({error}); {expected}; publish '
                                'its transform') from error
         stamp = stamp_to_ns(message.header.stamp)
-        transform = message.transform
         # Static transforms have the stamp 0.
         if 0 < stamp < rig.standing_since_ns:
             raise LateTransformError(
                 f'cloud: found the frame {frame!r} with a transform '
                 f'{(rig.standing_since_ns - stamp) * 1e-9:.3f} s older than the poses; expected '
                 'one since the cameras stand; publish it as often as the poses')
-        position = np.array([getattr(transform.translation, axis) for axis in 'xyz'])
+        position = np.array([getattr(message.transform.translation, axis) for axis in 'xyz'])
         if not np.isfinite(position).all():
             raise MessageError(f'cloud: found the frame {frame!r} at {position.tolist()}; '
                                'expected finite metres; mend its transform')
-        return Pose(position, rotation_of(transform.rotation, f'transform of {frame!r}'))
+        return Pose(position, rotation_of(message.transform.rotation, f'transform of {frame!r}'))
 
 
 def publish_tf() -> Any:
@@ -170,7 +169,8 @@ class CameraFrames:
         self._tf_publisher = node.create_publisher(TFMessage, '/tf', LOOP)
         self._static_publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
         self._camera_count = 0
-        self._published_cameras = frozenset[int]()
+        #: Cameras whose frames this node publishes.
+        self._own_cameras = frozenset[int]()
 
     def publish(self, header: Header, poses: Sequence[Pose]) -> None:
         """
@@ -185,23 +185,23 @@ class CameraFrames:
             self._publish_static_frames(header, len(poses))
         self._tf_publisher.publish(self._message_type(transforms=[
             transform_to_msg(header, f'camera_{camera}', poses[camera])
-            for camera in sorted(self._published_cameras)]))
+            for camera in sorted(self._own_cameras)]))
 
     def _publish_static_frames(self, header: Header, camera_count: int) -> None:
         """Publish the static frames of those cameras whose frames no other node publishes."""
         parent = header.frame_id.lstrip('/')
         foreign_cameras = {camera for camera in range(camera_count)
-                           if camera not in self._published_cameras
+                           if camera not in self._own_cameras
                            and self._is_published(f'camera_{camera}', parent)}
         if foreign_cameras:
             self._log.info(f'publish_tf: another node publishes {len(foreign_cameras)} of the '
                            f'{camera_count} frames camera_<i>; these are left to it')
         self._camera_count = camera_count
-        self._published_cameras = frozenset(range(camera_count)) - foreign_cameras
+        self._own_cameras = frozenset(range(camera_count)) - foreign_cameras
         self._static_publisher.publish(self._message_type(transforms=[
             transform_to_msg(Header(stamp=header.stamp, frame_id=f'camera_{camera}'),
                              f'camera_{camera}_{name}', Pose(np.zeros(3), rotation))
-            for camera in sorted(self._published_cameras)
+            for camera in sorted(self._own_cameras)
             for name, rotation in (('link', np.eye(3)), ('optical', OPTICAL_TO_BODY))]))
 
 

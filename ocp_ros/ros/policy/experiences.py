@@ -85,9 +85,8 @@ class Experiences:
         """
         policy = self._get_policy()
         choices = policy.take_choices()
-        is_complete = policy.checkpoint.config.map or (
+        complete = policy.checkpoint.config.map or (
             sum(len(choice.actions) for choice in choices) == len(targets))
-        if choices and is_complete and all(
-                np.isfinite(choice.actions).all() for choice in choices):
+        if choices and complete and all(np.isfinite(choice.actions).all() for choice in choices):
             self._publisher.publish(bytes_to_msg(
                 to_bytes(Experience(stamp, turn, targets, choices))))

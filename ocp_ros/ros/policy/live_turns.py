@@ -111,26 +111,13 @@ class LiveTurns:
         self._transforms = Transforms(node)
         self._add_fixed_poses = add_fixed_poses
         self._frames = CameraFrames(node, config.publish_tf, self._transforms.has_transform)
-        self._begin_waiting()
         #: The newest cloud of each topic, unread.
         self._newest_clouds: dict[str, PointCloud2] = {}
-        #: The newest poses, as a message and as a rig.
-        self._poses_message: PoseArray | None = None
-        self._rig: LiveRig | None = None
-        #: The number of cameras and the frame of their poses; None before the first answer.
-        self._rig_size: tuple[int, str] | None = None
-        self._command: PoseArray | None = None
         #: Targets of the last command: positions of the K cameras, (K, 3) metres, and rotations,
         #: (3, 3), of the cameras that the command rotates.
         self._sent_positions = np.empty((0, 3))
         self._sent_rotations: dict[int, np.ndarray] = {}
-        self._instruction_text = self._gain_text = ''
-        #: Target positions, positions and rotations of the last instruction: (K, 8) metres and
-        #: radians.
-        self._instructed_moves = np.empty((0, 8))
-        #: Number of turns that were decided, and for each topic the number of them with a cloud.
-        self._decided_turns = 0
-        self._turns_with_cloud = Counter[str]()
+        self.reset()
         self._observation_publisher = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         if config.manual:
             self._instructions_publisher = node.create_publisher(
@@ -142,11 +129,6 @@ class LiveTurns:
         # A turn can become due without a message: this is checked ten times a second.
         create_steady_timer(node, 0.1, self._play_turn)
         self._resend_timer = create_steady_timer(node, RESEND_S, self._resend)
-
-    def _begin_waiting(self) -> None:
-        """Begin to wait for cameras and clouds, without any data of earlier turns."""
-        self._turns: Turns[PointCloud2] = Turns(self._config.live_topics, self._wait_limits())
-        self._seen_jumps = self._turns.stamp_jumps
 
     def _wait_limits(self) -> WaitLimits:
         """Return the limits of waiting for cameras and clouds."""
@@ -164,14 +146,23 @@ class LiveTurns:
             self._commander.publish(self._poses_message)
 
     def reset(self) -> None:
-        """Drop the fused cloud, the poses and the last command."""
+        """Drop the data of earlier turns, and begin to wait for cameras and clouds."""
         self._fused_cloud.clear()
-        self._rig_size = self._command = self._poses_message = self._rig = None
+        #: The newest poses, as a message and as a rig.
+        self._poses_message: PoseArray | None = None
+        self._rig: LiveRig | None = None
+        #: The number of cameras and the frame of their poses; None before the first answer.
+        self._rig_size: tuple[int, str] | None = None
+        self._command: PoseArray | None = None
         self._instruction_text = self._gain_text = ''
+        #: Target positions, positions and rotations of the last instruction: (K, 8) metres and
+        #: radians.
         self._instructed_moves = np.empty((0, 8))
+        #: Number of turns that were decided, and for each topic the number of them with a cloud.
         self._decided_turns = 0
-        self._turns_with_cloud = Counter()
-        self._begin_waiting()
+        self._turns_with_cloud = Counter[str]()
+        self._turns: Turns[PointCloud2] = Turns(self._config.live_topics, self._wait_limits())
+        self._seen_jumps = 0
 
     def apply_config(self, config: PolicyNodeConfig) -> None:
         """Continue with new parameters."""
@@ -342,11 +333,10 @@ class LiveTurns:
         offset = measured.position - [sent.position.x, sent.position.y, sent.position.z]
         # A pose that differs by more from its target differs not only by noise.
         max_noise_m, max_noise_radians = 0.1, 0.2
-        has_arrived = (
-            np.linalg.norm(offset) <= min(self._config.arrival_distance, max_noise_m)
-            and angle_between(measured.rotation, rotation)
-            <= min(self._config.arrival_angle, max_noise_radians))
-        return sent if has_arrived else None
+        is_near = np.linalg.norm(offset) <= min(self._config.arrival_distance, max_noise_m)
+        angle = angle_between(measured.rotation, rotation)
+        is_aligned = angle <= min(self._config.arrival_angle, max_noise_radians)
+        return sent if is_near and is_aligned else None
 
     def _target_rotations(self, poses: PoseArray) -> dict[int, np.ndarray]:
         """Return the commanded rotations, (3, 3), of the cameras that the command rotates."""

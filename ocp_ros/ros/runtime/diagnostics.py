@@ -41,8 +41,7 @@ def warn_of_crowd(node: Node, topic: str, expected: str, max_publishers: int = 1
     publishers = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
     if len(publishers) <= max_publishers:
         return ''
-    names = sorted(f'{publisher.node_namespace.rstrip("/")}/{publisher.node_name}'
-                   for publisher in publishers)
+    names = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in publishers)
     warning = (f'found publishers of {topic}: {", ".join(names)}; expected {expected}; end the '
                'others, or give each its own namespace (a node that was killed is found for up to '
                '20 s more)')

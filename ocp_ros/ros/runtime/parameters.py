@@ -124,8 +124,7 @@ def watch_parameters(node: Node, apply_config: Callable[[T], None]) -> None:
     settings = leaves(config_type)
 
     def report_changes(parameters: list[Parameter]) -> None:
-        changed = [f'{parameter.name} = {parameter.value!r}' for parameter in parameters
-                   if parameter.name in settings]
+        changed = [f'{p.name} = {p.value!r}' for p in parameters if p.name in settings]
         if changed:
             apply_config(read_config(node, config_type, {}))
             node.get_logger().info(f'from now on {", ".join(changed)}')
@@ -147,8 +146,7 @@ def _check_changes(node: Node, config_type: type, parameters: list[Parameter]
                    ) -> SetParametersResult:
     """Return whether a node can apply changed parameters; if not, with the reason."""
     settings = leaves(config_type)
-    changes = {parameter.name: parameter.value for parameter in parameters
-               if parameter.name in settings}
+    changes = {p.name: p.value for p in parameters if p.name in settings}
     # Before the node is configured, all parameters may change.
     unconfigured = not getattr(node, 'configured', True)
     try:
