@@ -106,20 +106,20 @@ class TrainerNode(Node):
         """Add namespaces in which a policy explores, and drop silent namespaces."""
         if self.config.sources:
             return
-        found = [topic.rpartition('/')[0] or '/'
-                 for topic, types in self.get_topic_names_and_types()
-                 if topic.rpartition('/')[2] == topics.EXPERIENCE
-                 and types == [topics.TYPES[topics.EXPERIENCE]] and self.count_publishers(topic)]
+        found_namespaces = [
+            topic.rpartition('/')[0] or '/' for topic, types in self.get_topic_names_and_types()
+            if topic.rpartition('/')[2] == topics.EXPERIENCE
+            and types == [topics.TYPES[topics.EXPERIENCE]] and self.count_publishers(topic)]
         # Namespaces that were dropped before come after all others.
-        new = sorted((namespace for namespace in found if namespace not in self.sources),
-                     key=lambda namespace: self._dropped_at.get(namespace, 0.0))
+        new_namespaces = [name for name in found_namespaces if name not in self.sources]
+        new_namespaces.sort(key=lambda name: self._dropped_at.get(name, 0.0))
         silent_since = time.monotonic() - MAX_SILENCE_S
         # The first source, the own namespace, is always kept.
         for namespace, source in list(self.sources.items())[1:]:
-            is_full = len(self.sources) + len(new) > MAX_SOURCES
-            if source.last_transition_time < silent_since and (is_full or namespace not in found):
+            is_full = len(self.sources) + len(new_namespaces) > MAX_SOURCES
+            if source.idle_since < silent_since and (is_full or namespace not in found_namespaces):
                 self._drop_source(namespace)
-        for namespace in new[:MAX_SOURCES - len(self.sources)]:
+        for namespace in new_namespaces[:MAX_SOURCES - len(self.sources)]:
             self._add_source(namespace)
             self.get_logger().info(f'learning from {namespace}')
 

@@ -88,7 +88,7 @@ class TransitionSource:
     :param store_transition: stores a transition; returns False if it is dropped for lack of room.
     :ivar assembler: matches the messages of a turn.
     :ivar counts: numbers of transitions stored, messages refused, transitions dropped.
-    :ivar last_transition_time: time of the last transition, seconds of a steady clock.
+    :ivar idle_since: time of the last transition, seconds of a steady clock.
     """
 
     def __init__(self, node: Node, namespace: str, agent: AgentConfig,
@@ -102,8 +102,7 @@ class TransitionSource:
         self.assembler = Assembler(last=agent.map)
         self.counts = {'transitions': 0, 'refused': 0, 'dropped': 0}
         self._newest_stamp = 0
-        self.last_transition_time = time.monotonic()
-
+        self.idle_since = time.monotonic()
         self._weights_publisher = node.create_publisher(
             UInt8MultiArray, topic_of(namespace, topics.POLICY_WEIGHTS), LATCHED)
         self._status_publisher = node.create_publisher(
@@ -125,7 +124,7 @@ class TransitionSource:
         def store_or_refuse(message):
             try:
                 for transition in callback(message):
-                    self.last_transition_time = time.monotonic()
+                    self.idle_since = time.monotonic()
                     is_stored = self._store_transition(transition)
                     self.counts['transitions' if is_stored else 'dropped'] += 1
             except (MessageError, ExperienceError) as error:

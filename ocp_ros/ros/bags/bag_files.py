@@ -295,7 +295,7 @@ def _check_metadata(path: Path) -> None:
 
 def _frame_of(cdr: bytes) -> str:
     """Return the frame of a serialised message that begins with a header; '?' if there is none."""
-    # Before the frame, a text that ends with a zero byte, are byte order, stamp and text length.
+    # The frame, a text that ends with a zero byte, follows byte order, stamp and text length.
     length, = struct.unpack_from('>I' if cdr[1] % 2 == 0 else '<I', cdr, 12)
     # A text of more than 1000 bytes is no name of a frame.
     if length > min(1000, len(cdr) - 16):

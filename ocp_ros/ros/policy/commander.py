@@ -58,7 +58,7 @@ class Commander:
 
     def begin(self, on_may_command: Callable[[], None]) -> None:
         """
-        Check until this node may command, at an interval that is drawn at random once.
+        Check at intervals whether this node may command; the interval is drawn at random once.
 
         :param on_may_command: is called at each check at which this node may command, until it has
             commanded.
@@ -93,7 +93,7 @@ class Commander:
         return self._node.count_publishers(self._topic) - (self._publisher is not None)
 
     def _check_graph(self) -> None:
-        """Create the publisher if other nodes have none, destroy it if they have, or report."""
+        """Create or destroy the publisher as the graph allows; report if this node may command."""
         if self._has_commanded:
             return
         if self._rival_count > 0:

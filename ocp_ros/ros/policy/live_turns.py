@@ -124,7 +124,7 @@ class LiveTurns:
                 String, topics.INSTRUCTIONS, LATCHED)
             self._markers_publisher = node.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
         node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, POSES)
-        for topic, name in self._topic_names(config.live_topics).items():
+        for topic, name in self._full_topic_names(config.live_topics).items():
             node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
         # A turn can become due without a message: this is checked ten times a second.
         create_steady_timer(node, 0.1, self._play_turn)
@@ -169,19 +169,19 @@ class LiveTurns:
         self._config = config
         self._turns.limits = self._wait_limits()
 
-    def _topic_names(self, clouds: list[str]) -> dict[str, str]:
-        """Return the full names of the cloud topics, by their given names."""
+    def _full_topic_names(self, names: list[str]) -> dict[str, str]:
+        """Return the full names of the cloud topics, by their names in the parameter."""
         try:
-            names = {topic: self._node.resolve_topic_name(topic) for topic in clouds}
+            full_names = {topic: self._node.resolve_topic_name(topic) for topic in names}
         except rclpy_implementation.RCLError as error:
-            raise ConfigurationError(f'cloud_topics: found {clouds}; expected names of topics '
+            raise ConfigurationError(f'cloud_topics: found {names}; expected names of topics '
                                      f'with commas between; {" ".join(str(error).split())}'
                                      ) from error
         fused_topic = self._node.resolve_topic_name(topics.OBSERVATION)
-        if len(set(names.values())) < len(clouds) or fused_topic in names.values():
-            raise ConfigurationError(f'cloud_topics: found {clouds}; expected each once, and not '
+        if len(set(full_names.values())) < len(names) or fused_topic in full_names.values():
+            raise ConfigurationError(f'cloud_topics: found {names}; expected each once, and not '
                                      f'{fused_topic}, which is where the fused cloud goes')
-        return names
+        return full_names
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
         """Store a cloud, and play the turn if it is due."""

@@ -52,15 +52,15 @@ def create_steady_timer(node: Node, period_s: float, callback: Callable[[], None
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-def _profile_of(topic: str, profile: QoSProfile | int, settings: dict[str, Any]
-                ) -> QoSProfile | int:
-    """Return a copy of a profile that ``qos_overrides`` parameters may change, if they may."""
+def _overridable_profile(topic: str, profile: QoSProfile | int, settings: dict[str, Any]
+                         ) -> QoSProfile | int:
+    """Return a profile; for topics of this package, add ``qos_overrides`` to the settings."""
     # All nodes have the topics that begin with these names.
     common_topics = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
     if topic.startswith(('~', *common_topics)) or not isinstance(profile, QoSProfile):
         return profile
     settings.setdefault('qos_overriding_options', QoSOverridingOptions.with_default_policies())
-    # rclpy writes the overrides into the profile: it gets a copy.
+    # rclpy writes the overrides into the profile: return a copy.
     return copy(profile)
 
 
@@ -68,7 +68,7 @@ class ManagedNode(LifecycleNode):
     """
     A node with the life cycle of ROS 2.
 
-    :param name: of the node.
+    :param name: name of the node.
     :param config_type: dataclass of its parameters, with a field ``autostart``.
     :param flag_defaults: see :func:`~ocp_ros.ros.runtime.parameters.declare`.
     :ivar config: parameters in effect.
@@ -97,13 +97,13 @@ class ManagedNode(LifecycleNode):
 
     def create_publisher(self, msg_type, topic: str, qos_profile, **settings) -> Publisher:
         """Create a publisher; parameters may override its quality of service."""
-        profile = _profile_of(topic, qos_profile, settings)
+        profile = _overridable_profile(topic, qos_profile, settings)
         return super().create_publisher(msg_type, topic, profile, **settings)
 
     def create_subscription(self, msg_type, topic: str, callback, qos_profile, **settings
                             ) -> Subscription:
         """Create a subscription; parameters may override its quality of service."""
-        profile = _profile_of(topic, qos_profile, settings)
+        profile = _overridable_profile(topic, qos_profile, settings)
         return super().create_subscription(msg_type, topic, callback, profile, **settings)
 
     def configure(self) -> None:

@@ -54,8 +54,8 @@ def declare(node: Node, config_type: type[T],
     settings = leaves(config_type)
     defaults = {name: field.default for name, field in settings.items()}
     for flag, other_defaults in (flag_defaults or {}).items():
-        given = node._parameter_overrides.get(flag)
-        if given is not None and given.value is True:
+        override = node._parameter_overrides.get(flag)
+        if override is not None and override.value is True:
             defaults |= other_defaults
     values = {name: node.declare_parameter(name, defaults[name], _descriptor_of(field)).value
               for name, field in settings.items()}
@@ -123,13 +123,13 @@ def watch_parameters(node: Node, apply_config: Callable[[T], None]) -> None:
     config_type = type(node.config)  # type: ignore[attr-defined]
     settings = leaves(config_type)
 
-    def report_changes(parameters: list[Parameter]) -> None:
+    def apply_changes(parameters: list[Parameter]) -> None:
         changed = [f'{p.name} = {p.value!r}' for p in parameters if p.name in settings]
         if changed:
             apply_config(read_config(node, config_type, {}))
             node.get_logger().info(f'from now on {", ".join(changed)}')
 
-    node.add_post_set_parameters_callback(report_changes)
+    node.add_post_set_parameters_callback(apply_changes)
 
 
 def read_config(node: Node, config_type: type[T], changes: dict[str, Any]) -> T:
@@ -151,11 +151,11 @@ def _check_changes(node: Node, config_type: type, parameters: list[Parameter]
     unconfigured = not getattr(node, 'configured', True)
     try:
         for name, value in changes.items():
-            before = node.get_parameter(name).value
-            if value != before and not (settings[name].metadata['running'] or unconfigured):
+            old_value = node.get_parameter(name).value
+            if value != old_value and not (settings[name].metadata['running'] or unconfigured):
                 raise ConfigurationError(
                     f'{node.get_name()}: {name}: found {value!r}, but it is read once, at the '
-                    f'start; expected {before!r}; start the node again to change it')
+                    f'start; expected {old_value!r}; start the node again to change it')
         read_config(node, config_type, changes)
     except ConfigurationError as error:
         return SetParametersResult(successful=False, reason=str(error))
