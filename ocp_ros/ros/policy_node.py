@@ -285,11 +285,10 @@ class PolicyNode(ManagedNode):
             self._convergence.missing_data = self._live.missing_data if self._live else ''
             self._placement_publisher.publish(poses)
             text = f'placement is {self._convergence.publish_status(self._step, self.config)}'
-            log = self.get_logger()
             if self._convergence.missing_data:
-                log.warning(text)
+                self.get_logger().warning(text)
             else:
-                log.info(text)
+                self.get_logger().info(text)
             if self.config.placement_file:
                 self._save_placement(self.config.placement_file, poses)
 

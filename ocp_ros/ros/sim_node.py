@@ -115,13 +115,12 @@ class SimNode(ManagedNode):
 
     def _make_publishers(self) -> None:
         """Create the publishers of the topics, of tf, and of the views."""
-        create = self.create_publisher
-        self._observation_publisher = create(PointCloud2, topics.OBSERVATION, LOOP)
-        self._poses_publisher = create(PoseArray, topics.CAMERA_POSES, LOOP)
-        self._reward_publisher = create(Float64MultiArray, topics.REWARD, LOOP)
-        self._coverage_publisher = create(Float64, topics.SPACE_COVERAGE, LOOP)
-        self._error_publisher = create(Float64, topics.DEPTH_ERROR, LOOP)
-        self._scene_publisher = create(PointCloud2, topics.SCENE, LATCHED)
+        self._observation_publisher = self.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
+        self._poses_publisher = self.create_publisher(PoseArray, topics.CAMERA_POSES, LOOP)
+        self._reward_publisher = self.create_publisher(Float64MultiArray, topics.REWARD, LOOP)
+        self._coverage_publisher = self.create_publisher(Float64, topics.SPACE_COVERAGE, LOOP)
+        self._error_publisher = self.create_publisher(Float64, topics.DEPTH_ERROR, LOOP)
+        self._scene_publisher = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
         self._frames = CameraFrames(self, self.config.publish_tf)
         models = self.problem.models
         self._rig_view = RigView(self, topics.MARKERS, models, len(models))

@@ -22,7 +22,6 @@ time to free memory that the system frees anyway, and ``ros2 launch`` on a busy 
 wait for that.
 """
 
-from functools import partial
 from importlib import import_module
 import logging
 import os
@@ -44,7 +43,21 @@ def _run_and_exit(module_name: str) -> NoReturn:
     os._exit(exit_code)
 
 
-sim_node = partial(_run_and_exit, 'sim_node')
-policy_node = partial(_run_and_exit, 'policy_node')
-trainer_node = partial(_run_and_exit, 'trainer_node')
-guide_node = partial(_run_and_exit, 'guide_node')
+def sim_node() -> NoReturn:
+    """Run ``sim_node``."""
+    _run_and_exit('sim_node')
+
+
+def policy_node() -> NoReturn:
+    """Run ``policy_node``."""
+    _run_and_exit('policy_node')
+
+
+def trainer_node() -> NoReturn:
+    """Run ``trainer_node``."""
+    _run_and_exit('trainer_node')
+
+
+def guide_node() -> NoReturn:
+    """Run ``guide_node``."""
+    _run_and_exit('guide_node')

@@ -84,8 +84,7 @@ def value_cloud(points: np.ndarray, name: str, values: np.ndarray, header: Heade
     """
     datatype = PointField.UINT32 if values.dtype == np.uint32 else PointField.FLOAT32
     records = np.empty(len(points), dtype=[('xyz', '<f4', 3), ('value', values.dtype)])
-    records['xyz'] = points
-    records['value'] = values
+    records['xyz'], records['value'] = points, values
     message = cloud_to_msg(points[:0], header)
     message.width = len(records)
     message.fields = [*message.fields, PointField(name=name, offset=message.point_step,

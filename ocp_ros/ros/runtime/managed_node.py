@@ -52,9 +52,8 @@ def create_steady_timer(node: Node, period_s: float, callback: Callable[[], None
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-def _overridable_profile(topic: str, profile: QoSProfile | int, settings: dict[str, Any]
-                         ) -> QoSProfile | int:
-    """Return a profile; for topics of this package, add ``qos_overrides`` to the settings."""
+def _allow_overrides(topic: str, profile: QoSProfile | int, settings: dict) -> QoSProfile | int:
+    """Return a profile; for topics of this package, allow ``qos_overrides`` in the settings."""
     # All nodes have the topics that begin with these names.
     common_topics = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
     if topic.startswith(('~', *common_topics)) or not isinstance(profile, QoSProfile):
@@ -97,13 +96,13 @@ class ManagedNode(LifecycleNode):
 
     def create_publisher(self, msg_type, topic: str, qos_profile, **settings) -> Publisher:
         """Create a publisher; parameters may override its quality of service."""
-        profile = _overridable_profile(topic, qos_profile, settings)
+        profile = _allow_overrides(topic, qos_profile, settings)
         return super().create_publisher(msg_type, topic, profile, **settings)
 
     def create_subscription(self, msg_type, topic: str, callback, qos_profile, **settings
                             ) -> Subscription:
         """Create a subscription; parameters may override its quality of service."""
-        profile = _overridable_profile(topic, qos_profile, settings)
+        profile = _allow_overrides(topic, qos_profile, settings)
         return super().create_subscription(msg_type, topic, callback, profile, **settings)
 
     def configure(self) -> None:
