@@ -122,8 +122,8 @@ class PolicyNode(ManagedNode):
         if self.policy is not None:
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
-        self._views = PolicyViews(self, self._decider.models, self._live is not None,
-                                  self._decider.state if self._decider.rig else None)
+        self._views = PolicyViews(self, self._decider.models, live=self._live is not None,
+                                  rig_state=self._decider.state if self._decider.rig else None)
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._status_publisher = diagnostics.StatusPublisher(self, self._status)
@@ -135,12 +135,12 @@ class PolicyNode(ManagedNode):
 
     def activate(self) -> None:
         """Command the cameras as soon as no other node commands them."""
-        self._commander.begin(self._answer_if_ready)
+        self._commander.begin_checks(self._answer_if_ready)
 
     def deactivate(self) -> None:
         """Leave the cameras where they are, and let other nodes command them."""
         self._stop_cameras()
-        self._commander.end()
+        self._commander.end_commands()
 
     def release(self) -> None:
         """Drop the weights, the rig and all observations."""
@@ -178,11 +178,11 @@ class PolicyNode(ManagedNode):
         self._is_last_turn = False
         #: The final placement; None while there is none.
         self._final_poses: PoseArray | None = None
-        self._convergence.begin()
+        self._convergence.begin_episode()
         self._convergence.publish_status(self._step, self.config)
 
     def apply_config(self, config: PolicyNodeConfig) -> None:
-        """Continue with other parameters."""
+        """Continue with new parameters."""
         self._decider.apply_config(config)
         self._views.apply_models(self._decider.models)
         if self._live is not None:

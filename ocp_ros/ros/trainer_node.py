@@ -81,7 +81,7 @@ class TrainerNode(Node):
         self.sources: dict[str, TransitionSource] = {}
         #: Sums of the counts of all dropped sources, and the time at which each was dropped.
         self._dropped_counts: Counter[str] = Counter()
-        self._dropped_at: dict[str, float] = {}
+        self._drop_times: dict[str, float] = {}
         self._published_weights = self._tick_count = 0
         self._policies_wait = self._failure_logged = False
         #: The latest weights, for namespaces that are found later; empty while there are none.
@@ -112,7 +112,7 @@ class TrainerNode(Node):
             and types == [topics.TYPES[topics.EXPERIENCE]] and self.count_publishers(topic)]
         # Namespaces that were dropped before come after all others.
         new_namespaces = [name for name in found_namespaces if name not in self.sources]
-        new_namespaces.sort(key=lambda name: self._dropped_at.get(name, 0.0))
+        new_namespaces.sort(key=lambda name: self._drop_times.get(name, 0.0))
         silent_since = time.monotonic() - MAX_SILENCE_S
         # The first source, the own namespace, is always kept.
         for namespace, source in list(self.sources.items())[1:]:
@@ -129,9 +129,9 @@ class TrainerNode(Node):
         self._dropped_counts.update(source.status())
         source.close()
         # The times of the last 10,000 namespaces are kept.
-        if len(self._dropped_at) >= 10_000:
-            del self._dropped_at[min(self._dropped_at, key=self._dropped_at.get)]
-        self._dropped_at[namespace] = time.monotonic()
+        if len(self._drop_times) >= 10_000:
+            del self._drop_times[min(self._drop_times, key=self._drop_times.get)]
+        self._drop_times[namespace] = time.monotonic()
         self.get_logger().info(f'not learning from {namespace} any more: it was silent for '
                                f'{MAX_SILENCE_S:g} s')
 

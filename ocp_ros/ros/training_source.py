@@ -174,7 +174,7 @@ class TransitionSource:
                                f'{max(rewards):g}; expected finite numbers within {max_reward:g}')
         return self.assembler.add_reward(Reward(
             previous, stamp, int(fields['step']), fields['reward'], tuple(shares),
-            bool(fields['terminated'])))
+            terminated=bool(fields['terminated'])))
 
     def close(self) -> None:
         """Destroy the subscriptions and publishers."""

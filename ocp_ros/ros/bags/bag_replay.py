@@ -62,7 +62,7 @@ class Replay(Node):
     :ivar done: future that is done when all messages are published; it holds the error, if any.
     :ivar topics: see :func:`~ocp_ros.ros.bags.replay_options.choose_topics`.
     :ivar counts: number of published messages by recorded topic.
-    :ivar left_out: number of messages that could not be published.
+    :ivar left_out_count: number of messages that could not be published.
     :raises ConfigurationError: if the bag has none of the wanted topics.
     """
 
@@ -77,7 +77,7 @@ class Replay(Node):
             self.topics = {name: (kind, new_name) for name, (kind, new_name) in self.topics.items()
                            if kind == CLOUD}
         self.counts = dict.fromkeys(self.topics, 0)
-        self.left_out = 0
+        self.left_out_count = 0
         self._cloud_topics = [name for name, (kind, _) in self.topics.items() if kind == CLOUD]
         self._given_frames = dict(options.frames)
         check_known([name for name in self._given_frames if name], self._cloud_topics, '--frame')
@@ -115,7 +115,7 @@ class Replay(Node):
 
     def _make_publishers(self) -> None:
         """Create a publisher for each topic, and one for the poses if this node publishes them."""
-        self._publishers_of: dict[str, Any] = {
+        self._publishers_by_topic: dict[str, Any] = {
             name: self.create_publisher(TYPES[kind], new_name, LOOP)
             for name, (kind, new_name) in self.topics.items()}
         if self._publishes_poses:
@@ -172,7 +172,7 @@ class Replay(Node):
     def _start_if_heard(self) -> None:
         """Start once all topics have subscribers, or the seconds to wait for them are over."""
         now = time.monotonic()
-        publishers = list(self._publishers_of.values())
+        publishers = list(self._publishers_by_topic.values())
         if self._publishes_poses:
             publishers.append(self._poses_publisher)
         unheard_topics = [publisher.topic_name for publisher in publishers
@@ -230,10 +230,10 @@ class Replay(Node):
             if item.kind == CLOUD:
                 self._place_cloud(item.topic, message)
         except (BrokenMessage, MessageError) as error:
-            self.left_out += 1
+            self.left_out_count += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
             return
-        self._publishers_of[item.topic].publish(message)
+        self._publishers_by_topic[item.topic].publish(message)
         self.counts[item.topic] += 1
 
     def _deserialize(self, item: Recorded) -> PointCloud2 | PoseArray:

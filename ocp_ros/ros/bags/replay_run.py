@@ -41,9 +41,10 @@ def options_of(arguments: argparse.Namespace) -> ReplayOptions:
     # TOPIC=FRAME names the frame of one topic, and FRAME that of all others.
     frames = [(topic, frame) for topic, _, frame in (
         text.rpartition('=') for text in arguments.frame)]
-    return ReplayOptions(tuple(arguments.topics), arguments.rate, arguments.loop, arguments.start,
-                         arguments.duration, tuple(frames), tuple(map(pose_of, arguments.pose)),
-                         arguments.fixed_frame, arguments.wait)
+    return ReplayOptions(topics=tuple(arguments.topics), rate=arguments.rate, loop=arguments.loop,
+                         start=arguments.start, duration=arguments.duration, frames=tuple(frames),
+                         poses=tuple(map(pose_of, arguments.pose)),
+                         fixed_frame=arguments.fixed_frame, wait=arguments.wait)
 
 
 def pose_of(text: str) -> np.ndarray:
@@ -130,7 +131,7 @@ def _publish_bag(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
         if node.done.exception() is not None:
             raise node.done.exception()
         node.flush()
-        return {'left_out': node.left_out, 'published': {
+        return {'left_out': node.left_out_count, 'published': {
             name: {'as': node.topics[name][1], 'messages': count}
             for name, count in node.counts.items()}}
     finally:

@@ -66,7 +66,7 @@ class Calibrator:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='calibrator')
         self._surfaces: ScanSurfaces | None = None
         self._job_runs = False
-        self._checked_at = time.monotonic()
+        self._check_time = time.monotonic()
         #: A sentence for each camera that had drifted at the last check.
         self.drift_warnings: list[str] = []
         self.drift_checks = 0
@@ -102,9 +102,9 @@ class Calibrator:
         """Start a drift check if one is due."""
         interval = self._config.drift_seconds
         if not interval or self._job_runs or not self._is_final() or \
-                time.monotonic() - self._checked_at < interval:
+                time.monotonic() - self._check_time < interval:
             return
-        self._checked_at = time.monotonic()
+        self._check_time = time.monotonic()
         try:
             placement, clouds = self._placement_and_clouds()
         except MessageError:

@@ -54,9 +54,10 @@ class Commander:
         self._topic = node.resolve_topic_name(topics.CAMERA_COMMANDS)
         self._publisher: Publisher | None = None
         self._has_commanded = False
-        self._ready_at = time.monotonic() + DISCOVERY_S
+        #: Time from which on this node may command.
+        self._use_time = time.monotonic() + DISCOVERY_S
 
-    def begin(self, on_may_command: Callable[[], None]) -> None:
+    def begin_checks(self, on_may_command: Callable[[], None]) -> None:
         """
         Check at intervals whether this node may command; the interval is drawn at random once.
 
@@ -68,7 +69,7 @@ class Commander:
         create_steady_timer(self._node, random.uniform(0.15, 0.35), self._check_graph)
         self._check_graph()
 
-    def end(self) -> None:
+    def end_commands(self) -> None:
         """Stop commanding; the node itself destroys the publisher and the timer."""
         if self._publisher is not None:
             # The last command must not get lost.
@@ -85,7 +86,7 @@ class Commander:
     def must_wait(self) -> bool:
         """Return whether this node may not command yet."""
         return not self._has_commanded and (
-            self._publisher is None or time.monotonic() < self._ready_at or self._rival_count > 0)
+            self._publisher is None or time.monotonic() < self._use_time or self._rival_count > 0)
 
     @property
     def _rival_count(self) -> int:
@@ -102,7 +103,7 @@ class Commander:
                 self._publisher = None
         elif self._publisher is None:
             self._publisher = self._node.create_publisher(PoseArray, self._topic, LOOP)
-            self._ready_at = max(self._ready_at, time.monotonic() + PUBLISHER_AGE_S)
+            self._use_time = max(self._use_time, time.monotonic() + PUBLISHER_AGE_S)
         elif not self.must_wait:
             self._on_may_command()
 

@@ -35,9 +35,9 @@ class Convergence:
     def __init__(self, node: Node) -> None:
         self._publisher = node.create_publisher(String, topics.PLACEMENT_STATUS, LATCHED)
         self._published_text = ''
-        self.begin()
+        self.begin_episode()
 
-    def begin(self) -> None:
+    def begin_episode(self) -> None:
         """Begin an episode, whose placement is not final."""
         self.turns_still = 0
         self.longest_move = 0.0

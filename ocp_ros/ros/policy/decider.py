@@ -158,8 +158,8 @@ class Decider:
                     rotation_of(pose.orientation, f'poses: camera {camera}'))
         if self.rig is not None and count == movable:
             rows = np.concatenate([rows, self.rig.fixed_poses])
-        return RigState(rows, models, movable, pitch_limits, self._config.max_turn > 0.0,
-                        None if self.rig is None else self.rig.clearance)
+        return RigState(rows, models, movable, pitch_limits, turns=self._config.max_turn > 0.0,
+                        clearance=None if self.rig is None else self.rig.clearance)
 
     def decide(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> PoseArray:
         """

@@ -113,8 +113,8 @@ class SimulatedTurns:
         self.reward_stamp = stamp
         answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
         self._on_turn_info(TurnInfo(
-            int(fields['episode']), int(fields['step']), bool(fields['truncated']),
-            self.poses[stamp] if answered else None))
+            int(fields['episode']), int(fields['step']), is_last=bool(fields['truncated']),
+            answered_poses=self.poses[stamp] if answered else None))
         if not answered and self.cloud is not None \
                 and stamp_to_ns(self.cloud.header.stamp) == stamp:
             self.answer_if_ready()

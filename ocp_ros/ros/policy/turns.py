@@ -133,12 +133,12 @@ class Turns(Generic[T]):
         self._command_time = clock()
         self.standing_begin: Moment | None = None
         #: Time at which all cameras were first measured at their targets.
-        self._arrived_at: float | None = None
+        self._arrival_time: float | None = None
         #: The first poses from which all later poses differ by noise only.
         self._reference: _Poses | None = None
         #: The newest poses, and the stamp since which they show the standing cameras.
         self._recent_poses: deque[_Poses] = deque(maxlen=100)
-        self._averaged_from = 0
+        self._mean_begin_ns = 0
         #: By how much the stamps of a topic's clouds are later than those of poses, nanoseconds.
         self._cloud_leads: dict[str, int] = {}
         #: Time at which the newest poses came.
@@ -165,7 +165,7 @@ class Turns(Generic[T]):
         self._height_changes = (targets[:, 2] != self.positions[:, 2] if height_changes is None
                                 else height_changes)
         self._target_rotations = rotations or {}
-        self._arrived_at = None
+        self._arrival_time = None
         self.standing_begin = Moment(self._pose_stamp, self._command_time)
         if not self._cameras_arrived():
             self.standing_begin = None
@@ -209,10 +209,10 @@ class Turns(Generic[T]):
         if self._left_reference(distance=0.02, angle=0.02):
             self._reference = poses
         if self._cameras_arrived() or (
-                self._arrived_at is not None and self._cameras_arrived(leaving_factor)):
-            if self._arrived_at is None:
-                self._arrived_at = self._pose_time
-                self._averaged_from = stamp
+                self._arrival_time is not None and self._cameras_arrived(leaving_factor)):
+            if self._arrival_time is None:
+                self._arrival_time = self._pose_time
+                self._mean_begin_ns = stamp
             self._update_standing()
         elif not self.overdue:
             self._wait_for_standing()
@@ -225,7 +225,7 @@ class Turns(Generic[T]):
 
         :returns: positions, (K, 3) metres, and K rotations, (3, 3).
         """
-        measured = [poses for poses in self._recent_poses if poses.stamp >= self._averaged_from
+        measured = [poses for poses in self._recent_poses if poses.stamp >= self._mean_begin_ns
                     and len(poses.positions) == len(self.positions)]
         if not measured:
             return self.positions, list(self._rotations)
@@ -238,7 +238,7 @@ class Turns(Generic[T]):
     def _wait_for_standing(self) -> None:
         """Wait again for cameras that do not stand any more."""
         self.standing_begin = None
-        self._arrived_at = None
+        self._arrival_time = None
         self.used_stamps.clear()
 
     def _left_reference(self, distance: float, angle: float) -> bool:
@@ -291,7 +291,7 @@ class Turns(Generic[T]):
         self.drop_clouds()
         self._pose_stamp = stamp
         self._reference = None
-        self._averaged_from = stamp
+        self._mean_begin_ns = stamp
         now = self._clock()
         _, last_jump_time = self._last_jump
         self._last_jump = source, now
@@ -362,21 +362,21 @@ class Turns(Generic[T]):
         if self.standing_begin is None and self.positions is not None and (
                 now - self._command_time >= timeout):
             self.standing_begin = Moment(self._pose_stamp, now)
-            self._averaged_from = self._pose_stamp
+            self._mean_begin_ns = self._pose_stamp
             self.overdue = True
             self.overdue_turns += 1
         return self.standing_begin is not None
 
     def _update_standing(self) -> None:
         """Mark the cameras as standing if they have been still at their targets."""
-        if self.standing_begin is not None or self._arrived_at is None:
+        if self.standing_begin is not None or self._arrival_time is None:
             return
         now = self._clock()
         if self._reference and (self._pose_stamp - self._reference.stamp >= STEADY_NS
                                 or now - self._pose_time >= QUIET_S):
             self.standing_begin = Moment(self._reference.stamp, now)
-            self._averaged_from = self._reference.stamp
-        elif now - self._arrived_at >= self.limits.cloud_timeout:
+            self._mean_begin_ns = self._reference.stamp
+        elif now - self._arrival_time >= self.limits.cloud_timeout:
             # The measured poses never become still: end the wait.
             self.standing_begin = Moment(self._pose_stamp, now)
 
