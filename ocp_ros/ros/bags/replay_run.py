@@ -56,7 +56,7 @@ def pose_of(text: str) -> np.ndarray:
     :raises ConfigurationError: if the pose is malformed.
     """
     try:
-        numbers = [float(signal_number) for signal_number in text.split(',')]
+        numbers = [float(number) for number in text.split(',')]
     except ValueError:
         numbers = []
     if not 3 <= len(numbers) <= 6 or not np.isfinite(numbers).all():
