@@ -70,7 +70,7 @@ def played(options: argparse.Namespace, room: int, max_turn: float, rig_file: st
     asked = PolicyNodeConfig(planner=options.planner, turns=options.turns, max_turn=max_turn,
                              rig_file=rig_file, max_range=config.placed_rig.farthest,
                              seed=options.seed)
-    checkpoint = None if asked.weightless else Checkpoint.load(find_model(asked.model))
+    checkpoint = None if asked.needs_no_weights else Checkpoint.load(find_model(asked.model))
     decider, took = Decider(asked, checkpoint, get_logger('aiming')), []
     decider.reset()
     first = episode.turn.depth_error

@@ -24,8 +24,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-#: Argument, node and its parameter, type and description. What is not given is as the parameter
-#: files have it.
+#: Launch argument, node, parameter, type, and description (empty for an argument's second node).
+#: An argument that is not given keeps the value of the parameter files.
 ARGUMENTS = (
     ('room', 'sim_node', 'scene.file', str, 'scan or mesh; empty: generated room'),
     ('cameras', 'sim_node', 'rig.cameras', int, 'number of cameras'),
@@ -38,20 +38,20 @@ ARGUMENTS = (
 )
 
 
-def nodes(context: LaunchContext) -> list[Node]:
-    """Start a simulated rig and a policy with the parameters that are given."""
+def make_nodes(context: LaunchContext) -> list[Node]:
+    """Return a simulated rig and a policy; launch arguments override their parameter files."""
     config = Path(get_package_share_directory('ocp_ros')) / 'config'
     return [Node(package='ocp_ros', executable=executable, output='screen',
                  namespace=LaunchConfiguration('namespace'),
                  parameters=[str(config / file), {
-                     parameter: ParameterValue(LaunchConfiguration(name), value_type=kind)
-                     for name, node, parameter, kind, _ in ARGUMENTS
+                     parameter: ParameterValue(LaunchConfiguration(name), value_type=value_type)
+                     for name, node, parameter, value_type, _ in ARGUMENTS
                      if node == executable and LaunchConfiguration(name).perform(context)}])
             for executable, file in (('sim_node', 'sim.yaml'), ('policy_node', 'policy.yaml'))]
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Start a simulated rig, a policy and, where it is wanted, RViz."""
+    """Return the launch of a simulated rig, a policy and, if ``rviz`` is true, RViz."""
     config = Path(get_package_share_directory('ocp_ros')) / 'config'
     return LaunchDescription([
         DeclareLaunchArgument('namespace', default_value='', description='of the nodes'),
@@ -59,8 +59,8 @@ def generate_launch_description() -> LaunchDescription:
             name, default_value='', description=f'{description}; empty: as in the files in config')
           for name, _, _, _, description in ARGUMENTS if description),
         DeclareLaunchArgument('rviz', default_value='false', description='start RViz as well'),
-        # First: where RViz is not installed nothing else has been started that would stay.
+        # RViz comes first: if it is not installed, nothing has been started that would go on.
         Node(package='rviz2', executable='rviz2', arguments=['-d', str(config / 'ocp.rviz')],
              condition=IfCondition(LaunchConfiguration('rviz'))),
-        OpaqueFunction(function=nodes),
+        OpaqueFunction(function=make_nodes),
     ])

@@ -24,7 +24,8 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
-#: Argument, parameter, type and description. What is not given is as the parameter file has it.
+#: Launch argument, parameter, type and description. An argument that is not given keeps the value
+#: of the parameter file.
 ARGUMENTS = (
     ('clouds', 'cloud_topics', str, 'topics of the clouds, with commas between'),
     ('rig_file', 'rig_file', str, 'YAML of docs/reference/rig.md'),
@@ -36,18 +37,18 @@ ARGUMENTS = (
 )
 
 
-def policy(context: LaunchContext) -> list[Node]:
-    """Start a policy with the parameters that are given."""
-    given = {parameter: ParameterValue(LaunchConfiguration(name), value_type=kind)
-             for name, parameter, kind, _ in ARGUMENTS
-             if LaunchConfiguration(name).perform(context)}
+def make_policy_node(context: LaunchContext) -> list[Node]:
+    """Return a policy; launch arguments override its parameter file."""
+    parameters = {parameter: ParameterValue(LaunchConfiguration(name), value_type=value_type)
+                  for name, parameter, value_type, _ in ARGUMENTS
+                  if LaunchConfiguration(name).perform(context)}
     return [Node(package='ocp_ros', executable='policy_node', output='screen',
                  namespace=LaunchConfiguration('namespace'),
-                 parameters=[LaunchConfiguration('params_file'), given])]
+                 parameters=[LaunchConfiguration('params_file'), parameters])]
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Start a policy for live cameras and, where it is wanted, RViz."""
+    """Return the launch of a policy for live cameras and, if ``rviz`` is true, RViz."""
     config = Path(get_package_share_directory('ocp_ros')) / 'config'
     return LaunchDescription([
         DeclareLaunchArgument('params_file', default_value=str(config / 'live.yaml'),
@@ -57,8 +58,8 @@ def generate_launch_description() -> LaunchDescription:
             name, default_value='', description=f'{description}; empty: as in params_file')
           for name, _, _, description in ARGUMENTS),
         DeclareLaunchArgument('rviz', default_value='false', description='start RViz as well'),
-        # First: where RViz is not installed nothing else has been started that would stay.
+        # RViz comes first: if it is not installed, nothing has been started that would go on.
         Node(package='rviz2', executable='rviz2', arguments=['-d', str(config / 'ocp.rviz')],
              condition=IfCondition(LaunchConfiguration('rviz'))),
-        OpaqueFunction(function=policy),
+        OpaqueFunction(function=make_policy_node),
     ])

@@ -24,8 +24,8 @@ from launch_ros.actions import Node
 from launch_ros.parameter_descriptions import ParameterValue
 
 
-def pairs(context: LaunchContext) -> list[Node]:
-    """Start simulated rigs and a policy that explores for each, in namespaces env_0, env_1, ..."""
+def make_pairs(context: LaunchContext) -> list[Node]:
+    """Return simulated rigs, each with an exploring policy, in namespaces env_0, env_1, ..."""
     config = str(Path(get_package_share_directory('ocp_ros')) / 'config' / 'trainer.yaml')
     envs, seed = (int(LaunchConfiguration(name).perform(context)) for name in ('envs', 'seed'))
     nodes = []
@@ -38,7 +38,7 @@ def pairs(context: LaunchContext) -> list[Node]:
 
 
 def generate_launch_description() -> LaunchDescription:
-    """Start a trainer that publishes weights, and as many pairs of sim and policy as asked for."""
+    """Return the launch of a trainer and of ``envs`` pairs of a simulation and a policy."""
     config = str(Path(get_package_share_directory('ocp_ros')) / 'config' / 'trainer.yaml')
     folder = ParameterValue(LaunchConfiguration('folder'), value_type=str)
     return LaunchDescription([
@@ -47,5 +47,5 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('folder', default_value='out/trainer', description='checkpoints'),
         Node(package='ocp_ros', executable='trainer_node', output='screen',
              parameters=[config, {'folder': folder}]),
-        OpaqueFunction(function=pairs),
+        OpaqueFunction(function=make_pairs),
     ])

@@ -217,7 +217,7 @@ class Graph:
         Take everything down; another order can crash in the DDS layer.
 
         Where another process comes or leaves at that moment Fast DDS may wait for ever (see
-        ``node_main.take_down``). This process is ended then, and the test is run once more.
+        ``node_main.shut_down_node``). This process is ended then, and the test is run once more.
         """
         import rclpy
         with ended_after(STUCK_LEAVING):

@@ -33,7 +33,7 @@ from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
-    moved_to,
+    move_poses,
     msg_to_cloud,
     msg_to_poses,
     msg_to_positions,
@@ -43,7 +43,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.policy.turns import STEADY_NS, Turns
+from ocp_ros.ros.policy.turns import STEADY_NS, Turns, WaitLimits
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
@@ -79,7 +79,7 @@ def rig_file(tmp_path):
 def test_a_command_turns_the_body_of_a_camera_and_its_optical_frame_with_it():
     """Forward is x of the body and z of the optical frame, up is z and -y."""
     poses = positions_to_msg(np.zeros((3, 3)), Header(), HEADINGS)
-    found = moved_to(poses, np.ones((3, 3)), {1: np.array([np.pi / 2, 0.3, 0.0])})
+    found = move_poses(poses, np.ones((3, 3)), {1: np.array([np.pi / 2, 0.3, 0.0])})
     for camera in (0, 2):
         assert found.poses[camera].orientation == poses.poses[camera].orientation
     body = msg_to_poses(found)[1].rotation
@@ -228,17 +228,17 @@ class TurnedRig(Rig):
 
 
 def test_a_live_turn_waits_until_cameras_are_turned():
-    turns = Turns(['a'], 0.05, 20.0, 2.0, lambda: 0.0, arrival_angle=0.1)
+    turns = Turns(['a'], WaitLimits(0.05, 20.0, 2.0, arrival_angle=0.1), lambda: 0.0)
     here = np.array([[1.0, 1.0, 1.9], [3.0, 1.0, 1.9]])
     now = [rotation_matrix(0.0), rotation_matrix(1.0)]
     turns.on_poses(1, here, now)
-    turns.sent(here, {1: rotation_matrix(1.5)})
-    assert not turns.standing
+    turns.on_command(here, {1: rotation_matrix(1.5)})
+    assert not turns.cameras_stand
     turns.on_poses(2, here, [rotation_matrix(2.0), rotation_matrix(1.3)])
-    assert not turns.standing
+    assert not turns.cameras_stand
     for stamp in (3, 3 + STEADY_NS):
         turns.on_poses(stamp, here, [rotation_matrix(2.0), rotation_matrix(1.45)])
-    assert turns.standing and turns.since == 3
+    assert turns.cameras_stand and turns.standing_begin.stamp == 3
 
 
 def test_who_moves_cameras_by_hand_is_told_how_to_turn_them(graph, probe, rig_file):
@@ -294,10 +294,10 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
 
 def test_cameras_that_are_turned_do_not_stand_still(probe):
     finality, config = Convergence(probe.node), PolicyNodeConfig()
-    finality.moved(0.0, 0.1, config)
-    assert finality.still == 0
-    finality.moved(0.0, 0.0, config)
-    assert finality.still == 1
+    finality.record_move(0.0, 0.1, config)
+    assert finality.turns_still == 0
+    finality.record_move(0.0, 0.0, config)
+    assert finality.turns_still == 1
 
 
 @pytest.mark.system

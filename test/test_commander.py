@@ -81,7 +81,7 @@ def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
         graph.until(lambda at=stamp: second._live._turns._newest_stamps.get('points') == at)
     assert not counted(second, 'turns_answered') and not probe.received[topics.CAMERA_COMMANDS]
     # What it has seen while it waited is long ago when it takes over.
-    graph.until(lambda: not second._live._turns.due())
+    graph.until(lambda: not second._live._turns.is_due())
     graph.remove(first)
     graph.until(lambda: not second._waits())
     send(1000)

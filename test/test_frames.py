@@ -24,13 +24,13 @@ from ocp_ros.ros.interface.conversions import (
     MessageError,
     ns_to_stamp,
 )
-from ocp_ros.ros.interface.frames import in_range, LiveRig, placed, Transforms
+from ocp_ros.ros.interface.frames import LiveRig, points_in_range, transform_cloud, Transforms
 import pytest
 from std_msgs.msg import Header
 
 POSES = [Pose(np.array([1.0, 2.0, 1.9]), rotation_matrix(0.5 * np.pi, 0.0, 0.0)),
          Pose(np.array([4.0, 2.0, 1.9]), rotation_matrix(0.0, 0.5 * np.pi, 0.0))]
-RIG = LiveRig('map', POSES, since=10)
+RIG = LiveRig('map', POSES, standing_since_ns=10)
 
 
 @pytest.fixture
@@ -48,7 +48,7 @@ def points(*rows):
 @pytest.mark.parametrize('frame', ['map', '/map'])
 def test_a_cloud_in_the_frame_of_the_poses_stays_as_it_is(no_tf2, frame):
     cloud = points([1, 2, 3], [0, 0, 0], [0, 0, 1])
-    found, seen_from = placed(cloud, frame, RIG, no_tf2)
+    found, seen_from = transform_cloud(cloud, frame, RIG, no_tf2)
     # The origin is what sensors send where they see nothing.
     np.testing.assert_array_equal(found, cloud[[0, 2]])
     np.testing.assert_allclose(seen_from, [pose.position for pose in POSES])
@@ -63,7 +63,7 @@ def test_a_cloud_in_the_frame_of_the_poses_stays_as_it_is(no_tf2, frame):
     ('camera_0_optical', [1, 0, 0], [2, 2, 1.9]), ('camera_0_optical', [0, 1, 0], [1, 2, 0.9]),
     ('camera_1_optical', [0, 0, 1], [4, 2, 0.9])])
 def test_a_cloud_of_a_camera_is_placed_by_its_pose(no_tf2, frame, row, expected):
-    found, seen_from = placed(points([0, 0, 0], row), frame, RIG, no_tf2)
+    found, seen_from = transform_cloud(points([0, 0, 0], row), frame, RIG, no_tf2)
     np.testing.assert_allclose(found, [expected], atol=1e-6)
     assert found.dtype == np.float32
     np.testing.assert_allclose(seen_from, [POSES['1' in frame].position])
@@ -73,7 +73,7 @@ def test_a_cloud_of_a_camera_is_placed_by_its_pose(no_tf2, frame, row, expected)
                                    'odom', 'camera_' + '9' * 5000])
 def test_a_frame_that_nobody_knows_is_refused_with_what_to_do(no_tf2, frame):
     with pytest.raises(MessageError, match='frame .*map.*camera_<i>_optical.*0 to 1.*tf2_ros'):
-        placed(points([1, 0, 0]), frame, RIG, no_tf2)
+        transform_cloud(points([1, 0, 0]), frame, RIG, no_tf2)
 
 
 class Unknown(Exception):
@@ -114,17 +114,18 @@ def transform(stamp=0, xyz=(5.0, 0.0, 1.0), xyzw=(0.0, 0.0, 1.0, 1.0)):
 def test_tf2_is_asked_for_other_frames(tf2, stamp):
     known, transforms = tf2
     known['lidar'] = transform(stamp)
-    found, seen_from = placed(points([1, 0, 0], [0, 0, 0], [0, 2, 3]), 'lidar', RIG, transforms)
+    found, seen_from = transform_cloud(
+        points([1, 0, 0], [0, 0, 0], [0, 2, 3]), 'lidar', RIG, transforms)
     np.testing.assert_allclose(found, [[5, 1, 1], [3, 0, 4]], atol=1e-6)
     # Which of the cameras it is, nobody knows.
     assert len(seen_from) == 2
     # Near a camera it is that camera's.
     known['lidar'] = transform(stamp, xyz=(4.0, 2.0, 1.7))
-    _, seen_from = placed(points([1, 0, 0]), 'lidar', RIG, transforms)
+    _, seen_from = transform_cloud(points([1, 0, 0]), 'lidar', RIG, transforms)
     np.testing.assert_allclose(seen_from, [[4.0, 2.0, 1.7]])
-    transforms.forget()
+    transforms.clear()
     with pytest.raises(MessageError, match='lidar does not exist'):
-        placed(points([1, 0, 0]), 'lidar', RIG, transforms)
+        transform_cloud(points([1, 0, 0]), 'lidar', RIG, transforms)
 
 
 @pytest.mark.parametrize(('spoilt', 'words'), [
@@ -136,22 +137,22 @@ def test_a_transform_that_is_of_no_use_is_refused(tf2, spoilt, words):
     if spoilt is not None:
         known['lidar'] = spoilt
     with pytest.raises(MessageError, match=f"'lidar'.*{words}"):
-        placed(points([1, 0, 0]), 'lidar', RIG, transforms)
+        transform_cloud(points([1, 0, 0]), 'lidar', RIG, transforms)
 
 
 def test_points_out_of_range_of_their_nearest_camera_are_cut(no_tf2):
     cloud = points([0, 0, 0], [1, 0, 0], [2.1, 0, 0], [2.9, 0, 0], [4, 0, 0], [7, 0, 0])
     one, two = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
-    np.testing.assert_allclose(in_range(cloud, one, 0.5, 2.0), cloud[[1]])
-    np.testing.assert_allclose(in_range(cloud, two, 0.5, 2.0), cloud[[1, 4, 5]])
-    np.testing.assert_allclose(in_range(cloud, two, 0.0, 9.0), cloud)
+    np.testing.assert_allclose(points_in_range(cloud, one, 0.5, 2.0), cloud[[1]])
+    np.testing.assert_allclose(points_in_range(cloud, two, 0.5, 2.0), cloud[[1, 4, 5]])
+    np.testing.assert_allclose(points_in_range(cloud, two, 0.0, 9.0), cloud)
     # So are those too far out for numbers.
     far = points([3e38, 3e38, 3e38], [-3e38, 3e38, 0], [1, 0, 0])
     turned = [Pose(np.array([1e300, 0.0, 0.0]), POSES[0].rotation),
               Pose(np.zeros(3), rotation_matrix(0.7, 0.7, 0.7))]
     for number, kept in ((0, 0), (1, 1)):
-        found, seen_from = placed(far, f'camera_{number}', LiveRig('map', turned), no_tf2)
-        assert len(in_range(found, seen_from, 0.0, 100.0)) == kept
+        found, seen_from = transform_cloud(far, f'camera_{number}', LiveRig('map', turned), no_tf2)
+        assert len(points_in_range(found, seen_from, 0.0, 100.0)) == kept
 
 
 @pytest.mark.parametrize('optical', [False, True])
@@ -164,9 +165,9 @@ def test_points_with_the_axes_of_the_other_convention_are_refused(no_tf2, optica
     z_ahead = np.column_stack([aside, down, depth]).astype(np.float32)
     right, wrong = (z_ahead, body) if optical else (body, z_ahead)
     names = ('camera_0_optical', 'camera_0') if optical else ('camera_0', 'camera_0_optical')
-    assert len(placed(right, names[0], RIG, no_tf2)[0]) == 500
+    assert len(transform_cloud(right, names[0], RIG, no_tf2)[0]) == 500
     with pytest.raises(MessageError, match=f"name the frame '{names[1]}'"):
-        placed(wrong, names[0], RIG, no_tf2)
+        transform_cloud(wrong, names[0], RIG, no_tf2)
     # What sees all around has no side ahead.
     around = rng.normal(size=(500, 3)).astype(np.float32)
-    assert len(placed(around, names[0], RIG, no_tf2)[0]) == 500
+    assert len(transform_cloud(around, names[0], RIG, no_tf2)[0]) == 500

@@ -217,7 +217,7 @@ def test_a_stray_point_is_left_out(live, room):
 def test_a_fused_cloud_that_is_no_room_is_begun_anew(live, room):
     rig, policy = live.start()
     live.wait_for_turns(1)
-    policy._live._fused.add(np.array([[900.0, 0.0, 0.0]]))
+    policy._live._fused_cloud.add(np.array([[900.0, 0.0, 0.0]]))
     live.graph.until(lambda: counted(policy, 'refused_messages') == 1)
     live.received[topics.OBSERVATION].clear()
     assert off(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
@@ -409,7 +409,7 @@ def test_cameras_on_their_way_stop_where_they_are_and_go_on_later(live, how):
     live.wait_for_turns(2)
     rig.obeys = False
     live.wait_for_turns(counted(policy, 'turns_answered'))
-    live.graph.until(lambda: not policy._live._turns.standing)
+    live.graph.until(lambda: not policy._live._turns.cameras_stand)
     # Half of the way is behind them.
     rig.episode.move(0.5 * (rig.target - rig.positions)[:, :2])
     stamp, here = rig.stamp, rig.positions.copy()

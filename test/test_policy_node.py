@@ -41,7 +41,7 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.policy.policy_config import PLANNERS
 from ocp_ros.ros.policy.policy_planners import make_planner
 from ocp_ros.ros.policy.simulated_turns import MAX_STORED_POSES
-from ocp_ros.ros.policy_node import has_news, PolicyNode
+from ocp_ros.ros.policy_node import has_message, PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
@@ -233,13 +233,13 @@ def test_a_message_that_waits_is_noticed_and_not_taken(graph, probe):
     listener = Node('listener', context=graph.context)
     listener.create_subscription(PoseArray, 'news', heard.append, qos.LOOP)
     publisher = probe.publisher(PoseArray, 'news', qos.LOOP)
-    assert not has_news(listener)
+    assert not has_message(listener)
     publisher.publish(PoseArray())
-    graph.until(lambda: has_news(listener))
-    assert has_news(listener) and not heard
+    graph.until(lambda: has_message(listener))
+    assert has_message(listener) and not heard
     graph.executor.add_node(listener)
     graph.until(lambda: heard)
-    assert not has_news(listener)
+    assert not has_message(listener)
     listener.destroy_node()
 
 

@@ -203,7 +203,7 @@ def test_a_policy_fuses_what_was_recorded(stage, clouds, tmp_path, form):
     # The stamps are the recorded ones, and the command answers them.
     assert stamp_to_ns(stage.last(topics.CAMERA_COMMANDS).header.stamp) == 1000 * S
     assert stage.replay.counts == {'/cam0/points': 1, '/cam1/points': 1, '/rig/poses': 1}
-    assert stage.replay.left_out == 0
+    assert stage.replay.left_out_count == 0
 
 
 @pytest.mark.parametrize('form', FORMATS)
@@ -282,7 +282,7 @@ def test_messages_that_are_none_are_left_out(stage, clouds, tmp_path, capfd):
         recording.add('/cam0/points', CLOUD, 1001 * S + k, broken[:cut])
     for form in FORMATS[1:]:
         found = stage.play(recording.write(tmp_path / form, form), poses=())
-        assert len(found) and stage.replay.left_out == 5
+        assert len(found) and stage.replay.left_out_count == 5
         assert '/cam0/points: found a message that is no' in capfd.readouterr().err
         stage.graph.remove(stage.replay)
         stage.graph.remove(stage.policy)

@@ -121,7 +121,7 @@ class Stuck:
 
 node_main.SHUTDOWN_TIMEOUT_S = 0.2
 print('saved')
-node_main.take_down(Stuck(), None)
+node_main.shut_down_node(Stuck(), None)
 print('not here')
 """
 

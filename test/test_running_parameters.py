@@ -150,10 +150,8 @@ def test_live_turns_follow(graph, change):
     policy = graph.add(PolicyNode, cloud_topics='points')
     assert change(policy, arrival_distance=0.2, arrival_timeout=3.0, cloud_timeout=1.0,
                   turn_seconds=4.0, min_range=0.4) == ''
-    turns, live = policy._live._turns, policy._live
-    assert (turns._arrival_distance, turns._arrival_timeout, turns._cloud_timeout,
-            turns._shortest) == (0.2, 3.0, 1.0, 4.0)
-    assert live._config.min_range == 0.4
+    assert policy._live._turns.limits[:4] == (0.2, 3.0, 1.0, 4.0)
+    assert policy._live._config.min_range == 0.4
 
 
 def test_a_simulation_follows(graph, probe, change):
@@ -209,7 +207,7 @@ def test_commands_are_held_to_a_rig_file(robot, tmp_path, monkeypatch):
         assert not ((found[:2, 0] >= 3.5) & (found[:2, 0] <= 4.5)).any()
         assert cKDTree(box_room().points).query(found[:2])[0].min() >= 0.399
         positions = found
-    assert not policy._decider.held
+    assert not policy._decider.stay_warnings
 
 
 def test_cameras_are_turned_as_far_as_they_may_be_while_the_node_runs(robot, tmp_path, change):

@@ -103,7 +103,7 @@ class Loop:
         values = dict.fromkeys(topics.REWARD_FIELDS, 0.0)
         values |= {'previous_nanosec': previous, 'stamp_nanosec': stamp, 'step': step,
                    'reward': sum(shares)}
-        values |= {topics.share(number): share for number, share in enumerate(shares)}
+        values |= {topics.share_field(number): share for number, share in enumerate(shares)}
         self.rewards.publish(fields_to_msg(values))
 
     def turn(self, stamp):
@@ -140,7 +140,7 @@ def recorded(graph, tmp_path, monkeypatch, small_agent):
         trainer = graph.add(TrainerNode, folder=str(tmp_path / 'run'),
                             **{**AGENT, 'agent__inputs': inputs, 'agent__cameras': cameras}, **SAC)
         learned = []
-        trainer.sources['/']._learn = lambda one: learned.append(one) or True
+        trainer.sources['/']._store_transition = lambda one: learned.append(one) or True
         # The policy of the paper knows of no clearance: its commands would be changed.
         graph.add(PolicyNode, model=str(tmp_path / 'm.safetensors'), explore=True, turns=turns,
                   clearance=0.0 if inputs == PAPER else CLEARANCE)
@@ -255,7 +255,7 @@ def test_stamps_may_begin_anew(loop):
     for stamp in (1, 2):
         # One after the other: a first turn that came before its reward would be forgotten.
         loop.reward(stamp - 1, stamp, stamp - 1)
-        loop.graph.until(lambda at=stamp: loop.source._newest == at)
+        loop.graph.until(lambda at=stamp: loop.source._newest_stamp == at)
         loop.experience(stamp, stamp - 1)
         loop.pose(stamp)
     loop.graph.until(lambda: loop.source.assembler.assembled == 3)
@@ -390,7 +390,7 @@ def test_who_comes_late_gets_the_latest_weights(graph, probe, start):
     for published, seeds in enumerate((range(20), range(20, 30)), start=1):
         for seed in seeds:
             trainer.learner.add(made_up(trainer.config.agent, seed))
-        graph.until(lambda: trainer._published == published)
+        graph.until(lambda: trainer._published_weights == published)
     probe.listen(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
     found = Checkpoint.from_bytes(msg_to_bytes(probe.last(topics.POLICY_WEIGHTS)))
     assert found.run == trainer.learner.run and found.updates == 16

@@ -21,7 +21,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.ros.policy.turns import JUMP_REPORT_S, QUIET_S, STEADY_NS, Turns
+from ocp_ros.ros.policy.turns import JUMP_REPORT_S, QUIET_S, STEADY_NS, Turns, WaitLimits
 import pytest
 
 S = 1_000_000_000
@@ -47,7 +47,7 @@ def clock():
 
 def make(clock, topics=('a', 'b'), arrival_timeout=20.0):
     """Return turns of cameras that may be 5 cm off, and clouds that may take 2 s."""
-    return Turns(list(topics), 0.05, arrival_timeout, 2.0, clock)
+    return Turns(list(topics), WaitLimits(0.05, arrival_timeout, 2.0), clock)
 
 
 def stands(turns, stamp, positions):
@@ -58,7 +58,7 @@ def stands(turns, stamp, positions):
 
 def taken(turns):
     """Take all clouds that can be taken."""
-    return list(iter(turns.take, None))
+    return list(iter(turns.take_cloud, None))
 
 
 def delivered(turns, stamp, cloud, topics='ab'):
@@ -71,8 +71,8 @@ def delivered(turns, stamp, cloud, topics='ab'):
 def played(turns):
     """Play the first turn, at 10 s by the stamps: the cameras are sent from HERE to THERE."""
     stands(turns, 10, HERE)
-    assert delivered(turns, 10, 'first') == [('a', 'first'), ('b', 'first')] and turns.due()
-    turns.sent(THERE)
+    assert delivered(turns, 10, 'first') == [('a', 'first'), ('b', 'first')] and turns.is_due()
+    turns.on_command(THERE)
     return turns
 
 
@@ -80,11 +80,11 @@ def test_a_camera_is_waited_for_until_it_hangs_as_high_as_it_shall(clock):
     turns = make(clock, topics=('a',))
     stands(turns, 10, HERE)
     raised = HERE + [[0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
-    turns.sent(raised)
+    turns.on_command(raised)
     stands(turns, 11, HERE)
-    assert not turns.standing
+    assert not turns.cameras_stand
     stands(turns, 12, raised - [0.0, 0.0, 0.03])
-    assert turns.standing
+    assert turns.cameras_stand
 
 
 def test_cameras_on_their_last_centimetres_do_not_stand_yet(clock):
@@ -99,9 +99,10 @@ def test_cameras_on_their_last_centimetres_do_not_stand_yet(clock):
     for tick in range(20, 24):
         turns.on_poses(11 * S + tick * S // 20, rest)
         turns.on_cloud('a', 11 * S + tick * S // 20, tick)
-    assert not turns.standing
+    assert not turns.cameras_stand
     turns.on_poses(12 * S + STEADY_NS, rest)
-    assert turns.standing and turns.since == 12 * S and taken(turns) == [('a', 23)]
+    assert turns.cameras_stand and turns.standing_begin.stamp == 12 * S
+    assert taken(turns) == [('a', 23)]
 
 
 def test_a_camera_that_still_turns_does_not_stand_yet(clock):
@@ -109,10 +110,10 @@ def test_a_camera_that_still_turns_does_not_stand_yet(clock):
     for tick in range(8):
         turned = [rotation_matrix(0.04 * tick, 0.0, 0.0)] * 2
         turns.on_poses(10 * S + tick * S // 20, HERE, turned)
-    assert not turns.standing
+    assert not turns.cameras_stand
     turns.on_poses(11 * S, HERE, [rotation_matrix(0.35, 0.0, 0.0)] * 2)
     turns.on_poses(11 * S + STEADY_NS, HERE, [rotation_matrix(0.35, 0.0, 0.0)] * 2)
-    assert turns.standing and turns.since == 11 * S
+    assert turns.cameras_stand and turns.standing_begin.stamp == 11 * S
 
 
 def test_a_rig_that_says_once_where_it_is_stands_there(clock):
@@ -120,7 +121,7 @@ def test_a_rig_that_says_once_where_it_is_stands_there(clock):
     turns.on_poses(11 * S, THERE)
     assert delivered(turns, 11, 1, 'a') == []
     clock.now = QUIET_S
-    assert taken(turns) == [('a', 1)] and turns.since == 11 * S
+    assert taken(turns) == [('a', 1)] and turns.standing_begin.stamp == 11 * S
 
 
 def test_poses_that_are_never_still_stop_nothing(clock):
@@ -130,21 +131,22 @@ def test_poses_that_are_never_still_stop_nothing(clock):
         stamp = 11 + tick / 20
         turns.on_poses(int(stamp * S), THERE + [0.03 * (-1) ** tick, 0.0, 0.0])
         delivered(turns, stamp, tick)
-        assert turns.due() == (clock.now >= 2.05)
-        if turns.due():
+        assert turns.is_due() == (clock.now >= 2.05)
+        if turns.is_due():
             break
-    assert turns.due()
+    assert turns.is_due()
 
 
 def test_who_did_not_send_the_cameras_waits_until_they_stand(clock):
     turns = make(clock, topics=('a',))
     stands(turns, 10, HERE)
-    assert delivered(turns, 10, 'here', 'a') == [('a', 'here')] and turns.due()
+    assert delivered(turns, 10, 'here', 'a') == [('a', 'here')] and turns.is_due()
     # Somebody else sends them elsewhere.
     turns.on_poses(11 * S, THERE)
-    assert delivered(turns, 11, 'on the way', 'a') == [] and not turns.due()
+    assert delivered(turns, 11, 'on the way', 'a') == [] and not turns.is_due()
     turns.on_poses(11 * S + STEADY_NS, THERE)
-    assert taken(turns) == [('a', 'on the way')] and turns.due() and turns.stamp == 11 * S
+    assert taken(turns) == [('a', 'on the way')] and turns.is_due()
+    assert max(turns.used_stamps.values()) == 11 * S
 
 
 def test_a_topic_with_two_clocks_does_not_stop_the_others(clock):
@@ -159,46 +161,46 @@ def test_a_topic_with_two_clocks_does_not_stop_the_others(clock):
         turns.on_cloud('a', stamp - 5 * S * (tick % 2), tick)
         turns.on_cloud('b', stamp, tick)
         taken(turns)
-        if turns.due():
+        if turns.is_due():
             played += 1
-            turns.sent(HERE)
-    assert played >= 5 and turns.backward()
+            turns.on_command(HERE)
+    assert played >= 5 and turns.jumped_source()
     clock.now += JUMP_REPORT_S + 0.1
-    assert not turns.backward()
+    assert not turns.jumped_source()
 
 
 def test_the_first_turn_is_due_when_every_topic_has_delivered(clock):
     turns = make(clock)
     turns.on_cloud('a', 9 * S, 'too old')
-    assert not turns.due()
+    assert not turns.is_due()
     stands(turns, 10, HERE)
-    assert taken(turns) == [] and not turns.due()
-    assert delivered(turns, 10, 1, 'a') == [('a', 1)] and not turns.due()
-    assert delivered(turns, 11, 2, 'b') == [('b', 2)] and turns.due()
-    assert turns.stamp == 11 * S and not turns.silent()
+    assert taken(turns) == [] and not turns.is_due()
+    assert delivered(turns, 10, 1, 'a') == [('a', 1)] and not turns.is_due()
+    assert delivered(turns, 11, 2, 'b') == [('b', 2)] and turns.is_due()
+    assert max(turns.used_stamps.values()) == 11 * S and not turns.silent_topics()
 
 
 def test_a_turn_lasts_as_long_as_it_has_to(clock):
     turns = make(clock)
-    turns.change(0.05, 20.0, 2.0, 5.0)
+    turns.limits = turns.limits._replace(min_duration=5.0)
     played(turns)
     stands(turns, 12, THERE)
     assert len(delivered(turns, 12, 'cloud')) == 2
     clock.now = 4.9
-    assert not turns.due()
+    assert not turns.is_due()
     clock.now = 5.0
-    assert turns.due()
+    assert turns.is_due()
 
 
 def test_a_turn_waits_until_every_camera_is_there(clock):
     turns = played(make(clock))
     for stamp, positions in ((11, HERE), (12, THERE + [[0.0] * 3, [0.06, 0.0, 0.0]])):
         stands(turns, stamp, positions)
-        assert delivered(turns, stamp, stamp) == [] and not turns.due()
+        assert delivered(turns, stamp, stamp) == [] and not turns.is_due()
     # How high they are makes no difference to those that were not sent up or down.
     stands(turns, 13, THERE + [0.04, 0.0, 0.5])
-    assert taken(turns) == [] and not turns.due()
-    assert delivered(turns, 13, 13) == [('a', 13), ('b', 13)] and turns.due()
+    assert taken(turns) == [] and not turns.is_due()
+    assert delivered(turns, 13, 13) == [('a', 13), ('b', 13)] and turns.is_due()
     np.testing.assert_allclose(turns.positions, THERE + [0.04, 0.0, 0.5])
 
 
@@ -216,9 +218,9 @@ def test_cameras_that_leave_again_are_waited_for_again(clock):
     stands(turns, 11, THERE)
     assert delivered(turns, 11, 1, 'a') == [('a', 1)]
     stands(turns, 12, HERE)
-    assert delivered(turns, 12, 2, 'b') == [] and not turns.due()
+    assert delivered(turns, 12, 2, 'b') == [] and not turns.is_due()
     stands(turns, 13, THERE)
-    assert delivered(turns, 13, 3) == [('a', 3), ('b', 3)] and turns.due()
+    assert delivered(turns, 13, 3) == [('a', 3), ('b', 3)] and turns.is_due()
 
 
 def test_a_silent_topic_is_not_waited_for_without_end(clock):
@@ -226,37 +228,37 @@ def test_a_silent_topic_is_not_waited_for_without_end(clock):
     stands(turns, 11, THERE)
     delivered(turns, 11, 1, 'a')
     clock.now = 1.9
-    assert not turns.due() and not turns.silent()
+    assert not turns.is_due() and not turns.silent_topics()
     clock.now = 2.0
-    assert turns.due()
-    assert turns.silent() == {'b': 'stamps 1.0 s before the poses'}
+    assert turns.is_due()
+    assert turns.silent_topics() == {'b': 'stamps 1.0 s before the poses'}
     # It stays among the silent ones until it delivers something that can be used.
-    turns.sent(HERE)
+    turns.on_command(HERE)
     stands(turns, 12, HERE)
-    assert not turns.due() and turns.silent() == {'b': 'stamps 2.0 s before the poses'}
+    assert not turns.is_due() and turns.silent_topics() == {'b': 'stamps 2.0 s before the poses'}
     delivered(turns, 12, 2, 'b')
-    assert not turns.silent()
+    assert not turns.silent_topics()
 
 
 def test_no_turn_without_a_cloud(clock):
     turns = played(make(clock))
     stands(turns, 11, THERE)
     clock.now = 1000.0
-    assert not turns.due() and list(turns.silent()) == ['a', 'b']
+    assert not turns.is_due() and list(turns.silent_topics()) == ['a', 'b']
     delivered(turns, 11, 1, 'b')
-    assert turns.due() and list(turns.silent()) == ['a']
+    assert turns.is_due() and list(turns.silent_topics()) == ['a']
 
 
 def test_a_cloud_that_is_refused_is_as_good_as_none(clock):
     turns = make(clock)
     stands(turns, 10, HERE)
     delivered(turns, 10, 'cloud')
-    turns.refuse('a')
-    assert not turns.due()
+    turns.refuse_cloud('a')
+    assert not turns.is_due()
     clock.now = 2.0
-    assert turns.due() and turns.silent() == {'a': 'nothing usable'}
-    turns.refuse('b')
-    assert not turns.due()
+    assert turns.is_due() and turns.silent_topics() == {'a': 'nothing usable'}
+    turns.refuse_cloud('b')
+    assert not turns.is_due()
 
 
 def test_a_turn_goes_on_though_the_cameras_do_not_arrive(clock):
@@ -264,21 +266,21 @@ def test_a_turn_goes_on_though_the_cameras_do_not_arrive(clock):
     half = 0.5 * (HERE + THERE)
     turns.on_poses(11 * S, half)
     clock.now = 19.9
-    assert delivered(turns, 11, 1, 'a') == [] and not turns.due()
+    assert delivered(turns, 11, 1, 'a') == [] and not turns.is_due()
     clock.now = 20.0
-    assert taken(turns) == [('a', 1)] and turns.overdue and turns.late == 1
+    assert taken(turns) == [('a', 1)] and turns.overdue and turns.overdue_turns == 1
     # It stays so, whatever they do now.
     stands(turns, 12, half + 0.1)
-    assert delivered(turns, 12, 2, 'b') == [('b', 2)] and turns.due()
+    assert delivered(turns, 12, 2, 'b') == [('b', 2)] and turns.is_due()
     np.testing.assert_allclose(turns.positions, half + 0.1)
-    turns.sent(THERE)
-    assert not turns.overdue and turns.late == 1
+    turns.on_command(THERE)
+    assert not turns.overdue and turns.overdue_turns == 1
 
 
 def test_without_poses_nobody_knows_where_the_cameras_are(clock):
     turns = played(make(clock))
     clock.now = 1000.0
-    assert delivered(turns, 900, 1, 'a') == [] and not turns.due() and turns.positions is None
+    assert delivered(turns, 900, 1, 'a') == [] and not turns.is_due() and turns.positions is None
 
 
 def test_cameras_that_need_not_move_are_there_whether_or_not_they_say_so(clock):
@@ -286,18 +288,18 @@ def test_cameras_that_need_not_move_are_there_whether_or_not_they_say_so(clock):
     stands(turns, 11, THERE)
     delivered(turns, 12, 'cloud')
     turns.on_cloud('a', 12 * S, 'waits')
-    turns.sent(THERE + [0.03, 0.0, 0.0])
+    turns.on_command(THERE + [0.03, 0.0, 0.0])
     # Only newer clouds count.
     turns.on_cloud('a', 12 * S - 1, 'old')
     assert taken(turns) == [] and turns.positions is THERE
-    assert delivered(turns, 12.001, 'new') == [('a', 'new'), ('b', 'new')] and turns.due()
+    assert delivered(turns, 12.001, 'new') == [('a', 'new'), ('b', 'new')] and turns.is_due()
 
 
 def test_a_person_may_take_as_long_as_they_like(clock):
     turns = played(make(clock, arrival_timeout=math.inf))
     clock.now = 1e6
     stands(turns, 11, HERE)
-    assert delivered(turns, 12, 1, 'a') == [] and not turns.due()
+    assert delivered(turns, 12, 1, 'a') == [] and not turns.is_due()
 
 
 @pytest.mark.parametrize('first', ['poses', 'a'])
@@ -314,8 +316,8 @@ def test_stamps_that_go_back_are_noticed_and_stop_nothing(clock, first):
             turns.on_cloud('a', stamp, 'anew')
     turns.on_cloud('b', 5 * S + 2, 'anew')
     turns.on_cloud('a', 5 * S + 3, 'anew')
-    assert taken(turns) == [('a', 'anew'), ('b', 'anew')] and turns.due()
-    assert turns.jumps == 1 and turns.stamp == 5 * S + 3
+    assert taken(turns) == [('a', 'anew'), ('b', 'anew')] and turns.is_due()
+    assert turns.stamp_jumps == 1 and max(turns.used_stamps.values()) == 5 * S + 3
 
 
 def test_stamps_that_go_back_while_the_cameras_are_on_their_way(clock):
@@ -323,7 +325,7 @@ def test_stamps_that_go_back_while_the_cameras_are_on_their_way(clock):
     stands(turns, 100, HERE)
     clock.now = 20.0
     assert delivered(turns, 5, 'anew', 'a') == [('a', 'anew')]
-    assert turns.overdue and turns.jumps == 1
+    assert turns.overdue and turns.stamp_jumps == 1
 
 
 def test_a_little_disorder_is_no_jump(clock):
@@ -333,7 +335,7 @@ def test_a_little_disorder_is_no_jump(clock):
     np.testing.assert_allclose(turns.positions, THERE)
     turns.on_cloud('a', 11 * S, 1)
     turns.on_cloud('a', 11 * S - S // 2, 2)
-    assert taken(turns) == [('a', 1)] and turns.jumps == 0
+    assert taken(turns) == [('a', 1)] and turns.stamp_jumps == 0
 
 
 def test_noisy_poses_stop_no_turn_and_their_mean_counts(clock):
@@ -346,23 +348,23 @@ def test_noisy_poses_stop_no_turn_and_their_mean_counts(clock):
             turns.on_poses(int((100 + clock.now) * S),
                            goal + rng.normal(0.0, sigma, HERE.shape), [np.eye(3)] * 2)
             delivered(turns, 100 + clock.now, turn, 'a')
-            if turns.due():
+            if turns.is_due():
                 break
         due.append(clock.now - began)
-        measured, rotations = turns.measured
+        measured, rotations = turns.mean_poses
         assert not turns.overdue and np.abs(measured - goal).max() < 0.7 * sigma
         assert len(rotations) == 2
-        turns.sent(goals[(turn + 1) % 4], raised=np.zeros(2, dtype=bool))
+        turns.on_command(goals[(turn + 1) % 4], height_changes=np.zeros(2, dtype=bool))
     assert max(due) < 5.0
 
 
 def test_poses_that_are_all_over_the_place_do_not_stop_the_first_turn(clock):
     rng, turns = np.random.default_rng(2), make(clock, topics=('a',), arrival_timeout=math.inf)
-    while not turns.due() and clock.now < 60.0:
+    while not turns.is_due() and clock.now < 60.0:
         clock.now += 0.1
         turns.on_poses(int((100 + clock.now) * S), HERE + rng.normal(0.0, 0.5, HERE.shape))
         delivered(turns, 100 + clock.now, 1, 'a')
-    assert turns.due() and turns.overdue and turns.no_command_sent and clock.now < 25.0
+    assert turns.is_due() and turns.overdue and turns.no_command_sent and clock.now < 25.0
 
 
 def test_rotations_are_averaged(clock):
@@ -370,8 +372,8 @@ def test_rotations_are_averaged(clock):
     for tick in range(20):
         turned = [rotation_matrix(0.5 + 0.01 * (-1) ** tick, 0.2, 0.0)] * 2
         turns.on_poses(10 * S + tick * S // 20, HERE, turned)
-    assert turns.standing
-    _, rotations = turns.measured
+    assert turns.cameras_stand
+    _, rotations = turns.mean_poses
     np.testing.assert_allclose(rotations[1], rotation_matrix(0.5, 0.2, 0.0), atol=1e-3)
 
 
@@ -383,10 +385,10 @@ def test_clouds_from_the_future_are_named_and_not_used(clock):
         turns.on_cloud('b', int((105 + clock.now) * S), 'of another clock')
         assert all(cloud == 'good'
                    for _, cloud in delivered(turns, 100 + clock.now, 'good', 'a'))
-    assert turns.due() and turns.silent() == {'b': 'stamps 5.0 s after the poses'}
+    assert turns.is_due() and turns.silent_topics() == {'b': 'stamps 5.0 s after the poses'}
     # Without newer poses the clocks cannot be compared.
     clock.now += 3.0
-    turns.sent(HERE, raised=np.zeros(2, dtype=bool))
+    turns.on_command(HERE, height_changes=np.zeros(2, dtype=bool))
     assert delivered(turns, 100 + clock.now, 'later', 'a') == [('a', 'later')]
 
 
@@ -404,20 +406,20 @@ def test_whatever_happened_a_rig_that_works_gets_its_turn(seed):
         elif what < 3:
             turns.on_cloud('ab'[what - 1], stamp, 'noise')
         elif what == 3:
-            if (cloud := turns.take()) is not None and rng.random() < 0.5:
-                turns.refuse(cloud[0])
-        elif what == 4 and turns.due():
-            turns.sent(THERE)
+            if (cloud := turns.take_cloud()) is not None and rng.random() < 0.5:
+                turns.refuse_cloud(cloud[0])
+        elif what == 4 and turns.is_due():
+            turns.on_command(THERE)
         elif what == 5:
-            turns.restarted()
+            turns.drop_clouds()
     # From now on everything is as it should be, for the time of one turn.
     for tick in range(40):
         clock.now += 0.1
         turns.on_poses(50 * S + tick * S // 10, THERE)
         delivered(turns, 50 + tick / 10, 'good')
-        if turns.due():
+        if turns.is_due():
             break
-    assert turns.due()
+    assert turns.is_due()
 
 
 def test_a_cloud_that_was_taken_too_soon_is_taken_again_for_a_while(clock):
@@ -427,14 +429,15 @@ def test_a_cloud_that_was_taken_too_soon_is_taken_again_for_a_while(clock):
     # New clouds of the topic do not make the others wait for ever.
     for number, clock.now in enumerate((0.0, 0.5, 1.0)):
         turns.on_cloud('a', (10 + number) * S, number)
-        assert turns.take() == ('a', number) and turns.wait_on('a', (10 + number) * S, number)
-        assert turns.take(['a']) == (('b', 'other') if number == 0 else None)
+        assert turns.take_cloud() == ('a', number)
+        assert turns.put_back('a', (10 + number) * S, number)
+        assert turns.take_cloud(['a']) == (('b', 'other') if number == 0 else None)
     clock.now = 1.5
-    assert turns.take() == ('a', 2) and not turns.wait_on('a', 12 * S, 2)
-    turns.refuse('a')
+    assert turns.take_cloud() == ('a', 2) and not turns.put_back('a', 12 * S, 2)
+    turns.refuse_cloud('a')
     # Another one is asked for, and a newer one is not given up for it.
-    assert turns.take() is None
+    assert turns.take_cloud() is None
     turns.on_cloud('a', 13 * S, 'next')
-    assert turns.take() == ('a', 'next')
+    assert turns.take_cloud() == ('a', 'next')
     turns.on_cloud('a', 14 * S, 'newer')
-    assert turns.wait_on('a', 13 * S, 'next') and turns.take() == ('a', 'newer')
+    assert turns.put_back('a', 13 * S, 'next') and turns.take_cloud() == ('a', 'newer')

@@ -29,7 +29,7 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     rotation_of,
 )
-from ocp_ros.ros.interface.frames import transform
+from ocp_ros.ros.interface.frames import transform_to_msg
 from ocp_ros.ros.interface.markers import frustum_edges, rig_markers
 from ocp_ros.ros.interface.views import camera_info
 from ocp_ros.ros.policy.policy_views import observed_maps
@@ -76,8 +76,8 @@ def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe, 
     assert lost.sum() == pytest.approx(turn.depth_error, rel=1e-4)
     assert coverage.header == error.header and coverage.header.frame_id == 'map'
     if sensors == 'realsense_d455':
-        probe.listen(CameraInfo, topics.camera_info(1), qos.LATCHED)
-        info = probe.last(topics.camera_info(1))
+        probe.listen(CameraInfo, topics.camera_info_topic(1), qos.LATCHED)
+        info = probe.last(topics.camera_info_topic(1))
         assert info.header.frame_id == 'camera_1_optical'
         assert info.header.stamp == coverage.header.stamp
         assert (info.width, info.height) == (1280, 720)
@@ -86,9 +86,10 @@ def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe, 
 def test_nothing_is_made_that_nobody_sees(graph, probe):
     sim = graph.add(SimNode, resend_period=0.05, **SMALL)
     policy = graph.add(PolicyNode)
-    views = [*sim._cloud_view._views, *sim._rig_view._views, *policy._views._clouds._views]
+    views = (sim._cloud_view, sim._rig_view, policy._views._cloud_view)
+    publishers = [publisher for view in views for publisher in view._publishers]
     graph.until(lambda: sim.episode.turn.step >= 2)
-    assert [view.made for view in views] == [0] * len(views)
+    assert not any(publisher.messages_made for publisher in publishers)
     for topic in (*CLOUDS, *TRUE_CLOUDS):
         probe.listen(PointCloud2, topic, qos.LATCHED)
     probe.listen(MarkerArray, topics.MARKERS, qos.LATCHED)
@@ -252,7 +253,7 @@ def frames(message):
 
 def test_a_frame_is_where_its_camera_is():
     pose = Pose(np.array([1.0, -2.0, 0.5]), rotation_matrix(0.7, -0.3, 0.2) @ OPTICAL_TO_BODY)
-    made = transform(Header(frame_id='/map'), 'camera_3', pose)
+    made = transform_to_msg(Header(frame_id='/map'), 'camera_3', pose)
     assert (made.header.frame_id, made.child_frame_id) == ('map', 'camera_3')
     np.testing.assert_allclose(rotation_of(made.transform.rotation, ''), pose.rotation, atol=1e-9)
     assert made.transform.translation.y == -2.0
@@ -288,13 +289,13 @@ def test_live_cameras_have_frames_unless_somebody_else_publishes_them(tf, graph,
     if known:
         tf2_ros = pytest.importorskip('tf2_ros', reason='ROS without tf2')
         tf2_ros.StaticTransformBroadcaster(tf.node).sendTransform(
-            transform(Header(frame_id='map'), 'camera_1', Pose(np.zeros(3), np.eye(3))))
+            transform_to_msg(Header(frame_id='map'), 'camera_1', Pose(np.zeros(3), np.eye(3))))
         tf.last('/tf_static')
     tf.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
     policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points_0,points_1,points_2')
     if known:
         listener = policy._live._transforms
-        graph.until(lambda: listener.knows('camera_1', 'map'))
+        graph.until(lambda: listener.has_transform('camera_1', 'map'))
     rig = graph.add(lambda **kwargs: Rig(episode_in(room), (BODY,) * 3, **{
         **kwargs, 'parameter_overrides': []}))
     tf.received['/tf'].clear()

@@ -117,7 +117,7 @@ class Fuzzer:
 
     def spoilt_reward(self) -> Float64MultiArray:
         """Make a reward that lies."""
-        return spoilt_fields(self.rng, [*topics.REWARD_FIELDS, topics.share(0)])
+        return spoilt_fields(self.rng, [*topics.REWARD_FIELDS, topics.share_field(0)])
 
     def weights_blob(self) -> bytes:
         """Make weights that have to be refused."""

@@ -60,7 +60,8 @@ class TrainerTarget:
         values = dict.fromkeys(topics.REWARD_FIELDS, 0.0)
         values |= {'previous_nanosec': self._stamp - 1, 'stamp_nanosec': self._stamp,
                    'step': self._stamp - 1, 'reward': 0.5}
-        return fields_to_msg(values | {topics.share(number): 0.25 for number in range(len(START))})
+        return fields_to_msg(values | {
+            topics.share_field(number): 0.25 for number in range(len(START))})
 
     def _turn(self, lie: str = '') -> None:
         """Send the parts of a turn, one of which may lie."""

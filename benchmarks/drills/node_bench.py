@@ -56,7 +56,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
-from ocp_ros.ros.runtime.network import LOCALHOST
+from ocp_ros.ros.runtime.network import LOCALHOST_ENVIRONMENT
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -105,7 +105,7 @@ class Answers:
         self._published = 0.0
         self.node._turns._plan_ahead = self._reflect
         # A node that has just begun looks first whether another one commands.
-        watch.spin_until(lambda: not self.node._waits(), PATIENCE, 'the right to command', [])
+        watch.spin_until(lambda: not self.node._must_wait(), PATIENCE, 'the right to command', [])
 
     def _reflect(self) -> None:
         """Think as the node does, and remember when that began."""
@@ -252,7 +252,7 @@ def main(args: list[str] | None = None) -> int:
     """Measure, and print the figures."""
     options = parser().parse_args(args)
     end_on_signals()
-    os.environ.update(LOCALHOST)
+    os.environ.update(LOCALHOST_ENVIRONMENT)
     turns, learned = [], []
     if options.rooms:
         domain, holder = free_domain()

@@ -48,7 +48,7 @@ from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.live_turns import LiveTurns
-from ocp_ros.ros.policy.policy_config import BY_HAND, PolicyNodeConfig
+from ocp_ros.ros.policy.policy_config import MANUAL_DEFAULTS, PolicyNodeConfig
 from ocp_ros.ros.policy.policy_views import PolicyViews
 from ocp_ros.ros.policy.simulated_turns import SimulatedTurns, TurnInfo
 from ocp_ros.ros.runtime import diagnostics
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
 
 
 def load_checkpoint(path: Path) -> 'Checkpoint':
-    """Read weights; import PyTorch only now, since that takes long."""
+    """Read weights; import PyTorch only here, since that takes long."""
     from ocp_ros.policy.checkpoint import Checkpoint
     return Checkpoint.load(path)
 
@@ -87,61 +87,60 @@ class PolicyNode(ManagedNode):
         self._live: LiveTurns | None = None
         self._calibrator: Calibrator | None = None
         self._paused = False
-        super().__init__('policy_node', PolicyNodeConfig, {'manual': BY_HAND}, **kwargs)
+        super().__init__('policy_node', PolicyNodeConfig, {'manual': MANUAL_DEFAULTS}, **kwargs)
 
     def configure(self) -> None:
         """Read the weights and the rig, and subscribe to the topics; send no command yet."""
         set_threads(self.config.threads)
-        path = None if self.config.weightless else find_model(self.config.model)
+        path = None if self.config.needs_no_weights else find_model(self.config.model)
         self._decider = Decider(
             self.config, None if path is None else load_checkpoint(path), self.get_logger())
         self._counts = {'turns_answered': 0, 'refused_messages': 0, 'weights_swapped': 0,
                         'weights_refused': 0}
-        self._finality = Convergence(self)
+        self._convergence = Convergence(self)
         self._start_episode(episode=0)
-        self._commands = Commander(self)
-        self._placement = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
+        self._commander = Commander(self)
+        self._placement_publisher = self.create_publisher(PoseArray, topics.PLACEMENT, LATCHED)
         self._experiences = None
         if self.config.explore:
             from ocp_ros.ros.policy.experiences import Experiences
-            # With ``explore`` the policy is one that records its choices.
+            # With ``explore`` the policy records its choices.
             self._experiences = Experiences(
-                self, lambda: self.policy, self._go_on)  # type: ignore[return-value]
-        if self.config.clouds:
+                self, lambda: self.policy, self._answer_if_ready)  # type: ignore[return-value]
+        if self.config.live_topics:
             self._live = LiveTurns(
-                self, self.config, self._commands, self._answer, lambda: self._is_final,
-                self._refuse, self._waits, self._decider.expected, self._plan_ahead,
-                self._decider.in_place)
+                self, self.config, self._commander, self._decide, lambda: self._is_final,
+                self._refuse, self._must_wait, self._decider.describe_gain, self._plan_ahead,
+                self._decider.add_fixed_poses)
         else:
-            self._turns = SimulatedTurns(
-                self, self._commands, self._answer, self._on_turn_info, self._refuse, self._waits,
-                self._plan_ahead)
+            self._turns = SimulatedTurns(self, self._commander, self._decide, self._on_turn_info,
+                                         self._refuse, self._must_wait, self._plan_ahead)
         if self._live is not None and self.config.scan:
             from ocp_ros.ros.policy.calibrator import Calibrator
-            self._calibrator = Calibrator(self, self.config, self._decider, self._live.sighted,
-                                          lambda: self._is_final)
+            self._calibrator = Calibrator(self, self.config, self._decider,
+                                          self._live.latest_clouds, lambda: self._is_final)
         if self.policy is not None:
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
-        self._views = PolicyViews(self, self._decider.models, self._live is not None,
-                                  self._decider.state if self._decider.rig else None)
+        self._views = PolicyViews(self, self._decider.models, live=self._live is not None,
+                                  rig_state=self._decider.state if self._decider.rig else None)
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._health = diagnostics.Health(self, self._status)
+        self._status_publisher = diagnostics.StatusPublisher(self, self._status)
         weights = 'no weights' if path is None else \
             f'weights of {path.name}: {self.policy.checkpoint.updates} updates'
         planner = 'exploring' if self.config.explore else self.config.planner
-        cameras = f'live: {", ".join(self.config.clouds)}' if self._live else 'simulation'
+        cameras = f'live: {", ".join(self.config.live_topics)}' if self._live else 'simulation'
         self.get_logger().info(f'{planner}, {weights}, {cameras}')
 
     def activate(self) -> None:
-        """Command the cameras, unless another node does."""
-        self._commands.begin(self._go_on)
+        """Command the cameras as soon as no other node commands them."""
+        self._commander.begin_checks(self._answer_if_ready)
 
     def deactivate(self) -> None:
         """Leave the cameras where they are, and let other nodes command them."""
         self._stop_cameras()
-        self._commands.end()
+        self._commander.end_commands()
 
     def release(self) -> None:
         """Drop the weights, the rig and all observations."""
@@ -151,10 +150,10 @@ class PolicyNode(ManagedNode):
         self._paused = False
 
     def _plan_ahead(self) -> None:
-        """Let the planner plan ahead; after two seconds stop once a message waits."""
-        # A planner needs a tenth of this time to plan ahead.
-        undisturbed_until = time.monotonic() + 2.0
-        self._decider.plan_ahead(lambda: time.monotonic() > undisturbed_until and has_news(self))
+        """Let the planner plan ahead; after two seconds, stop it once a message waits."""
+        # Planners need about a tenth of this time.
+        checked_from = time.monotonic() + 2.0
+        self._decider.plan_ahead(lambda: time.monotonic() > checked_from and has_message(self))
 
     @property
     def planner(self) -> Online:
@@ -169,50 +168,51 @@ class PolicyNode(ManagedNode):
     @property
     def _is_final(self) -> bool:
         """Return whether the placement is final."""
-        return bool(self._finality.why)
+        return bool(self._convergence.final_reason)
 
     def _start_episode(self, episode: int) -> None:
-        """Drop the data of the last episode and begin a new one."""
+        """Begin an episode without the data of the last episode."""
         self._decider.reset()
         self._episode = episode
         self._step = 0
         self._is_last_turn = False
         #: The final placement; None while there is none.
         self._final_poses: PoseArray | None = None
-        self._finality.begin()
-        self._finality.say(self._step, self.config)
+        self._convergence.begin_episode()
+        self._convergence.publish_status(self._step, self.config)
 
-    def change(self, config: PolicyNodeConfig) -> None:
-        """Continue with other parameters."""
-        self._decider.change(config)
-        self._views.change(self._decider.models)
+    def apply_config(self, config: PolicyNodeConfig) -> None:
+        """Continue with new parameters."""
+        self._decider.apply_config(config)
+        self._views.apply_models(self._decider.models)
         if self._live is not None:
-            self._live.change(config)
+            self._live.apply_config(config)
         if self._calibrator is not None:
-            self._calibrator.change(config)
+            self._calibrator.apply_config(config)
 
     def _on_turn_info(self, info: TurnInfo) -> None:
-        """Take from a simulation which turn it is and whether it is the last."""
+        """Take the number of the turn, and whether it is the last, from a simulation."""
         # Step 0 always begins a new episode: a restarted simulation counts episodes from 1 again.
         if info.episode != self._episode or info.step == 0:
             self._start_episode(info.episode)
-        self._step, self._is_last_turn = info.step, info.is_last
-        if info.answered is not None:
+        self._step = info.step
+        self._is_last_turn = info.is_last
+        if info.answered_poses is not None:
             if self._is_last_turn:
-                self._finish(info.answered)
+                self._publish_placement(info.answered_poses)
             self._step += 1
 
     def _stop_cameras(self) -> None:
         """Command cameras that may be moving to stay where they are."""
-        if self._live is not None and self.active and not self._commands.waits:
-            self._live.hold()
+        if self._live is not None and self.active and not self._commander.must_wait:
+            self._live.hold_cameras()
 
     def _on_pause(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        """Pause or continue, as the request says."""
+        """Pause if the request has ``data: true``, else continue."""
         if request.data and not self._paused:
             self._stop_cameras()
         self._paused = request.data
-        self._go_on()
+        self._answer_if_ready()
         response.success = True
         response.message = 'paused' if self._paused else 'going on'
         return response
@@ -225,74 +225,78 @@ class PolicyNode(ManagedNode):
             return response
         self._start_episode(self._episode + 1)
         self._live.reset()
-        response.success, response.message = True, 'a new placement begins'
+        response.success = True
+        response.message = 'a new placement begins'
         return response
 
-    def _waits(self) -> bool:
-        """Return whether an answer waits: node inactive or paused, other commander, or trainer."""
-        return bool(not self.active or self._paused or self._commands.waits or (
+    def _must_wait(self) -> bool:
+        """Return whether this node must not command: it is not running, or waits for others."""
+        return bool(not self.active or self._paused or self._commander.must_wait or (
             self._experiences and self._experiences.must_wait))
 
-    def _go_on(self) -> None:
+    def _answer_if_ready(self) -> None:
         """Answer the turn that waits, if there is one."""
         if self._turns is not None:
-            self._turns.act()
+            self._turns.answer_if_ready()
 
-    def _answer(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
+    def _decide(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
         """
-        Answer a turn.
+        Return the command of a turn, and publish what follows from it.
 
-        :param cloud: (N, 3) float32, metres: the points observed so far.
-        :param poses: of the cameras.
-        :returns: the poses that the cameras are commanded to.
+        :param cloud: the N points observed so far, (N, 3) float32, metres.
+        :param poses: present poses of the cameras.
+        :returns: the target poses of the cameras.
         """
         positions = msg_to_positions(poses)
-        self._decider.check(cloud, poses)
-        if self._final_reason():
-            self._finish(poses)
+        self._decider.check_turn(cloud, poses)
+        if self._reason_to_finish():
+            self._publish_placement(poses)
             if self._experiences:
-                # The last choice needs the observation that it led to: planning records it.
+                # The trainer needs the observation after the last choice: planning records it.
                 self._decider.plan(cloud, poses, self._step)
         # A final placement stays as it is, even if measured poses differ from it.
         answer = self._decider.decide(cloud, poses, self._step) if self._final_poses is None else \
             PoseArray(header=poses.header, poses=self._final_poses.poses)
         target = msg_to_positions(answer)
         if self._final_poses is None:
-            self._finality.moved(np.linalg.norm(target - positions, axis=1).max(),
-                                 self._decider.widest, self.config)
+            longest_move = np.linalg.norm(target - positions, axis=1).max()
+            self._convergence.record_move(
+                longest_move, self._decider.largest_rotation, self.config)
         if self._experiences:
             # Fixed cameras come last; the policy chooses nothing for them.
-            moved = target[:self._decider.movable(poses)]
-            self._experiences.publish(stamp_to_ns(poses.header.stamp), self._step, moved)
+            movable_targets = target[:self._decider.count_movable(poses)]
+            self._experiences.publish(stamp_to_ns(poses.header.stamp), self._step, movable_targets)
         self._counts['turns_answered'] += 1
         self._step += 1
-        self._views.turn(cloud, poses)
-        self._finality.say(self._step, self.config)
+        self._views.show_turn(cloud, poses)
+        self._convergence.publish_status(self._step, self.config)
         return answer
 
-    def _final_reason(self) -> str:
-        """Return why the placement is final; empty while it is not."""
-        return self._finality.reason(
-            self._step, self._is_last_turn, self._decider.alone, self.config)
+    def _reason_to_finish(self) -> str:
+        """Return why the placement is final; empty if it is not final yet."""
+        return self._convergence.reason_to_finish(
+            self._step, self._is_last_turn, self._decider.without_lookahead, self.config)
 
-    def _finish(self, poses: PoseArray) -> None:
-        """Publish the final placement, once per episode, and the reason why it is final."""
+    def _publish_placement(self, poses: PoseArray) -> None:
+        """Publish the final placement and why it is final; do nothing if that has been done."""
         if not self._is_final:
-            self._finality.why = self._final_reason()
+            self._convergence.final_reason = self._reason_to_finish()
             self._final_poses = poses
-            self._finality.gaps = self._live.gaps if self._live else ''
-            self._placement.publish(poses)
-            log = self.get_logger()
-            (log.warning if self._finality.gaps else log.info)(
-                f'placement is {self._finality.say(self._step, self.config)}')
+            self._convergence.missing_data = self._live.missing_data if self._live else ''
+            self._placement_publisher.publish(poses)
+            text = f'placement is {self._convergence.publish_status(self._step, self.config)}'
+            if self._convergence.missing_data:
+                self.get_logger().warning(text)
+            else:
+                self.get_logger().info(text)
             if self.config.placement_file:
-                self._save(self.config.placement_file, poses)
+                self._save_placement(self.config.placement_file, poses)
 
-    def _save(self, path: str, poses: PoseArray) -> None:
+    def _save_placement(self, path: str, poses: PoseArray) -> None:
         """Write the placement to a file; log an error if that fails."""
+        reasons = filter(None, (self._convergence.final_reason, self._convergence.missing_data))
         try:
-            save_placement(path, placement_from(poses, self._decider, '; '.join(filter(None, (
-                self._finality.why, self._finality.gaps)))))
+            save_placement(path, make_placement(poses, self._decider, '; '.join(reasons)))
         except OSError as error:
             self.get_logger().error(f'placement_file: found {path}, which cannot be written '
                                     f'({error.strerror}); expected a file in a folder that can')
@@ -300,7 +304,7 @@ class PolicyNode(ManagedNode):
             self.get_logger().info(f'wrote {path}')
 
     def _on_weights(self, message: UInt8MultiArray) -> None:
-        """Check new weights and use them, or keep the weights that run."""
+        """Use new weights if they fit the policy; else keep the present weights."""
         from ocp_ros.policy.checkpoint import Checkpoint
         running = self.policy.checkpoint
         try:
@@ -324,61 +328,50 @@ class PolicyNode(ManagedNode):
 
     def _status(self) -> diagnostics.Status:
         """Return the status of the planner for diagnostics."""
-        message, gaps = 'answering turns', self._finality.gaps
+        message = 'answering turns'
+        missing_data = self._convergence.missing_data
         if self._is_final:
             message = 'placement is final'
-        wrong, live = self._live.status() if self._live else (
-            diagnostics.crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION), {})
-        drifted, checks = self._calibrator.status() if self._calibrator else ('', {})
-        wrong = wrong or '; '.join(self._decider.held) or drifted
+        warning, live_values = self._live.status() if self._live else (
+            diagnostics.warn_of_crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION), {})
+        drift_warning, drift_values = self._calibrator.status() if self._calibrator else ('', {})
+        warning = warning or '; '.join(self._decider.stay_warnings) or drift_warning
         if not self.active or self._paused:
             message = 'paused' if self.active else 'inactive'
         else:
-            wrong = self._commands.wrong() or wrong or (
-                gaps and f'placement is final, with gaps: {gaps}')
-        run, updates = '-', 0
-        if self.policy is not None:
-            run, updates = self.policy.checkpoint.run or '-', self.policy.checkpoint.updates
-        return diagnostics.WARN if wrong else diagnostics.OK, wrong or message, {
+            warning = self._commander.conflict_warning() or warning or (
+                missing_data and f'placement is final, with gaps: {missing_data}')
+        checkpoint = None if self.policy is None else self.policy.checkpoint
+        level = diagnostics.WARN if warning else diagnostics.OK
+        return level, warning or message, {
             'planner': 'exploring' if self.config.explore else self.config.planner,
-            'weights_run': run, 'weights_updates': updates,
-            'step': self._step, **self._finality.values(), **self._counts, **live, **checks}
+            'weights_run': (checkpoint and checkpoint.run) or '-',
+            'weights_updates': 0 if checkpoint is None else checkpoint.updates, 'step': self._step,
+            **self._convergence.diagnostic_values(), **self._counts, **live_values, **drift_values}
 
 
-def main(args: list[str] | None = None) -> int:
-    """Run the node."""
-    # The network is small: more threads would only take cores from the rest of the robot. PyTorch
-    # reads this variable when it is imported; with lookahead alone it is not imported.
-    os.environ['OMP_NUM_THREADS'] = '1'
-    return run(PolicyNode, args)
-
-
-if __name__ == '__main__':
-    sys.exit(main())
-
-
-def has_news(node: Node) -> bool:
-    """Return whether a message waits on a subscription of a node; leave the message there."""
+def has_message(node: Node) -> bool:
+    """Return whether a message waits on a subscription of a node; do not read the message."""
     subscriptions = list(node.subscriptions)
     with node.context.handle:
-        waiting = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0,
-                                               node.context.handle)
-        waiting.clear_entities()
+        wait_set = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0,
+                                                node.context.handle)
+        wait_set.clear_entities()
         for subscription in subscriptions:
-            waiting.add_subscription(subscription.handle)
-        waiting.wait(0)
-        return bool(waiting.get_ready_entities('subscription'))
+            wait_set.add_subscription(subscription.handle)
+        wait_set.wait(0)
+        return bool(wait_set.get_ready_entities('subscription'))
 
 
-def placement_from(poses: PoseArray, decider: Decider, why: str) -> Placement:
+def make_placement(poses: PoseArray, decider: Decider, reason: str) -> Placement:
     """
     Make a placement from camera poses.
 
-    :param poses: of the cameras, in the order of the rig.
-    :param decider: has the rig of the rig file, or without one the camera model.
-    :param why: reason why the placement is final.
+    :param poses: poses of the cameras, in the order of the rig.
+    :param decider: has the rig of the rig file, or, without a rig file, the camera model.
+    :param reason: why the placement is final.
     """
-    created = {**created_by('policy_node'), 'final': why}
+    created = {**created_by('policy_node'), 'final': reason}
     frame = poses.header.frame_id
     if decider.rig is not None:
         state = decider.state(poses)
@@ -389,3 +382,15 @@ def placement_from(poses: PoseArray, decider: Decider, why: str) -> Placement:
                           'free')
                    for number, position in enumerate(msg_to_positions(poses).round(4).tolist()))
     return Placement(placed, created=created, frame=frame)
+
+
+def main(args: list[str] | None = None) -> int:
+    """Run the node."""
+    # The network is small: more threads would only take cores from the rest of the robot. PyTorch
+    # reads this variable when it is imported; lookahead alone does not import it.
+    os.environ['OMP_NUM_THREADS'] = '1'
+    return run(PolicyNode, args)
+
+
+if __name__ == '__main__':
+    sys.exit(main())

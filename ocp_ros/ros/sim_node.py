@@ -44,7 +44,7 @@ from ocp_ros.ros.interface.frames import CameraFrames, publish_tf
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.interface.views import CloudView, RigView
 from ocp_ros.ros.runtime import diagnostics
-from ocp_ros.ros.runtime.managed_node import autostart, ManagedNode
+from ocp_ros.ros.runtime.managed_node import autostart, create_steady_timer, ManagedNode
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.episode import Episode
@@ -52,8 +52,6 @@ from ocp_ros.simulation.point_maps import maps_of
 from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import group, MAX_SEED, setting
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64, Float64MultiArray, Header
 from std_srvs.srv import Trigger
@@ -66,10 +64,8 @@ class SimNodeConfig(SimulationConfig):
     scene: SceneConfig = group(SceneConfig)
     seed: int = setting(0, 'seed of the start positions', 0, MAX_SEED)
     auto_reset: bool = setting(False, 'begin the next episode when one ends', running=True)
-    resend_period: float = setting(
-        0.5, 'time without a command after which the latest turn is sent again, '
-             'seconds', 0.02, 60.0,
-        running=True)
+    resend_period: float = setting(0.5, 'time without a command after which the latest turn is '
+                                   'sent again, seconds', 0.02, 60.0, running=True)
     frame_id: str = setting('map', 'frame of every message')
     publish_tf: bool = publish_tf()
     autostart: bool = autostart()
@@ -86,20 +82,23 @@ class SimNode(ManagedNode):
         self.problem = make_problem(make_scene(self.config.scene), self.config)
         self.simulator = self.problem.simulator
         self._rng = np.random.default_rng(self.config.seed)
-        self._episodes = self._stamp = self._previous = 0
+        self._episodes = 0
+        #: Stamps of the latest turn and of the turn before, nanoseconds; 0: no such turn.
+        self._stamp = self._previous_stamp = 0
         self._counts = {'stale_commands': 0, 'refused_commands': 0, 'resent_turns': 0}
         self._make_publishers()
         self.create_subscription(PoseArray, topics.CAMERA_COMMANDS, self._on_command, LOOP)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._resend = self.create_timer(self.config.resend_period, self._on_silence,
-                                         clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._health = diagnostics.Health(self, self._status)
-        scene, models = self.simulator.scene, self.problem.models
-        self._scene.publish(cloud_to_msg(scene.points, self._header()))
+        self._resend_timer = create_steady_timer(
+            self, self.config.resend_period, self._on_command_timeout)
+        self._status_publisher = diagnostics.StatusPublisher(self, self._status)
+        scene = self.simulator.scene
+        models = self.problem.models
+        self._scene_publisher.publish(cloud_to_msg(scene.points, self._header()))
         self.get_logger().info(
             f'{scene.name}: {len(scene)} points, ' + ' x '.join(f'{s:.1f}' for s in scene.size)
             + f' m, {len(models)} cameras')
-        self._place()
+        self._place_cameras()
         if not len(self.episode.observed):
             raise SceneError(
                 f'{scene.name}: found no point within {max(m.max_range for m in models)} m of the '
@@ -108,100 +107,100 @@ class SimNode(ManagedNode):
                 'the cameras')
 
     def activate(self) -> None:
-        """Send the latest turn."""
+        """Send the latest turn; the first time, begin the first turn."""
         if self._stamp:
-            self._send_turn()
+            self._send_messages()
         else:
-            self._publish_turn()
+            self._publish_new_turn()
 
     def _make_publishers(self) -> None:
-        """Create every publisher."""
-        def loop(kind, name):
-            return self.create_publisher(kind, name, LOOP)
-
-        self._observation = loop(PointCloud2, topics.OBSERVATION)
-        self._poses = loop(PoseArray, topics.CAMERA_POSES)
-        self._reward = loop(Float64MultiArray, topics.REWARD)
-        self._coverage = loop(Float64, topics.SPACE_COVERAGE)
-        self._error = loop(Float64, topics.DEPTH_ERROR)
-        self._scene = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
-        self._frames = CameraFrames(self, self.config.publish_tf, lambda frame, parent: False)
+        """Create the publishers of the topics, of tf, and of the views."""
+        self._observation_publisher = self.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
+        self._poses_publisher = self.create_publisher(PoseArray, topics.CAMERA_POSES, LOOP)
+        self._reward_publisher = self.create_publisher(Float64MultiArray, topics.REWARD, LOOP)
+        self._coverage_publisher = self.create_publisher(Float64, topics.SPACE_COVERAGE, LOOP)
+        self._error_publisher = self.create_publisher(Float64, topics.DEPTH_ERROR, LOOP)
+        self._scene_publisher = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
+        self._frames = CameraFrames(self, self.config.publish_tf)
         models = self.problem.models
         self._rig_view = RigView(self, topics.MARKERS, models, len(models))
-        self._cloud_view = CloudView(
-            self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
-            lambda: maps_of(self.simulator, self._camera_poses()))
+        self._cloud_view = CloudView(self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
+                                     lambda: maps_of(self.simulator, self._camera_poses()))
 
     def _header(self) -> Header:
         """Return a header with the latest turn's stamp."""
         return Header(stamp=ns_to_stamp(self._stamp), frame_id=self.config.frame_id)
 
-    def _place(self) -> None:
-        """Place the cameras for an episode."""
+    def _place_cameras(self) -> None:
+        """Place the cameras at the start poses of a new episode."""
         self.episode = Episode(self.problem, self._rng)
         self._episodes += 1
-        self._rig_view.forget()
+        self._rig_view.clear_trajectories()
 
-    def _begin(self) -> None:
+    def _begin_episode(self) -> None:
         """Begin an episode and publish its first turn."""
-        self._place()
-        self._publish_turn()
+        self._place_cameras()
+        self._publish_new_turn()
 
-    def _publish_turn(self) -> None:
-        """Give the turn a new stamp and send it."""
-        self._previous = self._stamp
+    def _publish_new_turn(self) -> None:
+        """Give the present turn of the episode a stamp, and publish it with its views."""
+        self._previous_stamp = self._stamp
         # Strictly later than the last stamp, even if the clock stops or is set back.
         self._stamp = max(self.get_clock().now().nanoseconds, self._stamp + 1)
-        self._answered = False
-        header, turn, rows = self._header(), self.episode.turn, self.episode.placement
+        self._turn_answered = False
+        header = self._header()
+        positions, headings = np.hsplit(self.episode.placement, [3])
+        self._sent_poses = positions_to_msg(positions, header, headings)
         self._turn_messages = (
-            (self._reward, fields_to_msg(self._reward_fields())),
-            (self._poses, positions_to_msg(rows[:, :3], header, rows[:, 3:])),
-            (self._observation, cloud_to_msg(self.episode.observed_cloud, header)))
-        self._send_turn()
-        self._coverage.publish(Float64(data=turn.space_coverage))
-        self._error.publish(Float64(data=turn.depth_error))
-        self._rig_view.turn(header, self._camera_poses())
+            (self._reward_publisher, fields_to_msg(self._reward_fields())),
+            (self._poses_publisher, self._sent_poses),
+            (self._observation_publisher, cloud_to_msg(self.episode.observed_cloud, header)))
+        self._send_messages()
+        self._coverage_publisher.publish(Float64(data=self.episode.turn.space_coverage))
+        self._error_publisher.publish(Float64(data=self.episode.turn.depth_error))
+        self._rig_view.show_turn(header, self._camera_poses())
         self._frames.publish(header, self._camera_poses())
-        self._cloud_view.turn(header)
+        self._cloud_view.show_turn(header)
 
     def _camera_poses(self) -> list[Pose]:
         """Return the poses of the cameras."""
         return [Pose.of(row) for row in self.episode.placement]
 
     def _reward_fields(self) -> dict[str, float]:
-        """Return the fields of the reward topic in their order."""
-        turn, terms = self.episode.turn, self.episode.turn.terms
-        now, before = ns_to_stamp(self._stamp), ns_to_stamp(self._previous)
-        values = (now.sec, now.nanosec, before.sec, before.nanosec, self._episodes, turn.step,
-                  *terms, turn.space_coverage, turn.depth_error, False, turn.truncated)
+        """Return the fields of the reward topic, by name and in their order."""
+        turn = self.episode.turn
+        stamp, previous = ns_to_stamp(self._stamp), ns_to_stamp(self._previous_stamp)
+        terminated = False
+        values = (stamp.sec, stamp.nanosec, previous.sec, previous.nanosec, self._episodes,
+                  turn.step, *turn.terms, turn.space_coverage, turn.depth_error, terminated,
+                  turn.truncated)
         order = order_of(turn.step - 1, len(turn.positions)) if turn.step else ()
-        shares = {topics.share(number): share.reward
+        shares = {topics.share_field(number): share.reward
                   for number, share in enumerate(self.episode.shares(order))}
         return dict(zip(topics.REWARD_FIELDS, values, strict=True)) | shares
 
-    def _send_turn(self) -> None:
-        """Send the latest turn, and restart the timer for its command."""
+    def _send_messages(self) -> None:
+        """Send the messages of the latest turn, and restart the timer for its command."""
         for publisher, message in self._turn_messages:
             publisher.publish(message)
-        self._resend.reset()
+        self._resend_timer.reset()
 
-    def change(self, config: SimNodeConfig) -> None:
-        """Continue with other parameters, also within the episode."""
+    def apply_config(self, config: SimNodeConfig) -> None:
+        """Continue with new parameters, also within the episode."""
         self.simulator.config = config
         self.episode.config = config.episode
-        self._resend.timer_period_ns = int(config.resend_period * 1e9)
-        self._resend.reset()
+        self._resend_timer.timer_period_ns = int(config.resend_period * 1e9)
+        self._resend_timer.reset()
 
-    def _on_silence(self) -> None:
-        """Send the turn again: its messages or the command may have been lost."""
+    def _on_command_timeout(self) -> None:
+        """Send the frames and the turn again: its messages or the command may have been lost."""
         if self.active:
             now = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.config.frame_id)
             self._frames.publish(now, self._camera_poses())
         # No turn follows the last one, but the policy has to receive that it is the last.
-        if self.active and not (self._answered and self.episode.turn.truncated):
+        if self.active and not (self._turn_answered and self.episode.turn.truncated):
             self._counts['resent_turns'] += 1
-            self._send_turn()
+            self._send_messages()
 
     def _on_command(self, message: PoseArray) -> None:
         """Move the cameras if the command answers the latest turn."""
@@ -210,7 +209,7 @@ class SimNode(ManagedNode):
             return
         try:
             target = msg_to_positions(message, len(self.problem.models))
-            headings = self._commanded(message)
+            headings = self._commanded_headings(message)
             if message.header.frame_id != self.config.frame_id:
                 raise MessageError(f'command: found the frame {message.header.frame_id!r}; '
                                    f'expected {self.config.frame_id!r}')
@@ -219,27 +218,28 @@ class SimNode(ManagedNode):
             self.get_logger().warning(
                 f'command refused: {shortened(error)}', throttle_duration_sec=1.0)
             return
-        self._answered = True
+        self._turn_answered = True
         if self.episode.turn.truncated:
             return
         # Fixed cameras stay: their entries in a command are ignored.
         positions = self.episode.turn.positions
         self.episode.move(target[:len(positions)] - positions, headings)
-        self._publish_turn()
+        self._publish_new_turn()
         if self.episode.turn.truncated and self.config.auto_reset:
-            self._begin()
+            self._begin_episode()
 
-    def _commanded(self, message: PoseArray) -> np.ndarray:
+    def _commanded_headings(self, message: PoseArray) -> np.ndarray:
         """
-        Return the headings that a command asks for: (K, 3) yaw, pitch, roll in radians.
+        Return the headings of a command: (K, 3) yaw, pitch, roll in radians, K movable cameras.
 
         The orientation of an omnidirectional camera is ignored. A camera whose commanded
         quaternion equals the one that the turn sent keeps its heading exactly.
         """
-        headings, (_, (_, sent), _) = self.episode.turn.headings.copy(), self._turn_messages
-        cameras = zip(message.poses[:len(headings)], sent.poses, self.problem.models)
-        for camera, (pose, now, model) in enumerate(cameras):
-            if not model.omnidirectional and pose.orientation != now.orientation:
+        headings = self.episode.turn.headings.copy()
+        poses = message.poses[:len(headings)]
+        for camera, (pose, model) in enumerate(zip(poses, self.problem.models)):
+            sent_pose = self._sent_poses.poses[camera]
+            if not model.omnidirectional and pose.orientation != sent_pose.orientation:
                 headings[camera] = heading_of(
                     rotation_of(pose.orientation, f'command: camera {camera}'))
         return headings
@@ -249,7 +249,7 @@ class SimNode(ManagedNode):
         if not self.active:
             response.message = 'the node is inactive; expected it active; activate it'
             return response
-        self._begin()
+        self._begin_episode()
         response.success = True
         response.message = f'episode {self._episodes}'
         return response
@@ -257,11 +257,12 @@ class SimNode(ManagedNode):
     def _status(self) -> diagnostics.Status:
         """Return the status of the loop for diagnostics."""
         turn = self.episode.turn
-        waiting = 'episode over' if turn.truncated else 'waiting for commands'
+        message = 'episode over' if turn.truncated else 'waiting for commands'
         if not self.active:
-            waiting = 'inactive'
-        wrong = diagnostics.crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION)
-        return diagnostics.WARN if wrong else diagnostics.OK, wrong or waiting, {
+            message = 'inactive'
+        warning = diagnostics.warn_of_crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION)
+        level = diagnostics.WARN if warning else diagnostics.OK
+        return level, warning or message, {
             'episode': self._episodes, 'step': turn.step, **self._counts}
 
 

@@ -30,34 +30,34 @@ import sys
 from typing import NoReturn
 
 
-def _started(module: str) -> NoReturn:
-    """Import a node, run it and end the process with its exit code."""
-    for number in (signal.SIGINT, signal.SIGTERM):
-        # Nothing has started that would have to be ended. Raising an error would be wrong: some
-        # libraries catch errors that are raised during their import as their own.
-        signal.signal(number, lambda *_: os._exit(0))
-    code = import_module(f'ocp_ros.ros.{module}').main()
+def _run_and_exit(module_name: str) -> NoReturn:
+    """Import a module of this package, run its node, and end the process with its exit code."""
+    for signal_number in (signal.SIGINT, signal.SIGTERM):
+        # A signal during the import ends the process at once: nothing has to be saved yet. An
+        # error would be wrong: some libraries catch errors during their import as their own.
+        signal.signal(signal_number, lambda *_: os._exit(0))
+    exit_code = import_module(f'ocp_ros.ros.{module_name}').main()
     logging.shutdown()
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
-    os._exit(code)
+    os._exit(exit_code)
 
 
 def sim_node() -> NoReturn:
     """Run ``sim_node``."""
-    _started('sim_node')
+    _run_and_exit('sim_node')
 
 
 def policy_node() -> NoReturn:
     """Run ``policy_node``."""
-    _started('policy_node')
+    _run_and_exit('policy_node')
 
 
 def trainer_node() -> NoReturn:
     """Run ``trainer_node``."""
-    _started('trainer_node')
+    _run_and_exit('trainer_node')
 
 
 def guide_node() -> NoReturn:
     """Run ``guide_node``."""
-    _started('guide_node')
+    _run_and_exit('guide_node')

@@ -33,15 +33,14 @@ from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.runtime import diagnostics
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.ros.runtime.parameters import declare
-from ocp_ros.ros.training_source import Source
+from ocp_ros.ros.training_source import TransitionSource
 from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.settings import group, setting, to_nested
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 import torch
 import yaml
@@ -57,9 +56,8 @@ MAX_SILENCE_S = 60.0
 class TrainerNodeConfig(LearnerConfig):
     """Parameters of ``trainer_node``."""
 
-    sources: str = setting(
-        '', 'namespaces to learn from, separated by commas; empty: its own namespace and every '
-            'namespace in which a policy explores')
+    sources: str = setting('', 'namespaces to learn from, separated by commas; empty: its own '
+                           'namespace and every namespace in which a policy explores')
     most_behind: int = setting(
         100, 'policies wait while more gradient steps than this are due', 1, 1 << 31)
     agent: AgentConfig = group(AgentConfig)
@@ -67,39 +65,39 @@ class TrainerNodeConfig(LearnerConfig):
 
 
 class TrainerNode(Node):
-    """Collect transitions from many namespaces, train, publish weights."""
+    """Collect transitions from many namespaces, train a policy, and publish its weights."""
 
     def __init__(self, **kwargs) -> None:
         super().__init__('trainer_node', **kwargs)
         self.config = declare(self, TrainerNodeConfig)
         folder_to_write(Path(self.config.folder), 'folder')
         torch.set_num_threads(self.config.threads)
-        start = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
+        checkpoint = Checkpoint.load(find_model(self.config.model)) if self.config.model else None
         # A checkpoint contains the settings of its network.
-        self.agent = self.config.agent if start is None else start.config
-        self.learner = Learner(self.config, self.agent, self.config.sac, start)
+        self.agent = self.config.agent if checkpoint is None else checkpoint.config
+        self.learner = Learner(self.config, self.agent, self.config.sac, checkpoint)
         write_atomically(self.learner.folder / 'config.yaml',
                          yaml.safe_dump(to_nested(self.config), sort_keys=False))
-        self.sources: dict[str, Source] = {}
-        #: Counts of the dropped sources together, and the time at which each was dropped.
+        self.sources: dict[str, TransitionSource] = {}
+        #: Sums of the counts of all dropped sources, and the time at which each was dropped.
         self._dropped_counts: Counter[str] = Counter()
-        self._dropped_at: dict[str, float] = {}
-        self._published = self._ticks = 0
+        self._drop_times: dict[str, float] = {}
+        self._published_weights = self._tick_count = 0
         self._policies_wait = self._failure_logged = False
         #: The latest weights, for namespaces that are found later; empty while there are none.
         self._weights = b''
         names = [name.strip().strip('/') for name in self.config.sources.split(',')]
         for name in [name for name in names if name] or [self.get_namespace().strip('/')]:
-            self._add(f'/{name}')
-        self.create_timer(0.1, self._tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._health = diagnostics.Health(self, self._status)
+            self._add_source(f'/{name}')
+        create_steady_timer(self, 0.1, self._tick)
+        self._status_publisher = diagnostics.StatusPublisher(self, self._status)
         self.get_logger().info(
             f'run {self.learner.run}: {self.learner.updates} updates so far from '
             f'{self.learner.transitions} transitions, checkpoints in {self.learner.folder}')
 
-    def _add(self, namespace: str) -> None:
+    def _add_source(self, namespace: str) -> None:
         """Subscribe to a namespace to learn from it."""
-        source = self.sources[namespace] = Source(
+        source = self.sources[namespace] = TransitionSource(
             self, namespace, self.agent, self.learner.add)
         if self._weights:
             source.send_weights(self._weights)
@@ -108,58 +106,60 @@ class TrainerNode(Node):
         """Add namespaces in which a policy explores, and drop silent namespaces."""
         if self.config.sources:
             return
-        found = [name.rpartition('/')[0] or '/' for name, kinds in self.get_topic_names_and_types()
-                 if name.rpartition('/')[2] == topics.EXPERIENCE
-                 and kinds == ['std_msgs/msg/UInt8MultiArray'] and self.count_publishers(name)]
+        found_namespaces = [
+            topic.rpartition('/')[0] or '/' for topic, types in self.get_topic_names_and_types()
+            if topic.rpartition('/')[2] == topics.EXPERIENCE
+            and types == [topics.TYPES[topics.EXPERIENCE]] and self.count_publishers(topic)]
         # Namespaces that were dropped before come after all others.
-        new = sorted((name for name in found if name not in self.sources),
-                     key=lambda name: self._dropped_at.get(name, 0.0))
-        silent = time.monotonic() - MAX_SILENCE_S
-        for name, source in list(self.sources.items())[1:]:
-            full = len(self.sources) + len(new) > MAX_SOURCES
-            if source.heard < silent and (full or name not in found):
-                self._drop(name)
-        for name in new[:MAX_SOURCES - len(self.sources)]:
-            self._add(name)
-            self.get_logger().info(f'learning from {name}')
+        new_namespaces = [name for name in found_namespaces if name not in self.sources]
+        new_namespaces.sort(key=lambda name: self._drop_times.get(name, 0.0))
+        silent_since = time.monotonic() - MAX_SILENCE_S
+        # The first source, the own namespace, is always kept.
+        for namespace, source in list(self.sources.items())[1:]:
+            is_full = len(self.sources) + len(new_namespaces) > MAX_SOURCES
+            if source.idle_since < silent_since and (is_full or namespace not in found_namespaces):
+                self._drop_source(namespace)
+        for namespace in new_namespaces[:MAX_SOURCES - len(self.sources)]:
+            self._add_source(namespace)
+            self.get_logger().info(f'learning from {namespace}')
 
-    def _drop(self, namespace: str) -> None:
-        """Drop a namespace: stop learning from it."""
+    def _drop_source(self, namespace: str) -> None:
+        """Stop learning from a namespace."""
         source = self.sources.pop(namespace)
         self._dropped_counts.update(source.status())
         source.close()
-        # The time of dropping is kept for 10,000 namespaces.
-        if len(self._dropped_at) >= 10_000:
-            del self._dropped_at[min(self._dropped_at, key=self._dropped_at.get)]
-        self._dropped_at[namespace] = time.monotonic()
+        # The times of the last 10,000 namespaces are kept.
+        if len(self._drop_times) >= 10_000:
+            del self._drop_times[min(self._drop_times, key=self._drop_times.get)]
+        self._drop_times[namespace] = time.monotonic()
         self.get_logger().info(f'not learning from {namespace} any more: it was silent for '
                                f'{MAX_SILENCE_S:g} s')
 
     def _tick(self) -> None:
-        """Publish new weights, and publish to the policies whether they have to wait."""
+        """Publish new weights, and tell the policies whether they have to wait."""
         self._publish_weights()
-        learner, most = self.learner, self.config.most_behind
-        before = self._policies_wait
+        learner = self.learner
+        did_wait = self._policies_wait
         # Policies wait until half of ``most_behind`` is left: else they would stop at every turn.
-        limit = most / 2 if before else most
+        limit = self.config.most_behind / 2 if did_wait else self.config.most_behind
         self._policies_wait = learner.failure is None and learner.behind > limit
-        self._ticks += 1
-        # Every tenth check sends a status message to the policies.
-        due = self._ticks % 10 == 0
-        if due:
+        self._tick_count += 1
+        # Every tenth call sends a status message to the policies, also without a change.
+        is_status_due = self._tick_count % 10 == 0
+        if is_status_due:
             self._discover()
-        if due or self._policies_wait != before:
+        if is_status_due or self._policies_wait != did_wait:
             for source in self.sources.values():
                 source.send_status(self._policies_wait, learner.updates, max(learner.behind, 0.0))
 
     def _publish_weights(self) -> None:
-        """Publish the weights that the learner made since the last check, or log its failure."""
+        """Publish the newest weights, if the learner has made any; log its failure once."""
         if self.learner.failure is not None and not self._failure_logged:
             self._failure_logged = True
             self.get_logger().error(f'training stopped: {self.learner.failure!r}')
         checkpoint = self.learner.take_weights()
         if checkpoint is not None:
-            self._published += 1
+            self._published_weights += 1
             self._weights = checkpoint.to_bytes()
             for source in self.sources.values():
                 source.send_weights(self._weights)
@@ -167,16 +167,18 @@ class TrainerNode(Node):
     def totals(self) -> dict[str, int]:
         """Return the sums of the counts over all sources."""
         counts = [self._dropped_counts, *(source.status() for source in self.sources.values())]
-        return {name: sum(one[name] for one in counts) for name in counts[-1]}
+        return {name: sum(source_counts[name] for source_counts in counts) for name in counts[-1]}
 
     def _status(self) -> diagnostics.Status:
         """Return the status of the training for diagnostics."""
-        learner, totals, losses = self.learner, self.totals(), list(self.learner.losses)
+        learner = self.learner
+        totals = self.totals()
+        losses = list(learner.losses)
         values = {'run': learner.run, 'stored_transitions': learner.transitions, **totals,
                   'refused_messages': totals['refused'], 'updates': learner.updates,
                   'critic_loss': round(float(np.mean(losses)), 4) if losses else '-',
                   'behind': round(max(learner.behind, 0.0)), 'policies_wait': self._policies_wait,
-                  'weights_published': self._published, 'sources': len(self.sources),
+                  'weights_published': self._published_weights, 'sources': len(self.sources),
                   **{f'turns {name}': source.assembler.assembled
                      for name, source in self.sources.items()}}
         if learner.failure is not None:
@@ -184,11 +186,11 @@ class TrainerNode(Node):
         return diagnostics.OK, 'training', values
 
     def stop(self) -> None:
-        """Stop training and save, before ROS is shut down."""
+        """Stop training and save the policy, before ROS is shut down."""
         self.learner.close()
 
     def destroy_node(self) -> None:
-        """Save, then destroy the node."""
+        """Stop training, save the policy, and destroy the node."""
         self.stop()
         super().destroy_node()
 

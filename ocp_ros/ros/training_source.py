@@ -37,36 +37,35 @@ from ocp_ros.training.encoded_environment import cameras_of, encoded_space
 from ocp_ros.training.experience import Experience, ExperienceError, from_bytes
 from ocp_ros.training.transitions import Assembler, Reward, Transition
 from rclpy.node import Node
-from rclpy.subscription import Subscription
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 
-def arrays_of(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
-    """Return the shape and the type of each array of an observation."""
+def array_types(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype]]:
+    """Return the shape and the type of each array of an observation, by its name."""
     return {name: (space.shape, space.dtype)
             for name, space in encoded_space(agent).spaces.items()}
 
 
-def ends_of(agent: AgentConfig) -> dict[str, tuple[float, float]]:
-    """Return the lowest and the highest value of each array of an experience."""
-    # Moves are in units of the longest step, and random ones may be a little longer than 1.
+def value_limits(agent: AgentConfig) -> dict[str, tuple[float, float]]:
+    """Return the lowest and the highest value of each array of an experience, by its name."""
+    # Actions are in units of the longest step; random actions may be a little longer than 1.
     max_action = 10.0
     return {'actions': (-max_action, max_action), **{
         name: (space.low.min(), space.high.max())  # type: ignore[attr-defined]
         for name, space in encoded_space(agent).spaces.items()}}
 
 
-def check_ends(experience: Experience, ends: dict[str, tuple[float, float]]) -> Experience:
+def check_values(experience: Experience, limits: dict[str, tuple[float, float]]) -> Experience:
     """
-    Refuse values that no policy reads or chooses: one such value can ruin a whole training.
+    Refuse values that no policy can observe or choose: one such value can ruin a whole training.
 
-    :param ends: see :func:`ends_of`.
+    :param limits: see :func:`value_limits`.
     :returns: the experience.
     :raises ExperienceError: if there is such a value.
     """
     for choice in experience.choices:
         for name, values in {**choice.observation, 'actions': choice.actions}.items():
-            low, high = ends[name]
+            low, high = limits[name]
             if values.size and not (values.min() >= low and values.max() <= high):
                 raise ExperienceError(
                     f'experience: found {name} from {values.min():g} to {values.max():g}; '
@@ -79,118 +78,128 @@ def topic_of(namespace: str, name: str) -> str:
     return f'{namespace.rstrip("/")}/{name}'
 
 
-class Source:
+class TransitionSource:
     """
-    Assemble the transitions of one namespace.
+    Assemble the transitions of one namespace from its messages.
 
     :param node: gets the subscriptions and publishers; its log gets the warnings.
-    :param namespace: full name.
+    :param namespace: full name of the namespace.
     :param agent: defines the observations that the policies read.
-    :param learn: takes a transition; returns whether there was room for it.
-    :ivar counts: numbers of transitions that were taken, messages refused, transitions dropped.
-    :ivar heard: when the last transition came, seconds of a steady clock.
+    :param store_transition: stores a transition; returns False if it is dropped for lack of room.
+    :ivar assembler: matches the messages of a turn.
+    :ivar counts: numbers of transitions stored, messages refused, transitions dropped.
+    :ivar idle_since: time of the last transition, seconds of a steady clock.
     """
 
     def __init__(self, node: Node, namespace: str, agent: AgentConfig,
-                 learn: Callable[[Transition], bool]) -> None:
+                 store_transition: Callable[[Transition], bool]) -> None:
         self._node = node
         self.namespace = namespace
-        self._learn = learn
-        self._expected, self._ends = arrays_of(agent), ends_of(agent)
-        self._together = None if agent.map else cameras_of(agent)
+        self._store_transition = store_transition
+        self._array_types = array_types(agent)
+        self._value_limits = value_limits(agent)
+        self._cameras_per_choice = None if agent.map else cameras_of(agent)
         self.assembler = Assembler(last=agent.map)
         self.counts = {'transitions': 0, 'refused': 0, 'dropped': 0}
-        self._newest = 0
-        self.heard = time.monotonic()
-
-        def topic(name: str) -> str:
-            return topic_of(namespace, name)
-
-        self._weights = node.create_publisher(
-            UInt8MultiArray, topic(topics.POLICY_WEIGHTS), LATCHED)
-        self._training = node.create_publisher(Float64MultiArray, topic(topics.TRAINING), LATCHED)
-        self._subscriptions: list[Subscription] = []
-        for kind, name, callback in (
+        self._newest_stamp = 0
+        self.idle_since = time.monotonic()
+        self._weights_publisher = node.create_publisher(
+            UInt8MultiArray, topic_of(namespace, topics.POLICY_WEIGHTS), LATCHED)
+        self._status_publisher = node.create_publisher(
+            Float64MultiArray, topic_of(namespace, topics.TRAINING), LATCHED)
+        self._subscriptions = [
+            node.create_subscription(message_type, topic_of(namespace, name),
+                                     self._store_transitions_of(callback), RECORDER)
+            for message_type, name, callback in (
                 (Float64MultiArray, topics.REWARD, self._on_reward),
                 (PoseArray, topics.CAMERA_POSES, self._on_poses),
-                (UInt8MultiArray, topics.EXPERIENCE, self._on_experience)):
-            self._subscriptions.append(node.create_subscription(
-                kind, topic(name), self._guarded(callback), RECORDER))
+                (UInt8MultiArray, topics.EXPERIENCE, self._on_experience))]
 
-    def _guarded(self, callback):
-        """Wrap a callback: log why it refuses a message, so that the node continues."""
-        def guarded(message):
+    def _store_transitions_of(self, callback):
+        """
+        Return a callback that stores transitions, and that counts and logs messages it refuses.
+
+        :param callback: returns the transitions that a message completes.
+        """
+        def store_or_refuse(message):
             try:
                 for transition in callback(message):
-                    self.heard = time.monotonic()
-                    self.counts['transitions' if self._learn(transition) else 'dropped'] += 1
+                    self.idle_since = time.monotonic()
+                    is_stored = self._store_transition(transition)
+                    self.counts['transitions' if is_stored else 'dropped'] += 1
             except (MessageError, ExperienceError) as error:
                 self.counts['refused'] += 1
                 self._node.get_logger().warning(
                     f'{self.namespace}: message refused: {shortened(error)}',
                     throttle_duration_sec=1.0)
-        return guarded
+        return store_or_refuse
 
     def _on_experience(self, message: UInt8MultiArray) -> list[Transition]:
-        """Take the choices of the policy in a turn."""
+        """Add the choices of the policy in a turn; return the transitions that are complete."""
         max_bytes = 1 << 24
         if len(message.data) > max_bytes:
             raise MessageError(f'experience: found {len(message.data)} bytes; expected at most '
                                f'{max_bytes}')
-        found = from_bytes(msg_to_bytes(message), self._expected, self._together)
-        return self.assembler.add_experience(check_ends(found, self._ends))
+        experience = from_bytes(msg_to_bytes(message), self._array_types, self._cameras_per_choice)
+        return self.assembler.add_experience(check_values(experience, self._value_limits))
 
     def _on_poses(self, message: PoseArray) -> list[Transition]:
-        """Take the camera positions of a turn."""
+        """Add the camera positions of a turn; return the transitions that are complete."""
         return self.assembler.add_positions(
             stamp_to_ns(message.header.stamp), msg_to_positions(message))
 
     def _on_reward(self, message: Float64MultiArray) -> list[Transition]:
-        """Take the reward of a turn; the first turn of an episode has no reward."""
+        """Add the reward of a turn; return the transitions that are complete."""
         names = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'step',
                  'reward', 'terminated')
         fields = msg_to_fields(message, names)
         stamp, previous = ns_of(fields, 'stamp'), ns_of(fields, 'previous')
-        if stamp < self._newest:
+        if stamp < self._newest_stamp:
             # The simulation was restarted with a reset clock: equal stamps mean other turns now.
             self.assembler.clear()
-        self._newest = stamp
+        self._newest_stamp = stamp
         if fields['step'] < 1:
+            # The first turn of an episode has no reward.
             return []
         shares = []
-        while (name := topics.share(len(shares))) in fields:
+        while (name := topics.share_field(len(shares))) in fields:
             shares.append(fields[name])
-        worth = [fields['reward'], *shares]
-        # Comparisons with NaN are false, so NaN is refused as well.
-        # The paper's penalty at its largest setting. Much larger rewards make the numbers of the
-        # networks overflow, and the training is lost.
+        rewards = [fields['reward'], *shares]
+        # The largest penalty that can be configured. Much larger rewards would make the numbers of
+        # the networks overflow.
         max_reward = 1e9
-        if not (np.abs(worth) <= max_reward).all():
-            raise MessageError(
-                f'reward: found reward and shares from {min(worth):g} to {max(worth):g}; expected '
-                f'finite numbers within {max_reward:g}')
+        # Comparisons with NaN are false: NaN is refused as well.
+        if not (np.abs(rewards) <= max_reward).all():
+            raise MessageError(f'reward: found reward and shares from {min(rewards):g} to '
+                               f'{max(rewards):g}; expected finite numbers within {max_reward:g}')
         return self.assembler.add_reward(Reward(
             previous, stamp, int(fields['step']), fields['reward'], tuple(shares),
-            bool(fields['terminated'])))
+            terminated=bool(fields['terminated'])))
 
     def close(self) -> None:
         """Destroy the subscriptions and publishers."""
         for subscription in self._subscriptions:
             self._node.destroy_subscription(subscription)
-        for publisher in (self._weights, self._training):
+        for publisher in (self._weights_publisher, self._status_publisher):
             self._node.destroy_publisher(publisher)
 
-    def send_weights(self, blob: bytes) -> None:
-        """Publish weights."""
-        self._weights.publish(bytes_to_msg(blob))
+    def send_weights(self, content: bytes) -> None:
+        """Publish weights: the bytes of a checkpoint."""
+        self._weights_publisher.publish(bytes_to_msg(content))
 
     def send_status(self, hold: bool, updates: int, behind: float) -> None:
-        """Publish the state of the training, and the counts of this namespace."""
-        self._training.publish(fields_to_msg(dict(zip(topics.TRAINING_FIELDS, (
+        """
+        Publish the state of the training, and the counts of this namespace.
+
+        :param hold: whether policies have to wait.
+        :param updates: number of gradient steps so far.
+        :param behind: number of gradient steps that are due.
+        """
+        self._status_publisher.publish(fields_to_msg(dict(zip(topics.TRAINING_FIELDS, (
             hold, updates, behind, *self.status().values()), strict=True))))
 
     def status(self) -> dict[str, int]:
-        """Return the counts, in the order of ``TRAINING_FIELDS``."""
+        """Return the counts by their names in ``TRAINING_FIELDS``, in this order."""
         assembler = self.assembler
         return {'turns': assembler.assembled, 'transitions': self.counts['transitions'],
                 'incomplete': assembler.incomplete, 'inconsistent': assembler.inconsistent,

@@ -31,10 +31,10 @@ from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 from ocp_ros.util.settings import ConfigurationError
 import yaml
 
-#: Limits for reading a bag: bytes of memory, bytes of memory for each byte of the bag, and seconds
-#: of all cores for an answer, to which seconds by the size of the bag are added.
+#: Limits for reading a bag: bytes of memory, further bytes of memory for each byte of the bag, and
+#: processor seconds for an answer, to which seconds by the size of the bag are added.
 READING_COST = ReadingCost(1_500_000_000, 0, 10)
-#: Suffix of packed files.
+#: Suffix of files that are compressed as a whole.
 PACKED_SUFFIX = '.zstd'
 
 
@@ -42,7 +42,8 @@ class Topic(NamedTuple):
     """
     A topic of a bag.
 
-    :ivar kind: its message type, as ROS 2 writes it.
+    :ivar name: name of the topic.
+    :ivar kind: message type of the topic, as ROS 2 writes it.
     :ivar count: number of messages.
     """
 
@@ -55,7 +56,8 @@ class Recorded(NamedTuple):
     """
     A message of a bag.
 
-    :ivar kind: one of the values of ``KINDS``.
+    :ivar topic: name of the topic.
+    :ivar kind: message type, one of the values of ``KINDS``.
     :ivar time: time of recording, nanoseconds.
     :ivar cdr: the message, serialised by ROS 2 (CDR).
     """
@@ -75,7 +77,7 @@ class Bag:
     A bag, read by a separate process; use it in a ``with`` statement.
 
     :param path: a ROS 1 bag, the folder of a ROS 2 bag, or a file in it.
-    :raises ConfigurationError: if it cannot be read; the text is one sentence.
+    :raises ConfigurationError: if the bag cannot be read; the text is one sentence.
     """
 
     def __init__(self, path: str | Path) -> None:
@@ -83,13 +85,12 @@ class Bag:
         self._folder = tempfile.TemporaryDirectory(prefix='ocp_bag_')
         self._process: GuardedProcess | None = None
         try:
-            with self._readable():
+            with self._explain_errors():
                 if not find_spec('rosbags'):
-                    raise ConfigurationError(
-                        f'{self.path}: found no package to read bags with; expected rosbags; '
-                        'install it: pip install rosbags')
-                self._is_ros1, self._bag, self._files = _parts_of(self.path)
-                self._found = self._start()
+                    raise ConfigurationError(f'{self.path}: found no package to read bags with; '
+                                             'expected rosbags; install it: pip install rosbags')
+                self._is_ros1, self._bag_path, self._files = _identify_bag(self.path)
+                self._description = self._start_process()
         except BaseException:
             self.__exit__()
             raise
@@ -100,29 +101,30 @@ class Bag:
 
     def __exit__(self, *exception) -> None:
         """End the process that reads."""
-        self._end()
+        self._end_process()
         self._folder.cleanup()
 
-    def _end(self) -> None:
+    def _end_process(self) -> None:
         """End the process that reads, if there is one."""
         if self._process is not None:
             self._process.__exit__()
             self._process = None
 
-    def _start(self) -> dict[str, Any]:
-        """Start the process that reads, and return its description of the bag."""
+    def _start_process(self) -> dict[str, Any]:
+        """Start the process that reads; return its description of the bag, topics and times."""
         size = sum(file.stat().st_size for file in self._files)
-        packed = max(sum(file.suffix == PACKED_SUFFIX for file in self._files), 1)
-        # Files that are compressed as a whole may unpack to 500 MB, and 50 bytes for each byte.
+        packed_files = sum(file.suffix == PACKED_SUFFIX for file in self._files)
+        # Compressed files may together unpack to 500 MB, and 50 bytes for each byte of the bag.
+        unpacked_bytes = 500_000_000 + 50 * size
         self._process = GuardedProcess(
             'ocp_ros.ros.bags.bag_process',
-            ['1' if self._is_ros1 else '2', self._folder.name, str(self._bag.absolute()),
+            ['1' if self._is_ros1 else '2', self._folder.name, str(self._bag_path.absolute()),
              *(str(file.absolute()) for file in self._files)],
-            READING_COST, size, (500_000_000 + 50 * size) // packed,
+            READING_COST, size, unpacked_bytes // max(packed_files, 1),
             {'TMPDIR': self._folder.name, 'SQLITE_TMPDIR': self._folder.name})
-        return json.loads(self._answer()[-1])
+        return json.loads(self._read_answer()[-1])
 
-    def _answer(self) -> tuple[int, int, int, bytearray]:
+    def _read_answer(self) -> tuple[int, int, int, bytearray]:
         """Return the next answer of the process: its kind, topic number, time and content."""
         header = self._process.read(HEADER.size)
         if len(header) < HEADER.size:
@@ -131,29 +133,29 @@ class Bag:
         return kind, topic, time, self._process.read(size)
 
     @contextmanager
-    def _readable(self) -> Iterator[None]:
-        """Convert any error of the library to a ConfigurationError of one sentence."""
+    def _explain_errors(self) -> Iterator[None]:
+        """Convert errors in a ``with`` block to a ConfigurationError of one sentence."""
         try:
             yield
         except (ConfigurationError, PermissionError):
             raise
         except Exception as error:
             # Bytes that are no bag make the library raise errors of many types.
-            why = ' '.join(str(error).split()) or type(error).__name__
+            reason = ' '.join(str(error).split()) or type(error).__name__
             raise ConfigurationError(
-                f'{self.path}: found a bag that cannot be read ({why.rstrip(".")}); expected a '
+                f'{self.path}: found a bag that cannot be read ({reason.rstrip(".")}); expected a '
                 'whole one; if its recording was cut short, mend it with rosbag reindex (ROS 1) '
                 'or ros2 bag reindex') from error
 
     @property
     def topics(self) -> list[Topic]:
         """Return all topics, sorted by name."""
-        return [Topic(*topic) for topic in self._found['topics']]
+        return [Topic(*topic) for topic in self._description['topics']]
 
     @property
     def clouds(self) -> list[str]:
         """
-        Return the topics of clouds, sorted by name.
+        Return the names of the topics of clouds, sorted.
 
         :raises ConfigurationError: if there is none; for depth images the text says how to convert
             them to clouds.
@@ -161,11 +163,11 @@ class Bag:
         names = [topic.name for topic in self.topics if KINDS.get(topic.kind) == CLOUD]
         if not names:
             found = ', '.join(f'{t.name} ({t.kind})' for t in self.topics) or 'no topic at all'
-            images = any('depth' in topic.name
-                         and topic.kind.endswith(('/Image', '/CompressedImage'))
-                         for topic in self.topics)
+            has_depth_images = any('depth' in topic.name
+                                   and topic.kind.endswith(('/Image', '/CompressedImage'))
+                                   for topic in self.topics)
             remedy = ('play it, let ros2 run depth_image_proc point_cloud_xyz_node make clouds of '
-                      'the depth images, and record these') if images else (
+                      'the depth images, and record these') if has_depth_images else (
                 'record a topic of clouds')
             raise ConfigurationError(f'{self.path}: found no clouds among {found}; expected '
                                      f'{CLOUD}; {remedy}')
@@ -174,62 +176,62 @@ class Bag:
     @property
     def start(self) -> int:
         """Return the time at which the first message was recorded, nanoseconds."""
-        return self._found['start']
+        return self._description['start']
 
     @property
     def seconds(self) -> float:
         """Return the duration of the recording, seconds."""
-        return max(self._found['end'] - 1 - self.start, 0) * 1e-9
+        return max(self._description['end'] - 1 - self.start, 0) * 1e-9
 
     def frames(self, topic: Topic) -> list[str]:
-        """Return the frames of a topic's first messages; empty for transforms and other types."""
+        """Return the frames of the first 20 messages of a topic; empty unless clouds or poses."""
         if KINDS.get(topic.kind) not in (CLOUD, POSES):
             return []
-        # The frames of 20 messages are read.
-        return sorted({_frame(item.cdr) if isinstance(item, Recorded) else '?'
-                       for item in self.messages([topic.name], most=20)})
+        return sorted({_frame_of(message.cdr) if isinstance(message, Recorded) else '?'
+                       for message in self.messages([topic.name], max_messages=20)})
 
     def messages(self, names: list[str], start: int | None = None, stop: int | None = None,
-                 most: int | None = None) -> Iterator[Recorded | BrokenMessage]:
+                 max_messages: int | None = None) -> Iterator[Recorded | BrokenMessage]:
         """
         Yield the messages of some topics in the order in which they were recorded.
 
-        :param names: topics whose kinds are among ``KINDS``.
+        :param names: names of topics whose types are among ``KINDS``.
         :param start: earliest time of recording, nanoseconds; None for the beginning.
         :param stop: time of recording, nanoseconds, at which to stop, itself excluded; None for
             the end.
-        :param most: largest number of messages.
-        :returns: the messages; for a message that cannot be read, the reason.
+        :param max_messages: largest number of messages; None for all.
+        :returns: the messages; in place of a message that cannot be read, the error.
         :raises ConfigurationError: if the bag ends too early.
         """
         topics = self.topics
-        with self._readable():
+        with self._explain_errors():
             if self._process is None:
-                self._start()
-            self._process.ask(json.dumps([names, start, stop, most]))
+                self._start_process()
+            self._process.ask(json.dumps([names, start, stop, max_messages]))
             try:
-                while (answer := self._answer())[0] != END:
-                    what, number, time, content = answer
-                    topic, kind = topics[number].name, KINDS[topics[number].kind]
-                    if what == MESSAGE:
-                        yield Recorded(topic, kind, time, bytes(content))
+                while (answer := self._read_answer())[0] != END:
+                    answer_kind, number, time, content = answer
+                    name, kind = topics[number].name, KINDS[topics[number].kind]
+                    if answer_kind == MESSAGE:
+                        yield Recorded(name, kind, time, bytes(content))
                     else:
                         yield BrokenMessage(
-                            f'{topic}: found a message that is no {kind} '
+                            f'{name}: found a message that is no {kind} '
                             f'({content.decode()}); expected one; it is left out')
             except BaseException:
                 # The process would still send the remaining answers to this request: end it.
-                self._end()
+                self._end_process()
                 raise
 
     def transforms(self, cdr: bytes) -> list:
         """
         Return the transforms of a serialised TFMessage; tf2_msgs need not be installed.
 
-        :raises BrokenMessage: if it is no TFMessage.
+        :param cdr: the message, serialised by ROS 2 (CDR).
+        :raises BrokenMessage: if the bytes are no TFMessage.
         """
         try:
-            message: Any = _store().deserialize_cdr(cdr, TRANSFORMS)
+            message: Any = _type_store().deserialize_cdr(cdr, TRANSFORMS)
             return message.transforms
         except Exception as error:
             raise BrokenMessage(f'transforms: found a message that is none ({error}); expected '
@@ -237,14 +239,14 @@ class Bag:
 
 
 @cache
-def _store() -> Any:
+def _type_store() -> Any:
     """Return the message types that rosbags can deserialise."""
     from rosbags.typesys import get_typestore, Stores
     return get_typestore(Stores.ROS2_JAZZY)
 
 
-def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
-    """Return whether a bag is of ROS 1, the path of the bag, and the files that it consists of."""
+def _identify_bag(path: Path) -> tuple[bool, Path, list[Path]]:
+    """Return whether a bag is of ROS 1, the path of the bag, and the paths of its files."""
     expected = ('expected a ROS 1 bag or the folder of a ROS 2 bag, in which metadata.yaml and '
                 '.mcap or .db3 files are')
     if not path.exists():
@@ -257,19 +259,19 @@ def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
             files = [file for file in path.iterdir()
                      if file.suffix in (*ros2_suffixes, PACKED_SUFFIX)]
             files = [path / 'metadata.yaml', *files]
-            if strange := [file.name for file in files if not file.is_file()]:
-                raise ConfigurationError(f'{path}: found {strange[0]}, which is no file; '
+            if not_files := [file.name for file in files if not file.is_file()]:
+                raise ConfigurationError(f'{path}: found {not_files[0]}, which is no file; '
                                          f'{expected}; remove it')
-            around = path.resolve()
-            if links := [file.name for file in files if file.resolve().parent != around]:
-                raise ConfigurationError(f'{path}: found {links[0]}, a link to another folder; '
-                                         f'{expected}; copy the file here')
+            folder = path.resolve()
+            if linked_names := [file.name for file in files if file.resolve().parent != folder]:
+                raise ConfigurationError(f'{path}: found {linked_names[0]}, a link to another '
+                                         f'folder; {expected}; copy the file here')
             _check_metadata(path / 'metadata.yaml')
             return False, path, files
-        recorded = any(file.suffix in ros2_suffixes for file in path.iterdir())
-        inside, remedy = ('recorded files without metadata.yaml', 'run ros2 bag reindex') if (
-            recorded) else ('a folder that is no bag', 'name the folder that ros2 bag record made')
-        raise ConfigurationError(f'{path}: found {inside}; {expected}; {remedy}')
+        found, remedy = 'a folder that is no bag', 'name the folder that ros2 bag record made'
+        if any(file.suffix in ros2_suffixes for file in path.iterdir()):
+            found, remedy = 'recorded files without metadata.yaml', 'run ros2 bag reindex'
+        raise ConfigurationError(f'{path}: found {found}; {expected}; {remedy}')
     if not path.is_file():
         raise ConfigurationError(f'{path}: found a pipe or a device; {expected}; correct the path')
     with open(path, 'rb') as file:
@@ -281,21 +283,21 @@ def _parts_of(path: Path) -> tuple[bool, Path, list[Path]]:
 
 def _check_metadata(path: Path) -> None:
     """Refuse metadata with YAML aliases: when they are expanded, they may fill the memory."""
-    # A bag of hundreds of topics and files has a tenth of 2 MB of metadata.
+    # At most 2 MB are read: a bag of hundreds of topics and files has a tenth of that.
     text = read_regular(path, 2_000_000)
     loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-    # The text may be an alias in YAML; only the parser decides whether it is one.
+    # This finds all aliases and some other texts; the parser decides which they are.
     alias = re.compile(rb'(^|[\s,\[{])\*\w')
     if alias.search(text) and any(isinstance(event, yaml.AliasEvent)
                                   for event in yaml.parse(text, loader)):
         raise ValueError('metadata.yaml has an alias, which ROS never writes')
 
 
-def _frame(cdr: bytes) -> str:
-    """Return the frame of a message that begins with a header."""
-    # The header has the byte order, the stamp, and a text that ends with a zero byte.
+def _frame_of(cdr: bytes) -> str:
+    """Return the frame of a serialised message that begins with a header; '?' if there is none."""
+    # The frame, a text that ends with a zero byte, follows byte order, stamp and text length.
     length, = struct.unpack_from('>I' if cdr[1] % 2 == 0 else '<I', cdr, 12)
-    # A longer name is no frame.
+    # A text of more than 1000 bytes is no name of a frame.
     if length > min(1000, len(cdr) - 16):
         return '?'
     return cdr[16:16 + length].rstrip(b'\0').decode(errors='replace')

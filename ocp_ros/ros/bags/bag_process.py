@@ -21,7 +21,6 @@ the topics, then, for each line of its standard input, messages. An answer is a 
 content. An error of the bag is one line on standard error.
 """
 
-from collections.abc import Iterator
 from importlib import import_module
 from itertools import islice
 import json
@@ -35,22 +34,27 @@ from ocp_ros.util.confinement import allow_seconds, confine, limit
 
 CLOUD, POSES = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseArray'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
-#: The types that are read; old bags use another type name for transforms, with the same layout.
+#: The message types that are read, by their names in bags; old bags use another name for
+#: transforms, with the same layout.
 KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage': TRANSFORMS}
-#: Least number of bytes of one list element in ROS 1: field of a cloud, pose, transform.
+#: Least number of bytes of one element of the list in a ROS 1 message, by message type. The
+#: elements are fields (of a cloud), poses and transforms.
 MIN_ELEMENT_BYTES = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
 #: Bytes of the largest message: a cloud of five million points is smaller.
 MAX_MESSAGE_BYTES = 200_000_000
-#: The kind of an answer, the number of its topic, its time of recording, bytes of its content.
+#: Header of an answer: its kind, the number of the topic, the time of recording (nanoseconds) and
+#: the number of bytes of its content.
 HEADER = struct.Struct('<BIqQ')
+#: Kinds of answers.
 TOPICS, MESSAGE, BROKEN, END = range(4)
 
 
-def check_schema(path: Path) -> None:
+def refuse_unsafe_schema(path: Path) -> None:
     """
-    Refuse an SQLite file with more than plain tables and indices: views can run code.
+    Refuse an SQLite file that can run code when it is read.
 
-    Computed columns and those of modules can run code as well.
+    Views, triggers, computed columns and virtual tables can do that. Only indices and the plain
+    tables of a bag are allowed.
 
     :raises ValueError: if the file has such an entry.
     """
@@ -61,17 +65,22 @@ def check_schema(path: Path) -> None:
     tables = {'schema', 'metadata', 'topics', 'messages', 'message_definitions', 'sqlite_sequence',
               'sqlite_stat1', 'sqlite_stat4'}
     for kind, name, sql in list(database.execute('SELECT type, name, sql FROM sqlite_master')):
-        plain = kind == 'index' or (kind == 'table' and name in tables and
-                                    sql.lstrip()[:13].upper().startswith('CREATE TABLE'))
+        is_plain = kind == 'index' or (kind == 'table' and name in tables and
+                                       sql.lstrip()[:13].upper().startswith('CREATE TABLE'))
         # The last column is not 0 for columns that are computed or hidden.
-        if not plain or kind == 'table' and any(
+        if not is_plain or kind == 'table' and any(
                 column[-1] for column in database.execute(f'PRAGMA table_xinfo("{name}")')):
             raise ValueError(f'{path.name} has the {kind} {name[:60]!r}, which is none of a bag')
     database.close()
 
 
 def open_reader(path: Path, is_ros1: bool) -> Any:
-    """Open a bag."""
+    """
+    Open a bag.
+
+    :param path: file (ROS 1) or folder (ROS 2) of the bag.
+    :returns: the open reader of rosbags.
+    """
     if is_ros1:
         from rosbags.rosbag1 import Reader as Reader1
         reader: Any = Reader1(path)
@@ -84,7 +93,7 @@ def open_reader(path: Path, is_ros1: bool) -> Any:
 
             def open(self) -> None:  # noqa: A003
                 """Check the schema, then open the file."""
-                check_schema(self.path)
+                refuse_unsafe_schema(self.path)
                 super().open()
 
         DirectoryReader.STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS,
@@ -94,11 +103,12 @@ def open_reader(path: Path, is_ros1: bool) -> Any:
     return reader
 
 
-class Answers:
+class AnswerWriter:
     """
-    Answer requests for the content of a bag.
+    Write answers to requests for the content of a bag.
 
-    :param reader: of rosbags, open.
+    :param reader: open reader of rosbags.
+    :param is_ros1: whether the bag is of ROS 1.
     :param out: stream to which answers are written.
     """
 
@@ -107,74 +117,88 @@ class Answers:
         self._reader = reader
         self._is_ros1 = is_ros1
         self._out = out
-        self._store = get_typestore(Stores.ROS2_JAZZY)
+        self._type_store = get_typestore(Stores.ROS2_JAZZY)
         self._names = sorted(reader.topics)
 
-    def _answer(self, kind: int, topic: int = 0, time: int = 0, content: bytes = b'') -> None:
-        """Write an answer."""
+    def _write_answer(self, kind: int, topic: int = 0, time: int = 0, content: bytes = b''
+                      ) -> None:
+        """Write the header and the content of an answer."""
         self._out.write(HEADER.pack(kind, topic, time, len(content)))
         self._out.write(content)
 
-    def topics(self) -> None:
+    def write_topics(self) -> None:
         """Write the topics, and the start and the end of the recording."""
         reader = self._reader
-        self._answer(TOPICS, content=json.dumps({
+        self._write_answer(TOPICS, content=json.dumps({
             'topics': [(name, reader.topics[name].msgtype or 'several types',
                         reader.topics[name].msgcount) for name in self._names],
             'start': reader.start_time, 'end': reader.end_time}).encode())
         self._out.flush()
 
-    def messages(self, names: list[str], start: int | None, stop: int | None, most: int | None
-                 ) -> None:
-        """Write the messages of some topics, at most ``most`` messages."""
-        connections = [one for one in self._reader.connections
-                       if one.topic in names and one.msgtype in KINDS]
-        found: Iterator = self._reader.messages(connections, start, stop) if connections else (
-            iter(()))
-        for connection, time, raw in islice(found, most):
-            topic, kind = self._names.index(connection.topic), KINDS[connection.msgtype]
+    def write_messages(self, names: list[str], start: int | None, stop: int | None,
+                       max_messages: int | None) -> None:
+        """
+        Write the messages of some topics in the order of recording.
+
+        :param names: names of the topics.
+        :param start: earliest time of recording, nanoseconds; None for the beginning.
+        :param stop: time of recording, nanoseconds, at which to stop, itself excluded; None for
+            the end.
+        :param max_messages: largest number of messages; None for all.
+        """
+        connections = [connection for connection in self._reader.connections
+                       if connection.topic in names and connection.msgtype in KINDS]
+        # The reader would take no connections for all connections.
+        recorded = self._reader.messages(connections, start, stop) if connections else ()
+        for connection, time, raw in islice(recorded, max_messages):
+            topic = self._names.index(connection.topic)
+            kind = KINDS[connection.msgtype]
             try:
                 if self._is_ros1:
-                    check_count(raw, kind)
-                    raw = self._store.ros1_to_cdr(raw, kind)
+                    check_element_count(raw, kind)
+                    raw = self._type_store.ros1_to_cdr(raw, kind)
                 if len(raw) > MAX_MESSAGE_BYTES:
                     raise ValueError(f'{len(raw):,} bytes, more than {MAX_MESSAGE_BYTES:,}')
             except Exception as error:
-                self._answer(BROKEN, topic, time, str(error).encode(errors='replace'))
+                self._write_answer(BROKEN, topic, time, str(error).encode(errors='replace'))
             else:
-                self._answer(MESSAGE, topic, time, raw)
-        self._answer(END)
+                self._write_answer(MESSAGE, topic, time, raw)
+        self._write_answer(END)
         self._out.flush()
 
 
-def check_count(raw: bytes, kind: str) -> None:
+def check_element_count(raw: bytes, kind: str) -> None:
     """
     Refuse a ROS 1 message that states more list elements than its bytes can hold.
 
-    The library would read it for hours.
+    The library would read such a message for hours.
 
+    :param raw: the serialised message.
+    :param kind: its type, one of the values of ``KINDS``.
     :raises ValueError: if the number is too large.
     """
-    start = 0
+    count_offset = 0
     if kind != TRANSFORMS:
-        length, = struct.unpack_from('<I', raw, 12)
-        start = 16 + length + (8 if kind == CLOUD else 0)
-    count, = struct.unpack_from('<I', raw, start)
+        # The header has a number, a stamp of 8 bytes and the frame, a text with its length. In a
+        # cloud, height and width follow.
+        frame_length, = struct.unpack_from('<I', raw, 12)
+        count_offset = 16 + frame_length + (8 if kind == CLOUD else 0)
+    count, = struct.unpack_from('<I', raw, count_offset)
     if count * MIN_ELEMENT_BYTES[kind] > len(raw):
         raise ValueError(f'{count:,} parts in {len(raw):,} bytes')
 
 
 def main(arguments: list[str]) -> int:
     """
-    Serve a bag.
+    Answer requests for the content of a bag, one for each line of standard input.
 
     :param arguments: three limits (bytes of memory; processor seconds of all cores for an answer;
         bytes of a written file); ``1`` or ``2`` for the version of ROS; a folder to write to; the
         bag; and the files of the bag that may be read.
     :returns: the exit code: 1 if the bag cannot be read.
     """
-    memory, seconds, written = map(int, arguments[:3])
-    limit(memory, seconds, written)
+    memory_bytes, seconds, written_bytes = map(int, arguments[:3])
+    limit(memory_bytes, seconds, written_bytes)
     version, folder, bag, *files = arguments[3:]
     with os.fdopen(os.dup(1), 'wb') as out:
         # Output that libraries print must not get into the answers: it goes to standard error.
@@ -187,11 +211,12 @@ def main(arguments: list[str]) -> int:
             for package in packages:
                 import_module(package)
             confine(files, folder)
-            answers = Answers(open_reader(Path(bag), version == '1'), version == '1', out)
-            answers.topics()
+            is_ros1 = version == '1'
+            writer = AnswerWriter(open_reader(Path(bag), is_ros1), is_ros1, out)
+            writer.write_topics()
             for line in sys.stdin:
                 allow_seconds(seconds)
-                answers.messages(*json.loads(line))
+                writer.write_messages(*json.loads(line))
         except MemoryError:
             print('more memory than a bag needs', file=sys.stderr)
             return 1

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
 from ocp_ros.ros.bags.bag_files import Bag, Recorded
-from ocp_ros.ros.bags.bag_replay import OPTICAL_ENDS
+from ocp_ros.ros.bags.bag_replay import OPTICAL_FRAME_ENDINGS
 from ocp_ros.ros.interface.conversions import MessageError, msg_to_cloud
 from ocp_ros.util.settings import check_known, ConfigurationError
 from rclpy.serialization import deserialize_message
@@ -33,26 +33,34 @@ def recorded_clouds(path: Path, names: Sequence[str], chosen: Mapping[str, str],
     """
     Read the clouds of cameras from a bag.
 
-    :param names: of the cameras, in the order of the placement.
-    :param chosen: topic of each camera. If empty: the topics with the name of a camera as a part,
-        or else all topics in their order.
-    :param frame: axes of the clouds, ``'optical'`` or ``'body'``; None: by the name of the frame.
-    :returns: (N, 3) float32, metres, body frame, by camera.
+    :param path: path of the bag.
+    :param names: names of the cameras, in the order of the placement.
+    :param chosen: topic by the name of the camera; if empty, :func:`topics_of_cameras` chooses.
+    :param frame: axes of the clouds, ``'optical'`` or ``'body'``; None: as the names of their
+        frames say.
+    :returns: the N points of each camera by its name, (N, 3) float32, metres, body frame.
     :raises ConfigurationError: if the bag cannot be read, or the topic of a camera is not clear.
     """
     with Bag(path) as bag:
         topics = bag.clouds
         check_known(chosen.values(), topics, f'{path}: topics')
-        return {name: _cloud(bag, topic, frame)
+        return {name: _read_cloud(bag, topic, frame)
                 for name, topic in (chosen or topics_of_cameras(path, names, topics)).items()}
 
 
 def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -> dict[str, str]:
-    """Find the topic of each camera, see :func:`recorded_clouds`."""
+    """
+    Choose the topic of each camera.
+
+    A camera gets the topic that has its name as a part between slashes; cameras without such a
+    topic get none. If no name is found, there has to be a topic for each camera, in their order.
+
+    :raises ConfigurationError: if no name is found and the numbers of topics and cameras differ.
+    """
     named = {name: [topic for topic in topics if name in topic.split('/')] for name in names}
-    found = {name: one[0] for name, one in named.items() if len(one) == 1}
-    if found:
-        return found
+    unique = {name: matches[0] for name, matches in named.items() if len(matches) == 1}
+    if unique:
+        return unique
     if len(topics) != len(names):
         raise ConfigurationError(
             f'{path}: found {len(topics)} topics of clouds ({", ".join(topics) or "none"}) for '
@@ -61,22 +69,22 @@ def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -
     return dict(zip(names, topics))
 
 
-def _cloud(bag: Bag, topic: str, frame: str | None) -> np.ndarray:
-    """Return the first ``FRAMES`` clouds of a topic, joined."""
-    clouds, why = [], 'it has no message'
-    # Five clouds of a topic are joined: their noise is independent.
+def _read_cloud(bag: Bag, topic: str, frame: str | None) -> np.ndarray:
+    """Return the points, (N, 3) metres, of the first five clouds of a topic together."""
+    clouds = []
+    reason = 'it has no message'
     for item in islice(bag.messages([topic]), 5):
         try:
             if not isinstance(item, Recorded):
                 raise item
             message = deserialize_message(item.cdr, PointCloud2)
-            optical = frame == 'optical' if frame else \
-                message.header.frame_id.endswith(OPTICAL_ENDS)
+            is_optical = frame == 'optical' if frame else \
+                message.header.frame_id.endswith(OPTICAL_FRAME_ENDINGS)
             points = msg_to_cloud(message)
-            clouds.append(points @ OPTICAL_TO_BODY.T if optical else points)
+            clouds.append(points @ OPTICAL_TO_BODY.T if is_optical else points)
         except (MessageError, ValueError) as error:
-            why = str(error)
+            reason = str(error)
     if not clouds:
         raise ConfigurationError(f'{bag.path}: found no cloud on {topic} that can be read '
-                                 f'({why}); expected one; name another topic (--topics)')
+                                 f'({reason}); expected one; name another topic (--topics)')
     return np.concatenate(clouds)

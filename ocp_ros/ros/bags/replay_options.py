@@ -32,16 +32,16 @@ class ReplayOptions:
     """
     Which topics to replay, and how.
 
-    :ivar topics: names of topics, or ``name:=new``; empty for all clouds, and the poses if any.
+    :ivar topics: names of topics, or ``name:=new_name``; empty: all clouds, and the poses if any.
     :ivar rate: factor of the recorded speed.
     :ivar loop: whether to begin again at the end, without limit.
     :ivar start: seconds at the beginning of the recording to leave out.
-    :ivar duration: seconds of the recording to replay; None for all.
+    :ivar duration: seconds of the recording to replay; None: to its end.
     :ivar frames: pairs of a topic and the frame of its clouds, in place of the recorded one; the
         topic ``''`` stands for all others.
-    :ivar poses: one (6,) array per camera: x, y, z, yaw, pitch, roll, metres and radians.
+    :ivar poses: an array (6,) for each camera: x, y, z (metres), yaw, pitch, roll (radians).
     :ivar fixed_frame: frame of the poses.
-    :ivar wait: seconds to wait for subscribers.
+    :ivar wait: longest time to wait for subscribers, seconds.
     """
 
     topics: tuple[str, ...] = ()
@@ -55,16 +55,16 @@ class ReplayOptions:
     wait: float = 10.0
 
 
-def chosen_topics(bag: Bag, wanted: tuple[str, ...]) -> dict[str, tuple[str, str]]:
+def choose_topics(bag: Bag, requested: tuple[str, ...]) -> dict[str, tuple[str, str]]:
     """
     Choose the topics to replay.
 
-    :param wanted: see :class:`ReplayOptions`.
-    :returns: type and published name by recorded name; clouds keep their order.
+    :param requested: see ``topics`` of :class:`ReplayOptions`.
+    :returns: message type and published name by recorded name; clouds keep their order.
     :raises ConfigurationError: if a topic is missing or of another type, or there is no cloud.
     """
     known = {topic.name: topic for topic in bag.topics}
-    names = dict(name.split(':=', 1) if ':=' in name else (name, name) for name in wanted)
+    names = dict(name.split(':=', 1) if ':=' in name else (name, name) for name in requested)
     check_known(names, known, f'{bag.path}: topics')
     for name in names:
         if KINDS.get(known[name].kind) not in TYPES:
@@ -76,15 +76,15 @@ def chosen_topics(bag: Bag, wanted: tuple[str, ...]) -> dict[str, tuple[str, str
                                  f'one at least of {", ".join(clouds)}; name it')
     if not names:
         names = {name: name for name in clouds}
-        if (poses := _poses_among(list(known.values()))) is not None:
+        if (poses := _find_poses_topic(list(known.values()))) is not None:
             names[poses] = topics.CAMERA_POSES
-    return {name: (KINDS[known[name].kind], new) for name, new in names.items()}
+    return {name: (KINDS[known[name].kind], new_name) for name, new_name in names.items()}
 
 
-def _poses_among(known: list) -> str | None:
-    """Return the topic of the camera poses: by its name, or the only PoseArray; else None."""
-    arrays = [topic.name for topic in known if topic.kind == POSES]
-    named = [name for name in arrays if name.split('/')[-1] == topics.CAMERA_POSES]
+def _find_poses_topic(known: list) -> str | None:
+    """Return the topic with the name of camera poses, or else the only PoseArray topic, if any."""
+    pose_topics = [topic.name for topic in known if topic.kind == POSES]
+    named = [name for name in pose_topics if name.split('/')[-1] == topics.CAMERA_POSES]
     if named:
         return named[0]
-    return arrays[0] if len(arrays) == 1 else None
+    return pose_topics[0] if len(pose_topics) == 1 else None

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 from ocp_ros.ros.bags.bag_files import Bag
 from ocp_ros.ros.bags.bag_replay import Replay
-from ocp_ros.ros.bags.replay_options import chosen_topics, ReplayOptions
+from ocp_ros.ros.bags.replay_options import choose_topics, ReplayOptions
 from ocp_ros.ros.runtime.network import stay_local
 from ocp_ros.ros.runtime.node_main import END_SIGNALS
 from ocp_ros.util.settings import ConfigurationError
@@ -38,17 +38,20 @@ def options_of(arguments: argparse.Namespace) -> ReplayOptions:
 
     :raises ConfigurationError: if a pose is malformed.
     """
-    frames = [given.rpartition('=')[::2] for given in arguments.frame]
-    return ReplayOptions(
-        tuple(arguments.topics), arguments.rate, arguments.loop, arguments.start,
-        arguments.duration, tuple(frames), tuple(map(pose_of, arguments.pose)),
-        arguments.fixed_frame, arguments.wait)
+    # TOPIC=FRAME names the frame of one topic, and FRAME that of all others.
+    frames = [(topic, frame) for topic, _, frame in (
+        text.rpartition('=') for text in arguments.frame)]
+    return ReplayOptions(topics=tuple(arguments.topics), rate=arguments.rate, loop=arguments.loop,
+                         start=arguments.start, duration=arguments.duration, frames=tuple(frames),
+                         poses=tuple(map(pose_of, arguments.pose)),
+                         fixed_frame=arguments.fixed_frame, wait=arguments.wait)
 
 
 def pose_of(text: str) -> np.ndarray:
     """
-    Read a pose whose angles are in degrees.
+    Read a pose from a text of three to six numbers, in metres and degrees.
 
+    :param text: x, y, z and, if not 0, yaw, pitch, roll, with commas between.
     :returns: (6,) x, y, z, yaw, pitch, roll: metres and radians.
     :raises ConfigurationError: if the pose is malformed.
     """
@@ -65,68 +68,70 @@ def pose_of(text: str) -> np.ndarray:
     return pose
 
 
-def topics_of(bag: Bag) -> list[dict[str, Any]]:
-    """Return the topics of a bag, with the names under which they would be published."""
+def describe_topics(bag: Bag) -> list[dict[str, Any]]:
+    """Return a description of each topic of a bag, with the name under which it is published."""
     chosen: dict[str, tuple[str, str]] = {}
     with suppress(ConfigurationError):
-        chosen = chosen_topics(bag, ())
+        chosen = choose_topics(bag, ())
     return [{'topic': topic.name, 'type': topic.kind.replace('/msg/', '/'),
              'messages': topic.count, 'frames': list(bag.frames(topic)),
              'published_as': chosen.get(topic.name, ('', None))[1]} for topic in bag.topics]
 
 
 @contextmanager
-def _noted_signals(executor: Executor) -> Iterator[list[int]]:
+def _record_signals(executor: Executor) -> Iterator[list[int]]:
     """
-    Record the signals that end a program, and wake the executor.
+    Record the signals of ``END_SIGNALS`` in a list, and wake the executor at each.
 
-    No error is raised: rclpy swallows an error at the wrong moment and would continue for ever.
+    No error is raised: rclpy swallows errors at some moments, and would then continue for ever.
+
+    :returns: the numbers of the signals received so far.
     """
-    noted: list[int] = []
+    received: list[int] = []
 
-    def note(number, frame):
-        noted.append(number)
+    def record(signal_number, frame):
+        received.append(signal_number)
         executor.wake()
 
-    before = {number: signal.signal(number, note) for number in END_SIGNALS}
+    old_handlers = {number: signal.signal(number, record) for number in END_SIGNALS}
     try:
-        yield noted
+        yield received
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for signal_number, handler in old_handlers.items():
+            signal.signal(signal_number, handler)
 
 
 def replay(arguments: argparse.Namespace) -> dict[str, Any]:
     """
-    Publish the clouds of a bag, or list its topics.
+    Publish the clouds of a bag; with the option ``list`` only describe its topics.
 
-    :returns: numbers of published messages, or the topics of the bag, as plain data.
+    :returns: numbers of messages, or, with ``list``, the topics; as plain data.
     :raises ConfigurationError: if the bag or an option cannot be used.
     """
     options = options_of(arguments)
     with Bag(arguments.bag) as bag:
         if arguments.list:
-            return {'bag': bag.path.name, 'seconds': bag.seconds, 'topics': topics_of(bag)}
-        return _publish(bag, options)
+            return {'bag': bag.path.name, 'seconds': bag.seconds, 'topics': describe_topics(bag)}
+        return _publish_bag(bag, options)
 
 
-def _publish(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
+def _publish_bag(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
     """Publish a bag to its end; return the numbers of messages published and left out."""
     stay_local()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     executor, node = SingleThreadedExecutor(), None
     try:
-        with _noted_signals(executor) as noted:
+        with _record_signals(executor) as received:
             node = Replay(bag, options)
             executor.add_node(node)
-            while not (node.done.done() or noted):
+            while not (node.done.done() or received):
                 executor.spin_once()
-        if noted:
+        if received:
             raise KeyboardInterrupt
         if node.done.exception() is not None:
             raise node.done.exception()
         node.flush()
-        return {'left_out': node.left_out, 'published': {
+        return {'left_out': node.left_out_count, 'published': {
             name: {'as': node.topics[name][1], 'messages': count}
             for name, count in node.counts.items()}}
     finally:

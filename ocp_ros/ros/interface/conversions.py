@@ -27,6 +27,8 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 
+NS_PER_S = 1_000_000_000
+#: NumPy types of the floats of a cloud, without their byte order.
 NUMPY_TYPES = {PointField.FLOAT32: 'f4', PointField.FLOAT64: 'f8'}
 
 
@@ -35,62 +37,61 @@ class MessageError(ValueError):
 
 
 def shortened(error: Exception) -> str:
-    """Return the text of an error, cut to ``LONGEST_ERROR`` characters."""
-    text = str(error)
-    # A name that an error quotes may be of any length.
-    max_letters = 600
-    return text if len(text) <= max_letters else f'{text[:max_letters]} ...'
+    """Return the text of an error, cut to 600 characters: names that it quotes may be longer."""
+    text, cut = str(error)[:600], str(error)[600:]
+    return f'{text} ...' if cut else text
 
 
 def stamp_to_ns(stamp: Time) -> int:
     """Return a stamp as nanoseconds."""
-    return stamp.sec * 1_000_000_000 + stamp.nanosec
+    return stamp.sec * NS_PER_S + stamp.nanosec
 
 
 def ns_to_stamp(nanoseconds: int) -> Time:
     """Return nanoseconds as a stamp."""
-    return Time(sec=nanoseconds // 1_000_000_000, nanosec=nanoseconds % 1_000_000_000)
+    return Time(sec=nanoseconds // NS_PER_S, nanosec=nanoseconds % NS_PER_S)
 
 
 def ns_of(fields: Mapping[str, float], name: str) -> int:
     """Return the stamp in the fields ``<name>_sec`` and ``<name>_nanosec``, nanoseconds."""
-    return int(fields[f'{name}_sec']) * 1_000_000_000 + int(fields[f'{name}_nanosec'])
+    return int(fields[f'{name}_sec']) * NS_PER_S + int(fields[f'{name}_nanosec'])
 
 
 def cloud_to_msg(points: np.ndarray, header: Header) -> PointCloud2:
     """
-    Pack a cloud as x, y, z of float32.
+    Pack the points of a cloud as x, y, z of float32.
 
     :param points: (N, 3), metres, in the header's frame.
     """
     points = np.ascontiguousarray(points, dtype='<f4')
     message = PointCloud2(
-        header=header, height=1, width=len(points), point_step=12, row_step=12 * len(points),
+        header=header, height=1, width=len(points), point_step=12, row_step=points.nbytes,
         is_bigendian=False, is_dense=True,
         fields=[PointField(name=name, offset=4 * k, datatype=PointField.FLOAT32, count=1)
                 for k, name in enumerate('xyz')])
-    # The setter takes an array of type 'B' without checking each element.
+    # The setter of rclpy takes an array of type 'B' without checking each byte.
     message.data = array('B', points.tobytes())
     return message
 
 
-def cloud_with(points: np.ndarray, name: str, values: np.ndarray, header: Header) -> PointCloud2:
+def value_cloud(points: np.ndarray, name: str, values: np.ndarray, header: Header) -> PointCloud2:
     """
-    Pack a cloud with a number for each point.
+    Pack the points of a cloud, with a number for each.
 
     :param points: (N, 3), metres, in the header's frame.
-    :param name: of the field.
-    :param values: (N,) float32 or uint32.
+    :param name: name of the field of the numbers.
+    :param values: (N,) float32 or uint32, the numbers.
     """
-    kind = PointField.UINT32 if values.dtype == np.uint32 else PointField.FLOAT32
-    rows = np.empty(len(points), dtype=[('xyz', '<f4', 3), ('value', values.dtype)])
-    rows['xyz'], rows['value'] = points, values
+    datatype = PointField.UINT32 if values.dtype == np.uint32 else PointField.FLOAT32
+    records = np.empty(len(points), dtype=[('xyz', '<f4', 3), ('value', values.dtype)])
+    records['xyz'], records['value'] = points, values
     message = cloud_to_msg(points[:0], header)
-    message.width = len(rows)
-    message.point_step = 16
-    message.row_step = 16 * len(rows)
-    message.fields = [*message.fields, PointField(name=name, offset=12, datatype=kind, count=1)]
-    message.data = array('B', rows.tobytes())
+    message.width = len(records)
+    message.fields = [*message.fields, PointField(name=name, offset=message.point_step,
+                                                  datatype=datatype, count=1)]
+    message.point_step = records.itemsize
+    message.row_step = records.nbytes
+    message.data = array('B', records.tobytes())
     return message
 
 
@@ -98,39 +99,38 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
     """
     Unpack the positions of a cloud of any field layout.
 
-    Some drivers send a ``row_step`` of 0 or of the whole cloud. It is ignored if the number of
-    bytes is exactly that of the points.
+    ``row_step`` (bytes of a row) is ignored if the data have exactly the bytes of the points: some
+    drivers send 0, or the bytes of the whole cloud.
 
     :returns: (N, 3) float32, metres, in the message's frame; points without a finite position
         (no return) are left out.
-    :raises MessageError: if x, y or z is missing or the sizes contradict the data.
+    :raises MessageError: if x, y or z is missing, or the message states other sizes than its data
+        have.
     """
-    fields = [_field(message, name) for name in 'xyz']
+    fields = [_float_field(message, name) for name in 'xyz']
     height, width, step, size = (
         message.height, message.width, message.point_step, len(message.data))
-    tight = size == height * width * step
-    row_step = width * step if tight else message.row_step
+    is_unpadded = size == height * width * step
+    row_step = width * step if is_unpadded else message.row_step
     if row_step < width * step or size != row_step * height:
-        raise MessageError(
-            f'cloud: found {size} bytes and row_step {row_step}; expected {height} rows of at '
-            f'least {width} x {step} bytes')
+        raise MessageError(f'cloud: found {size} bytes and row_step {row_step}; expected {height} '
+                           f'rows of at least {width} x {step} bytes')
     if height * width == 0:
         return np.empty((0, 3), dtype=np.float32)
     points = np.empty((height, width, 3), dtype=np.float32)
-    order, data = '>' if message.is_bigendian else '<', memoryview(message.data)
+    byte_order = '>' if message.is_bigendian else '<'
     # Values too large for float32 become inf, and their points are left out below.
     with np.errstate(over='ignore', invalid='ignore'):
         for k, field in enumerate(fields):
-            points[..., k] = np.ndarray(
-                (height, width), order + NUMPY_TYPES[field.datatype], data, field.offset,
-                (row_step, step))
+            points[..., k] = np.ndarray((height, width), byte_order + NUMPY_TYPES[field.datatype],
+                                        memoryview(message.data), field.offset, (row_step, step))
     points = points.reshape(-1, 3)
     finite = np.isfinite(points).all(axis=1)
     return points if finite.all() else points[finite]
 
 
-def _field(message: PointCloud2, name: str) -> PointField:
-    """Return the only field of a name; it has to be one float within the bytes of a point."""
+def _float_field(message: PointCloud2, name: str) -> PointField:
+    """Return the field of a name; refuse it unless it is a single float within each point."""
     found = [field for field in message.fields if field.name == name]
     if len(found) != 1:
         names = [field.name for field in message.fields]
@@ -161,19 +161,20 @@ def positions_to_msg(positions: np.ndarray, header: Header,
     return message
 
 
-def moved_to(poses: PoseArray, positions: np.ndarray,
-             turned: Mapping[int, np.ndarray] | None = None) -> PoseArray:
+def move_poses(poses: PoseArray, positions: np.ndarray,
+               new_headings: Mapping[int, np.ndarray] | None = None) -> PoseArray:
     """
-    Pack cameras at new positions, with their present orientations except for some.
+    Pack the poses of cameras that move, and of which some rotate.
 
-    :param poses: present poses.
-    :param positions: new positions, (K, 3), metres, in the same frame.
-    :param turned: new yaw, pitch and roll in radians, (3,), of the cameras that are rotated.
+    :param poses: present poses of the K cameras.
+    :param positions: new positions, (K, 3), metres, in the frame of ``poses``.
+    :param new_headings: by camera number: new yaw, pitch and roll in radians, (3,); all other
+        cameras keep their orientations.
     """
     message = positions_to_msg(positions, poses.header)
-    for pose, now in zip(message.poses, poses.poses, strict=True):
-        pose.orientation = now.orientation
-    for camera, heading in (turned or {}).items():
+    for pose, present_pose in zip(message.poses, poses.poses, strict=True):
+        pose.orientation = present_pose.orientation
+    for camera, heading in (new_headings or {}).items():
         message.poses[camera].orientation = quaternion_of(heading)
     return message
 
@@ -184,60 +185,60 @@ def quaternion_of(heading: np.ndarray) -> Quaternion:
     return Quaternion(x=float(x), y=float(y), z=float(z), w=float(w))
 
 
-def msg_to_positions(message: PoseArray, cameras: int | None = None) -> np.ndarray:
+def msg_to_positions(message: PoseArray, expected_count: int | None = None) -> np.ndarray:
     """
     Unpack camera positions.
 
-    :param cameras: expected number; None for any number that a rig may have.
+    :param expected_count: expected number of cameras; None for any number that a rig may have.
     :returns: (K, 3) float64, metres, in the message's frame.
-    :raises MessageError: if the number differs or is none that a rig may have, or a coordinate is
-        not finite or beyond ``FARTHEST``.
+    :raises MessageError: if the number of cameras is not the expected one, or a coordinate is not
+        finite or beyond 10,000 km.
     """
     count = len(message.poses)
-    if not 1 <= count <= MAX_CAMERAS or cameras not in (None, count):
-        expected = f'at least 1, at most {MAX_CAMERAS}' if cameras is None else cameras
+    if not 1 <= count <= MAX_CAMERAS or expected_count not in (None, count):
+        expected = expected_count or f'at least 1, at most {MAX_CAMERAS}'
         raise MessageError(f'poses: found {count} cameras; expected {expected}')
     positions = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
     if not np.isfinite(positions).all():
         raise MessageError('poses: found NaN or inf; expected finite metres')
-    # Enough for national survey coordinates.
+    # National survey coordinates are smaller.
     max_coordinate_m = 1e7
-    if (farthest := np.abs(positions).max()) > max_coordinate_m:
-        raise MessageError(f'poses: found a camera at {farthest:.3g} m; expected it within '
+    if (max_found_m := np.abs(positions).max()) > max_coordinate_m:
+        raise MessageError(f'poses: found a camera at {max_found_m:.3g} m; expected it within '
                            f'{max_coordinate_m:.0e} m of the origin')
     return positions
 
 
-def msg_to_poses(message: PoseArray, cameras: int | None = None) -> list[CameraPose]:
+def msg_to_poses(message: PoseArray, expected_count: int | None = None) -> list[CameraPose]:
     """
     Unpack camera poses.
 
-    :param cameras: expected number; None for any number that a rig may have.
+    :param expected_count: expected number of cameras; None for any number that a rig may have.
     :returns: a pose per camera, in the message's frame.
     :raises MessageError: as :func:`msg_to_positions` and :func:`rotation_of`.
     """
-    positions = msg_to_positions(message, cameras)
+    positions = msg_to_positions(message, expected_count)
     return [CameraPose(position, rotation_of(pose.orientation, f'poses: camera {k}'))
             for k, (position, pose) in enumerate(zip(positions, message.poses, strict=True))]
 
 
-def rotation_of(quaternion: Quaternion, whose: str) -> np.ndarray:
+def rotation_of(quaternion: Quaternion, owner: str) -> np.ndarray:
     """
     Convert a quaternion of any length to a rotation matrix.
 
-    :param whose: name of its owner, for the error.
+    :param owner: what has this rotation, in words for the error.
     :returns: (3, 3) float64, from the body frame to the frame of the message.
-    :raises MessageError: if it is zero or not finite.
+    :raises MessageError: if the quaternion is zero or not finite.
     """
     xyzw = np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
     if not 1e-6 < (length := math.hypot(*xyzw)) < np.inf:
-        raise MessageError(f'{whose}: found the quaternion {xyzw.tolist()}; expected one of '
+        raise MessageError(f'{owner}: found the quaternion {xyzw.tolist()}; expected one of '
                            'length 1; send x, y, z, w = 0, 0, 0, 1 for a level camera along x')
     return Rotation.from_quat(xyzw / length).as_matrix()
 
 
 def fields_to_msg(fields: Mapping[str, float]) -> Float64MultiArray:
-    """Pack named numbers; the label of the one dimension lists the names."""
+    """Pack named numbers; the message lists the names in the label of its only dimension."""
     message = Float64MultiArray(data=[float(value) for value in fields.values()])
     message.layout.dim = [MultiArrayDimension(
         label=','.join(fields), size=len(fields), stride=len(fields))]
@@ -246,7 +247,7 @@ def fields_to_msg(fields: Mapping[str, float]) -> Float64MultiArray:
 
 def msg_to_fields(message: Float64MultiArray, expected: tuple[str, ...]) -> dict[str, float]:
     """
-    Unpack named numbers.
+    Unpack the named numbers of :func:`fields_to_msg`.
 
     :param expected: names of the fields that are required.
     :raises MessageError: if the numbers of labels and data differ, or an expected field is missing
@@ -264,14 +265,15 @@ def msg_to_fields(message: Float64MultiArray, expected: tuple[str, ...]) -> dict
     return fields
 
 
-def bytes_to_msg(blob: bytes) -> UInt8MultiArray:
-    """Pack bytes."""
-    message, size = UInt8MultiArray(), len(blob)
+def bytes_to_msg(content: bytes) -> UInt8MultiArray:
+    """Pack the bytes of a safetensors file."""
+    message = UInt8MultiArray()
+    size = len(content)
     message.layout.dim = [MultiArrayDimension(label='safetensors', size=size, stride=size)]
-    message.data = array('B', blob)
+    message.data = array('B', content)
     return message
 
 
 def msg_to_bytes(message: UInt8MultiArray) -> bytes:
-    """Unpack bytes."""
+    """Unpack the bytes of a safetensors file."""
     return bytes(message.data)

@@ -23,7 +23,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose
 from ocp_ros.ros.interface.conversions import (
     MessageError,
-    positions_to_msg,
+    quaternion_of,
     rotation_of,
     stamp_to_ns,
 )
@@ -33,27 +33,27 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_msgs.msg import Header
 
-#: Names of the camera frames with the camera's index among the poses: body (x forward, y left, z
-#: up) and optical (z forward, x right, y down), as in REP-103.
+#: Names of camera frames, with the number of the camera among the poses. Body frames have x
+#: forward, y left, z up; optical frames have z forward, x right, y down (REP-103).
 CAMERA_FRAME = re.compile(r'camera_([0-9]{1,4})(_optical)?')
 
 
 class LateTransformError(MessageError):
-    """A transform is older than the arrival of the cameras: a newer one may still come."""
+    """A transform is older than the arrival of the cameras; a newer transform may still come."""
 
 
 class LiveRig(NamedTuple):
     """
     Poses of cameras that stand still.
 
-    :ivar frame: of the poses, usually ``map``.
-    :ivar poses: one per camera.
-    :ivar since: stamp in nanoseconds since which the cameras have been standing there.
+    :ivar frame: frame of the poses, usually ``map``.
+    :ivar poses: one pose per camera.
+    :ivar standing_since_ns: stamp since which the cameras have been standing there, nanoseconds.
     """
 
     frame: str
     poses: list[Pose]
-    since: int = 0
+    standing_since_ns: int = 0
 
     @property
     def positions(self) -> np.ndarray:
@@ -61,12 +61,12 @@ class LiveRig(NamedTuple):
         return np.array([pose.position for pose in self.poses])
 
 
-class Sighting(NamedTuple):
+class CameraClouds(NamedTuple):
     """
     The newest clouds of live cameras, with the reported poses of the cameras.
 
     :ivar rig: the poses.
-    :ivar clouds: (N, 3) metres, body frame, by the number of the camera.
+    :ivar clouds: by the number of the camera: (N, 3) metres, in the body frame of the camera.
     """
 
     rig: LiveRig
@@ -90,24 +90,25 @@ class Transforms:
         self._buffer = tf2_ros.Buffer()
         self._listener = tf2_ros.TransformListener(self._buffer, node)
 
-    def forget(self) -> None:
-        """Drop all transforms that are not static: the clock of their stamps has been set."""
+    def clear(self) -> None:
+        """Drop all transforms that are not static, for example because a clock was set."""
         if self._buffer is not None:
             self._buffer.clear()
 
-    def knows(self, frame: str, parent: str) -> bool:
-        """Return whether a transform from a frame to a parent frame is known."""
+    def has_transform(self, frame: str, parent: str) -> bool:
+        """Return whether the transform from a frame to a parent frame is known."""
         return self._buffer is not None and self._buffer.can_transform(parent, frame, Time())
 
-    def pose(self, frame: str, rig: LiveRig) -> Pose:
+    def look_up_pose(self, frame: str, rig: LiveRig) -> Pose:
         """
         Look up the pose of a frame in the frame of the rig.
 
         The newest transform is taken, not the one at the stamp of a cloud: transforms may arrive
         later than clouds, and cameras stand still while their clouds are used.
 
-        :raises MessageError: if there is no transform, none newer than the arrival of the cameras
-            (:class:`LateTransformError`), or one that is not finite.
+        :raises LateTransformError: if the newest transform is older than the arrival of the
+            cameras.
+        :raises MessageError: if there is no transform, or its numbers are not finite.
         """
         expected = (f'expected {rig.frame!r}, camera_<i> or camera_<i>_optical with i from 0 to '
                     f'{len(rig.poses) - 1}, or one that tf2 takes to {rig.frame!r}')
@@ -115,22 +116,22 @@ class Transforms:
             raise MessageError(f"cloud: found the frame {frame!r}; {expected}; set the driver's "
                                'frame, or install tf2_ros')
         try:
-            found = self._buffer.lookup_transform(rig.frame.lstrip('/'), frame, Time())
+            message = self._buffer.lookup_transform(rig.frame.lstrip('/'), frame, Time())
         except self._error as error:
             raise MessageError(f'cloud: found the frame {frame!r} ({error}); {expected}; publish '
                                'its transform') from error
-        stamp, move = stamp_to_ns(found.header.stamp), found.transform
+        stamp = stamp_to_ns(message.header.stamp)
         # Static transforms have the stamp 0.
-        if 0 < stamp < rig.since:
+        if 0 < stamp < rig.standing_since_ns:
             raise LateTransformError(
                 f'cloud: found the frame {frame!r} with a transform '
-                f'{(rig.since - stamp) * 1e-9:.3f} s older than the poses; expected one since the '
-                'cameras stand; publish it as often as the poses')
-        position = np.array([move.translation.x, move.translation.y, move.translation.z])
+                f'{(rig.standing_since_ns - stamp) * 1e-9:.3f} s older than the poses; expected '
+                'one since the cameras stand; publish it as often as the poses')
+        position = np.array([getattr(message.transform.translation, axis) for axis in 'xyz'])
         if not np.isfinite(position).all():
             raise MessageError(f'cloud: found the frame {frame!r} at {position.tolist()}; '
                                'expected finite metres; mend its transform')
-        return Pose(position, rotation_of(move.rotation, f'transform of {frame!r}'))
+        return Pose(position, rotation_of(message.transform.rotation, f'transform of {frame!r}'))
 
 
 def publish_tf() -> Any:
@@ -148,141 +149,152 @@ class CameraFrames:
     latter equals the body frame and is named as most drivers name their root frame.
 
     :param node: gets the publishers.
-    :param wanted: the parameter ``publish_tf``.
-    :param taken: returns whether another node already publishes a frame in its parent.
+    :param enabled: the parameter ``publish_tf``.
+    :param is_published: is called with a frame and its parent; returns whether another node
+        publishes this frame already.
     """
 
-    def __init__(self, node: Node, wanted: bool, taken: Callable[[str, str], bool]) -> None:
-        self._message = None
-        if not wanted:
+    def __init__(self, node: Node, enabled: bool,
+                 is_published: Callable[[str, str], bool] = lambda frame, parent: False) -> None:
+        self._message_type = None
+        if not enabled:
             return
         try:
             from tf2_msgs.msg import TFMessage
         except ImportError:
             return
-        self._message = TFMessage
-        self._taken = taken
+        self._message_type = TFMessage
+        self._is_published = is_published
         self._log = node.get_logger()
-        self._moving = node.create_publisher(TFMessage, '/tf', LOOP)
-        self._static = node.create_publisher(TFMessage, '/tf_static', LATCHED)
-        self._cameras = 0
-        self._published = frozenset[int]()
+        self._tf_publisher = node.create_publisher(TFMessage, '/tf', LOOP)
+        self._static_publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
+        self._camera_count = 0
+        #: Cameras whose frames this node publishes.
+        self._own_cameras = frozenset[int]()
 
     def publish(self, header: Header, poses: Sequence[Pose]) -> None:
         """
         Publish the poses of cameras; stamps have to increase.
 
         :param header: stamp and frame of the poses.
+        :param poses: body pose of camera i at index i.
         """
-        if self._message is None:
+        if self._message_type is None:
             return
-        if len(poses) != self._cameras:
-            self._begin(header, len(poses))
-        self._moving.publish(self._message(transforms=[
-            transform(header, f'camera_{camera}', poses[camera])
-            for camera in sorted(self._published)]))
+        if len(poses) != self._camera_count:
+            self._publish_static_frames(header, len(poses))
+        self._tf_publisher.publish(self._message_type(transforms=[
+            transform_to_msg(header, f'camera_{camera}', poses[camera])
+            for camera in sorted(self._own_cameras)]))
 
-    def _begin(self, header: Header, cameras: int) -> None:
-        """Publish the static frames of all cameras whose frames no other node publishes."""
+    def _publish_static_frames(self, header: Header, camera_count: int) -> None:
+        """Publish the static frames of those cameras whose frames no other node publishes."""
         parent = header.frame_id.lstrip('/')
-        others = {camera for camera in range(cameras) if camera not in self._published
-                  and self._taken(f'camera_{camera}', parent)}
-        if others:
-            self._log.info(f'publish_tf: another node publishes {len(others)} of the '
-                           f'{cameras} frames camera_<i>; these are left to it')
-        self._cameras = cameras
-        self._published = frozenset(range(cameras)) - others
-        own, body = np.zeros(3), np.eye(3)
-        self._static.publish(self._message(transforms=[
-            transform(Header(stamp=header.stamp, frame_id=f'camera_{camera}'),
-                      f'camera_{camera}_{name}', Pose(own, rotation))
-            for camera in sorted(self._published)
-            for name, rotation in (('link', body), ('optical', OPTICAL_TO_BODY))]))
+        foreign_cameras = {camera for camera in range(camera_count)
+                           if camera not in self._own_cameras
+                           and self._is_published(f'camera_{camera}', parent)}
+        if foreign_cameras:
+            self._log.info(f'publish_tf: another node publishes {len(foreign_cameras)} of the '
+                           f'{camera_count} frames camera_<i>; these are left to it')
+        self._camera_count = camera_count
+        self._own_cameras = frozenset(range(camera_count)) - foreign_cameras
+        self._static_publisher.publish(self._message_type(transforms=[
+            transform_to_msg(Header(stamp=header.stamp, frame_id=f'camera_{camera}'),
+                             f'camera_{camera}_{name}', Pose(np.zeros(3), rotation))
+            for camera in sorted(self._own_cameras)
+            for name, rotation in (('link', np.eye(3)), ('optical', OPTICAL_TO_BODY))]))
 
 
-def transform(header: Header, child: str, pose: Pose) -> TransformStamped:
-    """Return the transform message of a child frame, by its pose in the parent frame."""
-    row = positions_to_msg(pose.position[None], header, heading_of(pose.rotation)[None]).poses[0]
-    at = row.position
+def transform_to_msg(header: Header, child_frame: str, pose: Pose) -> TransformStamped:
+    """Pack the pose of a child frame in its parent frame, which is the frame of the header."""
+    x, y, z = map(float, pose.position)
     return TransformStamped(
         header=Header(stamp=header.stamp, frame_id=header.frame_id.lstrip('/')),
-        child_frame_id=child,
-        transform=Transform(translation=Vector3(x=at.x, y=at.y, z=at.z), rotation=row.orientation))
+        child_frame_id=child_frame,
+        transform=Transform(translation=Vector3(x=x, y=y, z=z),
+                            rotation=quaternion_of(heading_of(pose.rotation))))
 
 
-def placed(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
-           ) -> tuple[np.ndarray, np.ndarray]:
+def transform_cloud(points: np.ndarray, frame: str, rig: LiveRig, transforms: Transforms
+                    ) -> tuple[np.ndarray, np.ndarray]:
     """
     Transform a cloud into the frame of the poses.
 
-    Points exactly at the origin of their frame mean "no return" and are left out. A frame of tf2
-    at the position of a camera counts as that camera's frame. For any other frame it is unknown
-    which camera observed the points: then all cameras are returned.
+    Points exactly at the origin of their frame mean "no return" and are left out. A frame that
+    tf2 finds within 0.3 m of a camera counts as that camera's frame. For any other frame it is
+    unknown which camera observed the points: then the positions of all cameras are returned.
 
     :param points: (N, 3) float32, metres, in ``frame``.
-    :returns: the points, (M, 3) float32, metres, in the frame of the poses, M <= N, and (C, 3)
-        metres, the positions of the cameras that may have observed them.
-    :raises MessageError: if the pose of the frame is unknown, or the points have other axes.
+    :param frame: frame of the cloud.
+    :param rig: poses of the cameras.
+    :returns: the M <= N points that are left, (M, 3) float32, metres, in the frame of the poses,
+        and the positions of the C cameras that may have observed them, (C, 3) metres.
+    :raises MessageError: if the pose of the frame is unknown, or the points lie along the axes of
+        the other camera frame (body instead of optical, or the reverse).
     """
     points = points[points.any(axis=1)]
     # Remove the leading slash, which frames of ROS 1 may have.
     frame = frame.lstrip('/')
     if frame == rig.frame.lstrip('/'):
         return points, rig.positions
-    found, seen_from = CAMERA_FRAME.fullmatch(frame), rig.positions
-    if found is None or int(found[1]) >= len(rig.poses):
-        pose = transforms.pose(frame, rig)
-        # A frame of tf2 within 0.3 m of a camera is that camera's frame.
+    camera_positions = rig.positions
+    name = CAMERA_FRAME.fullmatch(frame)
+    if name is None or int(name[1]) >= len(rig.poses):
+        pose = transforms.look_up_pose(frame, rig)
         if np.linalg.norm(rig.positions - pose.position, axis=1).min() <= 0.3:
-            seen_from = pose.position[None]
+            camera_positions = pose.position[None]
     else:
-        pose = rig.poses[int(found[1])]
-        seen_from = pose.position[None]
-        _check_axes(points, frame, bool(found[2]))
-        if found[2]:
+        pose = rig.poses[int(name[1])]
+        camera_positions = pose.position[None]
+        is_optical = name[2] is not None
+        _check_axes(points, frame, is_optical)
+        if is_optical:
             pose = Pose(pose.position, pose.rotation @ OPTICAL_TO_BODY)
     # Points too far away for float32 are out of range in any case.
     with np.errstate(over='ignore', invalid='ignore'):
-        moved = points @ pose.rotation.T.astype(np.float32) + pose.position.astype(np.float32)
-    return moved, seen_from
+        rotated = points @ pose.rotation.T.astype(np.float32)
+        return rotated + pose.position.astype(np.float32), camera_positions
 
 
-def _check_axes(points: np.ndarray, frame: str, optical: bool) -> None:
-    """Refuse points that lie ahead of the camera only in the other convention of axes."""
+def _check_axes(points: np.ndarray, frame: str, is_optical: bool) -> None:
+    """Refuse a cloud (N, 3) that lies ahead of the camera only if x and z change their roles."""
     # Fewer points show nothing.
     if len(points) < 100:
         return
-    least = 0.4 * np.linalg.norm(points.astype(np.float64), axis=1)
-    ahead = [np.mean(points[:, axis] > least) for axis in (0, 2)]
+    least_depth = 0.4 * np.linalg.norm(points.astype(np.float64), axis=1)
+    shares_ahead = {axis: np.mean(points[:, 'xyz'.index(axis)] > least_depth) for axis in 'xz'}
+    wrong_axis, right_axis = 'xz' if is_optical else 'zx'
     nearly_all = 0.999
-    if ahead[not optical] < nearly_all or ahead[optical] >= nearly_all:
+    if shares_ahead[wrong_axis] < nearly_all or shares_ahead[right_axis] >= nearly_all:
         return
-    found, expected = ('x forward (body axes)', 'z') if optical else ('z forward (optical axes)',
-                                                                      'x')
-    other = frame.removesuffix('_optical') + ('' if optical else '_optical')
-    raise MessageError(f'cloud: found points with {found} in the frame {frame!r}; expected them '
-                       f'with {expected} forward; name the frame {other!r}')
+    conventions = {'x': 'body', 'z': 'optical'}
+    other_frame = frame.removesuffix('_optical') + ('' if is_optical else '_optical')
+    raise MessageError(f'cloud: found points with {wrong_axis} forward ({conventions[wrong_axis]} '
+                       f'axes) in the frame {frame!r}; expected them with {right_axis} forward; '
+                       f'name the frame {other_frame!r}')
 
 
-def in_range(points: np.ndarray, cameras: np.ndarray, low: float, high: float) -> np.ndarray:
+def points_in_range(points: np.ndarray, camera_positions: np.ndarray, min_range: float,
+                    max_range: float) -> np.ndarray:
     """
-    Keep the points whose distance to the nearest camera is within a range.
+    Return the points whose distance to the nearest camera is within a range.
 
-    :param points: (N, 3) float32, metres.
-    :param cameras: (C, 3) metres, same frame.
-    :param low: least distance, metres.
-    :param high: largest distance, metres.
-    :returns: (M, 3) float32, all finite, M <= N.
+    :param points: N points, (N, 3) float32, metres.
+    :param camera_positions: C cameras, (C, 3) metres, in the frame of the points.
+    :param min_range: least distance, metres.
+    :param max_range: largest distance, metres.
+    :returns: the M <= N points in range, (M, 3) float32, all finite.
     """
-    nearest = np.full(len(points), np.inf, dtype=np.float32)
+    # Squared distance of each point to its nearest camera.
+    nearest_squared = np.full(len(points), np.inf, dtype=np.float32)
     with np.errstate(over='ignore', invalid='ignore'):
-        for camera in cameras.astype(np.float32):
-            away = points - camera
-            nearest = np.fmin(nearest, np.einsum('ij,ij->i', away, away))
-    keep = (nearest >= low * low) & (nearest <= high * high)
+        for camera_position in camera_positions.astype(np.float32):
+            offsets = points - camera_position
+            nearest_squared = np.fmin(nearest_squared, np.einsum('ij,ij->i', offsets, offsets))
+    keep = (nearest_squared >= min_range * min_range) & (nearest_squared <= max_range * max_range)
     return points if keep.all() else points[keep]
 
 
-def in_body(points: np.ndarray, pose: Pose) -> np.ndarray:
+def points_in_body_frame(points: np.ndarray, pose: Pose) -> np.ndarray:
     """Transform points (N, 3) from the frame of a pose to the body frame of its camera."""
     return (points - pose.position) @ pose.rotation

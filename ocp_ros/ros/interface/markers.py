@@ -33,53 +33,58 @@ COLOURS = {'cameras': ColorRGBA(r=0.84, g=0.15, b=0.16, a=1.0),
 def rig_markers(trajectories: np.ndarray, poses: Sequence[Pose], models: Sequence[CameraModel],
                 header: Header) -> MarkerArray:
     """
-    Draw a rig: the position, trajectory and frustum (or range sphere) of each camera.
+    Return the markers of a rig: position, trajectory and field of view of each camera.
 
-    :param trajectories: (T, K, 3), metres: camera positions after each turn; the last row is now.
+    The field of view is a frustum for a pinhole camera, and a sphere of its range for others.
+
+    :param trajectories: (T, K, 3), metres: positions of K cameras at T times, the present last.
     :param poses: K present poses.
-    :param models: one camera model per camera, or one for all.
+    :param models: one camera model per camera, or a single model for all cameras.
+    :param header: stamp of the markers, and frame of the positions and poses.
     """
     markers = []
     for camera, pose in enumerate(poses):
         model = models[camera if len(models) > 1 else 0]
-        way = _points(trajectories[:, camera])
-        markers.append(_ball(header, 'cameras', camera, way[-1], 0.2, COLOURS['cameras']))
+        trajectory = _point_messages(trajectories[:, camera])
+        markers.append(_sphere_marker(header, 'cameras', camera, trajectory[-1], diameter=0.2))
         if model.lens.kind == PINHOLE:
-            markers.append(_lines(header, 'frusta', camera, Marker.LINE_LIST, 0.015,
-                                  COLOURS['frusta'], _points(frustum_edges(pose, model))))
+            markers.append(_line_marker(header, 'frusta', camera, Marker.LINE_LIST, width=0.015,
+                                        points=_point_messages(frustum_edges(pose, model))))
         else:
-            markers.append(_ball(header, 'ranges', camera, way[-1], 2.0 * model.max_range,
-                                 COLOURS['ranges']))
-        markers.append(_lines(header, 'trajectories', camera, Marker.LINE_STRIP, 0.03,
-                              COLOURS['trajectories'], way))
+            markers.append(_sphere_marker(header, 'ranges', camera, trajectory[-1],
+                                          diameter=2.0 * model.max_range))
+        markers.append(_line_marker(header, 'trajectories', camera, Marker.LINE_STRIP, width=0.03,
+                                    points=trajectory))
     return MarkerArray(markers=markers)
 
 
 def frustum_edges(pose: Pose, model: CameraModel) -> np.ndarray:
     """
-    Return the edges of a viewing pyramid whose corners are at the maximum range of the camera.
+    Return the edges of a viewing pyramid; its corners are at the maximum range of the camera.
 
     :param model: a pinhole camera.
-    :returns: (16, 3) metres: end points of eight edges, four from the camera and four of the base.
+    :returns: (16, 3) metres, in the frame of the pose: the two ends of each of eight edges, four
+        from the camera and four of the base.
     """
     lens = model.lens
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], dtype=np.float64)
     corners = np.column_stack([np.ones(4), signs * [lens.half_horizontal, lens.half_vertical]])
     corners *= model.max_range / np.linalg.norm(corners, axis=1, keepdims=True)
     corners = corners @ pose.rotation.T + pose.position
-    pairs = [(pose.position, corner) for corner in corners]
-    pairs += list(zip(corners, np.roll(corners, -1, axis=0)))
-    return np.array(pairs).reshape(-1, 3)
+    edges = [(pose.position, corner) for corner in corners]
+    edges += list(zip(corners, np.roll(corners, -1, axis=0)))
+    return np.array(edges).reshape(-1, 3)
 
 
 def move_markers(positions: np.ndarray, targets: np.ndarray, moving: np.ndarray, header: Header
                  ) -> MarkerArray:
     """
-    Draw an arrow for each camera that is to be moved.
+    Return an arrow for each camera that is to be moved, and delete the arrows of the others.
 
     :param positions: (K, 3) metres, present positions.
     :param targets: (K, 3) metres, target positions.
-    :param moving: (K,) bool; cameras with False get no arrow.
+    :param moving: (K,) bool, whether each camera is to be moved.
+    :param header: stamp of the markers, and frame of the positions.
     """
     markers = []
     for camera, moves in enumerate(moving):
@@ -87,33 +92,34 @@ def move_markers(positions: np.ndarray, targets: np.ndarray, moving: np.ndarray,
         arrow = Marker(header=header, ns='moves', id=camera, type=Marker.ARROW,
                        action=Marker.ADD if moves else Marker.DELETE,
                        scale=Vector3(x=0.04, y=0.1, z=0.1), color=COLOURS['moves'],
-                       points=_points(np.array([positions[camera], targets[camera]])))
+                       points=_point_messages(np.array([positions[camera], targets[camera]])))
         arrow.pose.orientation.w = 1.0
         markers.append(arrow)
     return MarkerArray(markers=markers)
 
 
-def _points(positions: np.ndarray) -> list[Point]:
-    """Return positions (N, 3) as messages."""
+def _point_messages(positions: np.ndarray) -> list[Point]:
+    """Return positions, (N, 3) metres, as messages."""
     return [Point(x=float(x), y=float(y), z=float(z)) for x, y, z in positions]
 
 
-def _lines(header: Header, namespace: str, number: int, kind: int, width: float,
-           colour: ColorRGBA, points: list[Point]) -> Marker:
-    """Draw lines."""
-    # RViz warns about a line of one point.
-    lines = Marker(header=header, ns=namespace, id=number, type=kind,
-                   action=Marker.ADD if len(points) > 1 else Marker.DELETE,
-                   scale=Vector3(x=width), color=colour, points=points)
-    lines.pose.orientation.w = 1.0
-    return lines
+def _line_marker(header: Header, namespace: str, marker_id: int, line_type: int, width: float,
+                 points: list[Point]) -> Marker:
+    """Return a marker of lines; with less than two points, a marker that deletes them."""
+    # RViz would warn about a line of one point.
+    marker = Marker(header=header, ns=namespace, id=marker_id, type=line_type,
+                    action=Marker.ADD if len(points) > 1 else Marker.DELETE,
+                    scale=Vector3(x=width), color=COLOURS[namespace], points=points)
+    marker.pose.orientation.w = 1.0
+    return marker
 
 
-def _ball(header: Header, namespace: str, number: int, centre: Point, diameter: float,
-          colour: ColorRGBA) -> Marker:
-    """Draw a ball."""
-    ball = Marker(header=header, ns=namespace, id=number, type=Marker.SPHERE, action=Marker.ADD,
-                  scale=Vector3(x=diameter, y=diameter, z=diameter), color=colour)
-    ball.pose.position = centre
-    ball.pose.orientation.w = 1.0
-    return ball
+def _sphere_marker(header: Header, namespace: str, marker_id: int, centre: Point, diameter: float
+                   ) -> Marker:
+    """Return a marker of a sphere; the diameter is in metres."""
+    sphere = Marker(header=header, ns=namespace, id=marker_id, type=Marker.SPHERE,
+                    action=Marker.ADD, color=COLOURS[namespace],
+                    scale=Vector3(x=diameter, y=diameter, z=diameter))
+    sphere.pose.position = centre
+    sphere.pose.orientation.w = 1.0
+    return sphere

@@ -23,30 +23,25 @@ from rclpy.qos import (
 )
 
 
-def _profile(reliability: ReliabilityPolicy, durability: DurabilityPolicy, depth: int
-             ) -> QoSProfile:
+def _make_profile(reliability: ReliabilityPolicy, durability: DurabilityPolicy, depth: int
+                  ) -> QoSProfile:
     """Return a profile that keeps the last ``depth`` messages."""
     return QoSProfile(
         reliability=reliability, durability=durability, history=HistoryPolicy.KEEP_LAST,
         depth=depth, liveliness=LivelinessPolicy.AUTOMATIC)
 
 
-def _reliable(durability: DurabilityPolicy, depth: int) -> QoSProfile:
-    """Return a reliable profile that keeps the last ``depth`` messages."""
-    return _profile(ReliabilityPolicy.RELIABLE, durability, depth)
-
-
 #: Turns, commands and rewards: no message may be lost.
-LOOP = _reliable(DurabilityPolicy.VOLATILE, 10)
+LOOP = _make_profile(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE, 10)
 
-#: The same for a subscriber that must not miss a turn although the loop does not wait for it.
-RECORDER = _reliable(DurabilityPolicy.VOLATILE, 200)
+#: Turns and rewards for a recorder: it must not miss a turn, and the loop does not wait for it.
+RECORDER = _make_profile(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE, 200)
 
-#: The latest state, also for subscribers that come late: scene, placement, weights, markers.
-LATCHED = _reliable(DurabilityPolicy.TRANSIENT_LOCAL, 1)
+#: The latest state (scene, placement, weights, markers), also sent to late subscribers.
+LATCHED = _make_profile(ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL, 1)
 
-#: Poses of live cameras, from rigs with any profile: a single subscription receives them all.
-POSES = _profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 10)
+#: Poses of live cameras: a subscription with this profile matches publishers of any profile.
+POSES = _make_profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 10)
 
-#: Clouds of live cameras, from drivers with any profile: only the newest cloud is used.
-SENSOR = _profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 1)
+#: Clouds of live cameras, from drivers of any profile: only the newest cloud is used.
+SENSOR = _make_profile(ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE, 1)

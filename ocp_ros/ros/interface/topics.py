@@ -35,42 +35,41 @@ TRUE_COVERAGE_CLOUD = 'true_coverage_cloud'
 TRUE_ERROR_CLOUD = 'true_error_cloud'
 
 #: Message type of each topic, as ROS 2 writes it.
-TYPES = {
-    OBSERVATION: 'sensor_msgs/msg/PointCloud2', CAMERA_POSES: 'geometry_msgs/msg/PoseArray',
-    CAMERA_COMMANDS: 'geometry_msgs/msg/PoseArray', REWARD: 'std_msgs/msg/Float64MultiArray',
-    SPACE_COVERAGE: 'std_msgs/msg/Float64', DEPTH_ERROR: 'std_msgs/msg/Float64',
-    SCENE: 'sensor_msgs/msg/PointCloud2', MARKERS: 'visualization_msgs/msg/MarkerArray',
-    PLACEMENT: 'geometry_msgs/msg/PoseArray', PLACEMENT_STATUS: 'std_msgs/msg/String',
-    INSTRUCTIONS: 'std_msgs/msg/String',
-    POLICY_WEIGHTS: 'std_msgs/msg/UInt8MultiArray',
-    EXPERIENCE: 'std_msgs/msg/UInt8MultiArray', TRAINING: 'std_msgs/msg/Float64MultiArray',
-    RIG_MARKERS: 'visualization_msgs/msg/MarkerArray',
-    COVERAGE_CLOUD: 'sensor_msgs/msg/PointCloud2', ERROR_CLOUD: 'sensor_msgs/msg/PointCloud2',
-    TRUE_COVERAGE_CLOUD: 'sensor_msgs/msg/PointCloud2',
-    TRUE_ERROR_CLOUD: 'sensor_msgs/msg/PointCloud2'}
+TYPES = {OBSERVATION: 'sensor_msgs/msg/PointCloud2', CAMERA_POSES: 'geometry_msgs/msg/PoseArray',
+         CAMERA_COMMANDS: 'geometry_msgs/msg/PoseArray', REWARD: 'std_msgs/msg/Float64MultiArray',
+         SPACE_COVERAGE: 'std_msgs/msg/Float64', DEPTH_ERROR: 'std_msgs/msg/Float64',
+         SCENE: 'sensor_msgs/msg/PointCloud2', MARKERS: 'visualization_msgs/msg/MarkerArray',
+         PLACEMENT: 'geometry_msgs/msg/PoseArray', PLACEMENT_STATUS: 'std_msgs/msg/String',
+         INSTRUCTIONS: 'std_msgs/msg/String', POLICY_WEIGHTS: 'std_msgs/msg/UInt8MultiArray',
+         EXPERIENCE: 'std_msgs/msg/UInt8MultiArray', TRAINING: 'std_msgs/msg/Float64MultiArray',
+         RIG_MARKERS: 'visualization_msgs/msg/MarkerArray',
+         COVERAGE_CLOUD: 'sensor_msgs/msg/PointCloud2', ERROR_CLOUD: 'sensor_msgs/msg/PointCloud2',
+         TRUE_COVERAGE_CLOUD: 'sensor_msgs/msg/PointCloud2',
+         TRUE_ERROR_CLOUD: 'sensor_msgs/msg/PointCloud2'}
 
 #: Fields of ``reward``. A 64-bit float cannot hold today's nanoseconds exactly, so each stamp is
 #: two numbers. ``stamp`` is that of the turn that the message describes, ``previous`` that of the
 #: turn before, whose command led to it.
-REWARD_FIELDS = (
-    'stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'episode', 'step', 'reward',
-    'delta_space_coverage', 'delta_depth_error', 'penalty', 'space_coverage', 'depth_error',
-    'terminated', 'truncated')
+REWARD_FIELDS = ('stamp_sec', 'stamp_nanosec', 'previous_sec', 'previous_nanosec', 'episode',
+                 'step', 'reward', 'delta_space_coverage', 'delta_depth_error', 'penalty',
+                 'space_coverage', 'depth_error', 'terminated', 'truncated')
 
 #: Fields of ``training``: the state of the training, for the policy of a namespace and observers.
 TRAINING_FIELDS = ('hold', 'updates', 'behind', 'turns', 'transitions', 'incomplete',
                    'inconsistent', 'refused', 'dropped')
 
 
-def camera_info(camera: int) -> str:
-    """Return the topic of the sensor_msgs/CameraInfo of a camera."""
+def camera_info_topic(camera: int) -> str:
+    """Return the topic on which the CameraInfo messages of a camera are published."""
     return f'camera_{camera}/camera_info'
 
 
-def share(number: int) -> str:
+def share_field(number: int) -> str:
     """
-    Return the name of the field of ``reward`` with the reward share of one camera's move.
+    Return the name of the field of ``reward`` with the share of the reward of one camera's move.
 
-    :param number: 0 for the camera that chose first, and so on; step 0 has no such fields.
+    The message of step 0 has no such fields.
+
+    :param number: 0 for the camera that chose first, 1 for the second, and so on.
     """
     return f'share_{number}'

@@ -30,13 +30,12 @@ from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.rig.placement_file import Placed, Placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import Camera
 from ocp_ros.ros.interface.conversions import MessageError, shortened
-from ocp_ros.ros.interface.frames import LiveRig, Sighting
+from ocp_ros.ros.interface.frames import CameraClouds, LiveRig
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.util.settings import ConfigurationError, UserError
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
@@ -47,75 +46,80 @@ class Calibrator:
     Register live cameras to a scan on request, and check their drift at intervals if configured.
 
     :param node: gets the service and a timer.
-    :param config: of the node, with ``scan``.
-    :param decider: has the rig of the rig file, or without one the camera models.
-    :param sighted: returns the newest cloud of each camera.
-    :param final: returns whether the placement is final.
+    :param config: parameters of the node, with ``scan``.
+    :param decider: has the rig of the rig file, or, without a rig file, the camera models.
+    :param latest_clouds: returns the newest clouds, or raises a MessageError if data are missing.
+    :param is_final: returns whether the placement is final: only then the drift is checked.
     :raises ConfigurationError: if the file of the scan does not exist.
     """
 
     def __init__(self, node: Node, config: PolicyNodeConfig, decider: Decider,
-                 sighted: Callable[[], Sighting], final: Callable[[], bool]) -> None:
+                 latest_clouds: Callable[[], CameraClouds], is_final: Callable[[], bool]) -> None:
         if not Path(config.scan).is_file():
             raise ConfigurationError(f'scan: found no file {config.scan!r}; expected a scan of '
                                      'the room; correct the path, or leave it empty')
         self._node = node
         self._config = config
         self._decider = decider
-        self._sighted, self._final = sighted, final
+        self._latest_clouds = latest_clouds
+        self._is_final = is_final
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='calibrator')
-        self._scan: ScanSurfaces | None = None
-        self._busy = False
-        self._checked_at = time.monotonic()
+        self._surfaces: ScanSurfaces | None = None
+        self._job_runs = False
+        self._check_time = time.monotonic()
         #: A sentence for each camera that had drifted at the last check.
-        self.drifted: list[str] = []
-        self.checks = 0
+        self.drift_warnings: list[str] = []
+        self.drift_checks = 0
         node.create_service(Trigger, '~/calibrate', self._on_calibrate)
-        node.create_timer(1.0, self._on_tick, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        create_steady_timer(node, 1.0, self._check_drift)
 
-    def change(self, config: PolicyNodeConfig) -> None:
-        """Continue with other parameters."""
+    def apply_config(self, config: PolicyNodeConfig) -> None:
+        """Continue with new parameters."""
         self._config = config
         if not config.drift_seconds:
-            self.drifted = []
+            self.drift_warnings = []
 
     def close(self) -> None:
-        """Start no more jobs; drop the waiting ones."""
+        """Let the present job end, and start no more jobs."""
         self._worker.shutdown(wait=False, cancel_futures=True)
 
     async def _on_calibrate(self, request: Trigger.Request, response: Trigger.Response
                             ) -> Trigger.Response:
-        """Register the newest clouds, and answer with a line for each camera."""
-        if self._busy:
+        """Register the newest clouds, and respond with a line for each camera."""
+        if self._job_runs:
             response.message = 'busy with another registration; call it again'
             return response
         try:
-            sighting = self._sighted()
-            placement = self._placement(sighting.rig)
+            placement, clouds = self._placement_and_clouds()
         except MessageError as error:
             response.message = shortened(error)
             return response
-        response.success, response.message = await self._begun(
-            lambda: self._calibrated(placement, sighting.clouds))
+        response.success, response.message = await self._start_job(
+            lambda: self._calibrate(placement, clouds))
         return response
 
-    def _on_tick(self) -> None:
+    def _check_drift(self) -> None:
         """Start a drift check if one is due."""
-        due = self._config.drift_seconds
-        if not due or self._busy or not self._final() or \
-                time.monotonic() - self._checked_at < due:
+        interval = self._config.drift_seconds
+        if not interval or self._job_runs or not self._is_final() or \
+                time.monotonic() - self._check_time < interval:
             return
-        self._checked_at = time.monotonic()
+        self._check_time = time.monotonic()
         try:
-            sighting = self._sighted()
-            placement = self._placement(sighting.rig)
+            placement, clouds = self._placement_and_clouds()
         except MessageError:
             return
-        self._begun(lambda: self._drift(placement, sighting.clouds))
+        self._start_job(lambda: self._find_drift(placement, clouds))
 
-    def _begun(self, job: Callable[[], tuple[bool, str]]) -> Future:
-        """Run a job in the thread; the future holds whether it succeeded, and a message."""
-        done, self._busy = Future(executor=self._node.executor), True
+    def _start_job(self, job: Callable[[], tuple[bool, str]]) -> Future:
+        """
+        Run a job in the thread.
+
+        :param job: returns whether it succeeded, and a message.
+        :returns: a future with the result of the job.
+        """
+        future = Future(executor=self._node.executor)
+        self._job_runs = True
 
         def run() -> None:
             try:
@@ -125,66 +129,75 @@ class Calibrator:
             except Exception as error:
                 # No error that a scan or a cloud causes in the registration may end this node.
                 result = False, f'found {type(error).__name__}: {shortened(error)}'
-            self._busy = False
+            self._job_runs = False
             if not result[0]:
                 self._node.get_logger().warning(f'registration: {result[1]}')
-            done.set_result(result)
+            future.set_result(result)
 
         self._worker.submit(run)
-        return done
+        return future
 
-    def _surfaces(self) -> ScanSurfaces:
+    def _scan_surfaces(self) -> ScanSurfaces:
         """Return the surfaces of the scan; read the scan once."""
-        if self._scan is None:
-            self._scan = ScanSurfaces(load_scene(self._config.scan))
-        return self._scan
+        if self._surfaces is None:
+            self._surfaces = ScanSurfaces(load_scene(self._config.scan))
+        return self._surfaces
+
+    def _placement_and_clouds(self) -> tuple[Placement, dict[str, np.ndarray]]:
+        """Return the placement as reported, and the newest clouds by the names of the cameras."""
+        rig, clouds = self._latest_clouds()
+        placement = self._placement(rig)
+        return placement, {placement.cameras[number].camera.name: cloud for number, cloud
+                           in clouds.items() if number < len(placement.cameras)}
 
     def _placement(self, rig: LiveRig) -> Placement:
         """Return the placement with the reported poses of the cameras."""
         poses = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in rig.poses])
-        known, models = self._decider.rig, self._decider.models
-        if known is not None and len(poses) >= len(known.cameras):
-            return placement_of(known, poses[:len(known.cameras)], frame=rig.frame)
+        rig_of_file, models = self._decider.rig, self._decider.models
+        if rig_of_file is not None and len(poses) >= len(rig_of_file.cameras):
+            return placement_of(rig_of_file, poses[:len(rig_of_file.cameras)], frame=rig.frame)
         return Placement(tuple(
             Placed(Camera(f'camera_{number}', '', models[min(number, len(models) - 1)]),
                    tuple(pose[:3].tolist()), tuple(np.rad2deg(pose[3:]).tolist()), 'free')
             for number, pose in enumerate(poses)), frame=rig.frame)
 
-    def _calibrated(self, placement: Placement, clouds: Mapping[int, np.ndarray]
-                    ) -> tuple[bool, str]:
-        """Register the cameras, and write their registered poses to a file."""
-        found, broken = calibrate(self._surfaces(), placement, _by_name(placement, clouds))
+    def _calibrate(self, placement: Placement, clouds: Mapping[str, np.ndarray]
+                   ) -> tuple[bool, str]:
+        """
+        Register the cameras, and write their registered poses beside the placement file, if any.
+
+        :param clouds: by the name of the camera: (N, 3) metres, body frame.
+        :returns: whether any camera was registered, and a line of text for each camera.
+        """
+        registrations, unusable_clouds = calibrate(self._scan_surfaces(), placement, clouds)
         lines = []
         for placed in placement.cameras:
             name = placed.camera.name
-            if name not in found or found[name].refused:
-                why = found[name].refused if name in found else broken.get(name, 'it has no cloud')
-                lines.append(f'{name}: refused: {why}')
-                continue
-            away = found[name].pose.position - placed.position
-            lines.append(f'{name}: {np.linalg.norm(away):.3f} m from where it was said to be, '
-                         f'expected within {1000.0 * found[name].certainty.metres[0]:.0f} mm')
-        built = as_built(placement, found, 'policy_node')
-        given = any(not one.refused for one in found.values())
-        if given and self._config.placement_file:
+            registration = registrations.get(name)
+            if registration is None:
+                lines.append(f'{name}: refused: {unusable_clouds.get(name, "it has no cloud")}')
+            elif registration.refused:
+                lines.append(f'{name}: refused: {registration.refused}')
+            else:
+                distance = np.linalg.norm(registration.pose.position - placed.position)
+                lines.append(f'{name}: {distance:.3f} m from where it was said to be, expected '
+                             f'within {1000.0 * registration.certainty.metres[0]:.0f} mm')
+        built = as_built(placement, registrations, 'policy_node')
+        any_registered = any(not registration.refused for registration in registrations.values())
+        if any_registered and self._config.placement_file:
             path = Path(self._config.placement_file)
             path = path.with_name(f'{path.stem}_as_built{path.suffix}')
             save_placement(path, built)
             lines.append(f'wrote {path}')
-        return given, '\n'.join(lines)
+        return any_registered, '\n'.join(lines)
 
-    def _drift(self, placement: Placement, clouds: Mapping[int, np.ndarray]) -> tuple[bool, str]:
-        """Find the cameras whose registered pose differs from their reported pose."""
-        self.drifted = drift(self._surfaces(), placement, _by_name(placement, clouds))
-        self.checks += 1
-        return not self.drifted, '; '.join(self.drifted)
+    def _find_drift(self, placement: Placement, clouds: Mapping[str, np.ndarray]
+                    ) -> tuple[bool, str]:
+        """Find cameras that have drifted; return whether there is none, and a text about them."""
+        self.drift_warnings = drift(self._scan_surfaces(), placement, clouds)
+        self.drift_checks += 1
+        return not self.drift_warnings, '; '.join(self.drift_warnings)
 
     def status(self) -> tuple[str, dict[str, object]]:
-        """Return a warning, empty if all is well, and values to show."""
-        return '; '.join(self.drifted), {'drift_checks': self.checks}
-
-
-def _by_name(placement: Placement, clouds: Mapping[int, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return clouds by the names of their cameras."""
-    return {placement.cameras[number].camera.name: cloud for number, cloud in clouds.items()
-            if number < len(placement.cameras)}
+        """Return the drift warnings as text (empty if there are none), and values to show."""
+        return '; '.join(self.drift_warnings), {'drift_checks': self.drift_checks}

@@ -16,10 +16,10 @@
 Commands to the cameras, sent by one policy alone: nodes count the publishers in the ROS graph.
 
 A node creates its publisher only if the graph has no other publisher of the topic. It commands
-once it has been the only one for a while, since discovery takes time. If several nodes create
-publishers at the same moment, each discovers the others, destroys its publisher and checks again,
-each at an interval of its own, drawn at random, so that one of them is the next to be alone. A
-node that has commanded continues, even if another publisher appears.
+once its publisher has been the only one for a while, since discovery takes time. If several nodes
+create publishers at the same moment, each discovers the others, destroys its publisher and checks
+again, each at its own interval, which is drawn at random. So one of them is the first to find no
+other publisher. A node that has commanded continues, even if another publisher appears.
 """
 
 from collections.abc import Callable
@@ -30,8 +30,7 @@ from geometry_msgs.msg import PoseArray
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.runtime import diagnostics
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode
 from rclpy.publisher import Publisher
@@ -45,7 +44,7 @@ PUBLISHER_AGE_S = 0.5
 
 class Commander:
     """
-    Publish commands while no other node does.
+    Publish commands, as long as no other node publishes them.
 
     :param node: gets the publisher while it is active.
     """
@@ -54,60 +53,63 @@ class Commander:
         self._node = node
         self._topic = node.resolve_topic_name(topics.CAMERA_COMMANDS)
         self._publisher: Publisher | None = None
-        self._commanded = False
-        self._ready = time.monotonic() + DISCOVERY_S
+        self._has_commanded = False
+        #: Time from which on this node may command.
+        self._use_time = time.monotonic() + DISCOVERY_S
 
-    def begin(self, go_on: Callable[[], None]) -> None:
+    def begin_checks(self, on_may_command: Callable[[], None]) -> None:
         """
-        Check until this node may command, at an interval that is drawn at random once.
+        Check at intervals whether this node may command; the interval is drawn at random once.
 
-        :param go_on: is called while this node may command and has not commanded yet.
+        :param on_may_command: is called at each check at which this node may command, until it has
+            commanded.
         """
-        self._go_on = go_on
+        self._on_may_command = on_may_command
         # The graph is checked every 0.15 to 0.35 s.
-        self._node.create_timer(random.uniform(0.15, 0.35), self._look,
-                                clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._look()
+        create_steady_timer(self._node, random.uniform(0.15, 0.35), self._check_graph)
+        self._check_graph()
 
-    def end(self) -> None:
-        """Let other nodes command; the node destroys the entities created since :meth:`begin`."""
+    def end_commands(self) -> None:
+        """Stop commanding; the node itself destroys the publisher and the timer."""
         if self._publisher is not None:
-            # The longest wait for the acknowledgement of a node's last command.
+            # The last command must not get lost.
             self._publisher.wait_for_all_acked(Duration(seconds=0.5))
-        self._publisher, self._commanded = None, False
+        self._publisher = None
+        self._has_commanded = False
 
     def publish(self, message: PoseArray) -> None:
-        """Command the cameras; call it only if ``waits`` is False."""
-        self._commanded = True
+        """Command the cameras; not allowed while ``must_wait`` is True."""
+        self._has_commanded = True
         self._publisher.publish(message)
 
     @property
-    def waits(self) -> bool:
+    def must_wait(self) -> bool:
         """Return whether this node may not command yet."""
-        return not self._commanded and (
-            self._publisher is None or time.monotonic() < self._ready or self._others > 0)
+        return not self._has_commanded and (
+            self._publisher is None or time.monotonic() < self._use_time or self._rival_count > 0)
 
     @property
-    def _others(self) -> int:
-        """Return the number of other publishers of commands."""
+    def _rival_count(self) -> int:
+        """Return the number of publishers of commands that other nodes have."""
         return self._node.count_publishers(self._topic) - (self._publisher is not None)
 
-    def _look(self) -> None:
-        """Create the publisher if there is no other, or destroy it if there is one."""
-        if self._commanded:
+    def _check_graph(self) -> None:
+        """Create or destroy the publisher as the graph allows; report if this node may command."""
+        if self._has_commanded:
             return
-        if self._others > 0:
+        if self._rival_count > 0:
             if self._publisher is not None:
                 self._node.destroy_publisher(self._publisher)
                 self._publisher = None
         elif self._publisher is None:
             self._publisher = self._node.create_publisher(PoseArray, self._topic, LOOP)
-            self._ready = max(self._ready, time.monotonic() + PUBLISHER_AGE_S)
-        elif not self.waits:
-            self._go_on()
+            self._use_time = max(self._use_time, time.monotonic() + PUBLISHER_AGE_S)
+        elif not self.must_wait:
+            self._on_may_command()
 
-    def wrong(self) -> str:
-        """Return and log a warning if other nodes command; else return an empty text."""
+    def conflict_warning(self) -> str:
+        """Log and return a warning if other nodes command too; else return an empty text."""
         if self._publisher is None:
-            return diagnostics.crowd(self._node, self._topic, 'one policy, so this one holds', 0)
-        return diagnostics.crowd(self._node, self._topic, 'one policy')
+            return diagnostics.warn_of_crowd(
+                self._node, self._topic, 'one policy, so this one holds', max_publishers=0)
+        return diagnostics.warn_of_crowd(self._node, self._topic, 'one policy')

@@ -23,70 +23,79 @@ from std_msgs.msg import String
 
 class Convergence:
     """
-    Publish on ``placement_status`` the progress towards a final placement, and why it is final.
+    Decide whether a placement is final, and publish that on ``placement_status``.
 
     :param node: gets the publisher.
-    :ivar still: number of latest turns in which no camera has moved.
-    :ivar longest: metres, the longest move of the last turn.
-    :ivar why: why the placement is final; empty while it is not.
-    :ivar gaps: data that were missing, such as clouds of a camera that was silent in most turns.
+    :ivar turns_still: number of turns since a camera last moved.
+    :ivar longest_move: longest move of a camera in the last turn, metres.
+    :ivar final_reason: why the placement is final; empty while it is not final.
+    :ivar missing_data: data that a final placement lacks, in words; empty if it lacks none.
     """
 
     def __init__(self, node: Node) -> None:
-        self._status = node.create_publisher(String, topics.PLACEMENT_STATUS, LATCHED)
-        self._published = ''
-        self.begin()
+        self._publisher = node.create_publisher(String, topics.PLACEMENT_STATUS, LATCHED)
+        self._published_text = ''
+        self.begin_episode()
 
-    def begin(self) -> None:
-        """Begin an episode."""
-        self.still = 0
-        self.longest = 0.0
-        self.why = ''
-        self.gaps = ''
-        #: Number of turns played when the placement became final; None before.
-        self._after: int | None = None
+    def begin_episode(self) -> None:
+        """Begin an episode, whose placement is not final."""
+        self.turns_still = 0
+        self.longest_move = 0.0
+        self.final_reason = ''
+        self.missing_data = ''
+        #: Number of turns played when the placement became final; None before that.
+        self._final_step: int | None = None
 
-    def moved(self, longest: float, widest: float, config: PolicyNodeConfig) -> None:
-        """Record the longest move of a turn, metres, and its largest rotation, radians."""
-        self.longest = longest
+    def record_move(self, longest_move: float, largest_rotation: float,
+                    config: PolicyNodeConfig) -> None:
+        """Record the longest move (m) and the largest rotation (radians) of a camera in a turn."""
+        self.longest_move = longest_move
         # Cameras that rotate by less than 0.02 radians count as standing still.
-        still = longest < config.convergence_distance and widest < 0.02
-        self.still = self.still + 1 if still else 0
+        is_still = longest_move < config.convergence_distance and largest_rotation < 0.02
+        self.turns_still = self.turns_still + 1 if is_still else 0
 
-    def reason(self, step: int, over: bool, alone: bool, config: PolicyNodeConfig) -> str:
+    def reason_to_finish(self, step: int, simulation_ended: bool, without_lookahead: bool,
+                         config: PolicyNodeConfig) -> str:
         """
-        Return why the placement is final from now on; empty while it is not.
+        Return why the placement is final from now on; empty if it is not final yet.
 
-        :param step: turns played so far.
-        :param over: whether the simulation has reported that its last turn is played.
-        :param alone: whether the policy plays without lookahead; lookahead uses all turns.
+        :param step: number of turns played so far.
+        :param simulation_ended: whether the simulation has reported that its last turn is played.
+        :param without_lookahead: whether a policy alone chooses the moves. With lookahead, cameras
+            that stand still may move later: all turns are used.
         """
-        if over:
+        if simulation_ended:
             return 'the simulation has played its last turn'
         if config.explore:
             return ''
         if step >= config.turns:
             return f'all {config.turns} turns are used up'
-        if alone and self.still >= config.convergence_turns:
+        if without_lookahead and self.turns_still >= config.convergence_turns:
             return (f'no camera has moved {config.convergence_distance:g} m or more for '
-                    f'{self.still} turns')
+                    f'{self.turns_still} turns')
         return ''
 
-    def say(self, step: int, config: PolicyNodeConfig) -> str:
-        """Publish the status text if it has changed, and return it."""
-        if self.why:
-            self._after = step if self._after is None else self._after
-            text = (f'final after {self._after} turns: {self.why}' if not self.gaps else
-                    f'final, with gaps, after {self._after} turns: {self.why}; {self.gaps}')
+    def publish_status(self, step: int, config: PolicyNodeConfig) -> str:
+        """
+        Publish the status text if it has changed.
+
+        :param step: number of turns played so far.
+        :returns: the status text.
+        """
+        if self.final_reason:
+            self._final_step = step if self._final_step is None else self._final_step
+            text = f'after {self._final_step} turns: {self.final_reason}'
+            text = (f'final, with gaps, {text}; {self.missing_data}' if self.missing_data else
+                    f'final {text}')
         else:
-            text = (f'not final: turn {step} of {config.turns}, longest move {self.longest:.3f} '
-                    f'm, standing still for {self.still} turns')
-        if text != self._published:
-            self._published = text
-            self._status.publish(String(data=text))
+            text = (f'not final: turn {step} of {config.turns}, longest move '
+                    f'{self.longest_move:.3f} m, standing still for {self.turns_still} turns')
+        if text != self._published_text:
+            self._published_text = text
+            self._publisher.publish(String(data=text))
         return text
 
-    def values(self) -> dict[str, object]:
+    def diagnostic_values(self) -> dict[str, object]:
         """Return the values for diagnostics."""
-        return {'final': self.why or '-', 'gaps': self.gaps or '-',
-                'longest_move': f'{self.longest:.3f}', 'standing_still': self.still}
+        return {'final': self.final_reason or '-', 'gaps': self.missing_data or '-',
+                'longest_move': f'{self.longest_move:.3f}', 'standing_still': self.turns_still}

@@ -29,12 +29,12 @@ from ocp_ros.rig.motion import way_between
 from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.ros.interface.conversions import (
     MessageError,
-    moved_to,
+    move_poses,
     msg_to_positions,
     rotation_of,
 )
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.policy.policy_planners import make_planner, planned_alike
+from ocp_ros.ros.policy.policy_planners import make_planner, planner_suits
 from ocp_ros.scenes.scene import MAX_EXTENT_M, SceneError
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 
 def limits_of(config: PolicyNodeConfig) -> Limits:
-    """Return the limits of a rig's moves in one turn."""
+    """Return the limits that the parameters set to the moves of a turn."""
     return Limits(config.max_step, config.max_turn, config.wall_margin, config.clearance)
 
 
@@ -51,26 +51,27 @@ class Decider:
     """
     Ask a planner for the next camera poses, within the observed floor and the rig's constraints.
 
-    :param config: of the node.
+    :param config: parameters of the node.
     :param checkpoint: weights of the policy; None if no policy is used.
-    :param log: of the node.
+    :param log: log of the node.
     :ivar rig: the rig of the rig file; None without a rig file.
     :ivar learned: the part of the planner that runs the policy; None without a policy.
     :ivar step: computes the time steps.
-    :ivar held: a sentence for each camera that stays because it has no feasible pose to go to.
-    :ivar widest: the largest camera rotation of the last command, radians.
+    :ivar stay_warnings: a sentence for each camera that stays since it has no feasible pose.
+    :ivar largest_rotation: the largest camera rotation of the last command, radians.
     :raises ConfigurationError: if the rig file cannot be used.
     """
 
     def __init__(self, config: PolicyNodeConfig, checkpoint: 'Checkpoint | None',
                  log: RcutilsLogger) -> None:
-        self._config, self._log = config, log
+        self._config = config
+        self._log = log
         planner, self.learned = make_planner(config, checkpoint)
         self.rig = load_rig(config.rig_file) if config.rig_file else None
         # An error in a step is logged and must not end this node.
         self.step = OnlineStep(planner, limits_of(config), self.rig, log.error)
-        self.held: list[str] = []
-        self.widest = 0.0
+        self.stay_warnings: list[str] = []
+        self.largest_rotation = 0.0
 
     @property
     def planner(self) -> Online:
@@ -81,70 +82,74 @@ class Decider:
         """Drop the data of the last episode."""
         self.step.reset()
 
-    def change(self, config: PolicyNodeConfig) -> None:
-        """Continue with other parameters; make a new planner if it depends on them."""
-        before, self._config, planner = self._config, config, self.planner
-        if not planned_alike(before, config):
+    def apply_config(self, config: PolicyNodeConfig) -> None:
+        """Continue with new parameters; make a new planner if the present one does not suit."""
+        planner = self.planner
+        if not planner_suits(self._config, config):
             planner, self.learned = make_planner(
                 config, None if self.learned is None else self.learned.policy.checkpoint)
+        self._config = config
         self.step.change(planner, limits_of(config))
 
     @property
     def models(self) -> tuple[CameraModel, ...]:
-        """Return the camera model of each camera, or one for all."""
+        """Return the model of each camera; without a rig file, a single model for all cameras."""
         if self.rig is not None:
             return self.rig.models
         return (CameraModel(self._config.min_range, self._config.max_range),)
 
     @property
-    def alone(self) -> bool:
-        """Return whether the policy plays without lookahead; lookahead uses all turns."""
+    def without_lookahead(self) -> bool:
+        """Return whether a policy alone chooses the moves, without lookahead."""
         return self.planner is self.learned
 
-    def movable(self, poses: PoseArray) -> int:
-        """Return the number of cameras to place; they come first, then the fixed cameras."""
+    def count_movable(self, poses: PoseArray) -> int:
+        """Return the number of cameras to place; the fixed cameras come after them in a rig."""
         return len(poses.poses) if self.rig is None else len(self.rig.cameras)
 
-    @property
-    def in_place(self) -> tuple[list[Pose], int]:
-        """Return the fixed cameras' poses and the number to place; [] and 0 without a rig file."""
-        return ([], 0) if self.rig is None else (
-            list(map(Pose.of, self.rig.fixed_poses)), len(self.rig.cameras))
+    def add_fixed_poses(self, poses: list[Pose]) -> list[Pose]:
+        """Return poses of cameras, followed by those of the fixed cameras that are missing."""
+        if self.rig is None:
+            return poses
+        return poses + [Pose.of(row) for row in
+                        self.rig.fixed_poses[len(poses) - len(self.rig.cameras):]]
 
-    def check(self, cloud: np.ndarray, poses: PoseArray) -> None:
+    def check_turn(self, cloud: np.ndarray, poses: PoseArray) -> None:
         """
         Refuse a turn that cannot be used.
 
-        :param cloud: (N, 3) float32, metres: the points observed so far.
-        :param poses: of the cameras.
+        :param cloud: the N points observed so far, (N, 3) float32, metres.
+        :param poses: present poses of the cameras.
         :raises MessageError: if the cloud is empty or larger than a room, the cameras are of
             another rig, or the heading of a camera with a limited field of view is missing.
         """
         if len(cloud) == 0:
             raise MessageError('cloud: found no finite point; expected what the cameras see')
-        around = np.concatenate([corners_of(cloud).astype(np.float64), msg_to_positions(poses)])
-        if (size := np.ptp(around, axis=0).max()) > MAX_EXTENT_M:
+        extremes = np.concatenate([corners_of(cloud).astype(np.float64), msg_to_positions(poses)])
+        if (size := np.ptp(extremes, axis=0).max()) > MAX_EXTENT_M:
             raise MessageError(f'cloud: found points and cameras {size:.0f} m apart; expected '
                                f'those of a room, within {MAX_EXTENT_M:.0f} m')
         self.state(poses)
 
     def state(self, poses: PoseArray) -> RigState:
         """
-        Return the poses and models of the cameras; fixed cameras as in the message or the file.
+        Return the poses and models of all cameras of the rig.
 
-        :param poses: of all cameras of the rig, or only of the cameras to place.
-        :raises MessageError: if they are of another rig, or the heading of a camera with a limited
-            field of view is missing.
+        :param poses: poses of the cameras to place, with or without the fixed cameras behind them.
+            The poses of missing fixed cameras are those of the rig file.
+        :raises MessageError: if the cameras are of another rig, or the heading of a camera with a
+            limited field of view is missing.
         """
         count = len(poses.poses)
-        models, movable, pitch = self.models * count, self.movable(poses), (0.0, 0.5 * np.pi)
+        movable = self.count_movable(poses)
+        models = self.models * count if self.rig is None else self.models
+        pitch_limits = (0.0, 0.5 * np.pi) if self.rig is None else self.rig.pitch
         if self.rig is not None:
-            models, pitch = self.rig.models, self.rig.pitch
-            if count not in (movable, movable + len(self.rig.fixed)):
-                others = f', or {movable + len(self.rig.fixed)} with fixed ones' \
-                    if self.rig.fixed else ''
-                raise MessageError(f'poses: found {count} cameras; expected {movable}{others}, '
-                                   f'as {self.rig.document.name} has it')
+            with_fixed = movable + len(self.rig.fixed)
+            if count not in (movable, with_fixed):
+                others = f', or {with_fixed} with fixed ones' if self.rig.fixed else ''
+                raise MessageError(f'poses: found {count} cameras; expected {movable}{others}, as '
+                                   f'{self.rig.document.name} has it')
         rows = np.zeros((count, 6))
         rows[:, :3] = msg_to_positions(poses)
         for camera, (pose, model) in enumerate(zip(poses.poses, models)):
@@ -153,37 +158,39 @@ class Decider:
                     rotation_of(pose.orientation, f'poses: camera {camera}'))
         if self.rig is not None and count == movable:
             rows = np.concatenate([rows, self.rig.fixed_poses])
-        return RigState(rows, models, movable, pitch, self._config.max_turn > 0.0,
-                        None if self.rig is None else self.rig.clearance)
+        return RigState(rows, models, movable, pitch_limits, turns=self._config.max_turn > 0.0,
+                        clearance=None if self.rig is None else self.rig.clearance)
 
     def decide(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> PoseArray:
         """
-        Choose the next positions and headings of the cameras.
+        Return the next positions and headings of the cameras.
 
-        :param cloud: (N, 3) float32, metres: the points observed so far.
+        :param cloud: the N points observed so far, (N, 3) float32, metres.
         :param poses: present poses of the cameras.
         :param turn: number of turns played so far.
         """
-        state, turns = self.state(poses), self._config.turns
+        state = self.state(poses)
+        turns = self._config.turns
         command = self.step(cloud, state, min(turn, turns), turns)
-        self.held = command.held
-        if self.held:
-            self._log.warning('; '.join(self.held), throttle_duration_sec=5.0)
+        self.stay_warnings = command.held
+        if self.stay_warnings:
+            self._log.warning('; '.join(self.stay_warnings), throttle_duration_sec=5.0)
         headings = {camera: command.placement[camera, 3:] for camera in command.rotated}
-        self.widest = max((float(np.linalg.norm(way_between(state.placement[camera, 3:], heading)))
-                           for camera, heading in headings.items()), default=0.0)
-        return moved_to(poses, command.placement[:len(poses.poses), :3], headings)
+        rotations = [way_between(state.placement[camera, 3:], heading)
+                     for camera, heading in headings.items()]
+        self.largest_rotation = max(map(float, map(np.linalg.norm, rotations)), default=0.0)
+        return move_poses(poses, command.placement[:len(poses.poses), :3], headings)
 
     def plan_ahead(self, interrupted: Callable[[], bool]) -> None:
         """
         Let the planner plan the next turn while the cameras move.
 
-        :param interrupted: returns whether planning has to end.
+        :param interrupted: returns whether planning has to end now.
         """
         self.step.plan_ahead(interrupted)
 
-    def expected(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
-        """Return the expected gain of a command as a sentence; empty if too little was seen."""
+    def describe_gain(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
+        """Return a sentence on the expected gain of a command; empty if too little is observed."""
         try:
             return str(ExpectedGain.of(cloud, self.state(poses), self.state(command).placement,
                                        self._config.max_range))
@@ -191,6 +198,6 @@ class Decider:
             return ''
 
     def plan(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> None:
-        """Let the planner choose moves that are not executed."""
+        """Let the planner choose moves that are not executed: a recording policy records them."""
         turns = self._config.turns
         self.step.plan(cloud, self.state(poses), min(turn, turns), turns)

@@ -22,9 +22,8 @@ from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, MessageError, msg_to_fields
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.policy.recorded_policy import RecordedPolicy, RecordedValues
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.training.experience import Experience, to_bytes
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
@@ -37,22 +36,24 @@ class Experiences:
     Publish the observations and choices of a policy, and make it wait while a trainer is behind.
 
     :param node: gets the publisher and the subscription.
-    :param policy: returns the policy that runs.
-    :param go_on: is called when the trainer has caught up.
+    :param get_policy: returns the policy that runs.
+    :param on_caught_up: is called when the policy need not wait for the trainer any more.
     """
 
-    def __init__(self, node: Node, policy: Callable[[], RecordedPolicy | RecordedValues],
-                 go_on: Callable[[], None]) -> None:
-        self._policy, self._go_on = policy, go_on
-        self._wait_began: float | None = None
+    def __init__(self, node: Node, get_policy: Callable[[], RecordedPolicy | RecordedValues],
+                 on_caught_up: Callable[[], None]) -> None:
+        self._get_policy = get_policy
+        self._on_caught_up = on_caught_up
+        #: Time at which the trainer last asked to hold, by a steady clock; None if it does not.
+        self._hold_time: float | None = None
         self._publisher = node.create_publisher(UInt8MultiArray, topics.EXPERIENCE, LOOP)
         node.create_subscription(Float64MultiArray, topics.TRAINING, self._on_training, LATCHED)
-        node.create_timer(0.5, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        create_steady_timer(node, 0.5, self._check_silence)
 
     @property
     def must_wait(self) -> bool:
         """Return whether the next turn has to wait for the trainer."""
-        return self._wait_began is not None and time.monotonic() - self._wait_began < MAX_SILENCE_S
+        return self._hold_time is not None and time.monotonic() - self._hold_time < MAX_SILENCE_S
 
     def _on_training(self, message: Float64MultiArray) -> None:
         """Read whether the trainer asks to wait; ignore a message that cannot be read."""
@@ -60,30 +61,32 @@ class Experiences:
             hold = bool(msg_to_fields(message, ('hold',))['hold'])
         except MessageError:
             return
-        before, self._wait_began = self._wait_began, time.monotonic() if hold else None
-        if before is not None and not hold:
-            self._go_on()
+        had_to_wait = self._hold_time is not None
+        self._hold_time = time.monotonic() if hold else None
+        if had_to_wait and not hold:
+            self._on_caught_up()
 
-    def _look(self) -> None:
+    def _check_silence(self) -> None:
         """Continue without a trainer that has become silent."""
-        if self._wait_began is not None and not self.must_wait:
-            self._wait_began = None
-            self._go_on()
+        if self._hold_time is not None and not self.must_wait:
+            self._hold_time = None
+            self._on_caught_up()
 
     def publish(self, stamp: int, turn: int, targets: np.ndarray) -> None:
         """
-        Publish the choices since the last call, if they are finite and for all cameras.
+        Publish the choices of the policy since the last call, if they are complete and finite.
 
-        With the map actor the choices of some cameras are enough: the others keep their targets.
+        With the map actor (one choice per camera) some choices may be missing: a camera without a
+        choice keeps its target.
 
-        :param stamp: of the turn, nanoseconds.
+        :param stamp: stamp of the turn, nanoseconds.
         :param turn: number of turns of the episode before this one.
-        :param targets: (K, 3) metres: commanded positions, without those of fixed cameras.
+        :param targets: commanded positions of the K movable cameras, (K, 3) metres.
         """
-        policy = self._policy()
-        choices = policy.take()
-        whole = policy.checkpoint.config.map or (
+        policy = self._get_policy()
+        choices = policy.take_choices()
+        complete = policy.checkpoint.config.map or (
             sum(len(choice.actions) for choice in choices) == len(targets))
-        if choices and whole and all(np.isfinite(choice.actions).all() for choice in choices):
+        if choices and complete and all(np.isfinite(choice.actions).all() for choice in choices):
             self._publisher.publish(bytes_to_msg(
                 to_bytes(Experience(stamp, turn, targets, choices))))

@@ -20,56 +20,64 @@ STAY = 'leave every camera where it is'
 FINAL = f'the placement is final: {STAY}'
 
 
-def moving(positions: np.ndarray, targets: np.ndarray, least: float) -> np.ndarray:
+def needs_move(positions: np.ndarray, targets: np.ndarray, min_move: float) -> np.ndarray:
     """
-    Return which cameras have to be moved.
+    Return for each camera whether it has to be moved.
 
     :param positions: (K, 3) metres, present positions.
     :param targets: (K, 3) metres, target positions.
-    :param least: moves up to this length are left out, metres.
+    :param min_move: moves up to this length are left out, metres.
     :returns: (K,) bool.
     """
-    return np.linalg.norm(targets - positions, axis=1) > least
+    return np.linalg.norm(targets - positions, axis=1) > min_move
 
 
-def instructions(positions: np.ndarray, targets: np.ndarray, least: float,
-                 turns: np.ndarray | None = None, least_turn: float = np.inf,
+def instructions(positions: np.ndarray, targets: np.ndarray, min_move: float,
+                 rotations: np.ndarray | None = None, min_rotation: float = np.inf,
                  expected: str = '') -> str:
     """
-    Write one line for each camera that has to be moved or rotated; see :func:`moving`.
+    Return the instructions: a line for each camera that has to be moved or rotated.
 
-    :param least: at least 0.01 m: the lines have metres with two decimals.
-    :param turns: (K, 2) radians: the rotation of each camera, counter-clockwise seen from above,
+    :param positions: present positions of K cameras, (K, 3) metres.
+    :param targets: target positions, (K, 3) metres.
+    :param min_move: moves up to this length are left out, metres; at least 0.01, since the lines
+        have two decimals.
+    :param rotations: rotations of the cameras, (K, 2) radians: counter-clockwise seen from above,
         and down; None if no camera is rotated.
-    :param least_turn: rotations up to this angle are left out, radians; at least a degree.
+    :param min_rotation: rotations up to this angle are left out, radians; at least a degree.
     :param expected: a sentence on the expected gain, so that a person can decide to stop.
     """
-    turns = np.zeros((len(targets), 2)) if turns is None else turns
-    moved, turned = moving(positions, targets, least), np.linalg.norm(turns, axis=1) > least_turn
+    rotations = np.zeros((len(targets), 2)) if rotations is None else rotations
+    has_move = needs_move(positions, targets, min_move)
+    has_rotation = np.linalg.norm(rotations, axis=1) > min_rotation
     lines = []
-    for camera in np.flatnonzero(moved | turned):
-        parts = [_move(positions[camera], targets[camera])] if moved[camera] else []
-        parts += [_turn(*np.rad2deg(turns[camera]))] if turned[camera] else []
-        lines.append(f'camera {camera}: {"; ".join(parts)}')
+    for camera in np.flatnonzero(has_move | has_rotation):
+        texts = [_move_text(positions[camera], targets[camera])] if has_move[camera] else []
+        if has_rotation[camera]:
+            texts.append(_rotation_text(*np.rad2deg(rotations[camera])))
+        lines.append(f'camera {camera}: {"; ".join(texts)}')
     if not lines:
         return STAY
     return '\n'.join([*lines, expected] if expected else lines)
 
 
-def _turn(yaw: float, pitch: float) -> str:
-    """Write the rotation of one camera, from degrees to the left and down."""
-    ways = [f'{abs(angle):.0f} degrees {words[int(angle < 0.0)]}' for angle, words in
-            ((yaw, ('to the left', 'to the right')), (pitch, ('down', 'up')))
-            if abs(angle) >= 0.5]
-    return f'turn {" and ".join(ways)}'
+def _rotation_text(yaw: float, pitch: float) -> str:
+    """Return the rotation of one camera in words; yaw is to the left, pitch down, in degrees."""
+    angles = ((yaw, 'to the left', 'to the right'), (pitch, 'down', 'up'))
+    texts = [f'{abs(angle):.0f} degrees {positive if angle >= 0.0 else negative}'
+             for angle, positive, negative in angles if abs(angle) >= 0.5]
+    return f'turn {" and ".join(texts)}'
 
 
-def _move(position: np.ndarray, target: np.ndarray) -> str:
-    """Write the move of one camera: the distance along each axis, and the target."""
-    way = target - position
-    ways = [f'{abs(length):.2f} m {words[int(length < 0.0)]}' for length, words in zip(way, (
-        ('towards +x', 'towards -x'), ('towards +y', 'towards -y'), ('up', 'down')), strict=True)
-        if abs(length) >= 0.005]
+def _move_text(position: np.ndarray, target: np.ndarray) -> str:
+    """Return the move of one camera in words: the distance along each axis, and the target."""
+    directions = (('towards +x', 'towards -x'), ('towards +y', 'towards -y'), ('up', 'down'))
+    move = target - position
+    # Shorter distances would be printed as 0.00 m.
+    is_printed = np.abs(move) >= 0.005
+    texts = [f'{abs(move[axis]):.2f} m {positive if move[axis] >= 0.0 else negative}'
+             for axis, (positive, negative) in enumerate(directions) if is_printed[axis]]
+    axes = 3 if is_printed[2] else 2
     # Adding 0 changes -0 to 0.
-    ends = [f'{end + 0.0:.2f}' for end in np.round(target, 2)[:3 if abs(way[2]) >= 0.005 else 2]]
-    return f'{" and ".join(ways)}, to ({", ".join(ends)})'
+    coordinates = [f'{coordinate + 0.0:.2f}' for coordinate in np.round(target, 2)[:axes]]
+    return f'{" and ".join(texts)}, to ({", ".join(coordinates)})'

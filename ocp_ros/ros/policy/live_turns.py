@@ -44,36 +44,31 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.frames import (
     CAMERA_FRAME,
+    CameraClouds,
     CameraFrames,
-    in_body,
-    in_range,
     LateTransformError,
     LiveRig,
-    placed,
-    Sighting,
+    points_in_body_frame,
+    points_in_range,
+    transform_cloud,
     Transforms,
 )
 from ocp_ros.ros.interface.markers import move_markers
 from ocp_ros.ros.interface.qos import LATCHED, LOOP, POSES, SENSOR
 from ocp_ros.ros.policy.commander import Commander
-from ocp_ros.ros.policy.instructions import FINAL, instructions, moving
+from ocp_ros.ros.policy.instructions import FINAL, instructions, needs_move
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.policy.turns import Turns
+from ocp_ros.ros.policy.turns import Turns, WaitLimits
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.util.settings import ConfigurationError
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
-#: Seconds after which a command is sent again to cameras that have not arrived: it may have been
-#: lost.
+#: Seconds after which a command, which may be lost, is sent again to cameras that are under way.
 RESEND_S = 1.0
-#: Metres and radians: a measured pose that differs more from its target is not noise, whatever the
-#: limits of arrival are.
-MAX_NOISE = 0.1, 0.2
 
 
 class LiveTurns:
@@ -81,123 +76,118 @@ class LiveTurns:
     Fuse the clouds of cameras that stand still, and ask for the next command.
 
     :param node: gets the subscriptions; its log gets the warnings.
-    :param config: of the node.
-    :param commands: publishes the commands.
-    :param answer: is called once per turn with the fused cloud (N, 3) float32, metres, and the
-        camera poses; returns the command.
-    :param final: returns whether the placement is final: then clouds are no longer read.
+    :param config: parameters of the node.
+    :param commander: publishes the commands.
+    :param answer: is called once per turn with the N points of the fused cloud, (N, 3) float32,
+        metres, and the camera poses; returns the command.
+    :param is_final: returns whether the placement is final: then clouds are no longer read.
     :param refuse: counts and logs a message that cannot be used.
-    :param waits: returns whether this node may not command now.
-    :param expect: is called with the fused cloud, the camera poses and the command; returns a
-        sentence on the expected gain, for a person.
+    :param must_wait: returns whether this node may not command now.
+    :param describe_gain: is called with the fused cloud, the camera poses and the command; returns
+        a sentence on the expected gain, for a person.
     :param plan_ahead: is called after each command, to plan while the cameras move.
-    :param in_place: poses of the fixed cameras of a rig file, and the number of cameras to place.
+    :param add_fixed_poses: returns the given poses and those of missing fixed cameras.
     :raises ConfigurationError: if the name of a topic is invalid, is given twice or is that of the
         fused cloud.
     """
 
-    def __init__(self, node: Node, config: PolicyNodeConfig, commands: Commander,
-                 answer: Callable[[np.ndarray, PoseArray], PoseArray], final: Callable[[], bool],
-                 refuse: Callable[[ValueError], None], waits: Callable[[], bool],
-                 expect: Callable[[np.ndarray, PoseArray, PoseArray], str],
-                 plan_ahead: Callable[[], None], in_place: tuple[list[Pose], int]) -> None:
-        self._waits = waits
-        self._expect = expect
+    def __init__(self, node: Node, config: PolicyNodeConfig, commander: Commander,
+                 answer: Callable[[np.ndarray, PoseArray], PoseArray],
+                 is_final: Callable[[], bool], refuse: Callable[[ValueError], None],
+                 must_wait: Callable[[], bool],
+                 describe_gain: Callable[[np.ndarray, PoseArray, PoseArray], str],
+                 plan_ahead: Callable[[], None],
+                 add_fixed_poses: Callable[[list[Pose]], list[Pose]]) -> None:
+        self._must_wait = must_wait
+        self._describe_gain = describe_gain
         self._plan_ahead = plan_ahead
         self._node = node
         self._config = config
-        self._commands = commands
+        self._commander = commander
         self._answer = answer
-        self._final = final
+        self._is_final = is_final
         self._refuse = refuse
-        self._fused = FusedCloud(config.voxel_size, config.most_points)
+        self._fused_cloud = FusedCloud(config.voxel_size, config.most_points)
         self._transforms = Transforms(node)
-        self._in_place = in_place
-        self._frames = CameraFrames(node, config.publish_tf, self._transforms.knows)
-        self._await_turns()
+        self._add_fixed_poses = add_fixed_poses
+        self._frames = CameraFrames(node, config.publish_tf, self._transforms.has_transform)
         #: The newest cloud of each topic, unread.
-        self._newest: dict[str, PointCloud2] = {}
-        #: The newest poses, as a message and as a rig.
-        self._poses: PoseArray | None = None
-        self._rig: LiveRig | None = None
-        #: The number of cameras and the frame of their poses, once a turn was answered.
-        self._rig_size: tuple[int, str] | None = None
-        self._command: PoseArray | None = None
-        #: Of the command: targets, (K, 3) metres, and rotations (3, 3) of cameras that it rotates.
-        self._sent: tuple[np.ndarray, dict[int, np.ndarray]] = np.empty((0, 3)), {}
-        self._instruction = self._expected = ''
-        #: Of the last instruction: targets, positions and rotations, (K, 8) metres and radians.
-        self._instructed = np.empty((0, 8))
-        #: Number of turns that were decided, and for each topic the number of them with a cloud.
-        self._decided = 0
-        self._with_cloud = Counter[str]()
-        self._observation = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
+        self._newest_clouds: dict[str, PointCloud2] = {}
+        #: Targets of the last command: positions of the K cameras, (K, 3) metres, and rotations,
+        #: (3, 3), of the cameras that the command rotates.
+        self._sent_positions = np.empty((0, 3))
+        self._sent_rotations: dict[int, np.ndarray] = {}
+        self.reset()
+        self._observation_publisher = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         if config.manual:
-            self._instructions = node.create_publisher(String, topics.INSTRUCTIONS, LATCHED)
-            self._markers = node.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
+            self._instructions_publisher = node.create_publisher(
+                String, topics.INSTRUCTIONS, LATCHED)
+            self._markers_publisher = node.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
         node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, POSES)
-        for topic, name in self._names(config.clouds).items():
+        for topic, name in self._full_topic_names(config.live_topics).items():
             node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        # It is checked ten times a second whether a turn is due, also without messages.
-        node.create_timer(0.1, self._act, clock=steady)
-        self._resend_timer = node.create_timer(RESEND_S, self._resend, clock=steady)
+        # A turn can become due without a message: this is checked ten times a second.
+        create_steady_timer(node, 0.1, self._play_turn)
+        self._resend_timer = create_steady_timer(node, RESEND_S, self._resend)
 
-    def _await_turns(self) -> None:
-        """Begin to wait for cameras and clouds, without any data of earlier turns."""
-        self._turns: Turns[PointCloud2] = Turns(self._config.clouds, *self._wait_limits()[:3])
-        self._turns.change(*self._wait_limits())
-        self._jumps = self._turns.jumps
-
-    def _wait_limits(self) -> tuple[float, float, float, float, float]:
-        """Return the arguments of ``Turns.change``: distance (m), three times (s), angle (rad)."""
+    def _wait_limits(self) -> WaitLimits:
+        """Return the limits of waiting for cameras and clouds."""
         config = self._config
-        return (config.arrival_distance,
-                math.inf if config.manual else config.arrival_timeout, config.cloud_timeout,
-                # With a final placement the same command need not be sent for every cloud.
-                max(config.turn_seconds, RESEND_S if self._final() else 0.0), config.arrival_angle)
+        arrival_timeout = math.inf if config.manual else config.arrival_timeout
+        # With a final placement the same command need not be sent for every cloud.
+        min_duration = max(config.turn_seconds, RESEND_S if self._is_final() else 0.0)
+        return WaitLimits(config.arrival_distance, arrival_timeout, config.cloud_timeout,
+                          min_duration, config.arrival_angle)
 
-    def hold(self) -> None:
+    def hold_cameras(self) -> None:
         """Command cameras that may be moving to stay where they are."""
-        if self._poses is not None and self._command is not None and not self._turns.standing:
-            self._commands.publish(self._poses)
+        if self._poses_message is not None and self._command is not None and (
+                not self._turns.cameras_stand):
+            self._commander.publish(self._poses_message)
 
     def reset(self) -> None:
-        """Drop the fused cloud, the poses and the last command."""
-        self._fused.clear()
-        self._rig_size = self._command = self._poses = self._rig = None
-        self._instruction = ''
-        self._instructed = np.empty((0, 8))
-        self._expected = ''
-        self._decided = 0
-        self._with_cloud = Counter()
-        self._await_turns()
+        """Drop the data of earlier turns, and begin to wait for cameras and clouds."""
+        self._fused_cloud.clear()
+        #: The newest poses, as a message and as a rig.
+        self._poses_message: PoseArray | None = None
+        self._rig: LiveRig | None = None
+        #: The number of cameras and the frame of their poses; None before the first answer.
+        self._rig_size: tuple[int, str] | None = None
+        self._command: PoseArray | None = None
+        self._instruction_text = self._gain_text = ''
+        #: Target positions, positions and rotations of the last instruction: (K, 8) metres and
+        #: radians.
+        self._instructed_moves = np.empty((0, 8))
+        #: Number of turns that were decided, and for each topic the number of them with a cloud.
+        self._decided_turns = 0
+        self._turns_with_cloud = Counter[str]()
+        self._turns: Turns[PointCloud2] = Turns(self._config.live_topics, self._wait_limits())
+        self._seen_jumps = 0
 
-    def change(self, config: PolicyNodeConfig) -> None:
-        """Continue with other parameters."""
+    def apply_config(self, config: PolicyNodeConfig) -> None:
+        """Continue with new parameters."""
         self._config = config
-        self._turns.change(*self._wait_limits())
+        self._turns.limits = self._wait_limits()
 
-    def _names(self, clouds: list[str]) -> dict[str, str]:
-        """Return the full names of the cloud topics, by their given names."""
+    def _full_topic_names(self, names: list[str]) -> dict[str, str]:
+        """Return the full names of the cloud topics, by their names in the parameter."""
         try:
-            names = {topic: self._node.resolve_topic_name(topic) for topic in clouds}
+            full_names = {topic: self._node.resolve_topic_name(topic) for topic in names}
         except rclpy_implementation.RCLError as error:
-            raise ConfigurationError(f'cloud_topics: found {clouds}; expected names of topics '
+            raise ConfigurationError(f'cloud_topics: found {names}; expected names of topics '
                                      f'with commas between; {" ".join(str(error).split())}'
                                      ) from error
-        own = self._node.resolve_topic_name(topics.OBSERVATION)
-        if len(set(names.values())) < len(clouds) or own in names.values():
-            raise ConfigurationError(
-                f'cloud_topics: found {clouds}; expected each once, and not {own}, which is '
-                'where the fused cloud goes')
-        return names
+        fused_topic = self._node.resolve_topic_name(topics.OBSERVATION)
+        if len(set(full_names.values())) < len(names) or fused_topic in full_names.values():
+            raise ConfigurationError(f'cloud_topics: found {names}; expected each once, and not '
+                                     f'{fused_topic}, which is where the fused cloud goes')
+        return full_names
 
     def _on_cloud(self, topic: str, message: PointCloud2) -> None:
         """Store a cloud, and play the turn if it is due."""
-        self._newest[topic] = message
+        self._newest_clouds[topic] = message
         self._turns.on_cloud(topic, stamp_to_ns(message.header.stamp), message)
-        self._act()
+        self._play_turn()
 
     def _on_poses(self, message: PoseArray) -> None:
         """Store the camera poses, and play the turn if it is due."""
@@ -212,121 +202,125 @@ class LiveTurns:
             return
         if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
                                 [pose.rotation for pose in rig.poses]):
-            self._poses, self._rig = message, rig
-            fixed, movable = self._in_place
-            self._frames.publish(message.header, rig.poses + fixed[len(rig.poses) - movable:])
-        self._act()
+            self._poses_message = message
+            self._rig = rig
+            self._frames.publish(message.header, self._add_fixed_poses(rig.poses))
+        self._play_turn()
 
     def _check_same_rig(self, rig: LiveRig) -> None:
         """Refuse poses of another rig than the one that has been commanded."""
         found = len(rig.poses), rig.frame
         if self._rig_size not in (None, found):
-            raise MessageError(
-                f'poses: found {found[0]} cameras in the frame {found[1]!r}; expected '
-                f'{self._rig_size[0]} in {self._rig_size[1]!r}, as before; for another rig start '
-                f'{self._node.get_name()} again')
+            raise MessageError(f'poses: found {found[0]} cameras in the frame {found[1]!r}; '
+                               f'expected {self._rig_size[0]} in {self._rig_size[1]!r}, as '
+                               f'before; for another rig start {self._node.get_name()} again')
 
-    def _act(self) -> None:
+    def _play_turn(self) -> None:
         """Read the clouds that this turn can use, and play the turn once it is due."""
-        if self._jumps != self._turns.jumps:
+        if self._seen_jumps != self._turns.stamp_jumps:
             # The clock was set: the stamps of the transforms received so far are invalid.
-            self._jumps = self._turns.jumps
-            self._transforms.forget()
-        late: list[str] = []
-        while (taken := self._turns.take(late)) is not None:
-            topic, message = taken
+            self._seen_jumps = self._turns.stamp_jumps
+            self._transforms.clear()
+        waiting_topics: list[str] = []
+        while (topic_and_cloud := self._turns.take_cloud(waiting_topics)) is not None:
+            topic, message = topic_and_cloud
             try:
-                self._fuse(message)
+                self._fuse_cloud(message)
             except LateTransformError as error:
                 # Transforms come on another topic than poses, and may still arrive.
-                if self._turns.wait_on(topic, stamp_to_ns(message.header.stamp), message):
-                    late.append(topic)
+                if self._turns.put_back(topic, stamp_to_ns(message.header.stamp), message):
+                    waiting_topics.append(topic)
                 else:
-                    self._turns.refuse(topic)
+                    self._turns.refuse_cloud(topic)
                     self._refuse(error)
             except ValueError as error:
-                self._turns.refuse(topic)
+                self._turns.refuse_cloud(topic)
                 self._refuse(error)
-        if self._turns.due() and not self._waits():
+        if self._turns.is_due() and not self._must_wait():
             self._answer_turn()
-        elif self._turns.stuck and not self._waits():
+        elif self._turns.lacks_clouds and not self._must_wait():
             self._node.get_logger().warning(
-                f'{self._no_clouds()}; expected a cloud since the cameras stand, by the clock of '
-                'the poses; waiting', throttle_duration_sec=5.0)
-        elif self._turns.poses_missing and self._command is None and not self._waits():
+                f'{self._silence_text()}; expected a cloud since the cameras stand, by the clock '
+                'of the poses; waiting', throttle_duration_sec=5.0)
+        elif self._turns.poses_missing and self._command is None and not self._must_wait():
             name = self._node.resolve_topic_name(topics.CAMERA_POSES)
             self._node.get_logger().warning(
                 f'poses: found nothing on {name}; expected where the cameras are '
                 '(geometry_msgs/msg/PoseArray); publish it, see docs/tasks/live_cameras.md; '
                 'waiting', throttle_duration_sec=10.0)
 
-    def _fuse(self, message: PointCloud2) -> None:
-        """Add a camera's cloud to the fused cloud."""
-        if self._final():
+    def _fuse_cloud(self, message: PointCloud2) -> None:
+        """Add a cloud to the fused cloud, unless the placement is final."""
+        if self._is_final():
             return
-        rig = self._rig._replace(poses=list(map(Pose, *self._turns.measured)),
-                                 since=self._turns.since)
-        points, cameras = placed(msg_to_cloud(message), message.header.frame_id, rig,
-                                 self._transforms)
-        self._fused.add(in_range(points, cameras, self._config.min_range, self._config.max_range))
+        rig = self._rig._replace(poses=list(map(Pose, *self._turns.mean_poses)),
+                                 standing_since_ns=self._turns.standing_begin.stamp)
+        points, camera_positions = transform_cloud(
+            msg_to_cloud(message), message.header.frame_id, rig, self._transforms)
+        self._fused_cloud.add(points_in_range(
+            points, camera_positions, self._config.min_range, self._config.max_range))
 
     def _answer_turn(self) -> None:
         """Ask for the command of this turn, send it, and begin to wait for the cameras."""
         self._log_missing()
-        header = Header(stamp=ns_to_stamp(self._turns.stamp), frame_id=self._rig.frame)
+        stamp = ns_to_stamp(max(self._turns.used_stamps.values()))
+        header = Header(stamp=stamp, frame_id=self._rig.frame)
         poses = self._standing_poses(header)
-        before = self._final()
+        was_final = self._is_final()
         try:
-            self._command = self._answer(self._fused.points, poses)
+            self._command = self._answer(self._fused_cloud.points, poses)
         except MessageError as error:
-            # The fused points do not belong to one room any more, or there are none.
-            self._fused.clear()
-            self._turns.restarted()
+            # The fused cloud has no points, or points of more than one room.
+            self._fused_cloud.clear()
+            self._turns.drop_clouds()
             self._refuse(error)
             return
-        if not self._final():
-            self._decided += 1
-            self._with_cloud.update(self._turns.used)
-        if not before:
-            self._observation.publish(cloud_to_msg(self._fused.points, header))
-        self._commands.publish(self._command)
+        if not self._is_final():
+            self._decided_turns += 1
+            self._turns_with_cloud.update(self._turns.used_stamps.keys())
+        if not was_final:
+            self._observation_publisher.publish(cloud_to_msg(self._fused_cloud.points, header))
+        self._commander.publish(self._command)
         self._resend_timer.reset()
         targets = msg_to_positions(self._command)
         self._rig_size = len(targets), header.frame_id
-        turned = self._target_rotations(poses)
+        target_rotations = self._target_rotations(poses)
         if self._config.manual:
-            self._expected = self._expect(self._fused.points, poses, self._command)
-            self._instruct(self._turns.positions, targets, turned, header)
-        self._turns.sent(targets, turned, targets[:, 2] != msg_to_positions(poses)[:, 2])
-        self._sent = targets, turned
-        if self._final():
-            self._turns.change(*self._wait_limits())
+            self._gain_text = self._describe_gain(self._fused_cloud.points, poses, self._command)
+            self._publish_instructions(self._turns.positions, targets, target_rotations, header)
+        self._turns.on_command(targets, target_rotations,
+                               height_changes=targets[:, 2] != msg_to_positions(poses)[:, 2])
+        self._sent_positions = targets
+        self._sent_rotations = target_rotations
+        if self._is_final():
+            self._turns.limits = self._wait_limits()
         self._plan_ahead()
 
     @property
-    def gaps(self) -> str:
-        """Return which topics brought clouds in less than half of the turns, in words."""
-        return ', '.join(f'{topic} brought a cloud in {self._with_cloud[topic]} of '
-                         f'{self._decided} turns' for topic in self._config.clouds
-                         if 2 * self._with_cloud[topic] < self._decided)
+    def missing_data(self) -> str:
+        """Return in words which topics brought clouds in less than half of the turns."""
+        return ', '.join(f'{topic} brought a cloud in {self._turns_with_cloud[topic]} of '
+                         f'{self._decided_turns} turns' for topic in self._config.live_topics
+                         if 2 * self._turns_with_cloud[topic] < self._decided_turns)
 
     def _standing_poses(self, header: Header) -> PoseArray:
         """
         Return the poses at which the cameras stand.
 
-        The pose of a camera that arrived is the commanded one: the measured pose has noise, and
-        heights and headings copied from measurements would drift from turn to turn.
+        For a camera that arrived this is the commanded pose: measured poses have noise, and
+        heights and headings copied from them would drift from turn to turn. For other cameras it
+        is the mean of the measured poses.
         """
         message = PoseArray(header=header)
-        for camera, measured in enumerate(map(Pose, *self._turns.measured)):
+        for camera, measured in enumerate(map(Pose, *self._turns.mean_poses)):
             message.poses.append(self._reached_command(camera, measured)
-                                 or self._measured(camera, measured))
+                                 or self._pose_message(camera, measured))
         return message
 
-    def _measured(self, camera: int, mean: Pose) -> PoseMsg:
-        """Return a mean pose as a message; the newest pose unchanged if it equals the mean."""
+    def _pose_message(self, camera: int, mean: Pose) -> PoseMsg:
+        """Return a mean pose as a message: the newest pose message if that is equal."""
         if all(map(np.array_equal, mean, self._rig.poses[camera])):
-            return self._poses.poses[camera]
+            return self._poses_message.poses[camera]
         return positions_to_msg(mean.position[None], Header(),
                                 heading_of(mean.rotation)[None]).poses[0]
 
@@ -336,65 +330,67 @@ class LiveTurns:
             return None
         sent = self._command.poses[camera]
         rotation = rotation_of(sent.orientation, f'command: camera {camera}')
-        away = measured.position - [sent.position.x, sent.position.y, sent.position.z]
-        near, turned = (min(limit, most) for limit, most in zip(
-            (self._config.arrival_distance, self._config.arrival_angle), MAX_NOISE))
-        there = (np.linalg.norm(away) <= near
-                 and angle_between(measured.rotation, rotation) <= turned)
-        return sent if there else None
+        offset = measured.position - [sent.position.x, sent.position.y, sent.position.z]
+        # A pose that differs by more from its target differs not only by noise.
+        max_noise_m, max_noise_radians = 0.1, 0.2
+        is_near = np.linalg.norm(offset) <= min(self._config.arrival_distance, max_noise_m)
+        angle = angle_between(measured.rotation, rotation)
+        is_aligned = angle <= min(self._config.arrival_angle, max_noise_radians)
+        return sent if is_near and is_aligned else None
 
     def _target_rotations(self, poses: PoseArray) -> dict[int, np.ndarray]:
         """Return the commanded rotations, (3, 3), of the cameras that the command rotates."""
         return {camera: rotation_of(goal.orientation, f'command: camera {camera}')
-                for camera, (goal, now) in enumerate(zip(self._command.poses, poses.poses))
-                if goal.orientation != now.orientation}
+                for camera, (goal, present) in enumerate(zip(self._command.poses, poses.poses))
+                if goal.orientation != present.orientation}
 
     def _resend(self) -> None:
-        """Send the command again to cameras that have not arrived; update the instructions."""
-        if self._waits():
+        """Send the command and the instructions again while cameras have not arrived."""
+        if self._must_wait():
             # These clouds will be old once other nodes stop commanding: wait for new ones then.
-            self._turns.restarted()
-        elif self._command is not None and not self._turns.standing:
-            self._commands.publish(self._command)
+            self._turns.drop_clouds()
+        elif self._command is not None and not self._turns.cameras_stand:
+            self._commander.publish(self._command)
             if self._config.manual and self._turns.positions is not None:
-                self._instruct(self._turns.positions, *self._sent, self._poses.header)
+                self._publish_instructions(self._turns.positions, self._sent_positions,
+                                           self._sent_rotations, self._poses_message.header)
 
-    def _instruct(self, positions: np.ndarray, targets: np.ndarray,
-                  turned: dict[int, np.ndarray], header: Header) -> None:
+    def _publish_instructions(self, positions: np.ndarray, targets: np.ndarray,
+                              target_rotations: dict[int, np.ndarray], header: Header) -> None:
         """
-        Publish which cameras a person has to move or rotate.
+        Publish which cameras a person has to move or rotate, if that has changed.
 
-        :param positions: (K, 3) metres, present positions.
-        :param targets: (K, 3) metres, target positions.
-        :param turned: target rotations, (3, 3), of the cameras that are rotated.
-        :param header: of the markers.
+        :param positions: present positions of K cameras, (K, 3) metres.
+        :param targets: target positions, (K, 3) metres.
+        :param target_rotations: target rotations, (3, 3), of the cameras that are rotated.
+        :param header: header of the markers.
         """
-        least = self._config.arrival_distance
-        turns = np.zeros((len(targets), 2))
-        for camera, rotation in turned.items():
-            turns[camera] = way_between(heading_of(self._rig.poses[camera].rotation),
-                                        heading_of(rotation))
-        text = FINAL if self._final() else instructions(
-            positions, targets, least, turns, self._config.arrival_angle, self._expected)
-        # Publish new instructions only if the remaining moves changed by more than pose noise.
-        left = np.column_stack([targets, positions, turns])
-        # Poses that change by less than 5 cm and 0.05 radians need no new instructions.
-        same = (self._instructed.shape == left.shape
-                and (np.abs(left - self._instructed) < 0.05).all()
-                and _asked(text) == _asked(self._instruction))
-        if text != self._instruction and not same:
-            self._instruction, self._instructed = text, left
-            self._instructions.publish(String(data=text))
-            self._markers.publish(
-                move_markers(positions, targets, moving(positions, targets, least), header))
+        min_move = self._config.arrival_distance
+        rotations = np.zeros((len(targets), 2))
+        for camera, rotation in target_rotations.items():
+            rotations[camera] = way_between(heading_of(self._rig.poses[camera].rotation),
+                                            heading_of(rotation))
+        text = FINAL if self._is_final() else instructions(
+            positions, targets, min_move, rotations, self._config.arrival_angle, self._gain_text)
+        moves = np.column_stack([targets, positions, rotations])
+        # Changes of less than 5 cm and 0.05 radians may be noise of the poses.
+        is_same = (self._instructed_moves.shape == moves.shape
+                   and (np.abs(moves - self._instructed_moves) < 0.05).all()
+                   and _instructed_cameras(text) == _instructed_cameras(self._instruction_text))
+        if text != self._instruction_text and not is_same:
+            self._instruction_text = text
+            self._instructed_moves = moves
+            self._instructions_publisher.publish(String(data=text))
+            self._markers_publisher.publish(
+                move_markers(positions, targets, needs_move(positions, targets, min_move), header))
             self._node.get_logger().info(text)
 
     def _log_missing(self) -> None:
         """Log which data this turn lacks."""
         log = self._node.get_logger()
-        if self._turns.silent():
-            log.warning(f'{self._no_clouds()}; expected a cloud since the cameras stand; going on '
-                        'without', throttle_duration_sec=1.0)
+        if self._turns.silent_topics():
+            log.warning(f'{self._silence_text()}; expected a cloud since the cameras stand; going '
+                        'on without', throttle_duration_sec=1.0)
         if self._turns.overdue and self._turns.no_command_sent:
             log.warning('cameras: found them moving, or their poses noisy, ever since this node '
                         'began; expected them to stand still before the first turn; going on '
@@ -405,55 +401,58 @@ class LiveTurns:
                         f'{self._config.arrival_distance} m of the commanded positions; the next '
                         'turn begins at their present positions', throttle_duration_sec=1.0)
 
-    def _no_clouds(self) -> str:
-        """Return which topics are silent, and why, in words."""
+    def _silence_text(self) -> str:
+        """Return in words which topics are silent, and why."""
         return 'no clouds: ' + ', '.join(
-            f'{topic} ({why})' for topic, why in self._turns.silent().items())
+            f'{topic} ({reason})' for topic, reason in self._turns.silent_topics().items())
 
-    def sighted(self) -> Sighting:
+    def latest_clouds(self) -> CameraClouds:
         """
-        Return the newest cloud by camera: topic i is of camera i, unless its frame names another.
+        Return the newest cloud of each camera.
+
+        Topic i has the clouds of camera i, unless their frame names another camera.
 
         :raises MessageError: if poses or clouds are missing or cannot be used.
         """
-        if self._rig is None or not self._newest:
-            what = topics.CAMERA_POSES if self._rig is None else 'a cloud'
-            raise MessageError(f'cameras: found nothing on {what} yet; expected poses and clouds; '
-                               'call it again when the cameras run')
+        if self._rig is None or not self._newest_clouds:
+            missing = topics.CAMERA_POSES if self._rig is None else 'a cloud'
+            raise MessageError(f'cameras: found nothing on {missing} yet; expected poses and '
+                               'clouds; call it again when the cameras run')
         clouds = {}
-        for number, topic in enumerate(self._config.clouds):
-            if topic in self._newest:
-                message = self._newest[topic]
-                own = CAMERA_FRAME.fullmatch(message.header.frame_id)
-                camera = int(own[1]) if own else number
+        for number, topic in enumerate(self._config.live_topics):
+            if topic in self._newest_clouds:
+                message = self._newest_clouds[topic]
+                name = CAMERA_FRAME.fullmatch(message.header.frame_id)
+                camera = int(name[1]) if name else number
                 if camera < len(self._rig.poses):
-                    points, _ = placed(msg_to_cloud(message), message.header.frame_id, self._rig,
-                                       self._transforms)
-                    clouds[camera] = in_body(points, self._rig.poses[camera])
-        return Sighting(self._rig, clouds)
+                    points, _ = transform_cloud(msg_to_cloud(message), message.header.frame_id,
+                                                self._rig, self._transforms)
+                    clouds[camera] = points_in_body_frame(points, self._rig.poses[camera])
+        return CameraClouds(self._rig, clouds)
 
     def status(self) -> tuple[str, dict[str, object]]:
-        """Return a warning, empty if all is well, and values to show."""
-        silent, wrong = self._turns.silent(), ''
-        if self._turns.poses_missing and not (
-                self._config.manual and self._command is not None):
-            wrong = f'nothing on {topics.CAMERA_POSES}'
-        elif self._turns.backward():
-            wrong = (f'stamps of {self._turns.backward()} go back: found two clocks, or one that '
-                     'was set')
-        elif silent:
-            wrong = self._no_clouds()
+        """Return a warning (empty if there is none) and values to show, for diagnostics."""
+        silent_topics = self._turns.silent_topics()
+        warning = ''
+        if self._turns.poses_missing and not (self._config.manual and self._command is not None):
+            warning = f'nothing on {topics.CAMERA_POSES}'
+        elif self._turns.jumped_source():
+            warning = (f'stamps of {self._turns.jumped_source()} go back: found two clocks, or '
+                       'one that was set')
+        elif silent_topics:
+            warning = self._silence_text()
         elif self._turns.overdue:
-            wrong = 'the cameras do not stand still' if self._turns.no_command_sent else \
+            warning = 'the cameras do not stand still' if self._turns.no_command_sent else \
                 'the cameras do not arrive'
-        return wrong, {
-            'silent_topics': ','.join(silent), 'late_turns': self._turns.late,
-            'turns_with_clouds': ', '.join(f'{topic} {self._with_cloud[topic]}/{self._decided}'
-                                           for topic in self._config.clouds),
-            'clock_jumps': self._turns.jumps, 'fused_points': len(self._fused),
-            'voxel_size': self._fused.edge}
+        return warning, {
+            'silent_topics': ','.join(silent_topics), 'late_turns': self._turns.overdue_turns,
+            'turns_with_clouds': ', '.join(
+                f'{topic} {self._turns_with_cloud[topic]}/{self._decided_turns}'
+                for topic in self._config.live_topics),
+            'clock_jumps': self._turns.stamp_jumps, 'fused_points': len(self._fused_cloud),
+            'voxel_size': self._fused_cloud.edge}
 
 
-def _asked(text: str) -> list[str]:
-    """Return what an instruction asks for, without distances: the cameras, or to leave them."""
+def _instructed_cameras(text: str) -> list[str]:
+    """Return the lines of an instruction without distances: cameras, or the text to stay."""
     return [line.partition(':')[0] for line in text.splitlines()]

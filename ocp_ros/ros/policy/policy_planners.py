@@ -31,19 +31,19 @@ if TYPE_CHECKING:
 
 
 class ExploringMap(MapActor):
-    """Draw target positions from the distribution of a trained map actor."""
+    """Draw target positions from the distribution that a trained map actor gives."""
 
     def _ahead(self, turns: int) -> bool:
-        """Return False: draw at each turn, since its observation is published with the turn."""
+        """Return False: plan nothing ahead, since each turn publishes its own observation."""
         return False
 
     def choose(self, known: MapTurn, camera: int, over: float) -> None:
-        """Draw the target position of a camera."""
+        """Draw the target position of a camera, and send the camera there."""
         known.send_to(camera, self.policy.draw(known.experience(camera), self.rng))
 
 
 class Exploring(Learned):
-    """Draw moves from the distribution of a trained policy."""
+    """Draw moves from the distribution that a trained policy gives."""
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
@@ -56,7 +56,7 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
     """
     Build the planner that chooses the moves.
 
-    :param config: the name of the planner, and the limits of the rig.
+    :param config: parameters of the node: the name of the planner, and limits of the moves.
     :param checkpoint: weights of the policy; None if no policy is used.
     :returns: the planner, and its part that runs the policy (None without a policy).
     """
@@ -69,21 +69,21 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
     from ocp_ros.policy.policy import make_policy
     from ocp_ros.ros.policy.recorded_policy import RecordedPolicy, RecordedValues
     if config.explore:
-        exploring: Learned | MapActor
+        explorer: Learned | MapActor
         if checkpoint.config.map:
-            exploring = ExploringMap(RecordedValues(checkpoint), *settings)
+            explorer = ExploringMap(RecordedValues(checkpoint), *settings)
         else:
             encoder = Encoder(checkpoint.config, config.max_range, config.max_step, *margins)
-            exploring = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
-        return exploring, exploring
+            explorer = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
+        return explorer, explorer
     learned = planned_by(make_policy(checkpoint), settings)
     if config.planner == LEARNED:
         return learned, learned
     return Lookahead(*settings, guide=learned), learned
 
 
-def planned_alike(one: PolicyNodeConfig, other: PolicyNodeConfig) -> bool:
-    """Return whether a planner made with one configuration also suits the other."""
+def planner_suits(planner_config: PolicyNodeConfig, config: PolicyNodeConfig) -> bool:
+    """Return whether the planner made with one configuration also suits another."""
     # The constructor of a planner takes these parameters, which may change at run time.
-    settings = ('max_step', 'max_range', 'wall_margin', 'clearance')
-    return all(getattr(one, name) == getattr(other, name) for name in settings)
+    names = ('max_step', 'max_range', 'wall_margin', 'clearance')
+    return all(getattr(planner_config, name) == getattr(config, name) for name in names)

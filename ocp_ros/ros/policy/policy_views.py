@@ -38,45 +38,46 @@ class PolicyViews:
     Show the turns of ``policy_node``.
 
     :param node: gets the publishers.
-    :param models: one camera model per camera, or one for all.
-    :param live: whether cameras are live: then this node shows the rig, otherwise the simulation.
-    :param rig_state: converts the poses of a turn to the state of all cameras of a rig file, fixed
-        cameras included; None without a rig file.
+    :param models: one camera model per camera, or a single model for all cameras.
+    :param live: whether the cameras are live. With a simulation, sim_node shows the rig instead.
+    :param rig_state: returns, for the poses of a turn, the state of all cameras of the rig file,
+        fixed cameras included; None without a rig file.
     """
 
     def __init__(self, node: Node, models: Sequence[CameraModel], live: bool,
                  rig_state: Callable[[PoseArray], RigState] | None) -> None:
-        self._models, self._rig_state = models, rig_state
+        self._models = models
+        self._rig_state = rig_state
         self._turn: tuple[np.ndarray, PoseArray] | None = None
-        self._clouds = CloudView(node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._judge)
-        known = 0 if rig_state is None else len(models)
-        self._rig = RigView(node, topics.RIG_MARKERS, models, known) if live else None
+        self._cloud_view = CloudView(node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._maps)
+        camera_infos = 0 if rig_state is None else len(models)
+        self._rig_view = RigView(node, topics.RIG_MARKERS, models, camera_infos) if live else None
 
-    def change(self, models: Sequence[CameraModel]) -> None:
+    def apply_models(self, models: Sequence[CameraModel]) -> None:
         """Use other camera models from now on."""
         self._models = models
-        if self._rig is not None:
-            self._rig.models = models
+        if self._rig_view is not None:
+            self._rig_view.models = models
 
-    def turn(self, cloud: np.ndarray, poses: PoseArray) -> None:
-        """Show a turn: the points (N, 3) observed so far, metres, and the camera poses."""
+    def show_turn(self, cloud: np.ndarray, poses: PoseArray) -> None:
+        """Show a turn: the N points observed so far, (N, 3) metres, and the camera poses."""
         self._turn = cloud, poses
-        self._clouds.turn(poses.header)
-        if self._rig is not None:
-            self._rig.turn(poses.header, self._standing(poses))
+        self._cloud_view.show_turn(poses.header)
+        if self._rig_view is not None:
+            self._rig_view.show_turn(poses.header, self._camera_poses(poses))
 
-    def _standing(self, poses: PoseArray) -> list[Pose]:
-        """Return the poses of all known cameras in a turn."""
+    def _camera_poses(self, poses: PoseArray) -> list[Pose]:
+        """Return the poses of all cameras in a turn; fixed cameras are known from a rig file."""
         if self._rig_state is None:
             return msg_to_poses(poses)
         return [Pose.of(row) for row in self._rig_state(poses).placement]
 
-    def _judge(self) -> PointMaps | None:
+    def _maps(self) -> PointMaps | None:
         """Return the maps of the latest turn; None if there is no turn or it cannot be used."""
         if self._turn is None:
             return None
         try:
-            return observed_maps(self._turn[0], self._standing(self._turn[1]), self._models)
+            return observed_maps(self._turn[0], self._camera_poses(self._turn[1]), self._models)
         except (MessageError, SceneError):
             return None
 
@@ -84,12 +85,12 @@ class PolicyViews:
 def observed_maps(cloud: np.ndarray, poses: list[Pose],
                   models: Sequence[CameraModel]) -> PointMaps:
     """
-    Evaluate cameras on the points observed so far, as if they were the whole room.
+    Return the coverage and the error on the points observed so far, as if they were the room.
 
-    :param cloud: (N, 3) float32, metres.
-    :param poses: of the cameras.
-    :param models: one camera model per camera, or one for all.
-    :raises SceneError: if the cloud is no room.
+    :param cloud: N observed points, (N, 3) float32, metres.
+    :param poses: poses of the cameras.
+    :param models: one camera model per camera, or a single model for all cameras.
+    :raises SceneError: if the cloud cannot be a room, for example because it is too small.
     """
     scene = Scene(thinned(cloud, 15000), 'observed cloud')
     config = SimulationConfig(RigConfig(cameras=len(poses), height=0.5 * float(scene.size[2])),

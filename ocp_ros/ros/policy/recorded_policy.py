@@ -19,20 +19,21 @@ from ocp_ros.policy.policy import Policy, ValuePolicy
 from ocp_ros.training.experience import Choice
 
 
-class _Record:
-    """The choices since the last call of :meth:`take`."""
+class _ChoiceRecorder:
+    """Stores the choices of a policy until :meth:`take_choices` is called."""
 
     def __init__(self, *args) -> None:
         super().__init__(*args)
         self._choices: list[Choice] = []
 
-    def take(self) -> list[Choice]:
+    def take_choices(self) -> list[Choice]:
         """Return the choices since the last call, in their order, and clear them."""
-        choices, self._choices = self._choices, []
+        choices = self._choices
+        self._choices = []
         return choices
 
 
-class RecordedPolicy(_Record, Policy):
+class RecordedPolicy(_ChoiceRecorder, Policy):
     """A policy of moves that records its observations and choices."""
 
     def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
@@ -43,11 +44,11 @@ class RecordedPolicy(_Record, Policy):
         return moves
 
 
-class RecordedValues(_Record, ValuePolicy):
+class RecordedValues(_ChoiceRecorder, ValuePolicy):
     """A policy of target positions that records its observations and choices."""
 
     def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
         """Draw a target position; see :meth:`~ocp_ros.policy.policy.ValuePolicy.draw`."""
-        place = super().draw(inputs, rng)
-        self._choices.append(Choice(inputs, place[None]))
-        return place
+        position = super().draw(inputs, rng)
+        self._choices.append(Choice(inputs, position[None]))
+        return position

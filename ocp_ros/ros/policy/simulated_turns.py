@@ -29,8 +29,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.policy.commander import Commander
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
@@ -45,15 +44,15 @@ class TurnInfo(NamedTuple):
     The data of a turn from its reward message.
 
     :ivar episode: number of the episode.
-    :ivar step: number of turns of the episode before this one.
-    :ivar is_last: whether it is the last turn of the episode.
-    :ivar answered: the poses of the turn if it has been answered already; else None.
+    :ivar step: number of turns of the episode before this turn.
+    :ivar is_last: whether this is the last turn of the episode.
+    :ivar answered_poses: the camera poses, if the turn has been answered already; else None.
     """
 
     episode: int
     step: int
     is_last: bool
-    answered: PoseArray | None
+    answered_poses: PoseArray | None
 
 
 class SimulatedTurns:
@@ -61,45 +60,46 @@ class SimulatedTurns:
     Match the messages of a turn by their stamps, and answer the turn.
 
     :param node: gets the subscriptions.
-    :param commands: publishes the answers.
-    :param answer: is called once per turn with the points (N, 3) float32, metres, observed so far,
-        and the camera poses; returns the command.
+    :param commander: publishes the answers.
+    :param answer: is called once per turn with the N points observed so far, (N, 3) float32,
+        metres, and the camera poses; returns the command.
     :param on_turn_info: is called once per turn with its data.
     :param refuse: counts and logs a message that cannot be used.
-    :param waits: returns whether this node may not command now.
+    :param must_wait: returns whether this node may not command now.
     :param plan_ahead: is called after each command, to plan while the cameras move.
     """
 
-    def __init__(self, node: Node, commands: Commander,
+    def __init__(self, node: Node, commander: Commander,
                  answer: Callable[[np.ndarray, PoseArray], PoseArray],
                  on_turn_info: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
-                 waits: Callable[[], bool], plan_ahead: Callable[[], None]) -> None:
-        self._commands = commands
+                 must_wait: Callable[[], bool], plan_ahead: Callable[[], None]) -> None:
+        self._commander = commander
         self._answer_turn = answer
         self._on_turn_info = on_turn_info
         self._refuse = refuse
-        self._waits = waits
+        self._must_wait = must_wait
         self._plan_ahead = plan_ahead
+        #: The latest observation.
         self.cloud: PointCloud2 | None = None
-        #: The latest poses by their stamps in nanoseconds, none older than the turn answered last.
+        #: The latest poses by their stamps in nanoseconds, from the turn answered last on.
         self.poses: dict[int, PoseArray] = {}
+        #: The latest command.
         self.answer: PoseArray | None = None
         #: Stamp of the latest reward, nanoseconds.
         self.reward_stamp: int | None = None
-        #: Whether to wait for the reward of the present turn.
-        self._patient = True
-        # If the turn before had a reward, this one is awaited for 0.25 s: messages of different
-        # topics overtake each other, and only the reward shows that an episode begins.
-        self._late = node.create_timer(0.25, self._give_up,
-                                       clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self._late.cancel()
+        #: False once the wait for the reward of the present turn has timed out.
+        self._may_wait = True
+        # If the turn before had a reward, the next reward is awaited for 0.25 s: messages of
+        # different topics overtake each other, and only a reward shows that an episode begins.
+        self._reward_timer = create_steady_timer(node, 0.25, self._answer_without_reward)
+        self._reward_timer.cancel()
         # Subscribe to the reward first, so that a new episode is noticed before its first answer.
         node.create_subscription(Float64MultiArray, topics.REWARD, self.on_reward, LOOP)
         node.create_subscription(PoseArray, topics.CAMERA_POSES, self.on_poses, LOOP)
         node.create_subscription(PointCloud2, topics.OBSERVATION, self.on_cloud, LOOP)
 
     def on_reward(self, message: Float64MultiArray) -> None:
-        """Read which turn it is and whether it is the last; real cameras have no such topic."""
+        """Report the data of a turn, and answer the turn if it has waited for this message."""
         try:
             fields = msg_to_fields(
                 message, ('stamp_sec', 'stamp_nanosec', 'episode', 'step', 'truncated'))
@@ -108,21 +108,21 @@ class SimulatedTurns:
             return
         stamp = ns_of(fields, 'stamp')
         if stamp == self.reward_stamp:
-            # The turn was sent again: an episode that began with it continues.
+            # The turn was sent again: if an episode began with it, this episode continues.
             return
         self.reward_stamp = stamp
         answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
         self._on_turn_info(TurnInfo(
-            int(fields['episode']), int(fields['step']), bool(fields['truncated']),
-            self.poses[stamp] if answered else None))
+            int(fields['episode']), int(fields['step']), is_last=bool(fields['truncated']),
+            answered_poses=self.poses[stamp] if answered else None))
         if not answered and self.cloud is not None \
                 and stamp_to_ns(self.cloud.header.stamp) == stamp:
-            self.act()
+            self.answer_if_ready()
 
     def on_cloud(self, message: PointCloud2) -> None:
         """Store the observation, and answer the turn if its poses are here."""
         self.cloud = message
-        self.act()
+        self.answer_if_ready()
 
     def on_poses(self, message: PoseArray) -> None:
         """Store the poses, and answer the turn if its observation is here."""
@@ -130,18 +130,18 @@ class SimulatedTurns:
         self.poses[stamp] = message
         if len(self.poses) > MAX_STORED_POSES:
             answered = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
-            del self.poses[next(one for one in self.poses if one != answered)]
-        self.act()
+            del self.poses[next(stamp for stamp in self.poses if stamp != answered)]
+        self.answer_if_ready()
 
-    def act(self) -> None:
-        """Answer a turn once both messages are here; a repeated turn gets the same answer."""
+    def answer_if_ready(self) -> None:
+        """Answer a turn if both its messages are here; a repeated turn gets the same answer."""
         cloud = self.cloud
         stamp = None if cloud is None else stamp_to_ns(cloud.header.stamp)
-        if stamp not in self.poses or self._waits():
+        if stamp not in self.poses or self._must_wait():
             return
         poses = self.poses[stamp]
         if self.answer is None or self.answer.header.stamp != poses.header.stamp:
-            if self._waits_for_reward(stamp):
+            if self._update_wait_for_reward(stamp):
                 return
             try:
                 if cloud.header.frame_id != poses.header.frame_id:
@@ -153,22 +153,23 @@ class SimulatedTurns:
             except MessageError as error:
                 self._refuse(error)
                 return
-        self._commands.publish(self.answer)
+        self._commander.publish(self.answer)
         self._plan_ahead()
 
-    def _waits_for_reward(self, stamp: int) -> bool:
-        """Return whether to wait for the reward of a turn: the turn before had a reward."""
-        before = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
-        if self.reward_stamp in (None, stamp) or self.reward_stamp != before or not self._patient:
-            self._late.cancel()
-            self._patient = True
+    def _update_wait_for_reward(self, stamp: int) -> bool:
+        """Start or stop the wait for the reward of a turn; return whether to wait."""
+        answered_stamp = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
+        if self.reward_stamp in (None, stamp) or self.reward_stamp != answered_stamp \
+                or not self._may_wait:
+            self._reward_timer.cancel()
+            self._may_wait = True
             return False
-        if self._late.is_canceled():
-            self._late.reset()
+        if self._reward_timer.is_canceled():
+            self._reward_timer.reset()
         return True
 
-    def _give_up(self) -> None:
+    def _answer_without_reward(self) -> None:
         """Answer a turn without its reward."""
-        self._late.cancel()
-        self._patient = False
-        self.act()
+        self._reward_timer.cancel()
+        self._may_wait = False
+        self.answer_if_ready()

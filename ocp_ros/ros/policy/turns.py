@@ -27,7 +27,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Mapping, Sequence
 import math
 import time
-from typing import Generic, TypeVar
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from ocp_ros.geometry.cameras import angle_between
@@ -35,12 +35,9 @@ from scipy.spatial.transform import Rotation
 
 T = TypeVar('T')
 
-#: A camera that had arrived counts as having left when its offset exceeds the arrival distance or
-#: angle by this factor: a smaller offset may be noise of the poses.
-LEAVING_FACTOR = 4.0
 #: Nanoseconds: a cloud whose stamp is later than that of the poses by more has another clock, or a
 #: wrong one.
-MAX_AHEAD_NS = 1_000_000_000
+MAX_LEAD_NS = 1_000_000_000
 #: Nanoseconds for which poses have to stay within the limits of a standing camera.
 STEADY_NS = 200_000_000
 #: Seconds without new poses after which the cameras count as standing too.
@@ -51,66 +48,97 @@ JUMP_REPORT_S = 10.0
 POSES = ''
 
 
+class WaitLimits(NamedTuple):
+    """
+    Limits of waiting for cameras and clouds.
+
+    :ivar arrival_distance: a camera within this distance of its target has arrived, metres; the
+        height counts only if the camera was sent up or down.
+    :ivar arrival_timeout: longest wait for cameras, seconds.
+    :ivar cloud_timeout: longest wait for clouds after the cameras stand, seconds; at least one
+        cloud is needed in any case.
+    :ivar min_duration: shortest duration of a turn, seconds.
+    :ivar arrival_angle: a camera within this angle of its target has arrived, radians.
+    """
+
+    arrival_distance: float
+    arrival_timeout: float
+    cloud_timeout: float
+    min_duration: float = 0.0
+    arrival_angle: float = np.pi
+
+
+class _Poses(NamedTuple):
+    """Measured poses: stamp in nanoseconds, positions (K, 3) in metres, K rotations (3, 3)."""
+
+    stamp: int
+    positions: np.ndarray
+    rotations: Sequence[np.ndarray]
+
+
+class Moment(NamedTuple):
+    """The stamp of poses, nanoseconds, and the time on the steady clock, seconds."""
+
+    stamp: int
+    time: float
+
+
 class Turns(Generic[T]):
     """
     Wait for cameras and clouds; keep only the newest cloud of each topic.
 
+    Below, K is the number of cameras.
+
     :param topics: names of the cloud topics.
-    :param arrival_distance: a camera within this distance of its target has arrived, metres; the
-        height counts only if the camera was sent up or down.
-    :param arrival_timeout: longest wait for cameras, seconds.
-    :param cloud_timeout: longest wait for clouds after the cameras stand, seconds; at least one
-        cloud is needed in any case.
+    :param limits: limits of waiting; they may be replaced at any time.
     :param clock: returns seconds of a steady clock.
-    :param shortest: shortest duration of a turn, seconds.
-    :param arrival_angle: a camera within this angle of its target has arrived, radians.
     :ivar positions: (K, 3) metres, newest positions of the cameras; None while no poses came since
         a command to go elsewhere.
     :ivar overdue: whether this turn continues although the cameras have not arrived.
-    :ivar late: number of turns that were overdue.
-    :ivar jumps: number of times that stamps went back.
+    :ivar overdue_turns: number of turns that were overdue.
+    :ivar stamp_jumps: number of times that stamps went back.
+    :ivar used_stamps: by topic: stamp of the cloud that this turn has used, nanoseconds.
+    :ivar standing_begin: stamp of the first poses that show all cameras standing at their targets,
+        from which on clouds are used, and the time at which this was found; None while the cameras
+        do not stand.
     """
 
-    def __init__(self, topics: list[str], arrival_distance: float, arrival_timeout: float,
-                 cloud_timeout: float, clock: Callable[[], float] = time.monotonic,
-                 shortest: float = 0.0, arrival_angle: float = np.pi) -> None:
-        self._topics, self._clock = topics, clock
-        self.change(arrival_distance, arrival_timeout, cloud_timeout, shortest, arrival_angle)
+    def __init__(self, topics: list[str], limits: WaitLimits,
+                 clock: Callable[[], float] = time.monotonic) -> None:
+        self._topics = topics
+        self.limits = limits
+        self._clock = clock
         #: Newest stamp of each source (cloud topic or ``POSES``), nanoseconds.
         self._newest_stamps: dict[str, int] = {}
         #: Stamp of the newest poses, or the first stamp after the stamps went back, nanoseconds.
         self._pose_stamp = 0
-        #: The newest unread cloud of each topic with its stamp, and the stamp of the cloud that
-        #: this turn has used.
-        self._waiting: dict[str, tuple[int, T]] = {}
-        self._used: dict[str, int] = {}
+        #: The newest unread cloud of each topic, with its stamp.
+        self._unread_clouds: dict[str, tuple[int, T]] = {}
+        self.used_stamps: dict[str, int] = {}
         #: Time since which the clouds of a topic have been waiting for a newer transform.
-        self._waiting_since: dict[str, float] = {}
+        self._transform_waits: dict[str, float] = {}
         #: Topics whose wait ended without a cloud, now or before; using a cloud removes its topic.
-        self._silent: set[str] = set()
-        self.late = self.jumps = 0
+        self._silent_topics: set[str] = set()
+        self.overdue_turns = 0
+        self.stamp_jumps = 0
         self.overdue = False
         self.positions: np.ndarray | None = None
-        #: Targets of the last command, (K, 3) metres, None before the first one, and its time.
+        #: Targets of the last command, (K, 3) metres; None before the first command.
         self._targets: np.ndarray | None = None
-        #: (K,) bool, which of them were sent up or down.
+        #: (K,) bool, whether the last command sent each camera up or down.
         self._height_changes = np.zeros(0, dtype=bool)
         #: Newest rotations of all cameras, and target rotations of those that the command rotates.
         self._rotations: Sequence[np.ndarray] = ()
         self._target_rotations: Mapping[int, np.ndarray] = {}
-        self._sent_at = clock()
-        #: The first poses that show all cameras standing at their targets: their stamp in
-        #: nanoseconds, and the time at which this was found.
-        self._standing_from: tuple[int, float] | None = None
+        self._command_time = clock()
+        self.standing_begin: Moment | None = None
         #: Time at which all cameras were first measured at their targets.
-        self._arrived_at: float | None = None
-        #: The first poses from which all later poses differ by noise only: stamp, positions,
-        #: rotations.
-        self._reference: tuple[int, np.ndarray, Sequence[np.ndarray]] | None = None
-        #: The newest poses: stamp, positions, rotations; and the stamp since which they show the
-        #: standing cameras.
-        self._recent: deque[tuple[int, np.ndarray, Sequence[np.ndarray]]] = deque(maxlen=100)
-        self._averaged_from = 0
+        self._arrival_time: float | None = None
+        #: The first poses from which all later poses differ by noise only.
+        self._reference: _Poses | None = None
+        #: The newest poses, and the stamp since which they show the standing cameras.
+        self._recent_poses: deque[_Poses] = deque(maxlen=100)
+        self._mean_begin_ns = 0
         #: By how much the stamps of a topic's clouds are later than those of poses, nanoseconds.
         self._cloud_leads: dict[str, int] = {}
         #: Time at which the newest poses came.
@@ -118,17 +146,8 @@ class Turns(Generic[T]):
         #: Source whose stamps went back last, and the time of that.
         self._last_jump = '', -math.inf
 
-    def change(self, arrival_distance: float, arrival_timeout: float, cloud_timeout: float,
-               shortest: float, arrival_angle: float = np.pi) -> None:
-        """Change the limits of waiting; the parameters are those of the class."""
-        self._arrival_distance = arrival_distance
-        self._arrival_timeout = arrival_timeout
-        self._cloud_timeout = cloud_timeout
-        self._shortest = shortest
-        self._arrival_angle = arrival_angle
-
-    def sent(self, targets: np.ndarray, turned: Mapping[int, np.ndarray] | None = None,
-             raised: np.ndarray | None = None) -> None:
+    def on_command(self, targets: np.ndarray, rotations: Mapping[int, np.ndarray] | None = None,
+                   height_changes: np.ndarray | None = None) -> None:
         """
         Begin a turn: the cameras were sent to new targets.
 
@@ -136,26 +155,28 @@ class Turns(Generic[T]):
         rigs publish poses only while they move.
 
         :param targets: (K, 3) metres.
-        :param turned: target rotations, (3, 3), of the cameras that are rotated.
-        :param raised: (K,) bool, whether a camera was sent up or down; None: if its target height
-            differs from its measured height.
+        :param rotations: target rotations, (3, 3), by camera number, of the cameras that rotate.
+        :param height_changes: (K,) bool, whether each camera was sent up or down; None: if its
+            target height differs from its measured height.
         """
         self._targets = targets
-        self._sent_at = self._clock()
+        self._command_time = self._clock()
         self.overdue = False
-        self._height_changes = targets[:, 2] != self.positions[:, 2] if raised is None else raised
-        self._target_rotations = turned or {}
-        self._standing_from = (self._pose_stamp, self._sent_at) if self._arrived() else None
-        self._arrived_at = None
-        if self._standing_from is None:
+        self._height_changes = (targets[:, 2] != self.positions[:, 2] if height_changes is None
+                                else height_changes)
+        self._target_rotations = rotations or {}
+        self._arrival_time = None
+        self.standing_begin = Moment(self._pose_stamp, self._command_time)
+        if not self._cameras_arrived():
+            self.standing_begin = None
             self.positions = None
-        self.restarted()
+        self.drop_clouds()
 
-    def restarted(self) -> None:
+    def drop_clouds(self) -> None:
         """Drop the clouds of this turn, and wait for new ones."""
-        self._waiting.clear()
-        self._used.clear()
-        self._waiting_since.clear()
+        self._unread_clouds.clear()
+        self.used_stamps.clear()
+        self._transform_waits.clear()
 
     def on_poses(self, stamp: int, positions: np.ndarray,
                  rotations: Sequence[np.ndarray] = ()) -> bool:
@@ -168,215 +189,224 @@ class Turns(Generic[T]):
         :returns: whether the poses were used: their stamp is not older than the last one, or a
             clock was set.
         """
-        if not self._is_new(POSES, stamp):
+        if not self._accept_stamp(POSES, stamp):
             return False
+        # A camera that had arrived has left if it is this many times the arrival distance or angle
+        # away: smaller offsets may be noise of the poses.
+        leaving_factor = 4.0
+        poses = _Poses(stamp, positions, rotations)
         self.positions = positions
         self._rotations = rotations
         self._pose_stamp = stamp
         self._pose_time = self._clock()
-        self._recent.append((stamp, positions, rotations))
-        if self._targets is None and self._reference and not self.overdue and self._differs(
-                LEAVING_FACTOR * self._arrival_distance, LEAVING_FACTOR * self._arrival_angle):
+        self._recent_poses.append(poses)
+        if self._targets is None and self._reference and not self.overdue and (
+                self._left_reference(leaving_factor * self.limits.arrival_distance,
+                                     leaving_factor * self.limits.arrival_angle)):
             # Something else than this node moves the cameras.
             self._wait_for_standing()
         # Measured poses of a standing camera vary by 2 cm and 0.02 radians at most.
-        if self._differs(0.02, 0.02):
-            self._reference = stamp, positions, rotations
-        if self._arrived() or (self._arrived_at is not None and self._arrived(LEAVING_FACTOR)):
-            if self._arrived_at is None:
-                self._arrived_at = self._pose_time
-                self._averaged_from = stamp
+        if self._left_reference(distance=0.02, angle=0.02):
+            self._reference = poses
+        if self._cameras_arrived() or (
+                self._arrival_time is not None and self._cameras_arrived(leaving_factor)):
+            if self._arrival_time is None:
+                self._arrival_time = self._pose_time
+                self._mean_begin_ns = stamp
             self._update_standing()
         elif not self.overdue:
             self._wait_for_standing()
         return True
 
     @property
-    def measured(self) -> tuple[np.ndarray, list[np.ndarray]]:
+    def mean_poses(self) -> tuple[np.ndarray, list[np.ndarray]]:
         """
         Return the mean of the measured poses since the cameras stand.
 
-        :returns: (K, 3) metres, and K rotations (3, 3).
+        :returns: positions, (K, 3) metres, and K rotations, (3, 3).
         """
-        poses = [(positions, rotations) for stamp, positions, rotations in self._recent
-                 if stamp >= self._averaged_from and len(positions) == len(self.positions)]
-        if not poses:
+        measured = [poses for poses in self._recent_poses if poses.stamp >= self._mean_begin_ns
+                    and len(poses.positions) == len(self.positions)]
+        if not measured:
             return self.positions, list(self._rotations)
-        first = poses[0][0]
-        middle = first + np.mean([positions - first for positions, _ in poses], axis=0)
-        return middle, [_mean_rotation([one[k] for _, one in poses])
-                        for k in range(len(poses[0][1]))]
+        first = measured[0]
+        mean_offset = np.mean([poses.positions - first.positions for poses in measured], axis=0)
+        return first.positions + mean_offset, [
+            _mean_rotation([poses.rotations[camera] for poses in measured])
+            for camera in range(len(first.rotations))]
 
     def _wait_for_standing(self) -> None:
         """Wait again for cameras that do not stand any more."""
-        self._standing_from = self._arrived_at = None
-        self._used.clear()
+        self.standing_begin = None
+        self._arrival_time = None
+        self.used_stamps.clear()
 
-    def _differs(self, distance: float, angle: float) -> bool:
-        """Return whether a camera is farther from its anchor pose than the given limits."""
-        if self._reference is None or len(self._reference[1]) != len(self.positions):
+    def _left_reference(self, distance: float, angle: float) -> bool:
+        """Return whether a camera has no reference pose, or is farther from it (m, radians)."""
+        if self._reference is None or len(self._reference.positions) != len(self.positions):
             return True
-        _, positions, rotations = self._reference
-        away = np.linalg.norm(self.positions - positions, axis=1)
-        return bool((away > distance).any()) or any(
-            angle_between(*pair) > angle for pair in zip(rotations, self._rotations))
+        distances = np.linalg.norm(self.positions - self._reference.positions, axis=1)
+        return bool((distances > distance).any()) or any(
+            angle_between(reference, rotation) > angle
+            for reference, rotation in zip(self._reference.rotations, self._rotations))
 
-    def _arrived(self, times: float = 1.0) -> bool:
-        """Return whether every camera is at its target, within ``times`` the arrival limits."""
+    def _cameras_arrived(self, factor: float = 1.0) -> bool:
+        """Return whether all cameras are at their targets, within ``factor`` x the limits."""
         if self._targets is None:
             return True
-        away = self.positions - self._targets
-        away[~self._height_changes, 2] = 0.0
-        away = np.linalg.norm(away, axis=1)
-        return bool((away <= times * self._arrival_distance).all()) and all(
-            angle_between(self._rotations[camera], rotation) <= times * self._arrival_angle
+        offsets = self.positions - self._targets
+        offsets[~self._height_changes, 2] = 0.0
+        distances = np.linalg.norm(offsets, axis=1)
+        return bool((distances <= factor * self.limits.arrival_distance).all()) and all(
+            angle_between(self._rotations[camera], rotation) <= factor * self.limits.arrival_angle
             for camera, rotation in self._target_rotations.items())
 
     def on_cloud(self, topic: str, stamp: int, cloud: T) -> None:
-        """Store a cloud; it replaces the unread cloud of its topic."""
-        if self._is_new(topic, stamp):
-            self._waiting[topic] = stamp, cloud
-            late = self._clock() - self._pose_time
+        """Store a cloud with its stamp (ns); it replaces the unread cloud of its topic."""
+        if self._accept_stamp(topic, stamp):
+            self._unread_clouds[topic] = stamp, cloud
+            pose_age = self._clock() - self._pose_time
             # The comparison of stamps needs poses of the last half second.
-            if POSES in self._newest_stamps and late <= 0.5:
-                self._cloud_leads[topic] = stamp - self._pose_stamp - int(late * 1e9)
+            if POSES in self._newest_stamps and pose_age <= 0.5:
+                self._cloud_leads[topic] = stamp - self._pose_stamp - int(pose_age * 1e9)
 
-    def _is_new(self, source: str, stamp: int) -> bool:
-        """Return whether a stamp is not older than the last of its source, or a clock was set."""
-        last = self._newest_stamps.get(source, stamp)
+    def _accept_stamp(self, source: str, stamp: int) -> bool:
+        """Store a stamp, also after its clock was set back; return False if it is only late."""
+        newest = self._newest_stamps.get(source, stamp)
         # A stamp that goes back by more than a second comes from a clock that was set, or from a
         # recording that began again.
-        if last - 1_000_000_000 <= stamp < last:
+        if newest - 1_000_000_000 <= stamp < newest:
             return False
-        if stamp < last:
-            self.jumps += 1
-            self._newest_stamps.clear()
-            self._cloud_leads.clear()
-            self._recent.clear()
-            self.restarted()
-            self._pose_stamp = stamp
-            self._reference = None
-            self._averaged_from = stamp
-            now, before = self._clock(), self._last_jump[1]
-            self._last_jump = source, now
-            if self._standing_from is not None:
-                # A source with stamps of two clocks must not restart the wait for ever.
-                again = now - before <= 2.0 * self._cloud_timeout
-                self._standing_from = stamp, self._standing_from[1] if again else now
+        if stamp < newest:
+            self._begin_after_jump(source, stamp)
         self._newest_stamps[source] = stamp
         return True
 
-    def take(self, but: Collection[str] = ()) -> tuple[str, T] | None:
+    def _begin_after_jump(self, source: str, stamp: int) -> None:
+        """Drop the clouds, poses and stamps of before: the stamps of a source went back."""
+        self.stamp_jumps += 1
+        self._newest_stamps.clear()
+        self._cloud_leads.clear()
+        self._recent_poses.clear()
+        self.drop_clouds()
+        self._pose_stamp = stamp
+        self._reference = None
+        self._mean_begin_ns = stamp
+        now = self._clock()
+        _, last_jump_time = self._last_jump
+        self._last_jump = source, now
+        if self.standing_begin is not None:
+            # A source with stamps of two clocks must not restart the wait for ever.
+            is_repeated = now - last_jump_time <= 2.0 * self.limits.cloud_timeout
+            self.standing_begin = Moment(stamp, self.standing_begin.time if is_repeated else now)
+
+    def take_cloud(self, excluded_topics: Collection[str] = ()) -> tuple[str, T] | None:
         """
         Take a cloud that this turn can use: since the cameras stand, of a topic not used yet.
 
-        :param but: topics to leave out now.
+        :returns: the topic and the cloud; None if there is no such cloud.
         """
-        if self._standing():
+        if self._stop_waiting_for_cameras():
             for topic in self._topics:
-                if topic in self._waiting and topic not in (*self._used, *but) and (
-                        self._waiting[topic][0] >= self._standing_from[0]) and (
-                        self._cloud_leads.get(topic, 0) <= MAX_AHEAD_NS):
-                    self._used[topic], cloud = self._waiting.pop(topic)
-                    self._silent.discard(topic)
+                if topic in self._unread_clouds and (
+                        topic not in (*self.used_stamps, *excluded_topics)) and (
+                        self._unread_clouds[topic][0] >= self.standing_begin.stamp) and (
+                        self._cloud_leads.get(topic, 0) <= MAX_LEAD_NS):
+                    self.used_stamps[topic], cloud = self._unread_clouds.pop(topic)
+                    self._silent_topics.discard(topic)
                     return topic, cloud
         return None
 
-    def wait_on(self, topic: str, stamp: int, cloud: T) -> bool:
+    def put_back(self, topic: str, stamp: int, cloud: T) -> bool:
         """
-        Give back a cloud that was taken before its transform came, to be taken again.
+        Give back a cloud whose transform has not come yet, so that it can be taken again.
 
+        :param stamp: stamp of the cloud, nanoseconds.
         :returns: whether it waits; False if clouds of its topic have waited too long already.
         """
         now = self._clock()
         # Clouds wait a second for a newer transform.
-        if now - self._waiting_since.setdefault(topic, now) > 1.0:
+        if now - self._transform_waits.setdefault(topic, now) > 1.0:
             return False
-        del self._used[topic]
-        self._waiting.setdefault(topic, (stamp, cloud))
+        del self.used_stamps[topic]
+        self._unread_clouds.setdefault(topic, (stamp, cloud))
         return True
 
-    def refuse(self, topic: str) -> None:
+    def refuse_cloud(self, topic: str) -> None:
         """Wait for another cloud of a topic: the one that was taken cannot be used."""
-        del self._used[topic]
-        self._waiting_since.pop(topic, None)
+        del self.used_stamps[topic]
+        self._transform_waits.pop(topic, None)
 
-    def due(self) -> bool:
-        """Return whether all clouds of this turn are here, or at least one and time is up."""
-        up = self._standing() and self._time_is_up()
-        if up:
-            self._silent |= set(self._topics) - set(self._used)
-        soon = self._targets is not None and self._clock() - self._sent_at < self._shortest
-        return not soon and (
-            len(self._used) == len(self._topics) or (up and bool(self._used)))
+    def is_due(self) -> bool:
+        """Return whether this turn has all its clouds, or at least one and the wait is over."""
+        time_is_up = self._stop_waiting_for_cameras() and self._cloud_time_is_up()
+        if time_is_up:
+            self._silent_topics |= set(self._topics) - set(self.used_stamps)
+        too_early = (self._targets is not None
+                     and self._clock() - self._command_time < self.limits.min_duration)
+        return not too_early and (len(self.used_stamps) == len(self._topics)
+                                  or (time_is_up and bool(self.used_stamps)))
 
-    def _time_is_up(self) -> bool:
+    def _cloud_time_is_up(self) -> bool:
         """Return whether the cameras have been standing for ``cloud_timeout`` seconds."""
-        return self._clock() - self._standing_from[1] >= self._cloud_timeout
+        return self._clock() - self.standing_begin.time >= self.limits.cloud_timeout
 
-    def _standing(self) -> bool:
-        """Return whether the cameras stand, or the wait for them is over."""
+    def _stop_waiting_for_cameras(self) -> bool:
+        """Return whether the cameras stand; if the wait for them is over, let them count so."""
         self._update_standing()
         now = self._clock()
-        patience = self._arrival_timeout
+        timeout = self.limits.arrival_timeout
         if self._targets is None:
             # No command was sent yet: the wait is limited even if a person moves the cameras.
-            patience = min(patience, 20.0)
-        if self._standing_from is None and self.positions is not None and (
-                now - self._sent_at >= patience):
-            self._standing_from = self._pose_stamp, now
-            self._averaged_from = self._pose_stamp
+            timeout = min(timeout, 20.0)
+        if self.standing_begin is None and self.positions is not None and (
+                now - self._command_time >= timeout):
+            self.standing_begin = Moment(self._pose_stamp, now)
+            self._mean_begin_ns = self._pose_stamp
             self.overdue = True
-            self.late += 1
-        return self._standing_from is not None
+            self.overdue_turns += 1
+        return self.standing_begin is not None
 
     def _update_standing(self) -> None:
         """Mark the cameras as standing if they have been still at their targets."""
-        if self._standing_from is not None or self._arrived_at is None:
+        if self.standing_begin is not None or self._arrival_time is None:
             return
         now = self._clock()
-        if self._reference and (self._pose_stamp - self._reference[0] >= STEADY_NS
+        if self._reference and (self._pose_stamp - self._reference.stamp >= STEADY_NS
                                 or now - self._pose_time >= QUIET_S):
-            self._standing_from = self._reference[0], now
-            self._averaged_from = self._reference[0]
-        elif now - self._arrived_at >= self._cloud_timeout:
+            self.standing_begin = Moment(self._reference.stamp, now)
+            self._mean_begin_ns = self._reference.stamp
+        elif now - self._arrival_time >= self.limits.cloud_timeout:
             # The measured poses never become still: end the wait.
-            self._standing_from = self._pose_stamp, now
+            self.standing_begin = Moment(self._pose_stamp, now)
 
-    def silent(self) -> dict[str, str]:
+    def silent_topics(self) -> dict[str, str]:
         """Return the topics whose wait ended without a cloud, with a reason for each."""
-        return {topic: self._why_silent(topic) for topic in self._topics if topic in self._silent}
+        return {topic: self._explain_silence(topic) for topic in self._topics
+                if topic in self._silent_topics}
 
-    def _why_silent(self, topic: str) -> str:
+    def _explain_silence(self, topic: str) -> str:
         """Return in words what a silent topic has sent last."""
         if topic not in self._newest_stamps:
             return 'nothing came'
-        if self._cloud_leads.get(topic, 0) > MAX_AHEAD_NS:
+        if self._cloud_leads.get(topic, 0) > MAX_LEAD_NS:
             return f'stamps {self._cloud_leads[topic] * 1e-9:.1f} s after the poses'
-        behind = 0
-        if self._standing_from is not None:
-            behind = self._standing_from[0] - self._newest_stamps[topic]
-        return f'stamps {behind * 1e-9:.1f} s before the poses' if behind > 0 else 'nothing usable'
+        lag_ns = 0
+        if self.standing_begin is not None:
+            lag_ns = self.standing_begin.stamp - self._newest_stamps[topic]
+        return f'stamps {lag_ns * 1e-9:.1f} s before the poses' if lag_ns > 0 else 'nothing usable'
 
-    def backward(self) -> str:
+    def jumped_source(self) -> str:
         """Return the source whose stamps went back less than ``JUMP_REPORT_S`` ago; else ''."""
-        source, when = self._last_jump
-        return '' if self._clock() - when > JUMP_REPORT_S else source or 'the poses'
+        source, jump_time = self._last_jump
+        if self._clock() - jump_time > JUMP_REPORT_S:
+            return ''
+        return 'the poses' if source == POSES else source
 
     @property
-    def used(self) -> set[str]:
-        """Return the topics whose clouds this turn has used."""
-        return set(self._used)
-
-    @property
-    def standing(self) -> bool:
+    def cameras_stand(self) -> bool:
         """Return whether the cameras count as standing."""
-        return self._standing_from is not None
-
-    @property
-    def since(self) -> int:
-        """Return the stamp of the poses from which on clouds are used, nanoseconds."""
-        return self._standing_from[0]
+        return self.standing_begin is not None
 
     @property
     def no_command_sent(self) -> bool:
@@ -384,19 +414,15 @@ class Turns(Generic[T]):
         return self._targets is None
 
     @property
-    def stuck(self) -> bool:
-        """Return whether the cameras stand and time is up, but no cloud can be used."""
-        return self.standing and not self._used and self._time_is_up()
+    def lacks_clouds(self) -> bool:
+        """Return whether the wait for clouds is over, but no cloud can be used."""
+        return self.cameras_stand and not self.used_stamps and self._cloud_time_is_up()
 
     @property
     def poses_missing(self) -> bool:
         """Return whether no camera poses have come for ``cloud_timeout`` seconds."""
-        return self.positions is None and self._clock() - self._sent_at >= self._cloud_timeout
-
-    @property
-    def stamp(self) -> int:
-        """Return the stamp of the newest cloud that this turn has used, nanoseconds."""
-        return max(self._used.values())
+        turn_duration = self._clock() - self._command_time
+        return self.positions is None and turn_duration >= self.limits.cloud_timeout
 
 
 def _mean_rotation(rotations: Sequence[np.ndarray]) -> np.ndarray:

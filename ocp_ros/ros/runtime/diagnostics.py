@@ -17,56 +17,55 @@
 from collections.abc import Callable, Mapping
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
+from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from rclpy.node import Node
 
 OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
 
-#: What is expected on a topic of turns: only one simulation sends them.
+#: Text for ``expected`` of :func:`warn_of_crowd` on a topic of turns.
 ONE_SIMULATION = 'one simulation, or their turns get mixed up'
-#: Level, short message, values to show.
+#: Level (``OK``, ``WARN`` or ``ERROR``), short message, values to show by name.
 Status = tuple[bytes, str, Mapping[str, object]]
 
 
-def crowd(node: Node, topic: str, expected: str, most: int = 1) -> str:
+def warn_of_crowd(node: Node, topic: str, expected: str, max_publishers: int = 1) -> str:
     """
-    Return and log a warning if too many nodes publish on a topic.
+    Log and return a warning if more nodes publish on a topic than expected.
 
-    :param node: its ROS graph is read.
+    :param node: reads the ROS graph, and logs.
     :param topic: relative or full name.
-    :param expected: the publishers that are expected, in words.
-    :param most: largest number of publishers.
+    :param expected: which publishers are expected, in words for the warning.
+    :param max_publishers: number of publishers that is expected at most.
     :returns: the warning; empty if there are not too many publishers.
     """
-    found = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    if len(found) <= most:
+    publishers = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    if len(publishers) <= max_publishers:
         return ''
-    names = sorted(f'{one.node_namespace.rstrip("/")}/{one.node_name}' for one in found)
-    wrong = (f'found publishers of {topic}: {", ".join(names)}; expected {expected}; end the '
-             'others, or give each its own namespace (a node that was killed is found for up to '
-             '20 s more)')
-    node.get_logger().warning(wrong, throttle_duration_sec=10.0)
-    return wrong
+    names = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in publishers)
+    warning = (f'found publishers of {topic}: {", ".join(names)}; expected {expected}; end the '
+               'others, or give each its own namespace (a node that was killed is found for up to '
+               '20 s more)')
+    node.get_logger().warning(warning, throttle_duration_sec=10.0)
+    return warning
 
 
-class Health:
+class StatusPublisher:
     """
     Publish a node's status on ``/diagnostics``.
 
-    :param node: the node.
-    :param status: is called once a second and returns the status.
+    :param node: gets the publisher and a timer.
+    :param make_status: is called once a second; returns the status.
     """
 
-    def __init__(self, node: Node, status: Callable[[], Status]) -> None:
-        self._node, self._status = node, status
+    def __init__(self, node: Node, make_status: Callable[[], Status]) -> None:
+        self._node = node
+        self._make_status = make_status
         self._publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
-        # Steady time: the status is published even if /clock stops.
-        node.create_timer(1.0, self.publish, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        create_steady_timer(node, 1.0, self.publish)
 
     def publish(self) -> None:
         """Publish the status as it is now."""
-        level, message, values = self._status()
+        level, message, values = self._make_status()
         array = DiagnosticArray()
         array.header.stamp = self._node.get_clock().now().to_msg()
         array.status = [DiagnosticStatus(

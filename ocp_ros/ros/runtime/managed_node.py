@@ -25,14 +25,18 @@ from copy import copy
 from typing import Any
 
 from ocp_ros.policy.agent_config import CheckpointError
-from ocp_ros.ros.runtime.parameters import configured, declare, follow
+from ocp_ros.ros.runtime.parameters import declare, read_config, watch_parameters
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.settings import ConfigurationError, setting
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+from rclpy.timer import Timer
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
@@ -43,15 +47,19 @@ def autostart() -> Any:
                          'commands, such as `ros2 lifecycle set`')
 
 
-def _overridable(topic: str, profile: QoSProfile | int, settings: dict[str, Any]
-                 ) -> QoSProfile | int:
-    """Return the profile of a topic; for own topics ``qos_overrides`` parameters may change it."""
+def create_steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
+    """Create a timer that runs on a steady clock: also while /clock stops or jumps."""
+    return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def _allow_overrides(topic: str, profile: QoSProfile | int, settings: dict) -> QoSProfile | int:
+    """Return a profile; for topics of this package, allow ``qos_overrides`` in the settings."""
     # All nodes have the topics that begin with these names.
-    common = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
-    if topic.startswith(('~', *common)) or not isinstance(profile, QoSProfile):
+    common_topics = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
+    if topic.startswith(('~', *common_topics)) or not isinstance(profile, QoSProfile):
         return profile
     settings.setdefault('qos_overriding_options', QoSOverridingOptions.with_default_policies())
-    # rclpy writes the overrides into the profile: it gets a copy.
+    # rclpy writes the overrides into the profile: return a copy.
     return copy(profile)
 
 
@@ -59,41 +67,42 @@ class ManagedNode(LifecycleNode):
     """
     A node with the life cycle of ROS 2.
 
-    :param name: of the node.
-    :param settings: dataclass of its parameters, with a field ``autostart``.
-    :param instead: other defaults, see :func:`~ocp_ros.ros.runtime.parameters.declare`.
+    :param name: name of the node.
+    :param config_type: dataclass of its parameters, with a field ``autostart``.
+    :param flag_defaults: see :func:`~ocp_ros.ros.runtime.parameters.declare`.
     :ivar config: parameters in effect.
     :ivar configured: whether the node is configured.
     :ivar active: whether the node is active and may send messages.
     :raises ConfigurationError: for parameters that are invalid.
     """
 
-    def __init__(self, name: str, settings: type,
-                 instead: dict[str, dict[str, Any]] | None = None, **kwargs) -> None:
+    def __init__(self, name: str, config_type: type,
+                 flag_defaults: dict[str, dict[str, Any]] | None = None, **kwargs) -> None:
         super().__init__(name, **kwargs)
         self.configured = self.active = False
-        self._mark: dict[str, set] = {}
-        self._acting: dict[str, set] = {}
-        self._failure: Exception | None = None
-        #: Whether the constructor still runs: then it raises the error of a failed transition.
-        self._starting = True
-        self.config = declare(self, settings, instead)
-        follow(self, self._change)
+        #: ROS entities that existed before the step, by kind: undoing the step keeps them.
+        self._entities_before_configure: dict[str, set] = {}
+        self._entities_before_activate: dict[str, set] = {}
+        self._step_error: Exception | None = None
+        #: Whether the constructor still runs, which raises the error of a failed step itself.
+        self._constructing = True
+        self.config = declare(self, config_type, flag_defaults)
+        watch_parameters(self, self._store_config)
         if self.config.autostart:
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() != SUCCESS:
-                    raise self._failure
-        self._starting = False
+                    raise self._step_error
+        self._constructing = False
 
     def create_publisher(self, msg_type, topic: str, qos_profile, **settings) -> Publisher:
         """Create a publisher; parameters may override its quality of service."""
-        profile = _overridable(topic, qos_profile, settings)
+        profile = _allow_overrides(topic, qos_profile, settings)
         return super().create_publisher(msg_type, topic, profile, **settings)
 
     def create_subscription(self, msg_type, topic: str, callback, qos_profile, **settings
                             ) -> Subscription:
         """Create a subscription; parameters may override its quality of service."""
-        profile = _overridable(topic, qos_profile, settings)
+        profile = _allow_overrides(topic, qos_profile, settings)
         return super().create_subscription(msg_type, topic, callback, profile, **settings)
 
     def configure(self) -> None:
@@ -108,106 +117,106 @@ class ManagedNode(LifecycleNode):
     def release(self) -> None:
         """Release everything that is not an entity of ROS."""
 
-    def change(self, config: Any) -> None:
-        """Continue with other parameters; is called only while the node is configured."""
+    def apply_config(self, config: Any) -> None:
+        """Continue with new parameters; is called only while the node is configured."""
 
-    def _change(self, config: Any) -> None:
-        """Store changed parameters, and apply them if the node is configured."""
+    def _store_config(self, config: Any) -> None:
+        """Store new parameters, and apply them if the node is configured."""
         self.config = config
         if self.configured:
-            self.change(config)
+            self.apply_config(config)
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Configure the node, or log why that fails."""
-        self.config = configured(self, type(self.config), {})
-        self._mark = self._entities()
-        self.configured = self._done(self.configure, self._put_away)
+        self.config = read_config(self, type(self.config), {})
+        self._entities_before_configure = self._entities()
+        self.configured = self._try_step(self.configure, self._release_node)
         return SUCCESS if self.configured else FAILURE
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Activate the node."""
-        self._acting = self._entities()
-        self.active = self._done(self.activate, self._stand_down)
+        """Activate the node, or log why that fails."""
+        self._entities_before_activate = self._entities()
+        self.active = self._try_step(self.activate, self._deactivate_node)
         return SUCCESS if self.active else FAILURE
 
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Deactivate the node."""
-        self._stand_down()
+        self._deactivate_node()
         return SUCCESS
 
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release everything."""
-        self._put_away()
+        """Release everything that was prepared at the configuration."""
+        self._release_node()
         return SUCCESS
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Deactivate the node and release everything."""
         if self.active:
-            self._stand_down()
-        self._put_away()
+            self._deactivate_node()
+        self._release_node()
         return SUCCESS
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Release everything; the node can be configured again."""
         return self.on_shutdown(state)
 
-    def _done(self, begin: Callable[[], None], undo: Callable[[], None]) -> bool:
+    def _try_step(self, run_step: Callable[[], None], undo_step: Callable[[], None]) -> bool:
         """
         Run a step of the life cycle; if it fails, undo it and store the error.
 
-        The error is logged, unless the constructor is going to raise it.
+        The error is logged here, except where the constructor raises it.
 
         :returns: whether the step succeeded.
         """
         try:
-            begin()
+            run_step()
         except Exception as error:
-            undo()
-            self._failure = error
-            if not (self._starting and self.config.autostart):
+            undo_step()
+            self._step_error = error
+            if not (self._constructing and self.config.autostart):
                 # The user can correct a wrong file or parameter.
-                mendable = (CheckpointError, ConfigurationError, SceneError, OSError)
+                user_errors = (CheckpointError, ConfigurationError, SceneError, OSError)
                 self.get_logger().error(
-                    str(error) if isinstance(error, mendable) else
+                    str(error) if isinstance(error, user_errors) else
                     f'found {type(error).__name__}: {error}; the node stays as it was')
             return False
         return True
 
-    def _stand_down(self) -> None:
+    def _deactivate_node(self) -> None:
         """Deactivate, and destroy all entities created since the activation."""
         self.deactivate()
         self.active = False
-        self._destroy(self._acting)
+        self._destroy_except(self._entities_before_activate)
 
-    def _put_away(self) -> None:
+    def _release_node(self) -> None:
         """Release everything, and destroy all entities created since the configuration."""
         self.configured = False
         self.release()
-        self._destroy(self._mark)
+        self._destroy_except(self._entities_before_configure)
 
     def _entities(self) -> dict[str, set]:
         """Return the ROS entities that the node has now, by kind."""
         return {kind: set(getattr(self, f'{kind}s'))
                 for kind in ('publisher', 'subscription', 'timer', 'service', 'client')}
 
-    def _destroy(self, kept: dict[str, set]) -> None:
-        """Destroy the ROS entities of the node that are not among those kept."""
+    def _destroy_except(self, kept_entities: dict[str, set]) -> None:
+        """Destroy all ROS entities of the node except those to keep, which are given by kind."""
         for kind, entities in self._entities().items():
-            for entity in entities - kept.get(kind, entities):
+            for entity in entities - kept_entities.get(kind, entities):
                 getattr(self, f'destroy_{kind}')(entity)
 
     def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:
         """
         Refuse a transition that the present state does not allow.
 
-        rclpy raises an error then that is caught nowhere: any caller of ``~/change_state`` could
-        end the node.
+        This overrides a private method of rclpy, which would raise an error that nothing catches:
+        any caller of ``~/change_state`` could end the node.
         """
-        possible = {one[0]: one[1] for one in self._state_machine.available_transitions}
-        if transition_id not in possible:
-            self.get_logger().warning(
-                f'life cycle: found the transition {transition_id} while the node is '
-                f'{self._state_machine.current_state[1]}; expected one of '
-                f'{sorted(set(possible.values()))}')
+        # Each available transition begins with its number and its label.
+        labels = {number: label for number, label, *_ in self._state_machine.available_transitions}
+        if transition_id not in labels:
+            self.get_logger().warning(f'life cycle: found the transition {transition_id} while '
+                                      f'the node is {self._state_machine.current_state[1]}; '
+                                      f'expected one of {sorted(set(labels.values()))}')
             return FAILURE
         return super()._LifecycleNodeMixin__change_state(transition_id)

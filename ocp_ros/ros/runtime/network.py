@@ -18,8 +18,8 @@ import os
 
 from ocp_ros.util.resources import share_folder
 
-#: Environment that limits nodes of any middleware to this machine.
-LOCALHOST = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+#: Environment variables that limit nodes of any middleware to this machine.
+LOCALHOST_ENVIRONMENT = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
 #: Variables by which the user may have set the range of discovery or the transport.
 USER_VARIABLES = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_DISCOVERY_SERVER',
                   'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE',
@@ -28,18 +28,18 @@ USER_VARIABLES = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_DI
 
 def local_transport() -> dict[str, str]:
     """
-    Return the environment that limits nodes to this machine.
+    Return the environment variables that limit nodes to this machine.
 
     With Fast DDS, messages go by UDP and not by shared memory, for two reasons. A killed node
     keeps the segments that it was reading, until the other nodes have no shared memory left for
     clouds. And a living node may die of SIGSEGV when it ends
     (``SharedMemChannelResource::release``, once in about 700 endings beside killed nodes). Nodes
-    that use shared memory are still heard, by UDP. Peers in ``ROS_STATIC_PEERS`` may be on other
-    machines, which this UDP does not reach.
+    that use shared memory are still received, by UDP. Peers in
+    ``ROS_STATIC_PEERS`` may be on other machines, which this UDP does not reach.
     """
     middleware = os.environ.get('RMW_IMPLEMENTATION') or 'rmw_fastrtps'
     if not middleware.startswith('rmw_fastrtps') or os.environ.get('ROS_STATIC_PEERS'):
-        return LOCALHOST
+        return LOCALHOST_ENVIRONMENT
     return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
             'FASTRTPS_DEFAULT_PROFILES_FILE': str(share_folder() / 'config' / 'fastdds_local.xml')}
 

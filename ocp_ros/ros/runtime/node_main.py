@@ -57,35 +57,35 @@ USER_ERRORS = (CheckpointError, ConfigurationError, SceneError, FileNotFoundErro
 
 def ignore_signals() -> None:
     """Ignore the signals of ``END_SIGNALS`` from now on."""
-    for number in END_SIGNALS:
-        signal.signal(number, signal.SIG_IGN)
+    for signal_number in END_SIGNALS:
+        signal.signal(signal_number, signal.SIG_IGN)
 
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """Ignore the signals of ``END_SIGNALS`` within a block."""
-    before = {number: signal.getsignal(number) for number in END_SIGNALS}
+    """Ignore the signals of ``END_SIGNALS`` within a ``with`` block."""
+    old_handlers = {number: signal.getsignal(number) for number in END_SIGNALS}
     ignore_signals()
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for signal_number, handler in old_handlers.items():
+            signal.signal(signal_number, handler)
 
 
-def about_security(error: Exception) -> bool:
+def is_security_error(error: Exception) -> bool:
     """Return whether ROS refused to start a node because it cannot enable security (SROS 2)."""
     return isinstance(error, rclpy_implementation.RCLError) and 'security' in str(error).lower()
 
 
-def refusal(error: Exception) -> str:
-    """Return in one sentence why ROS refused to start a node."""
-    words = ' '.join(str(error).split())
-    if about_security(error):
-        return (f'found that ROS cannot keep it safe, as ROS_SECURITY_ENABLE asks ({words}); '
+def explain_refusal(error: Exception) -> str:
+    """Return in one sentence why ROS refused to start a node: its security or its arguments."""
+    text = ' '.join(str(error).split())
+    if is_security_error(error):
+        return (f'found that ROS cannot keep it safe, as ROS_SECURITY_ENABLE asks ({text}); '
                 'expected a ROS 2 with SROS 2 (the one from apt, not that from PyPI) and its keys '
                 'in a keystore; see docs/tasks/secure_nodes.md')
-    return (f'found ROS arguments that cannot be read ({words}); '
+    return (f'found ROS arguments that cannot be read ({text}); '
             'expected -p name:=value or --params-file FILE')
 
 
@@ -101,8 +101,8 @@ def end_with_parent() -> None:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
-def compiling(frame: FrameType | None) -> bool:
-    """Return whether a frame is of the compiler or called by it: an error would break it."""
+def is_compiling(frame: FrameType | None) -> bool:
+    """Return whether the compiler of kernels is running: a stack frame or a caller is its own."""
     while frame is not None:
         # These packages compile the numerical kernels.
         if str(frame.f_globals.get('__name__')).partition('.')[0] in ('numba', 'llvmlite'):
@@ -113,7 +113,7 @@ def compiling(frame: FrameType | None) -> bool:
 
 def interrupt_on_signals() -> list[int]:
     """
-    Raise KeyboardInterrupt at the first signal that ends a node, and ignore later signals.
+    Raise KeyboardInterrupt at the first signal of ``END_SIGNALS``, and ignore later signals.
 
     While kernels are compiled or loaded, nothing is raised: native code that calls Python would
     continue with missing data. The loop in :func:`spin` checks the returned list instead.
@@ -122,29 +122,28 @@ def interrupt_on_signals() -> list[int]:
     """
     received: list[int] = []
 
-    def interrupt(number, frame):
+    def interrupt(signal_number: int, frame: FrameType | None) -> None:
         # A second Ctrl-C must not interrupt the saving of data that follows.
         ignore_signals()
-        received.append(number)
-        if not compiling(frame):
+        received.append(signal_number)
+        if not is_compiling(frame):
             raise KeyboardInterrupt
 
-    for number in END_SIGNALS:
+    for signal_number in END_SIGNALS:
         # nohup sets SIGHUP to ignored before a node starts; keep it ignored.
-        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
-            signal.signal(number, interrupt)
+        if signal_number != signal.SIGHUP or signal.getsignal(signal_number) is not signal.SIG_IGN:
+            signal.signal(signal_number, interrupt)
     return received
 
 
 def spin(executor: SingleThreadedExecutor, received: list[int]) -> None:
     """
-    Spin until a signal comes.
+    Spin until a signal comes, which is checked ten times a second.
 
-    A wait in native code ends every ``LOOK`` seconds, so that the signal is noticed. An interrupt
-    within a compiled kernel becomes another error, which the caller of the kernel may catch as its
-    own: therefore the list is checked too.
+    The KeyboardInterrupt alone is not enough: within a compiled kernel it becomes another error,
+    which the caller of the kernel may catch as its own.
 
-    :param received: gets the number of the signal.
+    :param received: the list that :func:`interrupt_on_signals` has returned.
     """
     while not received:
         executor.spin_once(timeout_sec=0.1)
@@ -165,56 +164,58 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     logging.basicConfig(format='[%(levelname)s] [%(name)s]: %(message)s')
     logging.getLogger('ocp_ros').setLevel(logging.INFO)
     logging.captureWarnings(True)
-    name, node, executor = make_node.__name__, None, None
-    received, code = interrupt_on_signals(), 2
+    name = make_node.__name__
+    node = executor = None
+    received = interrupt_on_signals()
+    exit_code = 2
     try:
-        alone = stay_local()
+        limited_to_machine = stay_local()
         end_with_parent()
-        left = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
-        if left:
-            print(f'{name}: found the arguments {" ".join(left)}; expected parameters '
+        other_arguments = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
+        if other_arguments:
+            print(f'{name}: found the arguments {" ".join(other_arguments)}; expected parameters '
                   'after --ros-args, such as --ros-args -p name:=value', file=sys.stderr)
-            return code
+            return exit_code
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         executor = SingleThreadedExecutor()
         node = make_node()
-        if alone:
+        if limited_to_machine:
             node.get_logger().info('nodes of this machine are heard, and no others; '
                                    'ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET reaches farther')
         executor.add_node(node)
         spin(executor, received)
-        code = 0
+        exit_code = 0
     except (KeyboardInterrupt, ExternalShutdownException):
-        code = 0
+        exit_code = 0
     except USER_ERRORS as error:
         print(f'{name}: {error}', file=sys.stderr)
     except Exception as error:
         # Errors of rclpy when it cannot read its arguments or cannot start.
-        refusals = (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError)
-        if isinstance(error, refusals) and executor is None or about_security(error):
-            print(f'{name}: {refusal(error)}', file=sys.stderr)
+        start_errors = (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError)
+        if isinstance(error, start_errors) and executor is None or is_security_error(error):
+            print(f'{name}: {explain_refusal(error)}', file=sys.stderr)
         elif rclpy.ok() and not received:
-            code = 1
+            exit_code = 1
             raise
         else:
             # A signal can come at any moment: during a message conversion, which turns the
             # interrupt into another error, or while the context is shut down.
-            code = 0
+            exit_code = 0
     finally:
         ignore_signals()
-        take_down(node, executor)
-    return code
+        shut_down_node(node, executor)
+    return exit_code
 
 
-def take_down(node: Node | None, executor: SingleThreadedExecutor | None) -> None:
+def shut_down_node(node: Node | None, executor: SingleThreadedExecutor | None) -> None:
     """
     Save the data of a node, then end the executor, the node and the context, in this order.
 
     Fast DDS 2.14 may wait for ever when it shuts down a participant while another participant
     leaves (``DomainParticipantImpl::set_listener``): it takes and releases a lock in a tight loop
-    until no callback runs, and the callback waits for the same lock. rclpy keeps the interpreter's
-    lock meanwhile. Therefore a thread in C writes the stacks after ``SHUTDOWN_TIMEOUT_S`` and ends
-    the process with exit code 1.
+    until no callback runs, and the callback waits for the same lock. No Python code runs
+    meanwhile. Therefore, after ``SHUTDOWN_TIMEOUT_S``, a thread in C writes the stacks of all
+    threads and ends the process with exit code 1.
     """
     try:
         if hasattr(node, 'stop'):
@@ -222,7 +223,7 @@ def take_down(node: Node | None, executor: SingleThreadedExecutor | None) -> Non
     finally:
         # Flush the output: the process may end without finalisers.
         sys.stdout.flush()
-        # Descriptor 2 is standard error, even if ``sys.stderr`` is replaced.
+        # File descriptor 2 is standard error, even if ``sys.stderr`` is replaced.
         faulthandler.dump_traceback_later(SHUTDOWN_TIMEOUT_S, exit=True, file=2)
         if executor is not None:
             executor.shutdown()

@@ -36,52 +36,57 @@ import yaml
 T = TypeVar('T')
 
 
-def declare(node: Node, cls: type[T], instead: dict[str, dict[str, Any]] | None = None) -> T:
+def declare(node: Node, config_type: type[T],
+            flag_defaults: dict[str, dict[str, Any]] | None = None) -> T:
     """
     Declare every setting of a dataclass as a parameter, and read the given values.
 
-    From then on, changes that a running node cannot apply are refused; see :func:`follow`.
+    From then on, changes that a running node cannot apply are refused. To apply the others, call
+    :func:`watch_parameters`.
 
     :param node: the node that gets the parameters.
-    :param cls: configuration dataclass; settings of groups get dotted names.
-    :param instead: other defaults of some settings, by the flag (bool setting) that enables them.
+    :param config_type: configuration dataclass; settings of groups get dotted names.
+    :param flag_defaults: by the name of a flag (bool setting): other defaults of some settings,
+        which apply if the user sets the flag to true.
     :returns: the configuration in effect.
     :raises ConfigurationError: for a parameter that does not exist.
     """
-    settings = leaves(cls)
-    defaults = {name: item.default for name, item in settings.items()}
-    for flag, others in (instead or {}).items():
-        given = node._parameter_overrides.get(flag)
-        if given is not None and given.value is True:
-            defaults |= others
-    values = {name: node.declare_parameter(name, defaults[name], _descriptor(item)).value
-              for name, item in settings.items()}
-    # rclpy would drop overrides that are not declared without a warning.
-    # These parameters override the quality of service of topics.
+    settings = leaves(config_type)
+    defaults = {name: field.default for name, field in settings.items()}
+    for flag, other_defaults in (flag_defaults or {}).items():
+        override = node._parameter_overrides.get(flag)
+        if override is not None and override.value is True:
+            defaults |= other_defaults
+    values = {name: node.declare_parameter(name, defaults[name], _descriptor_of(field)).value
+              for name, field in settings.items()}
+    # rclpy would ignore unknown parameters without a warning. Those with the prefix
+    # qos_overrides change the quality of service of topics.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
                and not name.startswith('qos_overrides.')]
-    # A name for all nodes that is similar to a parameter is a misspelt parameter.
-    shared = {name for name in for_all_nodes(sys.argv, node.get_name()) & set(unknown)
-              if not difflib.get_close_matches(name, settings, n=1, cutoff=0.8)}
-    for name in shared:
+    # A name for all nodes that is similar to a parameter of this node is a misspelt parameter.
+    meant_for_others = {
+        name for name in parameters_for_all_nodes(sys.argv, node.get_name()) & set(unknown)
+        if not difflib.get_close_matches(name, settings, n=1, cutoff=0.8)}
+    for name in meant_for_others:
         node.get_logger().warning(f'parameters: found {name!r} for all nodes (/**), which this '
                                   'one does not have; going on without')
-    check_known([name for name in unknown if name not in shared], settings,
+    check_known([name for name in unknown if name not in meant_for_others], settings,
                 f'{node.get_name()} parameters')
-    node.add_on_set_parameters_callback(partial(_check, node, cls))
-    return from_flat(cls, values, node.get_name())
+    node.add_on_set_parameters_callback(partial(_check_changes, node, config_type))
+    return from_flat(config_type, values, node.get_name())
 
 
-def for_all_nodes(arguments: Sequence[str], own: str) -> set[str]:
+def parameters_for_all_nodes(arguments: Sequence[str], node_name: str) -> set[str]:
     """
-    Return the parameters that files set only for all nodes (``/**``), not for this node.
+    Return the names of parameters that files set for all nodes (``/**``), not for this node.
 
     Other nodes may need them, so they are no error here.
 
-    :param arguments: of the command line, with ``--params-file FILE``.
-    :param own: name of this node; parameters that a file sets for it are left out.
+    :param arguments: of the command line; the files are those after ``--params-file``.
+    :param node_name: name of this node; parameters that a file sets for it are left out.
     """
-    names: dict[bool, set[str]] = {True: set(), False: set()}
+    names_for_all: set[str] = set()
+    names_for_node: set[str] = set()
     for option, path in zip(arguments, arguments[1:]):
         if option != '--params-file':
             continue
@@ -90,78 +95,83 @@ def for_all_nodes(arguments: Sequence[str], own: str) -> set[str]:
         except (OSError, UnicodeDecodeError, yaml.YAMLError):
             # ROS itself reports a file that cannot be read.
             continue
-        for key, part in content.items() if isinstance(content, dict) else ():
-            said = part.get('ros__parameters') if isinstance(part, dict) else None
-            if isinstance(said, dict) and (key == '/**' or str(key).endswith(own)):
-                names[key == '/**'] |= set(_flat(said))
-    return names[True] - names[False]
+        for node_key, section in content.items() if isinstance(content, dict) else ():
+            values = section.get('ros__parameters') if isinstance(section, dict) else None
+            if isinstance(values, dict) and node_key == '/**':
+                names_for_all |= set(_dotted_names(values))
+            elif isinstance(values, dict) and str(node_key).endswith(node_name):
+                names_for_node |= set(_dotted_names(values))
+    return names_for_all - names_for_node
 
 
-def _flat(values: dict[str, Any], prefix: str = '') -> Iterator[str]:
-    """Yield the dotted names of nested parameters."""
+def _dotted_names(values: dict[str, Any], prefix: str = '') -> Iterator[str]:
+    """Yield the names of nested parameters, such as ``scene.file``."""
     for name, value in values.items():
         if isinstance(value, dict):
-            yield from _flat(value, f'{prefix}{name}.')
+            yield from _dotted_names(value, f'{prefix}{name}.')
         else:
             yield f'{prefix}{name}'
 
 
-def follow(node: Node, change: Callable[[T], None]) -> None:
+def watch_parameters(node: Node, apply_config: Callable[[T], None]) -> None:
     """
     Call a function when the parameters of a node have changed.
 
-    :param node: its ``config`` is what :func:`declare` has returned.
-    :param change: is called with the new configuration once it is in effect.
+    :param node: its attribute ``config`` is what :func:`declare` has returned.
+    :param apply_config: is called with the new configuration once it is in effect.
     """
-    cls = type(node.config)  # type: ignore[attr-defined]
-    settings = leaves(cls)
+    config_type = type(node.config)  # type: ignore[attr-defined]
+    settings = leaves(config_type)
 
-    def apply(parameters: list[Parameter]) -> None:
-        changed = [f'{one.name} = {one.value!r}' for one in parameters if one.name in settings]
+    def apply_changes(parameters: list[Parameter]) -> None:
+        changed = [f'{p.name} = {p.value!r}' for p in parameters if p.name in settings]
         if changed:
-            change(configured(node, cls, {}))
+            apply_config(read_config(node, config_type, {}))
             node.get_logger().info(f'from now on {", ".join(changed)}')
 
-    node.add_post_set_parameters_callback(apply)
+    node.add_post_set_parameters_callback(apply_changes)
 
 
-def configured(node: Node, cls: type[T], changes: dict[str, Any]) -> T:
-    """Return the configuration from the parameters of a node, with some changes."""
-    values = {name: node.get_parameter(name).value for name in leaves(cls)}
-    return from_flat(cls, values | changes, node.get_name())
+def read_config(node: Node, config_type: type[T], changes: dict[str, Any]) -> T:
+    """
+    Return the configuration from the parameters of a node.
+
+    :param changes: other values of some parameters, by dotted name.
+    """
+    values = {name: node.get_parameter(name).value for name in leaves(config_type)}
+    return from_flat(config_type, values | changes, node.get_name())
 
 
-def _check(node: Node, cls: type, parameters: list[Parameter]) -> SetParametersResult:
-    """Refuse changes that a running node cannot apply, and changes that contradict others."""
-    settings = leaves(cls)
-    changes = {one.name: one.value for one in parameters if one.name in settings}
+def _check_changes(node: Node, config_type: type, parameters: list[Parameter]
+                   ) -> SetParametersResult:
+    """Return whether a node can apply changed parameters; if not, with the reason."""
+    settings = leaves(config_type)
+    changes = {p.name: p.value for p in parameters if p.name in settings}
     # Before the node is configured, all parameters may change.
     unconfigured = not getattr(node, 'configured', True)
     try:
         for name, value in changes.items():
-            before = node.get_parameter(name).value
-            if value != before and not (
-                    settings[name].metadata['running'] or unconfigured):
+            old_value = node.get_parameter(name).value
+            if value != old_value and not (settings[name].metadata['running'] or unconfigured):
                 raise ConfigurationError(
                     f'{node.get_name()}: {name}: found {value!r}, but it is read once, at the '
-                    f'start; expected {before!r}; start the node again to change it')
-        configured(node, cls, changes)
+                    f'start; expected {old_value!r}; start the node again to change it')
+        read_config(node, config_type, changes)
     except ConfigurationError as error:
         return SetParametersResult(successful=False, reason=str(error))
     return SetParametersResult(successful=True)
 
 
-def _descriptor(item: Field) -> ParameterDescriptor:
-    """Describe one parameter; rclpy itself refuses values outside the range."""
-    low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
+def _descriptor_of(field: Field) -> ParameterDescriptor:
+    """Return the description of a parameter; rclpy refuses values outside its range."""
+    low, high, choices = (field.metadata[key] for key in ('low', 'high', 'choices'))
     constraints = [f'one of {", ".join(choices)}'] if choices else []
-    if not item.metadata['running']:
+    if not field.metadata['running']:
         # Not declared read-only: rclpy would refuse a change without saying what to do.
         constraints.append('read once, at the start')
-    descriptor = ParameterDescriptor(
-        description=item.metadata['description'],
-        additional_constraints='; '.join(constraints))
-    if low is not None and item.type is int:
+    descriptor = ParameterDescriptor(description=field.metadata['description'],
+                                     additional_constraints='; '.join(constraints))
+    if low is not None and field.type is int:
         descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
     elif low is not None:
         descriptor.floating_point_range = [
