@@ -36,7 +36,7 @@ from ocp_ros.compare.protocol import placing, RANDOM_PLACEMENTS, REFERENCE_PLACE
 from ocp_ros.compare.summary import budgets_of, last_runs, Rows
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.saved_pictures import save_figure
-from ocp_ros.report.installer import in_markdown
+from ocp_ros.report.installer import escape_markdown
 from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, planners_for, SCORES
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import write_atomically
@@ -291,7 +291,7 @@ def page(summary: dict[str, Any]) -> str:
     bounds = summary.get('exact', {}).get('bounds', {})
     for room, known in summary['rooms'].items():
         lines.append(
-            f'| {in_markdown(Path(room).stem)} | {known["best_known"]:.3f} | '
+            f'| {escape_markdown(Path(room).stem)} | {known["best_known"]:.3f} | '
             f'{known["random_placement"]:.2f} | '
             f'{shown(known["share"], 3)} | '
             f'{known["lower_bound"]:.3f} | {shown(bounds.get(room), 3)} |')

@@ -21,7 +21,7 @@ from typing import NamedTuple
 from matplotlib.figure import Figure
 import numpy as np
 from ocp_ros.report.drawing.room_drawing import INK, room_of
-from ocp_ros.report.drawing.room_pictures import coloured, draw_legend, draw_plan
+from ocp_ros.report.drawing.room_pictures import draw_legend, draw_plan, height_colours
 from ocp_ros.report.drawing.saved_pictures import save_figure
 
 
@@ -61,7 +61,7 @@ def draw_examples(path: Path, examples: Sequence[Sequence[Example]], max_range: 
             bottom = 0.6 + 5.4 * (rows - 1 - k)
             axes = figure.add_axes(((column + 0.1) / columns, (bottom + 0.6) / high,
                                     0.87 / columns, 4.2 / high))
-            room = room_of(example.points, coloured(example.points, example.observed))
+            room = room_of(example.points, height_colours(example.points, example.observed))
             draw_plan(axes, room, example.trajectories, max_range)
             axes.set_title(example.title, fontsize=13, color=INK, loc='left', parse_math=False)
     draw_legend(figure, max_range, True, '')

@@ -24,7 +24,7 @@ from benchmarks import results
 from benchmarks.room_likeness import generated, likeness, S3DIS_POINTS, shares_of_kinds, summary
 import numpy as np
 from ocp_ros.compare.protocol import rooms_in, rooms_of_s3dis
-from ocp_ros.report.drawing.room_pictures import draw_rooms, titled
+from ocp_ros.report.drawing.room_pictures import draw_rooms, titled_room
 from ocp_ros.rooms.furniture import SOLID_KINDS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_cache import load_cached
@@ -80,7 +80,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         scans = rooms_in(options.scans) if options.scans else []
         found = measured([*scans, *rooms_of_s3dis()])
-        draw_rooms(options.out, [titled(seed, 40000) for seed in SHOWN])
+        draw_rooms(options.out, [titled_room(seed, 40000) for seed in SHOWN])
     except (SceneError, OSError) as error:
         print(f'room_sheet: {error}', file=sys.stderr)
         return 2

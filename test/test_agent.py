@@ -23,7 +23,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, MAP, PAPER
-from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, KEY, write_atomically
+from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, METADATA_KEY, write_atomically
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.networks import ExtractionUnit, Extractor
 from ocp_ros.policy.observation_cloud import encode, MAX_OTHERS
@@ -259,10 +259,10 @@ def test_a_card_with_odd_values_is_refused_and_nothing_else_happens(small_agent,
     blob = random_checkpoint(small_agent).to_bytes()
     body = 8 + int.from_bytes(blob[:8], 'little')
     header = json.loads(blob[8:body])
-    card = json.loads(header['__metadata__'][KEY])
+    card = json.loads(header['__metadata__'][METADATA_KEY])
     parts = [f'"{key}": {value if key == name else json.dumps(item)}'
              for key, item in card.items()]
-    header['__metadata__'][KEY] = '{' + ', '.join(parts) + '}'
+    header['__metadata__'][METADATA_KEY] = '{' + ', '.join(parts) + '}'
     text = json.dumps(header).encode()
     try:
         found = Checkpoint.from_bytes(len(text).to_bytes(8, 'little') + text + blob[body:])

@@ -23,7 +23,7 @@ from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.cli import main as cli
-from ocp_ros.cli.common import document
+from ocp_ros.cli.common import json_text
 from ocp_ros.scenes.scene_files import save_scene
 from plyfile import PlyData, PlyElement
 import pytest
@@ -63,11 +63,11 @@ def printed(capsys, *arguments):
     return code, json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize('example', cli.commands().examples)
+@pytest.mark.parametrize('example', cli.build_commands().examples)
 def test_every_example_can_be_read_and_stands_in_the_help_of_its_command(example, capsys):
     words = shlex.split(example)
     assert words[0] == 'ocp'
-    cli.parser().parse_args(words[1:])
+    cli.build_parser().parse_args(words[1:])
     command = words[1:3] if words[1] == 'rooms' else words[1:2]
     with pytest.raises(SystemExit):
         cli.main([*command, '--help'])
@@ -123,7 +123,7 @@ def test_errors_are_json_where_it_is_asked_for(files, capsys, arguments, words):
     ('ocp_ros.cli.main', 'torch numba scipy numpy matplotlib rich yaml'),
     ('ocp_ros.cli.plan_command', 'ocp_ros.compare benchmarks matplotlib plotly open3d torch')])
 def test_what_is_slow_to_import_is_imported_when_it_is_needed(module, heavy):
-    done = run_python(f'import sys, {module}, ocp_ros.cli.main; ocp_ros.cli.main.commands(); '
+    done = run_python(f'import sys, {module}, ocp_ros.cli.main as cli; cli.build_commands(); '
                       'print(*sys.modules)')
     assert module in done.stdout and not set(heavy.split()) & set(done.stdout.split())
 
@@ -165,7 +165,7 @@ values = st.recursive(st.none() | st.booleans() | st.integers() | st.floats() | 
 def test_a_document_is_json_whatever_was_found(value):
     def refuse(word):
         raise AssertionError(word)
-    found = json.loads(document({'value': value, 'array': np.array([1.0, np.nan])}),
+    found = json.loads(json_text({'value': value, 'array': np.array([1.0, np.nan])}),
                        parse_constant=refuse)
     assert found['array'] == [1.0, None] and set(found) == {'value', 'array'}
 

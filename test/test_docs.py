@@ -136,7 +136,7 @@ def yaml_example(page, first):
 
 def test_every_option_of_plan_is_explained():
     text = (DOCS / 'tasks' / 'plan.md').read_text()
-    plan = next(action for action in cli.parser()._actions if action.choices).choices['plan']
+    plan = next(action for action in cli.build_parser()._actions if action.choices).choices['plan']
     for option in (name for action in plan._actions for name in action.option_strings):
         assert option in ('-h', '--help') or f'`{option}`' in text, option
 
@@ -158,7 +158,7 @@ CHEAP = {('score',), ('view',), ('rooms', 'list'), ('rooms', 'make'), ('rooms', 
 
 def test_every_command_in_the_documentation_can_be_read():
     for command in commands():
-        cli.parser().parse_args(command)
+        cli.build_parser().parse_args(command)
     assert {command[0] for command in commands()} == {
         'plan', 'info', 'score', 'calibrate', 'view', 'room', 'rooms', 'train', 'evaluate',
         'benchmark', 'replay', 'studio'}

@@ -22,7 +22,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing import report_page
 from ocp_ros.report.facts import facts_of, page_facts_of
-from ocp_ros.report.installer import instructions
+from ocp_ros.report.installer import installer_page
 from ocp_ros.report.terminal import as_text, print_table, show_score
 from ocp_ros.report.viewer import tables_of
 from ocp_ros.rig.placement_file import placement_of
@@ -62,7 +62,7 @@ def test_terminal_page_and_sheet_show_the_same_key_figures(judged):
     for name in ('terminal', 'page'):
         for cells in facts.regions:
             assert all(cell in texts[name] for cell in cells), name
-    page = instructions(judged, 'plan.png')
+    page = installer_page(judged, 'plan.png')
     assert all(value in page for _, value, _ in facts.figures[:3])
 
 

@@ -54,7 +54,7 @@ def files(tmp_path, monkeypatch):
     (tmp_path / 'placement.yaml').write_text(PLACEMENT)
     (tmp_path / 'config.yaml').write_text('interactions: 24  # few\n')
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw', blank_report)
+    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw_pages', blank_report)
     return tmp_path
 
 

@@ -30,11 +30,11 @@ from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
-from ocp_ros.report.camera_words import words_for
-from ocp_ros.report.exports import launch_of, rviz_of, table_of, xacro_of
+from ocp_ros.report.camera_words import instructions_for
+from ocp_ros.report.exports import csv_of, launch_of, rviz_of, xacro_of
 from ocp_ros.report.facts import metres
 from ocp_ros.report.findings import scores_of
-from ocp_ros.report.installer import instructions
+from ocp_ros.report.installer import installer_page
 from ocp_ros.report.wall_references import WallReferences, walls_around
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
@@ -291,7 +291,7 @@ def test_the_xacro_file_has_the_same_frames(mixed):
 
 
 def test_the_table_has_a_row_for_each_camera(mixed):
-    rows = list(csv.DictReader(io.StringIO(table_of(placement_of(mixed, POSES)))))
+    rows = list(csv.DictReader(io.StringIO(csv_of(placement_of(mixed, POSES)))))
     assert [row['name'] for row in rows] == ['azure_kinect_nfov', 'wide_1', 'wide_2', 'x']
     assert [row['mount'] for row in rows] == ['free', 'free', 'free', 'fixed']
     assert float(rows[2]['yaw']) == pytest.approx(np.rad2deg(-1.5), abs=1e-3)
@@ -303,14 +303,14 @@ def test_the_table_has_a_row_for_each_camera(mixed):
 def told(room, placed, floor):
     """Return what an installer is told of one camera."""
     references = WallReferences(room, np.array([placed.position]))
-    return words_for(placed, references.distances[0], references.sides, floor, room.source)
+    return instructions_for(placed, references.distances[0], references.sides, floor, room.source)
 
 
 def page_of(room, placement):
     """Return the installer's page of a placement."""
     engine = EngineConfig(preset='fast', error_rows=32)
     judged = judge(room, replace(placement, engine=engine), {'sha256': ''}, 'ocp score')
-    return instructions(judged, 'plan.png')
+    return installer_page(judged, 'plan.png')
 
 
 @pytest.mark.parametrize('angle', [0.0, 17.0, -40.0])
@@ -412,7 +412,7 @@ def test_the_installers_page_has_what_was_found_and_where_cameras_hang(mixed):
                      'ocp score x')
     assessed.found['search'] = {'certificate': {'sentence': 'No placement is better.',
                                                 'gap': None}}
-    page = instructions(assessed, 'plan.png')
+    page = installer_page(assessed, 'plan.png')
     scores, expected = assessed.found['scores'], assessed.found['expected']
     for fact in (f'{100 * scores["seen"]:.1f} %', 'No placement is better.', 'ocp score x',
                  f'{metres(expected["low"])} to {metres(expected["high"])}',
@@ -438,7 +438,7 @@ def test_two_cameras_at_one_inner_wall_are_told_the_same_letter():
     assert [[one.letter for one in distances] for distances in references.distances] == [
         ['E', 'A'], ['E', 'A']]
     wall, = references.inner
-    assert wall.letter == 'E' and wall.at[0] == pytest.approx(3.0, abs=0.03)
+    assert wall.letter == 'E' and wall.position[0] == pytest.approx(3.0, abs=0.03)
 
 
 def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():
@@ -455,7 +455,7 @@ def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():
 def test_frames_of_two_rigs_are_told_apart(mixed):
     placement = placement_of(mixed, POSES)
     texts = [launch_of(placement, prefix='a_'), xacro_of(placement, prefix='a_'),
-             table_of(placement, prefix='a_')]
+             csv_of(placement, prefix='a_')]
     for text in texts:
         assert 'a_camera_0' in text and not re.search(r'(?<!a_)camera_[0-9]', text)
     assert "('a_camera_0', 'a_camera_0_optical'" in texts[0]

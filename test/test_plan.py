@@ -270,7 +270,7 @@ def files(tmp_path, monkeypatch):
 @pytest.fixture
 def undrawn(monkeypatch):
     """Leave the one-page report blank: it takes longer than the plan, and others look at it."""
-    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw', blank_report)
+    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw_pages', blank_report)
 
 
 def test_what_is_planned_scores_as_it_says(files, capsys):
@@ -366,7 +366,7 @@ def test_an_answer_is_not_lost_where_it_cannot_be_written(files, capsys, monkeyp
     def fill(path, *_):
         raise OSError(errno.ENOSPC, 'No space left on device')
 
-    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw', fill)
+    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw_pages', fill)
     arguments = ['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']
     assert main(arguments) == 2
     out, err = capsys.readouterr()

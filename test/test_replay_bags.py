@@ -422,8 +422,8 @@ def test_a_replay_without_any_cloud_is_an_error(stage, clouds, tmp_path, capfd, 
 
 
 def test_options_of_the_command_line():
-    from ocp_ros.cli.main import parser
-    options = options_of(parser().parse_args([
+    from ocp_ros.cli.main import build_parser
+    options = options_of(build_parser().parse_args([
         'replay', 'a.bag', '--pose=-1,2,1.5,90', '--frame', '/a=b', '--frame', 'c', '--rate', '2',
         '--topics', '/a:=/b']))
     np.testing.assert_allclose(options.poses[0], [-1, 2, 1.5, np.pi / 2, 0, 0])

@@ -29,8 +29,8 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing import assessment_pictures, report_page, saved_pictures
-from ocp_ros.report.drawing.plan_marks import apart
-from ocp_ros.report.drawing.room_drawing import _ceiling, _surface
+from ocp_ros.report.drawing.plan_marks import move_apart
+from ocp_ros.report.drawing.room_drawing import _find_ceiling, _fit_discs
 from ocp_ros.report.drawing.room_pictures import draw_placement
 from ocp_ros.report.drawing.saved_pictures import shortened, width_of
 from ocp_ros.report.facts import metres
@@ -89,7 +89,7 @@ def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number,
     cameras = [{'sensor': 'realsense_d455', 'count': count, **({'name': LONG} if named else {})}]
     judged = judged_in(room, rig_from(Document('rig', {'cameras': cameras})), poses)
     pages = list(report_page.figures_of_pages(judged))
-    assert len(pages) == (1 if count <= report_page.MOST_ROWS else 2)
+    assert len(pages) == (1 if count <= report_page.MAX_ROWS else 2)
     for figure in pages:
         texts = texts_of(figure)
         width, height = figure.get_size_inches() * figure.dpi
@@ -117,7 +117,7 @@ def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number
 
 def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     judged = judged_in(rooms[2], rig_of(1, 'd455', pitch=[30, 60]), middle_of(rooms[2][0]))
-    list(report_page.draw(tmp_path / 'new', judged))
+    list(report_page.draw_pages(tmp_path / 'new', judged))
     image = imread(tmp_path / 'new' / 'report.png')
     assert image.shape[1] / image.shape[0] == pytest.approx(297 / 210, rel=0.01)
     assert image.shape[1] >= 1700
@@ -125,7 +125,7 @@ def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
     scores = judged.found['scores']
     for words in ('room-8: 1 camera', metres(scores['depth_error']),
                   f'{100 * scores["seen"]:.1f} %', 'mm/m²', '1 constraint violated',
-                  'ocp score 1 p.yaml', judged.words[0].place):
+                  'ocp score 1 p.yaml', judged.instructions[0].place):
         assert words in texts, words
     # Most of this room is seen by nobody, and shown so.
     none = np.abs(image[..., :3] - to_rgb(assessment_pictures.COUNT_COLOURS[0])).max(axis=2) < 0.1
@@ -144,7 +144,7 @@ def test_what_is_shown_of_a_placement_is_what_the_engine_says(rooms):
     assert counts.tolist() == list(overlap.values())
     error = judged.found['scores']['depth_error']
     assert judged.error_by_point.sum() == pytest.approx(error, rel=1e-4)
-    assert not judged.error_by_point[~judged.missed].any()
+    assert not judged.error_by_point[~judged.missed_points].any()
 
 
 def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):
@@ -169,7 +169,7 @@ def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):
 @budget(max_examples=20, deadline=None)
 def test_numbers_of_cameras_in_one_place_are_pushed_apart(places, seed):
     at = np.random.default_rng(seed).uniform(0.0, 1.0, (places, 2))
-    moved = apart(at, 0.3, np.array([[0.5, 0.5]]), 2000)
+    moved = move_apart(at, 0.3, np.array([[0.5, 0.5]]), 2000)
     both = np.concatenate([moved, [[0.5, 0.5]]])
     distance = np.linalg.norm(both[:, None] - both[None], axis=2)
     assert distance[np.triu_indices(len(both), 1)].min() > 0.27
@@ -199,13 +199,13 @@ def font_of(path, family, letter):
 def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_path, monkeypatch):
     manager = font_manager.fontManager
     monkeypatch.setattr(manager, 'ttflist', [
-        one for one in manager.ttflist if one.name not in saved_pictures.FALLBACKS])
-    before = saved_pictures.families()
-    font_of(tmp_path / 'block.ttf', saved_pictures.FALLBACKS[-1], '\u4f1a')
+        one for one in manager.ttflist if one.name not in saved_pictures.FALLBACK_FONTS])
+    before = saved_pictures.font_families()
+    font_of(tmp_path / 'block.ttf', saved_pictures.FALLBACK_FONTS[-1], '\u4f1a')
     manager.addfont(tmp_path / 'block.ttf')
-    assert saved_pictures.families() == [*before, saved_pictures.FALLBACKS[-1]]
+    assert saved_pictures.font_families() == [*before, saved_pictures.FALLBACK_FONTS[-1]]
     width_of.cache_clear()
-    with saved_pictures.all_letters():
+    with saved_pictures.fonts_for_all_letters():
         assert width_of('\u4f1a', 72.0) == pytest.approx(3.0, abs=0.05)
         usual = width_of('room', 72.0)
     width_of.cache_clear()
@@ -218,7 +218,7 @@ def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_pat
 def test_letters_that_no_font_has_are_no_reason_to_complain(rooms, tmp_path, recwarn):
     scene = replace(rooms[2][0], name='\ue000')
     judged = judged_in((scene, rooms[2][1]), rig_of(1, 'd455'), middle_of(scene))
-    list(report_page.draw(tmp_path, judged))
+    list(report_page.draw_pages(tmp_path, judged))
     assert not recwarn.list and (tmp_path / 'report.png').stat().st_size > 10000
 
 
@@ -275,8 +275,8 @@ def test_wrong_input_is_refused(tmp_path, change):
 
 def ceiling_of(points):
     """Return which points belong to the ceiling."""
-    normals, radius = _surface(points)
-    return _ceiling(points, normals, 2.5 * np.median(radius))
+    normals, radius = _fit_discs(points)
+    return _find_ceiling(points, normals, 2.5 * np.median(radius))
 
 
 def test_only_the_ceiling_is_taken_off():

@@ -226,7 +226,7 @@ def files(tmp_path, monkeypatch):
         'cameras: [{sensor: realsense_d455, count: 2}]\nspacing: 0.8\n'
         'regions: [{name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}]\n')
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw', blank_report)
+    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw_pages', blank_report)
     return tmp_path
 
 

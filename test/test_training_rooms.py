@@ -19,7 +19,7 @@ from pathlib import Path
 from benchmarks.room_sets import SEEDS
 import numpy as np
 from ocp_ros.cli.benchmark_command import protocol_of
-from ocp_ros.cli.main import parser
+from ocp_ros.cli.main import build_parser
 from ocp_ros.compare.protocol import PRESETS, rooms_in, rooms_of_s3dis
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.scene_source import make_room
@@ -232,7 +232,7 @@ def test_the_misspelt_room_is_found(folder):
 
 def test_the_folder_is_named_by_the_environment(folder, monkeypatch):
     monkeypatch.delenv('S3DIS_DIR', raising=False)
-    arguments = parser().parse_args(['benchmark', '--preset', 'full'])
+    arguments = build_parser().parse_args(['benchmark', '--preset', 'full'])
     assert rooms_of_s3dis() == [] and protocol_of(arguments).rooms == PRESETS['full'].rooms
     monkeypatch.setenv('S3DIS_DIR', str(folder))
     rooms = protocol_of(arguments).rooms

@@ -24,8 +24,8 @@ from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.map_actor import MapActor, MIN_TURNS_FOR_HEADINGS
 from ocp_ros.policy.observation_map import (
-    at_yaws,
     CELLS,
+    interpolate_yaws,
     lens_features,
     NUMBERS,
     OF_LENS,
@@ -83,10 +83,11 @@ def test_a_lens_is_told_by_its_angles():
 def test_values_between_headings_are_between_them():
     values = np.array([[0.0, np.inf], [1.0, np.inf], [2.0, np.inf], [3.0, np.inf]])
     yaws = np.array([0.0, 0.25 * np.pi, -0.25 * np.pi, 2.0 * np.pi])
-    assert at_yaws(values, np.zeros(4, dtype=int), yaws) == pytest.approx([0.0, 0.5, 1.5, 0.0])
-    assert at_yaws(values, np.ones(1, dtype=int), np.array([np.pi])) == [np.inf]
+    assert interpolate_yaws(values, np.zeros(4, dtype=int), yaws) == pytest.approx(
+        [0.0, 0.5, 1.5, 0.0])
+    assert interpolate_yaws(values, np.ones(1, dtype=int), np.array([np.pi])) == [np.inf]
     # Where there is one heading, it is that of all.
-    assert at_yaws(values[1:2], np.array([0]), np.array([1.0])) == [1.0]
+    assert interpolate_yaws(values[1:2], np.array([0]), np.array([1.0])) == [1.0]
 
 
 @pytest.mark.parametrize('number', range(8))

@@ -103,7 +103,7 @@ def test_in_a_room_larger_than_the_grid_cells_are_larger():
     for window, bounds in ((small, (5.0, 8.0)), (large, (40.0, 10.0))):
         corners = np.array([[0.0, 0.0], bounds])
         assert (window.cell_of(corners) >= 0).all()
-        assert window.cell_of(window.middles.reshape(-1, 2)).tolist() == list(range(CELLS ** 2))
+        assert window.cell_of(window.centres.reshape(-1, 2)).tolist() == list(range(CELLS ** 2))
 
 
 @pytest.mark.parametrize('number', range(8))
@@ -128,7 +128,7 @@ class Bowl:
     """Values that are least at one place of the map frame, whatever has been seen."""
 
     def __init__(self, window, lowest):
-        away = np.linalg.norm(window.middles - lowest, axis=-1)
+        away = np.linalg.norm(window.centres - lowest, axis=-1)
         self._values = (10.0 * away ** 2).astype(np.float32)
 
     def values(self, room, others, numbers, lens):

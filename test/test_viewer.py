@@ -75,7 +75,7 @@ def test_every_way_to_colour_points_has_a_share_for_each():
     for name, values in paints.items():
         assert values.shape == (len(judged.scene),), name
         assert (values >= 0.0).all() and (values <= 1.0).all(), name
-    assert np.array_equal(paints['what is missed'] > 0.5, judged.missed)
+    assert np.array_equal(paints['what is missed'] > 0.5, judged.missed_points)
     assert np.array_equal(paints['depth error'] > 0.0, judged.error_by_point > 0.0)
 
 

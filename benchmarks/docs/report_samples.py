@@ -19,7 +19,7 @@ from pathlib import Path
 
 from benchmarks.results import ROOT
 from ocp_ros.cli.main import main as ocp
-from ocp_ros.report.drawing.report_page import PAGES
+from ocp_ros.report.drawing.report_page import PAGE_FILES
 from PIL import Image
 
 #: Name of the picture, seed of the room, and cameras; seconds of each search.
@@ -49,7 +49,7 @@ def main() -> None:
                     '--seconds', str(SECONDS), '--seed', '1', '--out', str(folder)])
         if code:
             raise SystemExit(code)
-        shrink(folder / PAGES[0], ROOT / 'docs' / f'{name}.png')
+        shrink(folder / PAGE_FILES[0], ROOT / 'docs' / f'{name}.png')
 
 
 if __name__ == '__main__':

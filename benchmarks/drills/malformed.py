@@ -26,7 +26,7 @@ import struct
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from ocp_ros.policy.checkpoint import Checkpoint, KEY
+from ocp_ros.policy.checkpoint import Checkpoint, METADATA_KEY
 from ocp_ros.ros.interface.conversions import cloud_to_msg, fields_to_msg, positions_to_msg
 from ocp_ros.training.experience import Choice
 import safetensors.torch
@@ -193,7 +193,7 @@ def _unchecked(good: Checkpoint, weights: dict, **card) -> bytes:
     """Write weights that no checkpoint would hold."""
     tensors = {name: value.contiguous() for name, value in weights.items()}
     return safetensors.torch.save(
-        tensors, metadata={KEY: json.dumps({**good.card(), **card})})
+        tensors, metadata={METADATA_KEY: json.dumps({**good.card(), **card})})
 
 
 def spoilt_blob(rng: np.random.Generator, blob: bytes) -> bytes:

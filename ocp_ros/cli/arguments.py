@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read values of the command line; refuse a bad value with what was found and expected."""
+"""Options of command lines, and readers of their values, whose errors say what was expected."""
 
 import argparse
 from collections.abc import Callable, Sequence
@@ -35,12 +35,18 @@ if TYPE_CHECKING:
     from ocp_ros.scenes.scene import Scene
 
 
-def whole(low: int, high: int | None = None, what: str = 'a whole number') -> Callable[[str], int]:
-    """Return a function that reads a whole number of at least ``low``, and at most ``high``."""
-    expected = f'{low} or more' if high is None else f'{what} from {low} to {high}'
+def whole(low: int, high: int | None = None, name: str = 'a whole number') -> Callable[[str], int]:
+    """
+    Return a function that reads a whole number from a text.
+
+    :param low: smallest number.
+    :param high: largest number; None for no limit.
+    :param name: what the number is, for errors.
+    """
+    expected = f'{low} or more' if high is None else f'{name} from {low} to {high}'
 
     def read(text: str) -> int:
-        # A longer number is larger than any limit.
+        # A number of 19 digits is larger than any limit.
         value = int(text) if text.isdecimal() and len(text) < 19 else -1
         if value < low or (high is not None and value > high):
             raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
@@ -48,77 +54,82 @@ def whole(low: int, high: int | None = None, what: str = 'a whole number') -> Ca
     return read
 
 
-cameras = whole(1, MAX_CAMERAS, 'a number of cameras')
-room_points = whole(MIN_ROOM_POINTS, MAX_ROOM_POINTS)
-seed = whole(0, MAX_SEED)
+read_cameras = whole(1, MAX_CAMERAS, 'a number of cameras')
+read_room_points = whole(MIN_ROOM_POINTS, MAX_ROOM_POINTS)
+read_seed = whole(0, MAX_SEED)
 
 
-def count(text: str) -> int:
+def read_count(text: str) -> int:
     """Read a number of cameras; return 0 for ``auto``."""
-    return 0 if text == 'auto' else cameras(text)
+    return 0 if text == 'auto' else read_cameras(text)
 
 
-def seconds(text: str) -> float:
+def read_seconds(text: str) -> float:
     """Read a time in seconds, above 0."""
-    return number(text, 'seconds above 0', lambda value: 0.0 < value < math.inf)
+    return read_number(text, 'seconds above 0', lambda value: 0.0 < value < math.inf)
 
 
-def share(text: str) -> float:
+def read_share(text: str) -> float:
     """Read a share, above 0 and at most 1."""
-    return number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)
+    return read_number(text, 'a share above 0, at most 1', lambda value: 0.0 < value <= 1.0)
 
 
-def number(text: str, expected: str, holds: Callable[[float], bool]) -> float:
+def read_number(text: str, expected: str, is_valid: Callable[[float], bool]) -> float:
     """
     Read a number and check it.
 
     :param expected: description of a valid number, for the error.
-    :param holds: returns whether a number is valid.
-    :raises argparse.ArgumentTypeError: if it is not.
+    :param is_valid: returns whether a number is valid.
+    :raises argparse.ArgumentTypeError: if the text is no number, or the number is not valid.
     """
     try:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not holds(value):
+    if not is_valid(value):
         raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
     return value
 
 
-def scale(text: str) -> float:
-    """Read metres per unit; refuse 0, which stands elsewhere for the unit of the file."""
-    return number(text, 'metres per unit, not 0', lambda value: value != 0.0)
+def read_scale(text: str) -> float:
+    """Read metres per unit; refuse 0, which in settings means the unit of the file."""
+    return read_number(text, 'metres per unit, not 0', lambda value: value != 0.0)
 
 
-def names(text: str) -> tuple[str, ...]:
+def read_names(text: str) -> tuple[str, ...]:
     """Read names separated by commas."""
     return tuple(text.split(','))
 
 
-def camera_counts(text: str) -> tuple[int, ...]:
+def read_camera_counts(text: str) -> tuple[int, ...]:
     """Read numbers of cameras, separated by commas."""
-    return tuple(cameras(part) for part in text.split(','))
+    return tuple(read_cameras(number) for number in text.split(','))
 
 
-def whole_numbers(text: str) -> tuple[int, ...]:
+def read_integers(text: str) -> tuple[int, ...]:
     """Read whole numbers separated by commas."""
     try:
-        return tuple(int(part) for part in text.split(','))
+        return tuple(int(number) for number in text.split(','))
     except ValueError as error:
         raise argparse.ArgumentTypeError(
             f'found {text!r}; expected whole numbers with commas between') from error
 
 
-def add_units(command: argparse.ArgumentParser, what: str) -> None:
-    """Add the options ``--scale`` and ``--up`` for the units and axes of scans."""
-    command.add_argument('--scale', type=scale, help=f'metres per unit {what}; default: as the '
-                                                     'file says, otherwise 1')
-    command.add_argument('--up', type=direction, metavar='AXIS',
-                         help=f'direction {what} that points up: x, y, z, -x, -y, -z, or auto for '
-                              'a guess; default: as its format says, otherwise z')
+def add_units(command: argparse.ArgumentParser, files: str = 'scan') -> None:
+    """
+    Add the options ``--scale`` and ``--up`` for the units and axes of scans.
+
+    :param files: ``'scan'`` or ``'scans'``, for the help.
+    """
+    command.add_argument('--scale', type=read_scale,
+                         help=f'metres per unit of the {files}; default: as the file says, '
+                              'otherwise 1')
+    command.add_argument('--up', type=read_direction, metavar='AXIS',
+                         help=f'direction of the {files} that points up: x, y, z, -x, -y, -z, or '
+                              'auto for a guess; default: as its format says, otherwise z')
 
 
-def direction(text: str) -> str:
+def read_direction(text: str) -> str:
     """Read the direction of a scan that points up."""
     # Imported only here, so that a command line is read without importing NumPy.
     from ocp_ros.scenes.up_axis import UP_CHOICES
@@ -128,14 +139,14 @@ def direction(text: str) -> str:
     return text
 
 
-def joined(argv: Sequence[str]) -> list[str]:
-    """Join ``--up`` and a direction such as ``-y``, which argparse would read as an option."""
-    found: list[str] = []
-    for part in argv:
-        if found and found[-1] == '--up' and part.startswith('-'):
-            part = f'{found.pop()}={part}'
-        found.append(part)
-    return found
+def join_up_option(argv: Sequence[str]) -> list[str]:
+    """Return arguments with ``--up -y`` as ``--up=-y``: argparse reads ``-y`` as an option."""
+    joined: list[str] = []
+    for argument in argv:
+        if joined and joined[-1] == '--up' and argument.startswith('-'):
+            argument = f'{joined.pop()}={argument}'
+        joined.append(argument)
+    return joined
 
 
 def add_frame(command: argparse.ArgumentParser) -> None:
@@ -143,13 +154,13 @@ def add_frame(command: argparse.ArgumentParser) -> None:
     command.add_argument('--frame', choices=('map', 'source'), help='frame of the written files: '
                          'map (metres, z up) or source (axes and units of the scan); default: '
                          'source for pages for installers, map for files for programs')
-    command.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
+    command.add_argument('--frame-prefix', type=read_frame_prefix, default='', metavar='NAME',
                          help='prefix of the camera frames in files for ROS 2, such as rig_a_, so '
                          'that two rigs have different frames')
 
 
-def frame_prefix(text: str) -> str:
-    """Read the prefix of names of frames."""
+def read_frame_prefix(text: str) -> str:
+    """Read the prefix of the names of camera frames."""
     if not re.fullmatch(r'([A-Za-z_][A-Za-z0-9_/]*)?', text):
         raise argparse.ArgumentTypeError(
             f'found {text!r}; expected letters, digits, _ and /, a letter first, such as rig_a_')
@@ -163,7 +174,7 @@ def add_room(command: argparse.ArgumentParser) -> None:
 
 def add_points(command: argparse.ArgumentParser) -> None:
     """Add the option ``--points``, the largest number of points of a room."""
-    command.add_argument('--points', type=room_points, metavar='N',
+    command.add_argument('--points', type=read_room_points, metavar='N',
                          help='number of points of a generated room; a larger scan is thinned to '
                          'this number; default: 60000; with a placement: its number')
 
@@ -172,7 +183,7 @@ def add_placement(command: argparse.ArgumentParser, **options: Any) -> None:
     """
     Add the argument ``placement`` and the option ``--rig``.
 
-    :param options: of the argument, in addition.
+    :param options: other options of the argument, as of ``add_argument``.
     """
     command.add_argument('placement', type=Path, metavar='PLACEMENT',
                          help='placement file, YAML or JSON: docs/reference/placement.md',
@@ -188,8 +199,8 @@ def add_overwrite(command: argparse.ArgumentParser) -> None:
 
 
 def add_reading(command: argparse.ArgumentParser) -> None:
-    """Add the options for reading a scan."""
-    add_units(command, 'of the scan')
+    """Add the options for reading a scan: units, axes, and the points to leave out."""
+    add_units(command)
     command.add_argument('--drop-nonfinite', action='store_true', help='leave out points with NaN '
                          'or inf, which organised clouds contain')
     command.add_argument('--all-rooms', action='store_true', help='keep what the scan shows of '
@@ -201,25 +212,24 @@ def room_asked(arguments: argparse.Namespace, recorded: dict[str, Any]
     """
     Read the room that a command line names.
 
-    :param arguments: with ``room``, the options for reading it, and perhaps ``points``.
-    :param recorded: options with which it was read before, from a placement file; options of
-        the command line replace them.
+    :param arguments: with ``room``, the options for reading a scan, and perhaps ``points``.
+    :param recorded: options with which the room was read before, from a placement file; options
+        of the command line replace them.
     :returns: the room, and its record for placement files.
     """
     from ocp_ros.rooms.scene_source import READING, room_named
-    given = {key: value for key in READING
-             if (value := getattr(arguments, key)) is not None and value is not False}
-    if given and arguments.room.isdecimal():
+    options = {key: value for key in READING
+               if (value := getattr(arguments, key)) is not None and value is not False}
+    if options and arguments.room.isdecimal():
         raise ConfigurationError(
-            f'--{next(iter(given)).replace("_", "-")}: found it with the generated room '
+            f'--{next(iter(options)).replace("_", "-")}: found it with the generated room '
             f'{arguments.room}; expected a scan, since generated rooms are in metres, z up; leave '
             'it out')
-    recorded = {key: recorded[key] for key in ('points', *READING) if key in recorded}
+    keys = ('points',) if arguments.room.isdecimal() else ('points', *READING)
+    recorded = {key: recorded[key] for key in keys if key in recorded}
     if (points := getattr(arguments, 'points', None)) is not None:
         recorded['points'] = points
-    if arguments.room.isdecimal():
-        recorded = {key: value for key, value in recorded.items() if key == 'points'}
-    return room_named(arguments.room, **{**recorded, **given})
+    return room_named(arguments.room, **{**recorded, **options})
 
 
 def room_and_placement(arguments: argparse.Namespace

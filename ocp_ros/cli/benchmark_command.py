@@ -22,10 +22,10 @@ from typing import Any, TYPE_CHECKING
 from ocp_ros.cli.arguments import (
     add_overwrite,
     add_units,
-    cameras,
-    names,
+    read_cameras,
+    read_integers,
+    read_names,
     whole,
-    whole_numbers,
 )
 from ocp_ros.cli.common import claim_folder, command_of, Commands, COMPARE, Found, show_written
 from ocp_ros.util.resources import find_config
@@ -33,9 +33,6 @@ from ocp_ros.util.settings import ConfigurationError
 
 if TYPE_CHECKING:
     from ocp_ros.compare.protocol import Protocol
-
-#: File with the rig of ``--sensor`` in the folder of the results.
-RIG = 'rig.yaml'
 
 
 def add_arguments(commands: Commands) -> None:
@@ -47,16 +44,17 @@ def add_arguments(commands: Commands) -> None:
                          help='smoke: two rooms, under two minutes; full: ten rooms, up to 10,000 '
                          'evaluations')
     command.add_argument('--rooms', type=Path, help='folder of scans, instead of generated rooms')
-    add_units(command, 'of the scans')
-    command.add_argument('--cameras', type=cameras, metavar='N', help='number of cameras, without '
-                         'a rig file; default: 4')
+    add_units(command, 'scans')
+    command.add_argument('--cameras', type=read_cameras, metavar='N', help='number of cameras, '
+                         'without a rig file; default: 4')
     command.add_argument('--sensor', metavar='SENSOR', help='sensor of all cameras, without a rig '
                          'file, or a part of its name such as d455; without it omnidirectional '
                          'cameras on a plane are compared')
     command.add_argument('--mount', choices=('walls', 'ceiling', 'plane', 'free'),
                          help='with --sensor: mount of all cameras; default: walls')
-    command.add_argument('--planners', type=names, help='names with commas between; default: all')
-    command.add_argument('--budgets', type=whole_numbers, help='numbers of evaluations, with '
+    command.add_argument('--planners', type=read_names, help='names with commas between; default: '
+                         'all')
+    command.add_argument('--budgets', type=read_integers, help='numbers of evaluations, with '
                          'commas between')
     command.add_argument('--seeds', type=int, help='runs per planner, room and budget')
     command.add_argument('--out', type=Path, default=Path('out/benchmark'),
@@ -66,27 +64,26 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Compare planners, and write the results."""
+    """Compare planners, write the results and return their summary."""
     from ocp_ros.compare.comparison import compare, RESULTS
     from ocp_ros.util.files import folder_to_write
     check_cameras(arguments)
     claim_folder(arguments, arguments.out, RESULTS, 'protocol.json')
-    rig = [] if arguments.sensor is None else [_write_rig(arguments)]
+    rig_files = [] if arguments.sensor is None else [_write_rig(arguments)]
     protocol = protocol_of(arguments)
     folder = folder_to_write(arguments.out)
     summary = compare(protocol, folder, command_of(arguments.argv), arguments.workers or 0,
                       arguments.ray).summary
-    return {**summary, 'written': [*rig, *(folder / name for name in RESULTS)]}
+    return {**summary, 'written': [*rig_files, *(folder / name for name in RESULTS)]}
 
 
 def show(summary: Found) -> None:
-    """Print the sums, regrets, wins and times of the largest budget and of online planners."""
+    """Print a table: results of each planner at its largest budget; online planners have none."""
     from ocp_ros.compare.summary import budgets_of, last_runs
-    from ocp_ros.report.terminal import print_table, show_notes, WIDTH
-    from rich.console import Console
+    from ocp_ros.report.terminal import print_table, show_notes, wide_console
     budget = int(budgets_of(summary)[-1])
     runs = f'{budget:,} evaluations' if budget else 'the turns of online planners'
-    console = Console(width=WIDTH)
+    console = wide_console()
     print_table(console, f'{len(summary["rooms"])} rooms, {runs}', (
         'planner', 'delivered (m)', 'promised (m)', 'regret', 'wins', 'seconds'), [
         (name, f'{run["sum"]:.2f}', f'{run["promised"]:.2f}',
@@ -98,7 +95,7 @@ def show(summary: Found) -> None:
 
 
 def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
-    """Return the comparison that a command line of ``ocp benchmark`` asks for."""
+    """Return the settings of the comparison from a command line of ``ocp benchmark``."""
     from ocp_ros.compare.protocol import placing, PRESETS, rooms_in, rooms_of_s3dis
     from ocp_ros.search.registry import planners_for
     changes: dict[str, Any] = {
@@ -129,12 +126,12 @@ def add_comparison(command: argparse.ArgumentParser) -> None:
 
 
 def check_cameras(arguments: argparse.Namespace) -> None:
-    """Refuse options about cameras that contradict each other."""
+    """Raise an error if options about cameras contradict each other."""
     for option in ('cameras', 'sensor', 'mount'):
         if arguments.rig is not None and (value := getattr(arguments, option, None)) is not None:
-            shown = ','.join(map(str, value)) if isinstance(value, tuple) else value
+            text = ','.join(map(str, value)) if isinstance(value, tuple) else value
             raise ConfigurationError(
-                f'--{option}: found {shown} with --rig; expected one of the two: the rig file '
+                f'--{option}: found {text} with --rig; expected one of the two: the rig file '
                 f'says its {option}; leave one out')
     if getattr(arguments, 'mount', None) is not None and arguments.sensor is None:
         raise ConfigurationError(
@@ -143,14 +140,15 @@ def check_cameras(arguments: argparse.Namespace) -> None:
 
 
 def _write_rig(arguments: argparse.Namespace) -> Path:
-    """Write the rig of ``--sensor`` to the folder of the results, and use it as ``--rig``."""
+    """Write the rig of ``--sensor`` to ``rig.yaml``, and set this file as the option ``--rig``."""
     from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import rig_of
     from ocp_ros.util.files import folder_to_write, write_atomically
     from ocp_ros.util.yaml_files import written
     rig = rig_of(arguments.cameras or CAMERAS, arguments.sensor,
                  mount={'on': arguments.mount or MOUNT})
-    path = folder_to_write(arguments.out) / RIG
+    path = folder_to_write(arguments.out) / 'rig.yaml'
     write_atomically(path, written(rig.document.data, path.suffix))
-    arguments.rig, arguments.cameras = path, None
+    arguments.rig = path
+    arguments.cameras = None
     return path

@@ -24,15 +24,15 @@ from ocp_ros.cli.arguments import (
     add_placement,
     add_reading,
     add_room,
-    frame_prefix,
+    read_frame_prefix,
     room_asked,
 )
 from ocp_ros.cli.common import (
     claim_folder,
     command_of,
     Commands,
-    document,
     Found,
+    json_text,
     JUDGE,
     show_written,
 )
@@ -43,8 +43,6 @@ if TYPE_CHECKING:
 
 #: Names of the files that are written.
 WRITTEN = ('placement.yaml', 'cameras.launch.py', 'calibration.json')
-#: Number of points of a generated room; all points of a scan are used.
-POINTS = 120_000
 
 
 def add_arguments(commands: Commands) -> None:
@@ -54,11 +52,11 @@ def add_arguments(commands: Commands) -> None:
         'ocp calibrate room.ply placement.yaml --clouds door.ply window.ply --out out/built')
     add_room(command)
     add_placement(command)
-    seen = command.add_mutually_exclusive_group(required=True)
-    seen.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
-                      help='one cloud of each camera, in metres; without CAMERA=, the name of the '
-                      'file is the name of the camera')
-    seen.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
+    group = command.add_mutually_exclusive_group(required=True)
+    group.add_argument('--clouds', nargs='+', metavar='[CAMERA=]FILE',
+                       help='one cloud of each camera, in metres; without CAMERA=, the name of '
+                       'the file is the name of the camera')
+    group.add_argument('--bag', type=Path, help='a ROS bag with a topic of clouds for each camera')
     command.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
                          help='topics of the bag; default: the topics whose names contain the '
                          'names of the cameras, otherwise all topics in their order')
@@ -69,7 +67,7 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
                          help='write the placement as built, a launch file of static transforms '
                          'and the figures here')
-    command.add_argument('--frame-prefix', type=frame_prefix, default='', metavar='NAME',
+    command.add_argument('--frame-prefix', type=read_frame_prefix, default='', metavar='NAME',
                          help='before the names of frames in the launch file')
     add_overwrite(command)
     add_reading(command)
@@ -77,76 +75,77 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Register each camera that has a cloud, and write its pose."""
+    """Register each camera that has a cloud, write the poses and return the results."""
     from ocp_ros.registration.calibration import answer_of, as_built, calibrate
     from ocp_ros.registration.scan_surfaces import ScanSurfaces
     from ocp_ros.report.exports import launch_of
     from ocp_ros.rig.placement_file import load_placement, save_placement
     from ocp_ros.rig.rig_file import load_rig
     from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
-    read = [arguments.bag] if arguments.bag else [
+    inputs = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
-    claim_folder(arguments, arguments.out, WRITTEN, WRITTEN[-1], read)
+    placement_name, launch_name, figures_name = WRITTEN
+    claim_folder(arguments, arguments.out, WRITTEN, figures_name, inputs)
     rig = load_rig(arguments.rig) if arguments.rig else None
     placement = load_placement(arguments.placement, rig)
-    clouds = clouds_of(arguments, [placed.camera.name for placed in placement.cameras])
+    names = [placed.camera.name for placed in placement.cameras]
+    clouds = clouds_of(arguments, names)
     folder_to_write(arguments.out)
-    points = POINTS if arguments.room.isdecimal() else 0
+    # A generated room has this number of points; 0 stands for all points of a scan.
+    points = 120_000 if arguments.room.isdecimal() else 0
     scene, _ = room_asked(arguments, {**placement.room, 'points': points})
-    found, broken = calibrate(ScanSurfaces(scene), placement, clouds)
-    built = as_built(placement, found, command_of(arguments.argv))
-    rows = [answer_of(placed, found[placed.camera.name]) if placed.camera.name in found else {
-        'camera': placed.camera.name, 'refused': broken.get(placed.camera.name, 'it has no cloud')}
-        for placed in placement.cameras]
-    answer: Found = {'cameras': rows,
-                     'written': [str(arguments.out / name) for name in WRITTEN]}
-    with FileSet(arguments.out, WRITTEN, WRITTEN[-1]) as files:
-        save_placement(files.aside / WRITTEN[0], built)
+    calibrations, failures = calibrate(ScanSurfaces(scene), placement, clouds)
+    built = as_built(placement, calibrations, command_of(arguments.argv))
+    rows = [answer_of(placed, calibrations[name]) if name in calibrations else
+            {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
+            for name, placed in zip(names, placement.cameras)]
+    result: Found = {'cameras': rows, 'written': [str(arguments.out / name) for name in WRITTEN]}
+    with FileSet(arguments.out, WRITTEN, figures_name) as files:
+        save_placement(files.aside / placement_name, built)
         refused = [row['camera'] for row in rows if row['refused']]
         launch = launch_of(built, (), arguments.frame_prefix, refused)
-        write_atomically(files.aside / WRITTEN[1], launch)
-        write_atomically(files.aside / WRITTEN[2], document(answer) + '\n')
+        write_atomically(files.aside / launch_name, launch)
+        write_atomically(files.aside / figures_name, json_text(result) + '\n')
     if all(row['refused'] for row in rows):
-        answer['error'] = (
+        result['error'] = (
             f'{arguments.placement}: found no camera that could be calibrated ('
             + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
             + '); expected one at least; scan more of the room, or correct the placement')
-    return answer
+    return result
 
 
-def show(found: Found) -> None:
-    """Print the result of each camera."""
-    from ocp_ros.report.terminal import print_table, WIDTH
-    from rich.console import Console
-    console = Console(width=WIDTH)
+def show(result: Found) -> None:
+    """Print the result of each camera, with its largest deviations in metres and in degrees."""
+    from ocp_ros.report.terminal import print_table, wide_console
+    console = wide_console()
     rows = [(row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
              ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
              f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°',
              f'{1000.0 * row["deviations"][0]["metres"]:.1f} mm, '
              f'{row["deviations"][3]["degrees"]:.2f}°',
              f'{1000.0 * row["residual"]:.1f} mm', f'{100.0 * row["overlap"]:.0f} %')
-            for row in found['cameras'] if not row['refused']]
+            for row in result['cameras'] if not row['refused']]
     if rows:
         print_table(console, 'As built', (
             'camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
             'residual', 'overlap'), rows)
-    for row in found['cameras']:
+    for row in result['cameras']:
         if row.get('otherwise'):
             console.print(f'note: {row["camera"]}: {row["otherwise"]}; correct the placement or '
                           'the option', style='yellow', markup=False, highlight=False)
         if row['refused']:
             console.print(f'refused: {row["camera"]}: {row["refused"]}', style='yellow',
                           markup=False, highlight=False)
-    show_written({'written': found['written']})
+    show_written({'written': result['written']})
 
 
 def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str, np.ndarray]':
     """
     Read the clouds of cameras.
 
-    :param arguments: with ``clouds`` or ``bag`` and ``topics``, and ``cloud_frame``.
-    :param names: of the cameras.
-    :returns: (N, 3) metres, body frame, by camera.
+    :param arguments: with ``cloud_frame``, and with ``clouds``, or ``bag`` and ``topics``.
+    :param names: names of the cameras.
+    :returns: by camera, the N points of its cloud: (N, 3) metres, body frame (x forward, z up).
     :raises ConfigurationError: if the camera of a cloud is not clear, or there is no cloud.
     """
     from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
@@ -158,14 +157,16 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str,
             raise ConfigurationError(
                 f'--bag: found no ROS 2 ({error}); expected rclpy and its messages; run '
                 'tools/setup, or save the clouds as files (--clouds)') from error
-        chosen = dict(_named(text, '--topics', 'TOPIC') for text in arguments.topics)
-        check_known(chosen, names, '--topics')
-        return recorded_clouds(arguments.bag, names, chosen, arguments.cloud_frame)
+        topics = dict(_split_pair(text, '--topics', 'TOPIC') for text in arguments.topics)
+        check_known(topics, names, '--topics')
+        return recorded_clouds(arguments.bag, names, topics, arguments.cloud_frame)
     if arguments.topics:
         raise ConfigurationError('--topics: found it without --bag; expected both; name the bag')
     files: dict[str, Path] = {}
     for text in arguments.clouds:
-        name, path = _named(text, '--clouds', 'FILE') if '=' in text else (Path(text).stem, text)
+        name, path = Path(text).stem, text
+        if '=' in text:
+            name, path = _split_pair(text, '--clouds', 'FILE')
         if name in files:
             raise ConfigurationError(f'--clouds: found two files of {name}; expected one for each '
                                      'camera; leave one out')
@@ -176,10 +177,15 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str,
         name: points @ OPTICAL_TO_BODY.T for name, points in clouds.items()}
 
 
-def _named(text: str, option: str, what: str) -> tuple[str, str]:
-    """Read CAMERA=VALUE; return the name of the camera and the value."""
-    name, equals, value = text.partition('=')
-    if not (name and equals and value):
-        raise ConfigurationError(f'{option}: found {text!r}; expected CAMERA={what}; write, for '
-                                 f'example, door={what.lower()}')
+def _split_pair(text: str, option: str, kind: str) -> tuple[str, str]:
+    """
+    Return the name of the camera and the value of a text CAMERA=VALUE.
+
+    :param option: option that the text belongs to, for errors.
+    :param kind: kind of value, as named in the help, for errors.
+    """
+    name, separator, value = text.partition('=')
+    if not (name and separator and value):
+        raise ConfigurationError(f'{option}: found {text!r}; expected CAMERA={kind}; write, for '
+                                 f'example, door={kind.lower()}')
     return name, value

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Common parts of all commands of ``ocp``: table of contents, examples, JSON and errors."""
+"""Common parts of the commands of ``ocp``: parsers, errors, JSON, and checks of outputs."""
 
 import argparse
 from collections.abc import Iterable, Mapping, Sequence
@@ -28,8 +28,8 @@ import sys
 from typing import Any, NoReturn
 import warnings
 
-from ocp_ros.cli.arguments import joined
-from ocp_ros.cli.start import STOPPED
+from ocp_ros.cli.arguments import join_up_option
+from ocp_ros.cli.start import EXIT_STOPPED
 from ocp_ros.util.files import complete_set, file_to_write
 from ocp_ros.util.settings import ConfigurationError, UserError
 from ocp_ros.util.terminal_text import printable
@@ -40,19 +40,19 @@ PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
     'compare planners', 'feed the nodes')
 #: Result of a command as plain data.
 Found = dict[str, Any]
-#: Arguments that name input files and folders.
-READ = ('room', 'rooms', 'placement', 'rig', 'config')
-#: Folder of results, relative to the folder in which ocp was started. It has the default outputs,
-#: so files there are replaced without ``--overwrite``.
-RESULTS = Path('out')
+#: Arguments whose values are input files and folders.
+INPUT_ARGUMENTS = ('room', 'rooms', 'placement', 'rig', 'config')
+#: Folder of the default outputs, relative to the folder in which ocp was started. Files in this
+#: folder are replaced without ``--overwrite``.
+RESULTS_FOLDER = Path('out')
 #: Error numbers of a full disk, an exceeded quota, and a file that is too large.
-FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: Exit code for wrong input.
-WRONG = 2
+EXIT_WRONG_INPUT = 2
 
 
 class UsageError(Exception):
-    """A command line that cannot be read, with the parser that prints the usage."""
+    """A command line that cannot be read; ``parser`` prints the usage."""
 
     def __init__(self, parser: argparse.ArgumentParser, message: str) -> None:
         super().__init__(message)
@@ -63,7 +63,7 @@ class Parser(argparse.ArgumentParser):
     """A parser that raises errors, so that :func:`run` prints them."""
 
     def __init__(self, **options: Any) -> None:
-        # Options must be written in full: ``'--json' in argv`` would miss an abbreviation.
+        # No abbreviations of options: :func:`run` searches ``argv`` for ``--json``.
         super().__init__(allow_abbrev=False, **options)
 
     def error(self, message: str) -> NoReturn:
@@ -75,61 +75,64 @@ class Commands:
     """
     The commands of a program, in groups by purpose.
 
-    :param program: its name.
-    :param description: its purpose.
+    :param program: name of the program.
+    :param description: purpose of the program.
+    :ivar parser: parser of all commands.
+    :ivar examples: an example of each command, as a user types it.
     """
 
     def __init__(self, program: str, description: str) -> None:
         self.parser = Parser(prog=program, usage=f'{program} COMMAND ...', description=description,
                              formatter_class=argparse.RawDescriptionHelpFormatter)
-        self._added = self.parser.add_subparsers(prog=program, required=True, metavar='COMMAND',
-                                                 help=argparse.SUPPRESS)
-        self._contents: dict[str, list[tuple[str, str]]] = {
-            title: [] for title in TITLES}
-        #: An example of each command, as a user types it.
+        self._subparsers = self.parser.add_subparsers(
+            prog=program, required=True, metavar='COMMAND', help=argparse.SUPPRESS)
+        self._contents: dict[str, list[tuple[str, str]]] = {title: [] for title in TITLES}
         self.examples: list[str] = []
 
-    def add(self, group: str, name: str, about: str, example: str = '') -> Parser:
+    def add(self, group: str, name: str, purpose: str, example: str = '') -> Parser:
         """
-        Add a command.
+        Add a command, and return its parser.
 
         :param group: title of its group, one of ``TITLES``.
-        :param about: what the command does, in a few words.
+        :param purpose: what the command does, in a few words.
         :param example: a command line; empty for a command that only has subcommands.
         """
-        self._contents[group].append((name, about))
-        self.parser.epilog = self._table()
-        return self.put(self._added, name, about, example)
+        self._contents[group].append((name, purpose))
+        self.parser.epilog = self._contents_table()
+        return self.add_parser(self._subparsers, name, purpose, example)
 
-    def put(self, parsers: Any, name: str, about: str, example: str) -> Parser:
-        """Add a command to subparsers, with its example and ``--json``."""
-        made = parsers.add_parser(
-            name, help=about, description=f'{about[0].upper()}{about[1:]}.',
+    def add_parser(self, parsers: Any, name: str, purpose: str, example: str) -> Parser:
+        """Add a command to argparse's subparsers, and return its parser, with ``--json``."""
+        parser = parsers.add_parser(
+            name, help=purpose, description=f'{purpose[0].upper()}{purpose[1:]}.',
             epilog=f'example:\n  {example}' if example else None,
             formatter_class=argparse.RawDescriptionHelpFormatter)
         if example:
             self.examples.append(example)
-            made.add_argument('--json', action='store_true',
-                              help='print one JSON document and nothing else, also for errors')
-        return made
+            parser.add_argument('--json', action='store_true',
+                                help='print one JSON document and nothing else, also for errors')
+        return parser
 
-    def _table(self) -> str:
-        """Return the table of contents."""
+    def _contents_table(self) -> str:
+        """Return the table of contents: names and purposes of commands, by group."""
         lines = []
         for title, commands in self._contents.items():
             if commands:
-                lines += [f'{title}:', *(f'  {name:<12}{about}' for name, about in commands), '']
-        more = f'{self.parser.prog} COMMAND --help says more, with an example.'
-        return '\n'.join([*lines, more])
+                rows = [f'  {name:<12}{purpose}' for name, purpose in commands]
+                lines += [f'{title}:', *rows, '']
+        hint = f'{self.parser.prog} COMMAND --help says more, with an example.'
+        return '\n'.join([*lines, hint])
 
 
 def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     """
-    Run one command, and print the plain data that it returns, with its ``show`` or as JSON.
+    Run one command, and print its result, by its function ``show`` or with ``--json`` as JSON.
 
-    Bad input is reported in one sentence, or with ``--json`` in a document with the key ``error``.
+    Bad input is reported in one sentence, or with ``--json`` in an object with the key ``error``.
     A result may have the key ``error`` too.
 
+    :param parser: parser of all commands; it sets ``run`` and ``show`` of the chosen command.
+    :param argv: the command line without the program's name.
     :returns: the exit code.
     """
     as_json = '--json' in argv
@@ -138,39 +141,39 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
         sys.stdout.reconfigure(errors='backslashreplace')
     try:
         _check_folder()
-        arguments = parser.parse_args(joined(argv))
+        arguments = parser.parse_args(join_up_option(argv))
         arguments.argv = list(argv)
         with warnings.catch_warnings(), redirect_stdout(sys.stderr) if as_json else nullcontext():
-            warnings.showwarning = _warn
-            found = arguments.run(arguments)
+            warnings.showwarning = _print_warning
+            result = arguments.run(arguments)
         if as_json:
-            print(document(found))
+            print(json_text(result))
         else:
-            arguments.show(found)
+            arguments.show(result)
         sys.stdout.flush()
-        if 'error' in found:
-            return WRONG if as_json else _refuse(found['error'], as_json)
+        if 'error' in result:
+            return EXIT_WRONG_INPUT if as_json else _print_error(result['error'], as_json)
     except UsageError as error:
         if not as_json:
             error.parser.print_usage(sys.stderr)
             error.parser.exit(
-                WRONG, f'{error.parser.prog}: error: {printable(str(error))}\n')
-        return _refuse(str(error), as_json)
+                EXIT_WRONG_INPUT, f'{error.parser.prog}: error: {printable(str(error))}\n')
+        return _print_error(str(error), as_json)
     except BrokenPipeError:
         # The reader, such as head, has closed the pipe: discard the rest of the output.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except (UserError, OSError) as error:
-        return _refuse(_sentence_of(error), as_json)
+        return _print_error(_error_sentence(error), as_json)
     except MemoryError:
-        return _refuse('memory: found less than this needs; expected enough; use fewer points, '
-                       'cameras or rows, or smaller networks and buffers', as_json)
+        return _print_error('memory: found less than this needs; expected enough; use fewer '
+                            'points, cameras or rows, or smaller networks and buffers', as_json)
     except KeyboardInterrupt:
-        return STOPPED
+        return EXIT_STOPPED
     return 0
 
 
 def _check_folder() -> None:
-    """Refuse to work in a folder that was removed: relative paths are invalid there."""
+    """Raise an error if the current folder was removed: relative paths are invalid there."""
     try:
         os.getcwd()
     except FileNotFoundError as error:
@@ -179,54 +182,54 @@ def _check_folder() -> None:
             'existing folder; change to another folder (cd) and start again') from error
 
 
-def _warn(message: Warning | str, *_: Any) -> None:
-    """Print a warning in one line, without its place in the code."""
+def _print_warning(message: Warning | str, *_: Any) -> None:
+    """Print a warning in one line, without file name and line number."""
     print(f'ocp: warning: {printable(str(message))}', file=sys.stderr)
 
 
-def _sentence_of(error: Exception) -> str:
-    """Return an error as one sentence."""
-    if isinstance(error, OSError) and error.errno in FULL:
+def _error_sentence(error: Exception) -> str:
+    """Return an error as a text."""
+    if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
         return (f'{error.filename}: found no room to write it ({error.strerror}); expected some; '
                 'what was there before is whole: make room, or name another place, and start '
                 'again')
     return str(error)
 
 
-def _refuse(sentence: str, as_json: bool) -> int:
-    """Print an error, and return the exit code."""
+def _print_error(sentence: str, as_json: bool) -> int:
+    """Print an error, and return the exit code for wrong input."""
     if as_json:
-        print(document({'error': sentence}))
+        print(json_text({'error': sentence}))
     else:
         print(f'ocp: {printable(sentence)}', file=sys.stderr)
-    return WRONG
+    return EXIT_WRONG_INPUT
 
 
-def document(found: Any) -> str:
-    """Return plain data as JSON: paths become texts, and numbers that are not finite null."""
-    return json.dumps(_plain(found), indent=1, allow_nan=False)
+def json_text(data: Any) -> str:
+    """Return data as JSON: paths become texts, and NaN and infinity become null."""
+    return json.dumps(_json_value(data), indent=1, allow_nan=False)
 
 
-def _plain(value: Any) -> Any:
-    """Return a value converted to the types of JSON."""
+def _json_value(value: Any) -> Any:
+    """Return a value converted to types that JSON has."""
     if isinstance(value, Mapping):
-        return {str(key): _plain(part) for key, part in value.items()}
+        return {str(key): _json_value(item) for key, item in value.items()}
     if hasattr(value, 'tolist'):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
+        return [_json_value(item) for item in value]
     if isinstance(value, Path):
         return str(value)
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def show_written(found: Found) -> None:
-    """Print the names of the written files, and a placement if some of its files are missing."""
-    for path in found.get('written', ()):
+def show_written(result: Found) -> None:
+    """Print the written files' names; after an error print the cameras, as they may be lost."""
+    for path in result.get('written', ()):
         print(f'wrote {printable(str(path))}')
-    if 'error' in found:
+    if 'error' in result:
         from ocp_ros.util.yaml_files import written
-        print(written({'cameras': found['cameras']}, '.yaml'), end='')
+        print(written({'cameras': result['cameras']}, '.yaml'), end='')
 
 
 def command_of(argv: Sequence[str]) -> str:
@@ -236,23 +239,23 @@ def command_of(argv: Sequence[str]) -> str:
 
 def inputs_of(arguments: argparse.Namespace) -> list[Path]:
     """Return the files and folders that a command line reads, which it must not replace."""
-    named: list[Any] = []
-    for name in READ:
+    paths: list[Any] = []
+    for name in INPUT_ARGUMENTS:
         value = getattr(arguments, name, None)
-        named += value if isinstance(value, list) else [value] if value else []
-    return [Path(name) for name in named]
+        paths += value if isinstance(value, list) else [value] if value else []
+    return [Path(path) for path in paths]
 
 
 def claim_file(arguments: argparse.Namespace, path: Path, what: str, option: str = '--out'
                ) -> None:
     """
-    Check that a file may be written, before any work is done for it.
+    Check that a command may write a file, before it does any work.
 
     :param path: of the file.
-    :param what: description of the file, for the message.
-    :param option: option that names the file.
-    :raises ConfigurationError: if it cannot be written, is an input, or exists and may not be
-        replaced.
+    :param what: description of the file, for errors.
+    :param option: option that names the file, for errors.
+    :raises ConfigurationError: if the file cannot be written, is an input, or exists and may not
+        be replaced.
     """
     file_to_write(path, what, option)
     _check_inputs([path], inputs_of(arguments), option)
@@ -263,23 +266,23 @@ def claim_file(arguments: argparse.Namespace, path: Path, what: str, option: str
 
 
 def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[str], mark: str,
-                 read: Iterable[str | Path] = (), option: str = '--out') -> None:
+                 more_inputs: Iterable[str | Path] = (), option: str = '--out') -> None:
     """
-    Check that files may be written to a folder, before any work is done for them.
+    Check that a command may write files to a folder, before it does any work.
 
-    The folder has to be new or empty, or to have the mark of an earlier run.
+    The folder must be new or empty, or have a file that an earlier run has left.
 
     :param names: of the files that are written, or removed if an earlier run has left them.
-    :param mark: name of a file that every run leaves there, perhaps with ``*``.
-    :param read: inputs in addition to those of :func:`inputs_of`.
-    :param option: option that names the folder.
+    :param mark: name of a file that every run leaves in the folder; may contain ``*``.
+    :param more_inputs: inputs in addition to those of :func:`inputs_of`.
+    :param option: option that names the folder, for errors.
     :raises ConfigurationError: if an input would be replaced, or the folder has other files.
     """
     names = list(names)
-    _check_inputs([folder / name for name in names], [*inputs_of(arguments), *read], option)
-    if taken := [name for name in names if (folder / name).is_dir()]:
+    _check_inputs([folder / name for name in names], [*inputs_of(arguments), *more_inputs], option)
+    if folders := [folder / name for name in names if (folder / name).is_dir()]:
         raise ConfigurationError(
-            f'{option}: found the folder {folder / taken[0]}; expected a file there, or nothing; '
+            f'{option}: found the folder {folders[0]}; expected a file there, or nothing; '
             'name another folder, or move that one')
     if not folder.is_dir() or _may_replace(arguments, folder) or any(folder.glob(mark)) or (
             complete_set(folder, names, mark)):
@@ -293,15 +296,15 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[st
 
 
 def _may_replace(arguments: argparse.Namespace, path: Path) -> bool:
-    """Return whether the file or the files in the folder at a path may be replaced."""
-    return arguments.overwrite or path.resolve().is_relative_to(RESULTS.resolve())
+    """Return whether a command may replace a file, or files in a folder, at a path."""
+    return arguments.overwrite or path.resolve().is_relative_to(RESULTS_FOLDER.resolve())
 
 
 def _check_inputs(paths: Iterable[Path], inputs: Iterable[str | Path], option: str) -> None:
-    """Refuse to replace an input, also with ``--overwrite``."""
-    read = [path for path in map(Path, inputs) if path.exists()]
+    """Raise an error if a path to write is an input, also with ``--overwrite``."""
+    existing = [path for path in map(Path, inputs) if path.exists()]
     for path in paths:
-        if path.exists() and any(path.samefile(one) for one in read):
+        if path.exists() and any(path.samefile(source) for source in existing):
             raise ConfigurationError(
                 f'{option}: found {path}, which is an input of this command and would be '
                 'replaced; expected an output that replaces no input; name another one')

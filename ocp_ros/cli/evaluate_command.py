@@ -20,7 +20,7 @@ import json
 from pathlib import Path
 from typing import Any, TYPE_CHECKING
 
-from ocp_ros.cli.arguments import add_units, camera_counts, names, whole, whole_numbers
+from ocp_ros.cli.arguments import add_units, read_camera_counts, read_integers, read_names, whole
 from ocp_ros.cli.benchmark_command import add_comparison, check_cameras
 from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, LEARN, show_written
 from ocp_ros.policy.shipped_models import DEFAULT_MODEL
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from ocp_ros.compare.comparison import Comparison
     from ocp_ros.compare.protocol import Protocol
 
-#: Name of the file that is written.
+#: Name of the written file.
 EVALUATION = 'evaluation.json'
 
 
@@ -38,19 +38,19 @@ def add_arguments(commands: Commands) -> None:
     command = commands.add(LEARN, 'evaluate', 'evaluate a policy room by room',
                            'ocp evaluate --model models/mine.safetensors --set test')
     command.add_argument('--model', default=DEFAULT_MODEL, help='weights: a path, or a name')
-    command.add_argument('--planners', type=names, default=('learned', 'greedy_step'),
+    command.add_argument('--planners', type=read_names, default=('learned', 'greedy_step'),
                          help='names with commas between; the first is compared with the others')
     rooms = command.add_mutually_exclusive_group()
     rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
                        default='fresh', help='set of generated rooms; default: fresh')
     rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN',
                        help='scans, instead of generated rooms')
-    add_units(command, 'of the scans')
-    command.add_argument('--rotations', type=whole_numbers, default=(0,),
+    add_units(command, 'scans')
+    command.add_argument('--rotations', type=read_integers, default=(0,),
                          help='rotations of the rooms in degrees, with commas between')
-    command.add_argument('--cameras', type=camera_counts, help='numbers of cameras, with commas '
-                         'between; default: 4')
-    command.add_argument('--budgets', type=whole_numbers, default=(1000,),
+    command.add_argument('--cameras', type=read_camera_counts, help='numbers of cameras, with '
+                         'commas between; default: 4')
+    command.add_argument('--budgets', type=read_integers, default=(1000,),
                          help='evaluations of offline planners, with commas between')
     command.add_argument('--seeds', type=whole(1), default=1, help='runs per planner, room and '
                          'budget')
@@ -61,7 +61,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Compare a policy with planners for each number of cameras; write ``evaluation.json``."""
+    """Compare a policy with planners for each number of cameras; write and return the results."""
     from ocp_ros.compare.comparison import compare
     from ocp_ros.util.files import folder_to_write, write_atomically
     from ocp_ros.util.yaml_files import timestamp
@@ -69,38 +69,39 @@ def run(arguments: argparse.Namespace) -> Found:
     protocols = protocols_of(arguments)
     path = folder_to_write(arguments.out) / EVALUATION
     claim_folder(arguments, arguments.out, [EVALUATION], '*-cameras')
-    found: dict[str, Any] = {
+    results: dict[str, Any] = {
         'command': command, 'date': timestamp(), 'model': arguments.model,
         'rotations': list(arguments.rotations), 'seeds': arguments.seeds, 'cameras': {}}
     for protocol in protocols:
         count = str(protocol.cameras)
-        found['cameras'][count] = _by_room(protocol, compare(
+        results['cameras'][count] = _results_by_room(protocol, compare(
             protocol, arguments.out / f'{count}-cameras', command, arguments.workers or 0,
             arguments.ray))
-    write_atomically(path, json.dumps(found, indent=1) + '\n')
-    return {**found, 'written': [path]}
+    write_atomically(path, json.dumps(results, indent=1) + '\n')
+    return {**results, 'written': [path]}
 
 
-def show(found: Found) -> None:
+def show(result: Found) -> None:
     """Print the pairwise results for each number of cameras."""
     from ocp_ros.report.terminal import print_table
     from rich.console import Console
-    for cameras, result in found['cameras'].items():
-        first = next(iter(result['pairs'])).split(',')[0]
+    for cameras, figures in result['cameras'].items():
+        # The first planner is compared with all others.
+        first = next(iter(figures['pairs'])).split(',')[0]
         rows = []
-        for name, pair in sorted(result['pairs'].items(), key=lambda item: item[1]['sum']):
+        for name, pair in sorted(figures['pairs'].items(), key=lambda item: item[1]['sum']):
             low, high = pair['interval']
-            compared = ('', '', '', '') if name == first else (
+            comparison = ('', '', '', '') if name == first else (
                 f'{pair["wins"]} of {pair["rooms"]}', f'{pair["ratio"]:.3f}',
                 f'{low:.3f} to {high:.3f}', '' if pair['p'] is None else f'{pair["p"]:.1e}')
-            rows.append((name, f'{pair["sum"]:.2f}', *compared))
+            rows.append((name, f'{pair["sum"]:.2f}', *comparison))
         print_table(Console(), f'{cameras} cameras', (
             'planner', 'sum (m)', f'{first} better in', 'its error : theirs', '95 %', 'p'), rows)
-    show_written(found)
+    show_written(result)
 
 
 def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
-    """Return the comparisons of a command line of ``ocp evaluate``, one per number of cameras."""
+    """Return the settings of a comparison for each number of cameras, from a command line."""
     from ocp_ros.compare.protocol import placing, Protocol
     from ocp_ros.rooms.splits import SETS
     from ocp_ros.scenes.scene_files import check_file
@@ -117,18 +118,20 @@ def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
         for count in counts]
 
 
-def _by_room(protocol: 'Protocol', comparison: 'Comparison') -> dict[str, Any]:
-    """Return pairwise results, errors by room, and the slowest turn of each online planner."""
+def _results_by_room(protocol: 'Protocol', comparison: 'Comparison') -> dict[str, Any]:
+    """Return results of pairs of planners, errors by room, and each planner's slowest turn."""
     from ocp_ros.compare.summary import per_room
-    rows, planners = comparison.rows, comparison.summary['planners']
+    rows = comparison.rows
     stems = Counter(Path(room).stem for room in protocol.rooms)
-    short = {room: Path(room).stem if stems[Path(room).stem] == 1 else room
-             for room in protocol.rooms}
+    labels = {room: Path(room).stem if stems[Path(room).stem] == 1 else room
+              for room in protocol.rooms}
+    errors = {}
+    for planner, budget in dict.fromkeys((row['planner'], row['budget']) for row in rows):
+        errors_by_room = per_room(rows, planner, budget, 'depth_error')
+        errors[f'{planner}, {budget}'] = {labels[room]: error
+                                          for room, error in errors_by_room.items()}
+    planners = comparison.summary['planners']
     return {
-        'pairs': comparison.summary['pairs'],
-        'rooms': {f'{planner}, {budget}': {
-            short[room]: error
-            for room, error in per_room(rows, planner, budget, 'depth_error').items()}
-            for planner, budget in dict.fromkeys((row['planner'], row['budget']) for row in rows)},
+        'pairs': comparison.summary['pairs'], 'rooms': errors,
         'slowest_turn': {name: run['seconds_at_most'] for name, runs in planners.items()
                          for run in runs.values() if 'seconds_at_most' in run}}

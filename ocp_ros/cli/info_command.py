@@ -35,21 +35,20 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Measure a room, and draw it cut open."""
+    """Measure a room, draw it without front walls, and return the measurements."""
     from ocp_ros.report.drawing.room_pictures import draw_rooms
     from ocp_ros.report.room_facts import facts_of
     claim_file(arguments, arguments.out, 'a picture')
     scene, room = room_asked(arguments, {})
     size = ' x '.join(f'{edge:.1f}' for edge in scene.size)
-    with ThreadPoolExecutor(1) as beside:
-        found = beside.submit(facts_of, scene)
+    with ThreadPoolExecutor(1) as executor:
+        facts = executor.submit(facts_of, scene)
         draw_rooms(arguments.out, [(f'{scene.name}: {size} m', scene)])
-    return {'room': room, **found.result(), 'written': [arguments.out]}
+    return {'room': room, **facts.result(), 'written': [arguments.out]}
 
 
-def show(found: Found) -> None:
+def show(result: Found) -> None:
     """Print the measurements."""
-    from ocp_ros.report.terminal import show_room, WIDTH
-    from rich.console import Console
-    show_room(Console(width=WIDTH), found)
-    show_written(found)
+    from ocp_ros.report.terminal import show_room, wide_console
+    show_room(wide_console(), result)
+    show_written(result)

@@ -34,29 +34,29 @@ from ocp_ros.cli import (
 from ocp_ros.cli.common import Commands, run
 
 
-def commands() -> Commands:
+def build_commands() -> Commands:
     """
-    Build all commands.
+    Return all commands.
 
-    Each file adds the arguments of its command and has two functions: ``run`` returns plain data
-    and imports the slow modules, ``show`` prints the data.
+    The module of a command adds its arguments and has two functions: ``run`` imports slow modules
+    and returns plain data, ``show`` prints the data.
     """
-    made = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
+    commands = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
     for command in (plan_command, score_command, calibrate_command, info_command, view_command,
                     studio_command, room_command, rooms_command, train_command,
                     evaluate_command, benchmark_command, replay_command):
-        command.add_arguments(made)
-    return made
+        command.add_arguments(commands)
+    return commands
 
 
-def parser() -> argparse.ArgumentParser:
-    """Build the parser of all commands."""
-    return commands().parser
+def build_parser() -> argparse.ArgumentParser:
+    """Return the parser of all commands."""
+    return build_commands().parser
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Run one command; report bad input in one sentence with exit code 2."""
-    return run(parser(), sys.argv[1:] if argv is None else argv)
+    """Run one command and return its exit code: 0, or 2 after bad input."""
+    return run(build_parser(), sys.argv[1:] if argv is None else argv)
 
 
 if __name__ == '__main__':

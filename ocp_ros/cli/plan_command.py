@@ -32,12 +32,12 @@ from ocp_ros.cli.arguments import (
     add_points,
     add_reading,
     add_room,
-    cameras,
-    count,
+    read_cameras,
+    read_count,
+    read_seconds,
+    read_seed,
+    read_share,
     room_asked,
-    seconds,
-    seed,
-    share,
     whole,
 )
 from ocp_ros.cli.common import claim_folder, command_of, Commands, Found, PLAN, show_written
@@ -51,9 +51,6 @@ if TYPE_CHECKING:
     from ocp_ros.rig.rig_file import Rig
     from ocp_ros.search.budget import Budget
     from ocp_ros.util.files import FileSet
-
-#: Seconds between two lines of progress if the output is no terminal.
-PROGRESS_SECONDS = 10.0
 
 
 def add_arguments(commands: Commands) -> None:
@@ -70,25 +67,25 @@ def add_arguments(commands: Commands) -> None:
                          help='mount of all cameras: walls (1.5 to 2.5 m above the floor), '
                          'ceiling (below it), plane (1.9 m above the floor) or free (1.5 to 2.5 '
                          'm); default: walls, or the mount in the rig file')
-    command.add_argument('--cameras', '--count', dest='count', type=count, metavar='N',
+    command.add_argument('--cameras', '--count', dest='count', type=read_count, metavar='N',
                          help='number of cameras, or auto; default: 4, or the number in the rig '
                          'file')
-    command.add_argument('--target', type=share, help='with auto: share to reach of what all '
+    command.add_argument('--target', type=read_share, help='with auto: share to reach of what all '
                          'candidates reach together; default: 0.95')
     command.add_argument('--by', choices=('error', 'seen', 'coverage'),
                          help='with auto: share of the error reduction, of the seen points or of '
                          'the space coverage')
-    command.add_argument('--most', type=cameras, help='with auto: largest number of cameras; '
+    command.add_argument('--most', type=read_cameras, help='with auto: largest number of cameras; '
                          'default: 12')
     command.add_argument('--planner', default='rig_search', metavar='NAME',
                          help='planner that searches: rig_search (default) or a name of '
                          'docs/reference/planners.md, such as cma_es or lookahead')
-    command.add_argument('--seconds', type=seconds, help='seconds of search for each number of '
-                         'cameras; default: 60, or 15 with auto; without limit if --evaluations '
-                         'is given')
+    command.add_argument('--seconds', type=read_seconds, help='seconds of search for each number '
+                         'of cameras; default: 60, or 15 with auto; without limit if '
+                         '--evaluations is given')
     command.add_argument('--evaluations', type=whole(1), help='number of placements to evaluate; '
                          'the same seed gives the same result')
-    command.add_argument('--seed', type=seed, default=0, help='random seed')
+    command.add_argument('--seed', type=read_seed, default=0, help='random seed')
     command.add_argument('--out', type=Path, default=Path('out/plan'), metavar='DIR',
                          help='folder for report, placement, CSV, launch file, xacro and more')
     add_frame(command)
@@ -99,8 +96,8 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Plan a rig in a room, and write the placement in all file formats."""
-    from ocp_ros.report.exports import MARK, WRITTEN, written_to
+    """Plan a rig in a room, write the placement in all file formats and return the data."""
+    from ocp_ros.report.exports import MARK, write_files, WRITTEN
     from ocp_ros.report.rig_planning import PlannedRig
     from ocp_ros.util.files import folder_to_write
     task = task_of(arguments)
@@ -108,23 +105,22 @@ def run(arguments: argparse.Namespace) -> Found:
     rig = rig_asked(arguments)
     scene, room = room_asked(arguments, {})
     folder = folder_to_write(arguments.out)
-    budget, proving = task.budgets()
-    with _stopped_by_hand(budget), _progress(arguments.json) as progress:
-        planned = PlannedRig(scene, rig, task, budget, proving, progress)
+    budget, proof_seconds = task.budgets()
+    with _stop_at_ctrl_c(budget), _show_progress(arguments.json) as progress:
+        planned = PlannedRig(scene, rig, task, budget, proof_seconds, progress)
     placement = planned.placement(room, command_of(arguments.argv))
-    with _kept(folder, placement) as files:
+    with _keep_placement(folder, placement) as files:
         assessed = planned.judged(placement, arguments.frame)
-        return {**assessed.found, **written_to(files, assessed, arguments.frame_prefix,
-                                               brief=budget.stopped)}
+        outputs = write_files(files, assessed, arguments.frame_prefix, brief=budget.stopped)
+        return {**assessed.found, **outputs}
 
 
-def show(found: Found) -> None:
+def show(result: Found) -> None:
     """Print the plan, and the names of the written files."""
-    from ocp_ros.report.terminal import show_score, WIDTH
-    from rich.console import Console
-    show_score(Console(width=WIDTH), found)
-    show_written(found)
-    if found['search']['stopped']:
+    from ocp_ros.report.terminal import show_score, wide_console
+    show_score(wide_console(), result)
+    show_written(result)
+    if result['search']['stopped']:
         print('stopped: no report was drawn; `ocp score ROOM PLACEMENT --out DIR` draws it')
 
 
@@ -142,26 +138,26 @@ def task_of(arguments: argparse.Namespace) -> 'PlanTask':
 
 
 @contextmanager
-def _kept(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]':
-    """Write a placement first, so that a Ctrl-C during evaluation and drawing does not lose it."""
-    from ocp_ros.report.exports import MARK, PLACEMENTS, WRITTEN
+def _keep_placement(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]':
+    """Save a placement, so that a Ctrl-C during the evaluation keeps it; yield the file set."""
+    from ocp_ros.report.exports import MARK, PLACEMENT_FILES, WRITTEN
     from ocp_ros.rig.placement_file import save_placement
     from ocp_ros.util.files import FileSet
     try:
         with FileSet(folder, WRITTEN, MARK) as files:
             # If it cannot be written now, the final writing reports the error.
             with suppress(OSError):
-                for name in PLACEMENTS:
+                for name in PLACEMENT_FILES:
                     save_placement(files.aside / name, placement)
             yield files
     except KeyboardInterrupt:
-        print(f'ocp: stopped; the placement is in {printable(str(folder / PLACEMENTS[0]))}',
+        print(f'ocp: stopped; the placement is in {printable(str(folder / PLACEMENT_FILES[0]))}',
               file=sys.stderr)
         raise
 
 
 def rig_asked(arguments: argparse.Namespace) -> 'Rig':
-    """Return the rig of a command line; with ``auto``, a rig for counting cameras."""
+    """Return the rig of a command line; with ``--cameras auto``, a rig to count cameras with."""
     from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
     number = arguments.count
@@ -177,40 +173,46 @@ def rig_asked(arguments: argparse.Namespace) -> 'Rig':
 
 
 @contextmanager
-def _stopped_by_hand(budget: 'Budget') -> Iterator[None]:
-    """Stop the search at the first Ctrl-C, and the command at the second one."""
+def _stop_at_ctrl_c(budget: 'Budget') -> Iterator[None]:
+    """Let the first Ctrl-C stop the search, and the second one the command."""
     if current_thread() is not main_thread():
         yield
         return
 
     def stop(*_) -> None:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous_handler)
         budget.stop()
 
-    before = signal.signal(signal.SIGINT, stop)
+    previous_handler = signal.signal(signal.SIGINT, stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, previous_handler)
 
 
 @contextmanager
-def _progress(silent: bool) -> Iterator[Callable[[float, float], None]]:
-    """Show the progress as a bar or as lines; yield the function that reports it."""
+def _show_progress(silent: bool) -> Iterator[Callable[[float, float], None]]:
+    """
+    Show the progress as a bar on a terminal, else as a line every 10 s.
+
+    :param silent: whether to print no lines.
+    :returns: a context that yields ``report(share, loss)``: share of the budget used so far, and
+        smallest objective value so far.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn
     console = Console(stderr=True)
     with Progress(TextColumn('{task.description}'), BarColumn(), TextColumn('{task.fields[loss]}'),
                   console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task('searching (Ctrl-C: best so far)', total=1.0, loss='')
-        said = time.monotonic()
+        last_print = time.monotonic()
 
         def report(share: float, loss: float) -> None:
-            nonlocal said
-            value = '' if loss == math.inf else f'objective value {loss:.4f}'
-            bar.update(task, completed=share, loss=value)
-            if not (silent or console.is_terminal) and time.monotonic() - said >= PROGRESS_SECONDS:
-                said = time.monotonic()
-                print(f'searching, {100.0 * min(share, 1.0):.0f} %: {value}', file=sys.stderr,
+            nonlocal last_print
+            text = '' if loss == math.inf else f'objective value {loss:.4f}'
+            bar.update(task, completed=share, loss=text)
+            if not (silent or console.is_terminal) and time.monotonic() - last_print >= 10.0:
+                last_print = time.monotonic()
+                print(f'searching, {100.0 * min(share, 1.0):.0f} %: {text}', file=sys.stderr,
                       flush=True)
         yield report

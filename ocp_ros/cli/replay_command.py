@@ -18,7 +18,7 @@ import argparse
 import math
 from pathlib import Path
 
-from ocp_ros.cli.arguments import number
+from ocp_ros.cli.arguments import read_number
 from ocp_ros.cli.common import Commands, Found, REPLAY
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
@@ -35,11 +35,11 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--topics', nargs='+', default=(), metavar='TOPIC[:=NEW]',
                          help='topics to publish, with new names; default: all clouds and the '
                          'camera poses')
-    command.add_argument('--rate', type=_above_zero, default=1.0, help='speed factor')
+    command.add_argument('--rate', type=_read_positive, default=1.0, help='speed factor')
     command.add_argument('--loop', action='store_true', help='start again at the end')
-    command.add_argument('--start', type=_seconds, default=0.0, help='seconds to skip at the '
+    command.add_argument('--start', type=_read_seconds, default=0.0, help='seconds to skip at the '
                          'beginning')
-    command.add_argument('--duration', type=_above_zero, help='seconds of the bag to publish')
+    command.add_argument('--duration', type=_read_positive, help='seconds of the bag to publish')
     command.add_argument('--frame', action='append', default=[], metavar='[TOPIC=]FRAME',
                          help='frame of the clouds, instead of the recorded one; may be repeated')
     command.add_argument('--pose', action='append', default=[], metavar='X,Y,Z[,YAW,PITCH,ROLL]',
@@ -47,13 +47,13 @@ def add_arguments(commands: Commands) -> None:
                          'write --pose=-1,0,2 if the first number is negative')
     command.add_argument('--fixed-frame', default='map', metavar='FRAME',
                          help='frame of the poses')
-    command.add_argument('--wait', type=_seconds, default=10.0, help='seconds to wait for a '
+    command.add_argument('--wait', type=_read_seconds, default=10.0, help='seconds to wait for a '
                          'subscriber')
     command.set_defaults(run=run, show=show)
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Publish the clouds of a bag, or list its topics."""
+    """Publish the clouds of a bag, or list its topics; return counts of messages, or topics."""
     try:
         from ocp_ros.ros.bags.replay_run import replay
     except ImportError as error:
@@ -63,28 +63,28 @@ def run(arguments: argparse.Namespace) -> Found:
     return replay(arguments)
 
 
-def show(found: Found) -> None:
+def show(result: Found) -> None:
     """Print the number of messages published on each topic, or the topics of the bag."""
-    if 'topics' in found:
+    if 'topics' in result:
         from ocp_ros.report.terminal import print_table
         from rich.console import Console
-        print_table(Console(), f'{found["bag"]}: {found["seconds"]:.3f} s',
+        print_table(Console(), f'{result["bag"]}: {result["seconds"]:.3f} s',
                     ('topic', 'type', 'messages', 'frames', 'published as'),
                     [(topic['topic'], topic['type'], str(topic['messages']),
                       ', '.join(topic['frames']), topic['published_as'] or '-')
-                     for topic in found['topics']])
+                     for topic in result['topics']])
         return
-    for name, topic in found['published'].items():
+    for name, topic in result['published'].items():
         print(printable(f'{name} -> {topic["as"]}: {topic["messages"]} messages'))
-    if found['left_out']:
-        print(f'left out {found["left_out"]} messages that could not be used')
+    if result['left_out']:
+        print(f'left out {result["left_out"]} messages that could not be used')
 
 
-def _seconds(text: str) -> float:
+def _read_seconds(text: str) -> float:
     """Read seconds, 0 or more."""
-    return number(text, 'seconds, 0 or more', lambda value: 0.0 <= value < math.inf)
+    return read_number(text, 'seconds, 0 or more', lambda value: 0.0 <= value < math.inf)
 
 
-def _above_zero(text: str) -> float:
-    """Read a number above 0."""
-    return number(text, 'a number above 0', lambda value: 1e-6 <= value < math.inf)
+def _read_positive(text: str) -> float:
+    """Read a number above 0, at least 0.000001."""
+    return read_number(text, 'a number above 0', lambda value: 1e-6 <= value < math.inf)

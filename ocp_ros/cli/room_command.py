@@ -47,7 +47,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Write a room file."""
+    """Write a room file, and return its content."""
     from ocp_ros.scenes.file_formats import MEASURED
     from ocp_ros.scenes.measured_room import document_of, triangles_of
     from ocp_ros.util.files import write_atomically
@@ -59,14 +59,14 @@ def run(arguments: argparse.Namespace) -> Found:
     claim_file(arguments, arguments.out, 'a room file')
     document = document_of((arguments.length, arguments.width, arguments.height),
                            [*arguments.door, *arguments.window], arguments.box)
-    triangles_of(document)
+    triangles_of(document)  # Raises an error if doors, windows or boxes do not fit the room.
     write_atomically(arguments.out, written(document.data, arguments.out.suffix).encode())
     return {'written': [arguments.out], **document.data}
 
 
-def show(found: Found) -> None:
+def show(result: Found) -> None:
     """Print the name of the room file, its content and the next command."""
-    path = printable(str(found['written'][0]))
-    print(f'wrote {path}: {" x ".join(f"{edge:g}" for edge in found["size"])} m, '
-          f'{len(found["openings"])} doors and windows, {len(found["boxes"])} boxes\n'
+    path = printable(str(result['written'][0]))
+    print(f'wrote {path}: {" x ".join(f"{edge:g}" for edge in result["size"])} m, '
+          f'{len(result["openings"])} doors and windows, {len(result["boxes"])} boxes\n'
           f'next: ocp plan {shlex.quote(path)}')

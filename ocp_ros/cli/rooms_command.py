@@ -25,50 +25,50 @@ from ocp_ros.util.terminal_text import printable
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp rooms`` and its actions."""
-    rooms = commands.add(LOOK, 'rooms', 'list, make and look at generated rooms')
-    actions = rooms.add_subparsers(title='actions', required=True, metavar='ACTION')
-    listed = commands.put(actions, 'list', 'kinds and sizes', 'ocp rooms list --count 5')
-    listed.add_argument('--first', type=whole(0), default=0, help='first seed')
-    listed.add_argument('--count', type=whole(1), default=20, help='number of rooms')
-    listed.set_defaults(run=_list_rooms, show=_show_rooms)
-    made = commands.put(actions, 'make', 'write scans and meshes as PLY',
-                        'ocp rooms make 5 17 --out rooms')
-    made.add_argument('seeds', type=whole(0), nargs='+', metavar='SEED')
-    made.add_argument('--points', type=whole(1000), default=15000, help='points of each scan')
-    made.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
-    add_overwrite(made)
-    made.set_defaults(run=_make_rooms, show=_show_made)
-    seen = commands.put(actions, 'preview', 'draw rooms cut open',
-                        'ocp rooms preview 5 room.ply --out out/rooms.png')
-    seen.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
-    seen.add_argument('--points', type=whole(1000), default=40000, help='points of each room')
-    add_reading(seen)
-    seen.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture to write')
-    add_overwrite(seen)
-    seen.set_defaults(run=_preview_rooms, show=show_written)
+    rooms_parser = commands.add(LOOK, 'rooms', 'list, make and look at generated rooms')
+    actions = rooms_parser.add_subparsers(title='actions', required=True, metavar='ACTION')
+    command = commands.add_parser(actions, 'list', 'kinds and sizes', 'ocp rooms list --count 5')
+    command.add_argument('--first', type=whole(0), default=0, help='first seed')
+    command.add_argument('--count', type=whole(1), default=20, help='number of rooms')
+    command.set_defaults(run=_list_rooms, show=_show_rooms)
+    command = commands.add_parser(actions, 'make', 'write scans and meshes as PLY',
+                                  'ocp rooms make 5 17 --out rooms')
+    command.add_argument('seeds', type=whole(0), nargs='+', metavar='SEED')
+    command.add_argument('--points', type=whole(1000), default=15000, help='points of each scan')
+    command.add_argument('--out', type=Path, default=Path('out/rooms'), help='folder to write to')
+    add_overwrite(command)
+    command.set_defaults(run=_make_rooms, show=_show_made)
+    command = commands.add_parser(actions, 'preview', 'draw rooms cut open',
+                                  'ocp rooms preview 5 room.ply --out out/rooms.png')
+    command.add_argument('rooms', nargs='+', metavar='ROOM', help='a seed or a scan')
+    command.add_argument('--points', type=whole(1000), default=40000, help='points of each room')
+    add_reading(command)
+    command.add_argument('--out', type=Path, default=Path('out/rooms.png'), help='picture file')
+    add_overwrite(command)
+    command.set_defaults(run=_preview_rooms, show=show_written)
 
 
 def _list_rooms(arguments: argparse.Namespace) -> Found:
     """Return kinds and sizes of generated rooms."""
     from ocp_ros.rooms.generator import plan_of
     seeds = range(arguments.first, arguments.first + arguments.count)
+    plans = map(plan_of, seeds)
     return {'rooms': [{'seed': seed, 'kind': plan.kind, 'size': plan.size,
-                       'solids': len(plan.solids)} for seed, plan in zip(
-                           seeds, map(plan_of, seeds))]}
+                       'solids': len(plan.solids)} for seed, plan in zip(seeds, plans)]}
 
 
-def _show_rooms(found: Found) -> None:
+def _show_rooms(result: Found) -> None:
     """Print kinds and sizes of generated rooms."""
     from ocp_ros.report.terminal import print_table
     from rich.console import Console
     print_table(Console(), None, ('seed', 'kind', 'size (m)', 'solids'), [
         (str(room['seed']), room['kind'].replace('_', ' '),
          ' x '.join(f'{edge:.1f}' for edge in room['size']), str(room['solids']))
-        for room in found['rooms']])
+        for room in result['rooms']])
 
 
 def _make_rooms(arguments: argparse.Namespace) -> Found:
-    """Write generated rooms and their meshes."""
+    """Write generated rooms and their meshes; return the paths of the rooms."""
     from ocp_ros.rooms.generator import generate_room
     from ocp_ros.scenes.scene_files import mesh_of, save_scene
     from rich.console import Console
@@ -76,30 +76,30 @@ def _make_rooms(arguments: argparse.Namespace) -> Found:
     folder_to_write(arguments.out)
     paths = [arguments.out / f'room-{seed}.ply' for seed in arguments.seeds]
     for path in paths:
-        for name in (path, mesh_of(path)):
-            claim_file(arguments, name, 'a room')
+        for output in (path, mesh_of(path)):
+            claim_file(arguments, output, 'a room')
     for seed, path in track(list(zip(arguments.seeds, paths)), 'making rooms',
                             console=Console(stderr=True)):
         save_scene(generate_room(seed, arguments.points), path)
     return {'folder': arguments.out, 'written': paths}
 
 
-def _show_made(found: Found) -> None:
-    """Print how many rooms were made."""
-    print(f'wrote {len(found["written"])} rooms and their meshes to '
-          f'{printable(str(found["folder"]))}')
+def _show_made(result: Found) -> None:
+    """Print the number of rooms made, and their folder."""
+    print(f'wrote {len(result["written"])} rooms and their meshes to '
+          f'{printable(str(result["folder"]))}')
 
 
 def _preview_rooms(arguments: argparse.Namespace) -> Found:
-    """Draw generated rooms and scans."""
-    from ocp_ros.report.drawing.room_pictures import draw_rooms, titled
+    """Draw generated rooms and scans in a picture, and return its path."""
+    from ocp_ros.report.drawing.room_pictures import draw_rooms, titled_room
     from ocp_ros.rooms.scene_source import seed_named
     from ocp_ros.scenes.scene_cache import load_cached
     claim_file(arguments, arguments.out, 'a picture')
     scenes = []
     for name in arguments.rooms:
         if name.isdecimal():
-            scenes.append(titled(seed_named(name), arguments.points))
+            scenes.append(titled_room(seed_named(name), arguments.points))
         else:
             scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 0.0,
                                 up=arguments.up or 'file', drop_nonfinite=arguments.drop_nonfinite,

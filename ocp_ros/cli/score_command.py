@@ -45,9 +45,9 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Evaluate a placement, and write its files if ``--out`` is given."""
+    """Evaluate a placement, write its files if ``--out`` is given, and return the findings."""
     from ocp_ros.report.assessment import judge
-    from ocp_ros.report.exports import MARK, WRITTEN, written_to
+    from ocp_ros.report.exports import MARK, write_files, WRITTEN
     from ocp_ros.util.files import FileSet, folder_to_write
     if arguments.out:
         claim_folder(arguments, arguments.out, WRITTEN, MARK)
@@ -57,12 +57,11 @@ def run(arguments: argparse.Namespace) -> Found:
     if folder is None:
         return assessed.found
     with FileSet(folder, WRITTEN, MARK) as files:
-        return {**assessed.found, **written_to(files, assessed, arguments.frame_prefix)}
+        return {**assessed.found, **write_files(files, assessed, arguments.frame_prefix)}
 
 
-def show(found: Found) -> None:
-    """Print what was found about the placement, and the names of the written files."""
-    from ocp_ros.report.terminal import show_score, WIDTH
-    from rich.console import Console
-    show_score(Console(width=WIDTH), found)
-    show_written(found)
+def show(result: Found) -> None:
+    """Print the findings on the placement, and the names of the written files."""
+    from ocp_ros.report.terminal import show_score, wide_console
+    show_score(wide_console(), result)
+    show_written(result)

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Entry point of the script ``ocp``: a Ctrl-C ends it without a traceback, even at the start."""
+"""Entry point of the script ``ocp``: Ctrl-C ends a command without a traceback, at any time."""
 
 import gc
 import os
@@ -20,32 +20,32 @@ import signal
 from typing import NoReturn
 
 #: Exit code of a program that Ctrl-C has ended.
-STOPPED = 130
+EXIT_STOPPED = 130
 
 
 def main() -> int:
-    """Run one command of ``ocp``."""
-    noted: list[int] = []
+    """Run one command of ``ocp`` and return its exit code."""
+    interrupts: list[int] = []
 
-    def interrupt(number, _) -> NoReturn:
-        noted.append(number)
+    def interrupt(signal_number, _) -> NoReturn:
+        interrupts.append(signal_number)
         raise KeyboardInterrupt
 
-    # During imports nothing has started that would have to be ended.
-    signal.signal(signal.SIGINT, lambda *_: os._exit(STOPPED))
+    # During imports the process may end at once: no work has begun.
+    signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_STOPPED))
     from ocp_ros.cli.main import main as run
     signal.signal(signal.SIGINT, interrupt)
     try:
-        return _ending(run())
+        return _skip_cleanup(run())
     except Exception:
         # Some libraries turn an interrupt into another error.
-        if noted:
-            return STOPPED
+        if interrupts:
+            return EXIT_STOPPED
         raise
 
 
-def _ending(code: int) -> int:
-    """Let the system free the memory at once: Python would take half a second."""
+def _skip_cleanup(code: int) -> int:
+    """Return an exit code, and turn off garbage collection, which takes half a second at exit."""
     gc.freeze()
     gc.disable()
     return code

@@ -19,7 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 import sys
 
-from ocp_ros.cli.arguments import add_overwrite, seed
+from ocp_ros.cli.arguments import add_overwrite, read_seed
 from ocp_ros.cli.common import claim_file, Commands, Found, LEARN, show_written
 from ocp_ros.util.files import folder_to_write
 from ocp_ros.util.resources import find_config
@@ -36,7 +36,7 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--out', type=Path, required=True, help='folder of the run; an '
                          'interrupted run continues')
     command.add_argument('--model', type=Path, help='also write the best weights to this file')
-    command.add_argument('--seed', type=seed, help='random seed; replaces the one in the settings')
+    command.add_argument('--seed', type=read_seed, help='random seed that replaces the setting')
     add_overwrite(command)
     command.set_defaults(run=run, show=show)
 
@@ -46,13 +46,14 @@ def run(arguments: argparse.Namespace) -> Found:
     from ocp_ros.policy.checkpoint import card_of
     from ocp_ros.training.run_folder import read_config
     from ocp_ros.training.train import train
-    config, command = read_config(arguments.config), f'ocp train --config {arguments.config}'
+    config = read_config(arguments.config)
+    command = f'ocp train --config {arguments.config}'
     if arguments.seed is not None:
         config = replace(config, seed=arguments.seed)
         command += f' --seed {arguments.seed}'
     folder_to_write(arguments.out)
-    written = [arguments.model, card_of(arguments.model)] if arguments.model else []
-    for path in written:
+    outputs = [arguments.model, card_of(arguments.model)] if arguments.model else []
+    for path in outputs:
         claim_file(arguments, path, 'weights and their card', '--model')
     try:
         checkpoint = train(config, arguments.out, command)
@@ -66,10 +67,10 @@ def run(arguments: argparse.Namespace) -> Found:
             'written': [arguments.model] if arguments.model else []}
 
 
-def show(found: Found) -> None:
+def show(result: Found) -> None:
     """Print the results of a policy in the test rooms."""
     for name in ('random_moves', 'policy'):
-        figures = found['test'][name]
+        figures = result['test'][name]
         print(f'{name:>12}: depth error {figures["depth_error_start"]:.2f} m -> '
               f'{figures["depth_error_end"]:.2f} m ({figures["ratio"]:.3f})')
-    show_written(found)
+    show_written(result)

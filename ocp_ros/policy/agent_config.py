@@ -20,7 +20,7 @@ from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS, setting, User
 
 #: Input of the network: the observation map (``map``), or the observed cloud, read by one head for
 #: all cameras as in the paper (``paper``) or camera by camera (``cloud``).
-MAP, CLOUD, PAPER = INPUTS = 'map', 'cloud', 'paper'
+MAP, CLOUD, PAPER = 'map', 'cloud', 'paper'
 
 
 class CheckpointError(UserError):
@@ -30,16 +30,17 @@ class CheckpointError(UserError):
 @dataclass(frozen=True)
 class AgentConfig:
     """
-    Settings of the network; extraction units belong to ``cloud`` and ``paper`` alone.
+    Settings of the network.
 
-    A unit samples key points by farthest-point sampling and groups neighbours by ball query. The
-    last unit has a single key point, and its group contains all key points of the unit before.
+    The networks of ``cloud`` and ``paper`` have three extraction units. A unit samples key points
+    by farthest-point sampling, and groups the points within a radius of each key point. The last
+    unit has a single key point, whose group contains all key points of the second unit.
     """
 
     inputs: str = setting(
         MAP, 'input of the network: map, a map of what was observed; cloud, the observed cloud, '
              'one camera after the other; paper, the observed cloud as in the paper, all cameras '
-             'at once', choices=INPUTS)
+             'at once', choices=(MAP, CLOUD, PAPER))
     headings: int = setting(
         0, 'with inputs map: headings in which the network values each cell for cameras that do '
            'not see all around; 0: it values cells for those that do, whatever the camera',
@@ -63,18 +64,18 @@ class AgentConfig:
     length_scale: float = setting(4.0, 'length that the network reads as 1, metres', 0.01, 100.0)
 
     def __post_init__(self) -> None:
-        """Reject settings without effect, and units that would need too much memory."""
+        """Reject settings without effect, and extraction units that need too much memory."""
         max_values = 1 << 23
-        for unit, count in enumerate((self.keys_1 * self.group_1, self.keys_2 * self.group_2), 1):
-            if count * self.channels > max_values:
+        grouped_points = (self.keys_1 * self.group_1, self.keys_2 * self.group_2)
+        for unit, points in enumerate(grouped_points, start=1):
+            if points * self.channels > max_values:
                 raise ConfigurationError(
                     f'agent.keys_{unit}: found keys_{unit} x group_{unit} x channels = '
-                    f'{count * self.channels:,}; expected up to {max_values:,}; lower '
+                    f'{points * self.channels:,}; expected up to {max_values:,}; lower '
                     'one of the three')
         if self.headings and not self.map:
             raise ConfigurationError(f'agent.headings: found {self.headings} with agent.inputs '
                                      f'{self.inputs!r}; expected 0, or the inputs map')
-
         if self.blocks and self.inputs != CLOUD:
             raise ConfigurationError(f'agent.blocks: found {self.blocks} with agent.inputs '
                                      f'{self.inputs!r}; expected 0, or the inputs cloud')
@@ -86,14 +87,15 @@ class AgentConfig:
 
     @property
     def one_by_one(self) -> bool:
-        """Return whether cameras choose one after the other, given the earlier choices."""
+        """Return whether cameras choose moves one after the other, not all at once."""
         return self.inputs != PAPER
 
     def check_cameras(self, cameras: int) -> None:
         """
         Reject a number of cameras that the network does not support.
 
-        :raises ConfigurationError: if a head for all cameras has another number of cameras.
+        :param cameras: number of cameras of the rig.
+        :raises ConfigurationError: if the head of ``paper`` is for another number of cameras.
         """
         if self.inputs == PAPER and self.cameras != cameras:
             raise ConfigurationError(

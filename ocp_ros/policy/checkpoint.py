@@ -13,10 +13,10 @@
 # limitations under the License.
 
 """
-Weights as one safetensors blob that contains its JSON, in files and in messages.
+Checkpoints: weights and their card, as one safetensors blob, in files and in messages.
 
-Nothing is ever unpickled. The JSON contains the settings to run the weights (the agent's sizes and
-length scale), their version (updates so far) and their provenance.
+Nothing is ever unpickled. The card is JSON: the settings that the weights need (the agent's sizes
+and length scale), their version (updates so far) and their provenance.
 """
 
 from dataclasses import dataclass, field
@@ -33,8 +33,9 @@ from safetensors import SafetensorError
 import safetensors.torch
 import torch
 
+#: Format of the card, and its key in the metadata of a safetensors file.
 FORMAT = 'ocp_ros-actor-2'
-KEY = 'ocp_ros'
+METADATA_KEY = 'ocp_ros'
 #: Largest absolute weight: trained weights stay below 100, and much larger ones cause an overflow
 #: in the network.
 MAX_WEIGHT = 1e4
@@ -43,7 +44,7 @@ MAX_WEIGHT = 1e4
 @dataclass(frozen=True)
 class Checkpoint:
     """
-    An actor's weights, their settings and their provenance.
+    The weights of an actor (the network that runs), their settings and their provenance.
 
     :ivar config: sizes of the network.
     :ivar weights: tensors by name, those of :func:`~ocp_ros.policy.networks.actor_of`.
@@ -63,12 +64,12 @@ class Checkpoint:
         # On the meta device: only shapes are compared, nothing is allocated.
         with torch.device('meta'):
             expected = actor_of(self.config).state_dict()
-        missing, extra = (expected.keys() - self.weights.keys(),
-                          self.weights.keys() - expected.keys())
-        if missing or extra:
+        missing = expected.keys() - self.weights.keys()
+        unknown = self.weights.keys() - expected.keys()
+        if missing or unknown:
             raise CheckpointError(
                 f'weights: found other layers than the network has; missing {sorted(missing)}, '
-                f'unknown {sorted(extra)}; expected weights made with the same agent settings')
+                f'unknown {sorted(unknown)}; expected weights made with the same agent settings')
         for name, tensor in self.weights.items():
             if tensor.shape != expected[name].shape or tensor.dtype != torch.float32:
                 raise CheckpointError(
@@ -81,12 +82,12 @@ class Checkpoint:
                     'smaller finite numbers; the training that made them has diverged')
 
     def to_bytes(self) -> bytes:
-        """Write the checkpoint as one safetensors blob."""
+        """Return the checkpoint as one safetensors blob, with the card in its metadata."""
         tensors = {name: value.detach().cpu().contiguous() for name, value in self.weights.items()}
-        return safetensors.torch.save(tensors, metadata={KEY: json.dumps(self.card())})
+        return safetensors.torch.save(tensors, metadata={METADATA_KEY: json.dumps(self.card())})
 
     def card(self) -> dict[str, Any]:
-        """Return everything except the weights, as values for JSON."""
+        """Return the card: everything except the weights, as plain data."""
         return {'format': FORMAT, 'run': self.run, 'updates': self.updates,
                 'config': to_nested(self.config), 'provenance': self.provenance}
 
@@ -94,8 +95,9 @@ class Checkpoint:
         """
         Check that these weights may replace the running ones.
 
-        :raises CheckpointError: if the network differs, or the running weights are of the same run
-            and not older.
+        :param running: the checkpoint that a policy runs now.
+        :raises CheckpointError: if the networks differ, or both checkpoints are of the same run
+            and these weights are not newer.
         """
         if self.config != running.config:
             raise CheckpointError(f'weights: found {self.config}; expected those of the running '
@@ -106,40 +108,42 @@ class Checkpoint:
                 f'{running.updates} of the running policy, which are of the same run')
 
     @classmethod
-    def from_bytes(cls, blob: bytes, what: str = 'weights') -> 'Checkpoint':
+    def from_bytes(cls, blob: bytes, source: str = 'weights') -> 'Checkpoint':
         """
-        Read and check a blob.
+        Return the checkpoint in a blob, after all checks.
 
-        :param blob: safetensors with the JSON of :meth:`card` in its metadata.
-        :param what: source of the blob, for messages.
-        :raises CheckpointError: if it is incomplete, of another format or network, or not finite.
+        :param blob: from :meth:`to_bytes`.
+        :param source: name of the file or message, for errors.
+        :raises CheckpointError: if the blob is incomplete, has another format or network, or has
+            weights that are not finite.
         """
         try:
-            card = json.loads(read_metadata(blob)[KEY])
+            card = json.loads(read_metadata(blob)[METADATA_KEY])
             if card['format'] != FORMAT:
                 raise ValueError(f'its format is {card["format"]!r}, not {FORMAT!r}')
-            config = from_nested(AgentConfig, card['config'], what)
-            updates, run = card['updates'], card['run']
+            config = from_nested(AgentConfig, card['config'], source)
+            updates = card['updates']
+            run = card['run']
             if (type(updates) is not int or not 0 <= updates <= (1 << 53)
                     or not isinstance(run, str) or len(run) > 100):
                 raise ValueError(f'its updates are {updates!r} and its run is {str(run)[:50]!r}')
-            known = {'updates': updates, 'run': run, 'provenance': dict(card['provenance'])}
+            provenance = dict(card['provenance'])
             weights = safetensors.torch.load(bytes(blob))
         except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
                 RecursionError) as error:
             raise CheckpointError(
-                f'{what}: found no readable checkpoint ({type(error).__name__}: {error}); '
+                f'{source}: found no readable checkpoint ({type(error).__name__}: {error}); '
                 'expected a whole safetensors file written by this package') from error
         try:
-            return cls(config, weights, **known)
+            return cls(config, weights, updates, run, provenance)
         except CheckpointError as error:
-            raise CheckpointError(f'{what}: {str(error).removeprefix("weights: ")}') from error
+            raise CheckpointError(f'{source}: {str(error).removeprefix("weights: ")}') from error
 
     def save(self, path: Path) -> None:
         """
-        Write ``path`` and its card beside it as ``.json``, each of them atomically.
+        Write the weights, and the card to a ``.json`` file beside them, each atomically.
 
-        :param path: ends in ``.safetensors``.
+        :param path: file of the weights, whose name ends in ``.safetensors``.
         """
         write_atomically(path, self.to_bytes())
         card = json.dumps(self.card(), indent=2) + '\n'
@@ -148,7 +152,7 @@ class Checkpoint:
     @classmethod
     def load(cls, path: Path) -> 'Checkpoint':
         """
-        Read a ``.safetensors`` file.
+        Return the checkpoint in a ``.safetensors`` file.
 
         :raises CheckpointError: if the file does not exist or cannot be used.
         """
@@ -167,8 +171,14 @@ def card_of(path: Path) -> Path:
 
 
 def read_metadata(blob: bytes) -> dict[str, str]:
-    """Return the metadata of a safetensors blob, whose header is length-prefixed JSON."""
-    (length,) = struct.unpack('<Q', blob[:8].ljust(8, b'\0'))
-    if length > len(blob) - 8:
+    """
+    Return the metadata of a safetensors blob.
+
+    :param blob: the length of the header as uint64, the header as JSON, then the tensors.
+    :raises ValueError: if the blob is shorter than its header.
+    """
+    size = 8  # Bytes of the length.
+    (length,) = struct.unpack('<Q', blob[:size].ljust(size, b'\0'))
+    if length > len(blob) - size:
         raise ValueError(f'{len(blob)} bytes are too few for a header of {length}')
-    return json.loads(blob[8:8 + length])['__metadata__']
+    return json.loads(blob[size:size + length])['__metadata__']

@@ -12,14 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The encoder of ``cloud``: the network's inputs for each camera at each time step."""
+"""The encoder of the network ``cloud``: inputs for each camera at each time step."""
 
 from contextlib import suppress
 
 import numpy as np
 from ocp_ros.online.observed_turn import ObservedTurn, ObservedTurns
 from ocp_ros.policy.agent_config import AgentConfig
-from ocp_ros.policy.observation_cloud import chosen, encode, features_of_others, MARKS
+from ocp_ros.policy.observation_cloud import encode, features_of_others, MARKS, thinned
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.scenes.scene import SceneError
@@ -30,86 +30,95 @@ class EncodedTurn:
     The network's inputs at one time step, camera by camera.
 
     :param config: sizes of the network.
-    :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
-    :param known: partial map with the views; None if the cloud is too small for one.
-    :param positions: (K, 3) metres: current positions of the cameras.
-    :param max_step: farthest a camera moves in one time step, metres.
-    :param time: time steps taken so far / time steps of the whole episode.
+    :param cloud: (M, 3) float32, metres, map frame: M observed points.
+    :param observed: partial map with the cameras' views; None if the cloud is too small for a map.
+    :param positions: (K, 3) metres, map frame: current positions of the K cameras.
+    :param max_step: longest move of a camera in one time step, metres.
+    :param elapsed_share: time steps taken so far, divided by the time steps of the episode.
+    :ivar positions: (K, 3) metres: as above; cameras that have chosen are at their new positions.
     """
 
-    def __init__(self, config: AgentConfig, cloud: np.ndarray, known: ObservedTurn | None,
-                 positions: np.ndarray, max_step: float, time: float) -> None:
+    def __init__(self, config: AgentConfig, cloud: np.ndarray, observed: ObservedTurn | None,
+                 positions: np.ndarray, max_step: float, elapsed_share: float) -> None:
         self._config = config
-        self._known = known
+        self._observed = observed
         self._max_step = max_step
         self.positions = positions.copy()
-        self._time = time
+        self._elapsed_share = elapsed_share
         self._has_chosen = np.zeros(len(positions), dtype=bool)
-        # Marks belong to the points of the model, so the network reads these points.
-        self._cloud = encode(cloud if known is None else known.model.points, positions, config)
+        # Marks belong to the points of the partial map, so the network reads these points.
+        points = cloud if observed is None else observed.model.points
+        self._cloud = encode(points, positions, config)
 
     def inputs(self, camera: int) -> dict[str, np.ndarray]:
-        """Return the arrays of a single camera; see :class:`Encoder`."""
-        config, known = self._config, self._known
-        unseen = 1.0 if known is None else known.unseen_share
-        marks = np.zeros((config.points, MARKS), dtype=np.uint8)
-        if known is not None:
-            marks = chosen(np.stack(known.seen_now(camera), axis=1).astype(np.uint8), config)
+        """Return the input arrays of a camera by name; see :class:`Encoder`."""
+        observed = self._observed
+        unseen_share = 1.0 if observed is None else observed.unseen_share
+        marks = np.zeros((self._config.points, MARKS), dtype=np.uint8)
+        if observed is not None:
+            marks = np.stack(observed.seen_now(camera), axis=1).astype(np.uint8)
+            marks = thinned(marks, self._config.points)
         return {**self._cloud, 'cameras': self._cloud['cameras'][camera:camera + 1],
-                'others': features_of_others(camera, self.positions, self._has_chosen, config),
-                'turn': np.array([self._time, len(self.positions) / 4.0, unseen], np.float32),
+                'others': features_of_others(camera, self.positions, self._has_chosen,
+                                             self._config),
+                'turn': np.array([self._elapsed_share, len(self.positions) / 4.0, unseen_share],
+                                 np.float32),
                 'marks': marks}
 
     def move(self, camera: int, action: np.ndarray) -> np.ndarray:
         """
-        Set the move of a camera; cameras that choose later use its new position.
+        Move a camera; cameras that choose later see the new position.
 
-        :param action: (2,) in units of the longest step.
-        :returns: (2,) the corrected move that ends over the floor, in the same units.
+        :param camera: number of the camera, from 0.
+        :param action: (2,) the wanted move in x and y, in units of ``max_step``.
+        :returns: (2,) the corrected move, which ends over the observed floor, in the same units.
         """
-        step, here = bounded_moves(action, self._max_step), self.positions[camera:camera + 1, :2]
-        if self._known is not None:
-            target = self._known.space.moved(here, step, self._max_step)
-        else:
-            target = here + step
-        step = (target - here)[0]
-        self.positions[camera, :2], self._has_chosen[camera] = target[0], True
-        if self._known is not None:
-            self._known.place(camera, self.positions[camera])
+        step = bounded_moves(action, self._max_step)
+        start = self.positions[camera:camera + 1, :2]
+        end = start + step
+        if self._observed is not None:
+            end = self._observed.space.moved(start, step, self._max_step)
+        step = (end - start)[0]
+        self.positions[camera, :2] = end[0]
+        self._has_chosen[camera] = True
+        if self._observed is not None:
+            self._observed.place(camera, self.positions[camera])
         return step / self._max_step
 
 
 class Encoder:
     """
-    Encode the observation for one camera after the other.
+    Encode the observation of a time step for one camera after the other.
 
     The inputs of a camera are those of :func:`~ocp_ros.policy.observation_cloud.encode`, and
-    ``others`` (``OTHERS``, ``OF_OTHERS``), ``turn`` (``OF_TURN``,) and ``marks`` (P, ``MARKS``)
-    uint8; see :mod:`ocp_ros.policy.observation_cloud`.
+    ``others`` (``MAX_OTHERS``, ``OF_OTHERS``), ``turn`` (``OF_TURN``,) and uint8 ``marks``
+    (P, ``MARKS``) of P points; see :mod:`ocp_ros.policy.observation_cloud`.
 
     :param config: sizes of the network.
     :param max_range: effective range of the omnidirectional cameras, metres.
-    :param max_step: farthest a camera moves in one time step, metres.
-    :param wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :param clearance: cameras stay this far from all observed points, metres.
+    :param max_step: longest move of a camera in one time step, metres.
+    :param wall_margin: smallest distance of cameras from the observed bounding box, metres.
+    :param clearance: smallest distance of cameras from all observed points, metres.
+    :ivar turns: partial maps of the episode, in which points are marked by the cameras that see
+        them.
     """
 
     def __init__(self, config: AgentConfig, max_range: float = 4.0, max_step: float = 0.5,
                  wall_margin: float = 0.1, clearance: float = CLEARANCE) -> None:
-        self.config, self.max_step = config, max_step
-        # The model in which points are marked by the cameras that see them.
+        self.config = config
+        self.max_step = max_step
         self.turns = ObservedTurns(max_range, wall_margin, clearance, points=6000, rows=16)
 
     def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> EncodedTurn:
         """
         Record a time step, and return its inputs camera by camera.
 
-        :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
-        :param positions: (K, 3) metres: current positions of the cameras.
+        :param cloud: (M, 3) float32, metres, map frame: M observed points.
+        :param positions: (K, 3) metres, map frame: current positions of the K cameras.
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
         """
-        known = None
-        with suppress(SceneError):
-            known = self.turns(cloud, positions, turn, turns)
-        return EncodedTurn(self.config, cloud, known, positions, self.max_step, turn / turns)
+        observed = None
+        with suppress(SceneError):  # The cloud is too small for a partial map.
+            observed = self.turns(cloud, positions, turn, turns)
+        return EncodedTurn(self.config, cloud, observed, positions, self.max_step, turn / turns)

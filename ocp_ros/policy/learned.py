@@ -31,8 +31,8 @@ class Learned(Online):
     """
     Move cameras by a trained policy that reads the observed cloud.
 
-    :param policy: chooses them in units of ``max_step``.
-    :param settings: of :class:`Online`.
+    :param policy: chooses moves in units of ``max_step``.
+    :param settings: positional arguments of :class:`Online`.
     """
 
     def __init__(self, policy: 'Policy', *settings) -> None:
@@ -49,12 +49,12 @@ class Learned(Online):
         self.policy.reset()
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`Online.move`."""
+        """Return the next moves; see :meth:`Online.move`."""
         if len(cloud) == 0:
             return self.random_walk(cloud, positions)
-        flat = positions[:, :2]
+        start = positions[:, :2]
         moves = bounded_moves(self.policy.act(cloud, positions, turn, turns), self.max_step)
-        return self.space(cloud, positions).moved(flat, moves, self.max_step) - flat
+        return self.space(cloud, positions).moved(start, moves, self.max_step) - start
 
 
 def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | MapActor:
@@ -62,7 +62,7 @@ def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | Map
     Return the online planner that moves cameras by a policy.
 
     :param policy: from :func:`ocp_ros.policy.policy.make_policy`.
-    :param settings: of :class:`~ocp_ros.online.online_planner.Online`.
+    :param settings: positional arguments of :class:`~ocp_ros.online.online_planner.Online`.
     """
     from ocp_ros.policy.policy import ValuePolicy
     if isinstance(policy, ValuePolicy):

@@ -30,14 +30,14 @@ class MapTurn:
     :param model: partial map of the observed cloud.
     :param space: feasible region of the cameras in the observed part of the room.
     :param unseen: packed bits of the model's cells of the air that no camera has covered yet.
-    :param plan: (K, 6) metres and radians: target pose of each camera.
-    :param positions: (K, 3) metres: current positions of the cameras.
+    :param plan: (K, 6) metres, map frame, and radians: target poses of the K cameras.
+    :param positions: (K, 3) metres, map frame: current positions of the cameras.
     :param rig_state: camera models and headings; None for omnidirectional cameras.
     :param max_range: of the cameras, metres.
     :param reach: distance that a camera can still move, metres.
     :param aimed: whether the network values headings of cameras that are not omnidirectional.
     :ivar room: the map; see :class:`~ocp_ros.policy.observation_map.ObservationMap`.
-    :ivar cells: (CELLS * CELLS, 2) metres: the centres of the cells of the map.
+    :ivar cells: (CELLS * CELLS, 2) metres, map frame: centres of the map's cells.
     """
 
     def __init__(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, plan: np.ndarray,
@@ -47,18 +47,18 @@ class MapTurn:
         self.unseen = unseen
         self.plan = plan
         self.positions = positions
-        self._sight = rig_state
+        self._rig_state = rig_state
         self._reach = reach
         self._aimed = aimed
         self.room = ObservationMap(model, unseen, len(plan), max_range,
-                                   float(np.median(positions[:, 2])))
-        self.cells = self.room.window.middles.reshape(-1, 2)
+                                   height=float(np.median(positions[:, 2])))
+        self.cells = self.room.window.centres.reshape(-1, 2)
         self._free = space.contains(self.cells)
         self._fixed = fixed_views(model, rig_state)
-        self._views = [self.look(camera, row[None])[0] for camera, row in enumerate(plan)]
+        self._views = [self.look(camera, pose[None])[0] for camera, pose in enumerate(plan)]
 
-    def beside(self, camera: int) -> list[View]:
-        """Return the views of all other cameras at their targets, fixed cameras included."""
+    def other_views(self, camera: int) -> list[View]:
+        """Return the views of the other cameras at their targets, and of fixed cameras."""
         return [view for k, view in enumerate(self._views) if k != camera] + self._fixed
 
     def inputs(self, camera: int) -> dict[str, np.ndarray]:
@@ -68,76 +68,85 @@ class MapTurn:
         :returns: ``room``, ``others``, ``numbers`` and ``lens``; see
             :class:`~ocp_ros.policy.value_network.ValueMap`.
         """
-        others, numbers = self.room.others(self.beside(camera), np.delete(self.plan, camera, 0))
+        other_poses = np.delete(self.plan, camera, axis=0)
+        others, numbers = self.room.others(self.other_views(camera), other_poses)
         return {'room': self.room.room, 'others': others, 'numbers': numbers,
                 'lens': lens_features(self._lens(camera) if self._aimed else None)}
 
     def experience(self, camera: int) -> dict[str, np.ndarray]:
         """
-        Return the inputs of soft actor-critic for a camera: :meth:`inputs` and the choices.
+        Return the inputs of soft actor-critic for a camera: :meth:`inputs` and :meth:`choices`.
 
-        It trains the network for omnidirectional cameras, so ``lens`` is left out.
+        Soft actor-critic trains the network for omnidirectional cameras, so ``lens`` is left out.
         """
         inputs = self.inputs(camera)
         del inputs['lens']
         return inputs | {'choices': self.choices(camera)}
 
-    def away(self, camera: int) -> np.ndarray:
-        """Return the distance of each cell from a camera: (CELLS * CELLS,) metres."""
+    def distances(self, camera: int) -> np.ndarray:
+        """Return the distances of all cells from a camera: (CELLS * CELLS,) metres."""
         return np.linalg.norm(self.cells - self.positions[camera, :2], axis=-1)
 
-    def open_to(self, camera: int) -> np.ndarray:
-        """Return the feasible cells that a camera reaches in time: (CELLS * CELLS,) bool."""
-        return self._free & (self.away(camera) <= self._reach)
+    def feasible_cells(self, camera: int) -> np.ndarray:
+        """Return whether each cell is feasible and near enough: (CELLS * CELLS,) bool."""
+        return self._free & (self.distances(camera) <= self._reach)
 
     def choices(self, camera: int) -> np.ndarray:
         """
-        Return the cells among which a camera may choose: (CELLS, CELLS) uint8, 1 or 0.
+        Return whether a camera may choose each cell: (CELLS, CELLS) uint8, 1 or 0.
 
-        There is at least one: without a feasible cell, it is the cell nearest to the target.
+        If no cell is feasible, the camera may choose the cell nearest to its target.
         """
-        free = self.open_to(camera)
-        if not free.any():
-            free[self._next_to(self.plan[camera, :2], np.ones_like(free))] = True
-        return free.reshape(CELLS, CELLS).astype(np.uint8)
+        allowed = self.feasible_cells(camera)
+        if not allowed.any():
+            allowed[self._nearest_cell(self.plan[camera, :2], np.ones_like(allowed))] = True
+        return allowed.reshape(CELLS, CELLS).astype(np.uint8)
 
     def place(self, camera: int, action: np.ndarray) -> np.ndarray:
         """
-        Return the place of an action: (2,) metres, the nearest of :meth:`choices`.
+        Return the centre of the allowed cell nearest to an action: (2,) metres, map frame.
 
-        :param action: (2,) from the centre of the map, in units of half its side.
+        :param action: (2,) x and y from the centre of the map, in units of half its side.
         """
         window = self.room.window
         wanted = window.low + 0.5 * CELLS * window.edge * (np.asarray(action, np.float64) + 1.0)
-        return self.cells[self._next_to(wanted, self.choices(camera).ravel() > 0)]
+        return self.cells[self._nearest_cell(wanted, self.choices(camera).ravel() > 0)]
 
-    def _next_to(self, place: np.ndarray, free: np.ndarray) -> int:
-        """Return the cell that is nearest to a place, among the free ones (CELLS * CELLS,)."""
-        return int(np.argmin(np.where(free, np.linalg.norm(self.cells - place, axis=1), np.inf)))
+    def _nearest_cell(self, place: np.ndarray, allowed: np.ndarray) -> int:
+        """Return the number of the cell nearest to a place (2,), among ``allowed`` cells."""
+        distances = np.linalg.norm(self.cells - place, axis=1)
+        return int(np.argmin(np.where(allowed, distances, np.inf)))
 
-    def send(self, camera: int, row: np.ndarray, view: View | None = None) -> None:
+    def set_target(self, camera: int, pose: np.ndarray, view: View | None = None) -> None:
         """
         Set the target pose of a camera; cameras that choose later use it.
 
-        :param row: (6,) metres and radians.
-        :param view: the view from there; None to compute it.
+        :param camera: number of the camera, from 0.
+        :param pose: (6,) metres, map frame, and radians.
+        :param view: the camera's view from this pose; None to compute it.
         """
-        self.plan[camera] = row
-        self._views[camera] = self.look(camera, row[None])[0] if view is None else view
+        self.plan[camera] = pose
+        self._views[camera] = self.look(camera, pose[None])[0] if view is None else view
 
     def send_to(self, camera: int, action: np.ndarray) -> None:
-        """Set the target of a camera to the place of an action; its heading does not change."""
-        self.send(camera, np.concatenate([self.place(camera, action), self.plan[camera, 2:]]))
+        """Set the target of a camera to :meth:`place` of an action; its heading is kept."""
+        place = self.place(camera, action)
+        self.set_target(camera, np.concatenate([place, self.plan[camera, 2:]]))
 
     def _lens(self, camera: int) -> Frustum | None:
         """Return the frustum of a camera; None for an omnidirectional camera."""
-        return None if self._sight is None else self._sight.lenses[camera]
+        return None if self._rig_state is None else self._rig_state.lenses[camera]
 
-    def look(self, camera: int, rows: np.ndarray) -> list[View]:
-        """Compute the views from poses (M, 6); poses at one position are consecutive rows."""
+    def look(self, camera: int, poses: np.ndarray) -> list[View]:
+        """
+        Return the views of a camera from poses, in their order.
+
+        :param poses: (M, 6) metres, map frame, and radians; M poses, those at the same position
+            one after the other.
+        """
         lens = self._lens(camera)
         if lens is None:
-            return [self.model.look(row[:3]) for row in rows]
-        ends = np.flatnonzero(np.any(np.diff(rows[:, :3], axis=0), axis=1)) + 1
-        return [view for some in np.split(rows, ends)
-                for view in self.model.look_many(some[0, :3], some[:, 3:], lens)]
+            return [self.model.look(pose[:3]) for pose in poses]
+        starts = np.flatnonzero(np.any(np.diff(poses[:, :3], axis=0), axis=1)) + 1
+        return [view for group in np.split(poses, starts)
+                for view in self.model.look_many(group[0, :3], group[:, 3:], lens)]

@@ -15,9 +15,9 @@
 """
 The networks that read the observed cloud: three extraction units and an actor's head.
 
-``paper`` reads the cloud, its bounding box and all cameras, and one head chooses the moves of all
-cameras, as stable-baselines3 builds it: section III-C of arXiv 2110.11106. ``cloud`` is evaluated
-for one camera after the other; its weights serve any number of cameras.
+The network ``paper`` reads the cloud, its bounding box and all cameras; one head chooses the moves
+of all cameras, as in section III-C of arXiv 2110.11106 and in stable-baselines3. The network
+``cloud`` chooses the move of one camera after the other; its weights serve any number of cameras.
 """
 
 from ocp_ros.policy.agent_config import AgentConfig, PAPER
@@ -28,7 +28,7 @@ from torch import nn, Tensor
 
 
 def perceptron(*widths: int) -> nn.Sequential:
-    """Stack linear layers, each followed by a ReLU."""
+    """Return linear layers from each width to the next, each followed by a ReLU."""
     layers = []
     for width_in, width_out in zip(widths[:-1], widths[1:]):
         layers += [nn.Linear(width_in, width_out), nn.ReLU()]
@@ -37,11 +37,11 @@ def perceptron(*widths: int) -> nn.Sequential:
 
 class ResidualBlock(nn.Module):
     """
-    A block of a head: adds the output of two layers on the normalised input to the input.
+    A block of a head: its input, plus the output of two layers on the normalised input.
 
     After SimBa (Lee et al., arXiv 2410.09754).
 
-    :param width: of input and output; four times as wide in between.
+    :param width: number of input and output features; the layer between has four times as many.
     """
 
     def __init__(self, width: int) -> None:
@@ -50,16 +50,16 @@ class ResidualBlock(nn.Module):
                                     nn.Linear(4 * width, width))
 
     def forward(self, features: Tensor) -> Tensor:
-        """Return (B, width) of (B, width)."""
+        """Return the output (B, width) for features (B, width) of B observations."""
         return features + self.layers(features)
 
 
 def head(width: int, hidden: int, blocks: int) -> nn.Sequential:
     """
-    Return the layers between the features and the last layer.
+    Return the layers between the extracted features and the last layer.
 
-    :param width: of the features.
-    :param hidden: of the output.
+    :param width: number of input features.
+    :param hidden: number of output features.
     :param blocks: number of residual blocks; 0 for two plain layers.
     """
     if not blocks:
@@ -69,7 +69,12 @@ def head(width: int, hidden: int, blocks: int) -> nn.Sequential:
 
 
 def gather(values: Tensor, indices: Tensor) -> Tensor:
-    """Pick rows per batch entry: values (B, N, C), indices (B, ...) -> (B, ..., C)."""
+    """
+    Return the rows that indices select in each of B batch entries: (B, ..., C).
+
+    :param values: (B, N, C), N rows of C values.
+    :param indices: (B, ...) of rows, from 0 to N - 1.
+    """
     batch = torch.arange(len(values), device=values.device)
     return values[batch.view(-1, *[1] * (indices.dim() - 1)), indices.long()]
 
@@ -79,7 +84,7 @@ class ExtractionUnit(nn.Module):
     Features of groups of points around key points: section III-C of arXiv 2110.11106.
 
     :param features: channels of each input point besides its position.
-    :param channels: channels C' of the three layers.
+    :param channels: C', number of channels of the three layers.
     :param normed: whether the maximum over a group is normalised.
     """
 
@@ -91,13 +96,12 @@ class ExtractionUnit(nn.Module):
     def forward(self, points: Tensor, features: Tensor | None, centres: Tensor,
                 groups: Tensor) -> Tensor:
         """
-        Extract one feature vector per key point.
+        Return one feature vector for each key point: (B, K, C').
 
-        :param points: (B, N, 3).
-        :param features: (B, N, C) or None.
-        :param centres: (B, K, 3), the key points.
-        :param groups: (B, K, G), indices into the points.
-        :returns: (B, K, C').
+        :param points: (B, N, 3), N points in each of B observations, unit ``length_scale``.
+        :param features: (B, N, C), C features of each point; None for none.
+        :param centres: (B, K, 3), the K key points.
+        :param groups: (B, K, G), indices of the G points in the group of each key point.
         """
         grouped = gather(points, groups) - centres[:, :, None]
         if features is not None:
@@ -110,8 +114,8 @@ class Extractor(nn.Module):
     """
     Features of an encoded observation; see :mod:`ocp_ros.policy.observation_cloud`.
 
-    The single key point of the last unit is the mean of the key points of the unit before, or, in
-    ``cloud``, the camera.
+    The single key point of the last unit is the mean of the second unit's key points in ``paper``,
+    and the position of the choosing camera in ``cloud``.
 
     :param config: type and sizes of the network.
     :ivar width: F, number of features.
@@ -119,35 +123,36 @@ class Extractor(nn.Module):
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
-        self.paper, channels = config.inputs == PAPER, config.channels
-        self.unit_1 = ExtractionUnit(0 if self.paper else MARKS, channels, not self.paper)
-        self.unit_2 = ExtractionUnit(channels, channels, not self.paper)
-        self.unit_3 = ExtractionUnit(channels, config.pooled, not self.paper)
+        self.paper = config.inputs == PAPER
+        normed = not self.paper
+        self.unit_1 = ExtractionUnit(0 if self.paper else MARKS, config.channels, normed=normed)
+        self.unit_2 = ExtractionUnit(config.channels, config.channels, normed=normed)
+        self.unit_3 = ExtractionUnit(config.channels, config.pooled, normed=normed)
         self.width = config.pooled + 3
         if self.paper:
             self.width += 3 + 3 * config.cameras
         else:
-            channels = 32
-            self.others = perceptron(OF_OTHERS, channels, channels)
+            hidden = 32
+            self.others = perceptron(OF_OTHERS, hidden, hidden)
             # A camera's own position: relative to the walls (2) and in the cloud (3), the
             # distances to the four walls (4), and half the size of the room (3).
             own_features = 2 + 3 + 4 + 3
-            self.width += own_features + 2 * channels + OF_TURN
+            self.width += own_features + 2 * hidden + OF_TURN
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
-        """Return the features (B, F)."""
+        """Return the F features (B, F) of B encoded observations."""
         cameras, half = observation['cameras'], observation['half_size']
         if self.paper:
             return torch.cat([self._cloud(observation, None), half, cameras.flatten(1)], dim=-1)
-        camera, features = cameras[:, 0], observation['others']
-        others = pooled(self.others(features), features[..., 3])
+        camera = cameras[:, 0]
+        others = pooled(self.others(observation['others']), observation['others'][..., 3])
         return torch.cat([
             self._cloud(observation, cameras), camera[:, :2] / half[:, :2].clamp(min=1e-3), camera,
             half[:, :2] - camera[:, :2], half[:, :2] + camera[:, :2], half, others,
             observation['turn']], dim=-1)
 
     def _cloud(self, observation: dict[str, Tensor], centre: Tensor | None) -> Tensor:
-        """Return features of the whole cloud around a centre (B, 1, 3): (B, C' + 3)."""
+        """Return features of the cloud around a centre (B, 1, 3), and this centre: (B, C' + 3)."""
         points = observation['points']
         marks = None if self.paper else observation['marks'].to(points.dtype)
         centres_1 = gather(points, observation['keys_1'])
@@ -155,21 +160,26 @@ class Extractor(nn.Module):
         centres_2 = gather(centres_1, observation['keys_2'])
         features_2 = self.unit_2(centres_1, features_1, centres_2, observation['groups_2'])
         centre = centres_2.mean(dim=1, keepdim=True) if centre is None else centre
-        everything = torch.arange(centres_2.shape[1], device=points.device)
+        key_indices = torch.arange(centres_2.shape[1], device=points.device)
         features = self.unit_3(centres_2, features_2, centre,
-                               everything.expand(*centre.shape[:2], -1))
+                               key_indices.expand(*centre.shape[:2], -1))
         return torch.cat([features, centre], dim=-1)[:, 0]
 
 
 def pooled(features: Tensor, present: Tensor) -> Tensor:
-    """Pool features (..., N, C) >= 0 of present items (..., N) by mean and maximum: (..., 2 C)."""
+    """
+    Return the mean and the maximum of features over the items that are present: (..., 2 C).
+
+    :param features: (..., N, C), C values of 0 or more for each of N items.
+    :param present: (..., N), 1 for an item that is present, 0 for padding.
+    """
     features = features * present[..., None]
     count = present.sum(dim=-1, keepdim=True).clamp(min=1.0)
     return torch.cat([features.sum(dim=-2) / count, features.amax(dim=-2)], dim=-1)
 
 
 class Actor(nn.Module):
-    """The actor that a robot runs: the extractor and the layers of stable-baselines3's actor."""
+    """The policy network: the extractor and the layers of stable-baselines3's actor."""
 
     def __init__(self, config: AgentConfig) -> None:
         super().__init__()
@@ -181,10 +191,11 @@ class Actor(nn.Module):
 
     def forward(self, observation: dict[str, Tensor]) -> tuple[Tensor, Tensor]:
         """
-        Choose moves from an encoded observation.
+        Return the distribution of the moves, before the hyperbolic tangent limits them.
 
-        :returns: mean and logarithm of the standard deviation, (B, 2 C) each, of the moves of C
-            cameras before the hyperbolic tangent.
+        :param observation: B encoded observations; see :mod:`ocp_ros.policy.observation_cloud`.
+        :returns: mean and logarithm of the standard deviation, (B, 2 K) each, of the moves of K
+            cameras.
         """
         latent = self.latent_pi(self.extractor(observation))
         # The bounds are those of stable-baselines3.
@@ -192,5 +203,5 @@ class Actor(nn.Module):
 
 
 def actor_of(config: AgentConfig) -> nn.Module:
-    """Return the network that a robot runs, with random weights."""
+    """Return the network of a policy, with random weights."""
     return ValueMapNetwork(config) if config.map else Actor(config)

@@ -26,44 +26,48 @@ from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 
 #: Largest number of other cameras that the network reads for one camera: the nearest ones.
 MAX_OTHERS = 7
-#: Number of values for the time step: elapsed share of the episode, cameras / 4, and the share of
-#: the air that no camera has covered.
+#: Number of values for the time step: elapsed share of the episode, number of cameras / 4, and the
+#: share of the air that no camera has covered.
 OF_TURN = 3
-#: Number of values for each other camera: vector to it (3), whether it exists, whether it has
-#: chosen.
+#: Number of values for each other camera: the vector to this camera (3), whether the camera
+#: exists, and whether it has chosen its move.
 OF_OTHERS = 5
-#: Number of values for each point: whether the choosing camera sees it, and how many others do.
+#: Number of values for each point: whether the choosing camera sees the point, and the number of
+#: other cameras that see the point.
 MARKS = 2
 
 
 def encode(cloud: np.ndarray, positions: np.ndarray, config: AgentConfig
            ) -> dict[str, np.ndarray]:
     """
-    Convert an observation into the network's inputs, in units of ``length_scale``.
+    Return an observation as the network's inputs by name.
 
-    The origin is the centre of the observed cloud's bounding box.
+    Lengths are in units of ``length_scale``, relative to the centre of the cloud's bounding box.
 
-    :param cloud: (M, 3) float32, metres, map frame: the observed cloud, in any order.
-    :param positions: (K, 3), metres, map frame: current positions of the cameras.
-    :param config: sizes.
-    :returns: ``points`` (P, 3), ``keys_1`` (K1,), ``groups_1`` (K1, G1), ``keys_2`` (K2,),
-        ``groups_2`` (K2, G2), all indices int16, ``cameras`` (K, 3) and ``half_size`` (3,).
+    :param cloud: (M, 3) float32, metres, map frame: M observed points, in any order.
+    :param positions: (K, 3), metres, map frame: current positions of the K cameras.
+    :param config: sizes of the network: P points, and for extraction units 1 and 2 the number of
+        key points (K1, K2) and of points in a group (G1, G2).
+    :returns: float32 ``points`` (P, 3), ``cameras`` (K, 3) and ``half_size`` (3,) of the bounding
+        box; int16 indices ``keys_1`` (K1,), ``groups_1`` (K1, G1), ``keys_2`` (K2,) and
+        ``groups_2`` (K2, G2).
     """
     positions = positions.astype(np.float32)
     # An empty cloud is replaced by the positions of the cameras.
     cloud = cloud if len(cloud) else positions
     bounds = corners_of(cloud)
-    centre, scale = bounds.mean(axis=0), config.length_scale
-    points = ((chosen(cloud, config) - centre) / scale).astype(np.float32)
+    centre = bounds.mean(axis=0)
+    scale = config.length_scale
+    points = ((thinned(cloud, config.points) - centre) / scale).astype(np.float32)
     keys_1 = farthest_points(points, config.keys_1)
     key_points = points[keys_1]
     keys_2 = farthest_points(key_points, config.keys_2)
-    grouped = ball_query if config.inputs == PAPER else nearest_in_ball
+    group = ball_query if config.inputs == PAPER else nearest_in_ball
     indices = {
         'keys_1': keys_1,
-        'groups_1': grouped(points, keys_1, config.radius_1 / scale, config.group_1),
+        'groups_1': group(points, keys_1, config.radius_1 / scale, config.group_1),
         'keys_2': keys_2,
-        'groups_2': grouped(key_points, keys_2, config.radius_2 / scale, config.group_2)}
+        'groups_2': group(key_points, keys_2, config.radius_2 / scale, config.group_2)}
     return {
         'points': points,
         # int16 halves the memory of the replay buffer: there are at most 32767 points.
@@ -72,9 +76,9 @@ def encode(cloud: np.ndarray, positions: np.ndarray, config: AgentConfig
         'half_size': (0.5 * (bounds[1] - bounds[0]) / scale).astype(np.float32)}
 
 
-def chosen(rows: np.ndarray, config: AgentConfig) -> np.ndarray:
-    """Return ``config.points`` rows of a cloud (N, ...), at even strides."""
-    return rows[np.arange(config.points) * len(rows) // config.points]
+def thinned(rows: np.ndarray, count: int) -> np.ndarray:
+    """Return ``count`` evenly spaced rows of an array (N, ...); they repeat if N is smaller."""
+    return rows[np.arange(count) * len(rows) // count]
 
 
 def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray,
@@ -82,15 +86,16 @@ def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarra
     """
     Return the inputs of a camera that describe the other cameras, the nearest first.
 
-    :param camera: its number.
-    :param positions: (K, 3) metres: positions of the cameras, new ones where already chosen.
-    :param has_chosen: (K,) bool.
-    :param config: with the unit of length.
+    :param camera: number of the camera that chooses, from 0.
+    :param positions: (K, 3) metres: positions of the K cameras, after the moves chosen so far.
+    :param has_chosen: (K,) bool, whether each camera has chosen its move.
+    :param config: has the unit of length, ``length_scale``.
     :returns: (``MAX_OTHERS``, ``OF_OTHERS``) float32; rows without a camera are 0.
     """
     features = np.zeros((MAX_OTHERS, OF_OTHERS), dtype=np.float32)
-    ways = (np.delete(positions, camera, axis=0) - positions[camera]) / config.length_scale
-    nearest = np.argsort(np.linalg.norm(ways, axis=1), kind='stable')[:MAX_OTHERS]
-    features[:len(nearest), :3], features[:len(nearest), 3] = ways[nearest], 1.0
+    vectors = (np.delete(positions, camera, axis=0) - positions[camera]) / config.length_scale
+    nearest = np.argsort(np.linalg.norm(vectors, axis=1), kind='stable')[:MAX_OTHERS]
+    features[:len(nearest), :3] = vectors[nearest]
+    features[:len(nearest), 3] = 1.0
     features[:len(nearest), 4] = np.delete(has_chosen, camera)[nearest]
     return features

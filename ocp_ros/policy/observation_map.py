@@ -16,12 +16,13 @@
 Observation map: the observed cloud from above, as channels of a square grid for the map actor.
 
 Some channels describe the room: points by height, the depth error at these points if none is
-visible, and the observed air. Other channels describe the remaining task beside the other cameras:
-the points that none of them sees, the depth error at these points, and the positions of the other
-cameras. The map contains observed data alone, and no move is simulated.
+visible, and the observed air. Other channels describe what the other cameras leave to one camera:
+the points that no other camera sees, the depth error at these points, and the positions of the
+other cameras. The map contains observed data alone, and no move is simulated.
 """
 
 from collections.abc import Sequence
+from math import ceil
 from typing import NamedTuple
 
 import numpy as np
@@ -31,50 +32,44 @@ from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.online.partial_map import NO_CELL, PartialMap
 from ocp_ros.simulation.simulator import View
 
-#: Cells along each side of the grid, and their smallest edge, metres: a room that is larger than
-#: the grid has larger cells.
-CELLS, EDGE_M = 64, 0.25
+#: Number of cells along each side of the grid.
+CELLS = 64
+#: Smallest edge of a cell, metres: a room that is larger than the grid has larger cells.
+EDGE_M = 0.25
 #: Smallest free border of the grid around the observed bounding box, metres.
 BORDER_M = 0.5
 #: Limits between the slices of the points, metres above the floor.
 SLICES_M = (0.15, 0.8, 1.5, 2.2)
-#: Limit between low and high points, metres above the floor.
+#: Limit between the low and the high layer of points and air, metres above the floor.
 SPLIT_M = 1.2
 #: Limits between the slices of the air, metres above the floor.
 AIR_SLICES_M = (0.9, 1.55)
-#: Lowest and highest air, metres above the floor.
-AIR_LOW_M, AIR_HIGH_M = 0.2, 2.4
-#: Standard deviation of the spots that mark cameras and viewpoints, metres.
-SPOT_M = 0.4
-#: Channels of the room with the observed air (after the points and their depth error), and the
-#: channel of the bounding box.
+#: Channels of the room with the observed air, after those of the points and their depth error.
 SEEN_AIR = slice(len(SLICES_M) + 3, len(SLICES_M) + 4 + len(AIR_SLICES_M))
+#: Channel of the room with the observed bounding box.
 BOX = SEEN_AIR.stop
-#: Number of channels of the room, of channels of the other cameras, and of scalar inputs.
+#: Numbers of channels of the room, channels of the other cameras, and scalar inputs.
 OF_ROOM, OF_OTHERS, NUMBERS = BOX + 2, 7, 5
 #: Number of values that describe the field of view of a camera.
 OF_LENS = 2
-#: The sides of the used part of a map are multiples of this.
-STRIDE = 8
-#: Number of points, and share of the error, at which a cell reaches the value 255.
-MANY_POINTS, MUCH_ERROR = 32.0, 0.03
-#: Factor of a share before its logarithm: a larger factor resolves smaller shares.
-FINE_SHARES = 500.0
 #: Added to errors before the logarithm, as a share of the depth error without any visible point.
 ERROR_FLOOR = 0.005
 
 
 def used_part(room: np.ndarray) -> tuple[slice, slice]:
     """
-    Return the cells in the middle of a map that contain the observed bounding box.
+    Return the central part of a map, which contains the observed bounding box.
 
-    :param room: (``OF_ROOM``, 64, 64) of :class:`ObservationMap`.
-    :returns: rows and columns, multiples of ``STRIDE`` each.
+    :param room: (``OF_ROOM``, 64, 64) channels of :class:`ObservationMap`.
+    :returns: rows and columns; the number of each is a multiple of 8.
     """
-    box, border = room[BOX] > 0, 2 * round(BORDER_M / EDGE_M)
-    across = [int(np.count_nonzero(box.any(axis=axis))) + border for axis in (1, 0)]
-    firsts = [(CELLS - min(-(-side // STRIDE) * STRIDE, CELLS)) // 2 for side in across]
-    return slice(firsts[0], CELLS - firsts[0]), slice(firsts[1], CELLS - firsts[1])
+    stride = 8
+    inside = room[BOX] > 0
+    borders = 2 * round(BORDER_M / EDGE_M)
+    sides = [int(np.count_nonzero(inside.any(axis=axis))) + borders for axis in (1, 0)]
+    margins = [(CELLS - min(ceil(side / stride) * stride, CELLS)) // 2 for side in sides]
+    rows, columns = (slice(margin, CELLS - margin) for margin in margins)
+    return rows, columns
 
 
 def lens_features(lens: Frustum | None) -> np.ndarray:
@@ -87,34 +82,35 @@ def lens_features(lens: Frustum | None) -> np.ndarray:
     """
     if lens is None or lens.kind == OMNIDIRECTIONAL:
         return np.ones(OF_LENS, dtype=np.float32)
-    halves = np.array([lens.half_horizontal, lens.half_vertical])
+    # Half the angles of view: radians, but tangents for a pinhole camera.
+    half_angles = np.array([lens.half_horizontal, lens.half_vertical])
     if lens.kind == PINHOLE:
-        halves = np.arctan(halves)
-    return (halves / [np.pi, 0.5 * np.pi]).astype(np.float32)
+        half_angles = np.arctan(half_angles)
+    return (half_angles / [np.pi, 0.5 * np.pi]).astype(np.float32)
 
 
 def yaws_of(headings: int) -> np.ndarray:
-    """Return the yaws (D,) of the headings that have values, radians, map frame."""
+    """Return the yaws of D = ``headings`` evenly spaced headings: (D,) radians, map frame."""
     return np.arange(headings) * (2.0 * np.pi / headings)
 
 
-def at_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) -> np.ndarray:
+def interpolate_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) -> np.ndarray:
     """
-    Interpolate values linearly between the yaws of :func:`yaws_of`.
+    Return the values of M poses, interpolated linearly between the yaws of :func:`yaws_of`.
 
-    :param values: (D, C), by yaw and by cell.
-    :param cells: (M,) numbers of cells.
-    :param yaws: (M,) radians, map frame.
-    :returns: (M,).
+    :param values: (D, C), value of each of D yaws in each of C cells.
+    :param cells: (M,) number of the cell of each pose.
+    :param yaws: (M,) yaw of each pose, radians, map frame.
+    :returns: (M,) values.
     """
     count = len(values)
-    at = yaws * (count / (2.0 * np.pi))
-    low = np.floor(at).astype(np.int64)
-    between, next_one = values[low % count, cells], values[(low + 1) % count, cells]
+    steps = yaws * (count / (2.0 * np.pi))
+    below = np.floor(steps).astype(np.int64)
+    result, above = values[below % count, cells], values[(below + 1) % count, cells]
     # Cells outside the observed bounding box are inf at all yaws.
-    known = np.isfinite(between)
-    between[known] += (at - low)[known] * (next_one[known] - between[known])
-    return between
+    finite = np.isfinite(result)
+    result[finite] += (steps - below)[finite] * (above[finite] - result[finite])
+    return result
 
 
 class Window(NamedTuple):
@@ -129,30 +125,30 @@ class Window(NamedTuple):
     edge: float
 
     @classmethod
-    def around(cls, bounds: np.ndarray, least: float = EDGE_M) -> 'Window':
+    def around(cls, bounds: np.ndarray, min_edge: float = EDGE_M) -> 'Window':
         """
-        Place the grid around a bounding box.
+        Return the position of the grid around a bounding box.
 
-        :param bounds: (2, 3) metres.
-        :param least: smallest edge of the cells, metres.
+        :param bounds: (2, 3) metres, map frame: lowest and highest corner.
+        :param min_edge: smallest edge of the cells, metres.
         """
         size = float((bounds[1] - bounds[0])[:2].max()) + 2.0 * BORDER_M
-        edge = max(least, size / CELLS)
+        edge = max(min_edge, size / CELLS)
         return cls(bounds.mean(axis=0)[:2] - 0.5 * CELLS * edge, edge)
 
     @property
-    def axes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the centres of the cells: (64,) x and (64,) y, metres."""
+    def centres_by_axis(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the centres of the rows and of the columns: (64,) x and (64,) y, metres."""
         steps = (np.arange(CELLS) + 0.5) * self.edge
         return self.low[0] + steps, self.low[1] + steps
 
     @property
-    def middles(self) -> np.ndarray:
-        """Return the centres of the cells: (64, 64, 2) metres."""
-        return np.stack(np.meshgrid(*self.axes, indexing='ij'), axis=-1)
+    def centres(self) -> np.ndarray:
+        """Return the centres of the cells: (64, 64, 2) metres, map frame."""
+        return np.stack(np.meshgrid(*self.centres_by_axis, indexing='ij'), axis=-1)
 
     def cell_of(self, places: np.ndarray) -> np.ndarray:
-        """Return the numbers (M,) of the cells of places (M, >= 2), -1 outside."""
+        """Return the numbers (M,) of the cells of M places (M, 2 or more), metres; -1 outside."""
         cell = np.floor((places[:, :2] - self.low) / self.edge).astype(np.int64)
         inside = ((cell >= 0) & (cell < CELLS)).all(axis=1)
         return np.where(inside, cell[:, 0] * CELLS + cell[:, 1], -1)
@@ -164,128 +160,148 @@ class ObservationMap:
 
     :param model: partial map of the observed cloud.
     :param unseen: packed bits of the model's cells of the air that no camera has covered yet.
-    :param cameras: K, number of cameras.
+    :param cameras: number of cameras.
     :param max_range: of the camera that chooses, metres.
     :param height: of the cameras, z in metres, map frame.
-    :param least: smallest edge of the cells, metres.
-    :ivar room: (``OF_ROOM``, 64, 64) uint8.
+    :param min_edge: smallest edge of the grid's cells, metres.
+    :ivar room: (``OF_ROOM``, 64, 64) uint8, channels of the room.
+    :ivar window: position of the grid in the map frame.
     """
 
     def __init__(self, model: PartialMap, unseen: np.ndarray, cameras: int, max_range: float,
-                 height: float, least: float = EDGE_M) -> None:
+                 height: float, min_edge: float = EDGE_M) -> None:
         self._model = model
-        self.window = Window.around(model.bounds, least)
+        self.window = Window.around(model.bounds, min_edge)
         floor = model.bounds[0, 2]
-        above = model.points[:, 2] - floor
+        heights = model.points[:, 2] - floor
         cells = self.window.cell_of(model.points)
-        #: For each point its cell in the channel of low or of high points, -1 outside.
-        self._halves = np.where(cells >= 0, cells + (above > SPLIT_M) * CELLS * CELLS, -1)
+        #: For each point its cell in the low or the high layer, -1 outside the grid.
+        self._layer_cells = np.where(cells >= 0, cells + (heights > SPLIT_M) * CELLS * CELLS, -1)
         self._air = _AirColumns(model, self.window, floor)
-        slices = np.where(cells >= 0, cells + np.searchsorted(SLICES_M, above) * CELLS * CELLS, -1)
-        worth = model.depth_error.error_by_point(no_bits(len(model.points)))
+        slices = np.searchsorted(SLICES_M, heights)
+        slice_cells = np.where(cells >= 0, cells + slices * CELLS * CELLS, -1)
+        errors = model.depth_error.error_by_point(no_bits(len(model.points)))
+        errors = _cell_sums(self._layer_cells, 2, errors)
         self.room = np.concatenate([
-            _density(_summed(slices, len(SLICES_M) + 1)),
-            _share(_summed(self._halves, 2, worth) / model.depth_error.worst),
-            _bytes(self._air.shares(~unseen, len(AIR_SLICES_M) + 1)),
-            self._box(), _spots(self.window, model.depth_error.viewpoints)])
-        self._told = ((cameras - 1) / 7.0, max_range / self.window.edge / CELLS,
-                      (height - floor) / 3.0, 2.0 * self.window.edge)
+            _encode_counts(_cell_sums(slice_cells, len(SLICES_M) + 1)),
+            _encode_error_shares(errors / model.depth_error.worst),
+            _to_uint8(self._air.shares(~unseen, len(AIR_SLICES_M) + 1)),
+            self._box_mask(), _draw_spots(self.window, model.depth_error.viewpoints)])
+        self._scalars = ((cameras - 1) / 7.0, max_range / self.window.edge / CELLS,
+                         (height - floor) / 3.0, 2.0 * self.window.edge)
 
     def others(self, views: Sequence[View], places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """
-        Compute the channels of the points and the depth error that other cameras do not cover.
+        Return the channels of the other cameras, and the scalar inputs.
 
-        :param views: views of the other cameras in the model.
-        :param places: (J, >= 2) metres, their positions.
+        :param views: views of the other cameras in the partial map.
+        :param places: (J, 2 or more) metres, map frame: positions of the J other cameras.
         :returns: (``OF_OTHERS``, 64, 64) uint8 and (``NUMBERS``,) float32.
         """
-        model, together = self._model, self._model.together(views)
-        unseen = ~unpack(together.seen, len(model.points))
-        lost = model.depth_error.error_by_point(together.seen)
-        error, worst = float(lost.sum()), model.depth_error.worst
+        model = self._model
+        joint = model.together(views)
+        unseen = ~unpack(joint.seen, len(model.points))
+        errors = model.depth_error.error_by_point(joint.seen)
+        worst = model.depth_error.worst
+        error = float(errors.sum()) + ERROR_FLOOR * worst
         channels = np.concatenate([
-            _density(_summed(np.where(unseen, self._halves, -1), 2)),
-            _share(_summed(self._halves, 2, lost) / (error + ERROR_FLOOR * worst)),
-            _bytes(self._air.shares(together.covered, 2)), _spots(self.window, places)])
-        level = np.log((error + ERROR_FLOOR * worst) / worst) / 5.0
-        return channels, np.array([*self._told, level], dtype=np.float32)
+            _encode_counts(_cell_sums(np.where(unseen, self._layer_cells, -1), 2)),
+            _encode_error_shares(_cell_sums(self._layer_cells, 2, errors) / error),
+            _to_uint8(self._air.shares(joint.covered, 2)), _draw_spots(self.window, places)])
+        return channels, np.array([*self._scalars, np.log(error / worst) / 5.0], dtype=np.float32)
 
-    def _box(self) -> np.ndarray:
-        """Mark the cells inside the observed bounding box: (1, 64, 64) uint8."""
+    def _box_mask(self) -> np.ndarray:
+        """Return 255 for cells inside the observed bounding box, else 0: (1, 64, 64) uint8."""
         low, high = self._model.bounds[:, :2]
-        inside = [(axis >= low[k]) & (axis <= high[k]) for k, axis in enumerate(self.window.axes)]
+        inside = [(centres >= low[k]) & (centres <= high[k])
+                  for k, centres in enumerate(self.window.centres_by_axis)]
         return 255 * np.logical_and.outer(*inside).astype(np.uint8)[None]
 
     def unseen_air(self) -> np.ndarray:
-        """Return the unseen share of the air above each cell: (64, 64)."""
-        seen = self.room[SEEN_AIR].mean(axis=0) / 255.0
-        return np.where(self._air.known, 1.0 - seen, 0.0)
+        """Return the unseen share of the observed air above each cell: (64, 64)."""
+        seen_share = self.room[SEEN_AIR].mean(axis=0) / 255.0
+        return np.where(self._air.has_air, 1.0 - seen_share, 0.0)
 
 
 class _AirColumns:
-    """The air above each cell of the grid, as cells of the partial map."""
+    """The cells of the partial map's air above each cell of the grid."""
 
     def __init__(self, model: PartialMap, window: Window, floor: float) -> None:
         self._count = len(model.cells)
-        kept = np.flatnonzero(model.cells != NO_CELL)
-        cells = cells_numbered(model.cells[kept])
-        above = (cells[:, 2] + 0.5) * model.edge - floor
-        between = (above > AIR_LOW_M) & (above < AIR_HIGH_M)
-        self._kept, cells, above = kept[between], cells[between], above[between]
-        # A room lower than AIR_LOW_M has no cells of the air here.
+        air_cells = np.flatnonzero(model.cells != NO_CELL)
+        cells = cells_numbered(model.cells[air_cells])
+        heights = (cells[:, 2] + 0.5) * model.edge - floor
+        # The air from 0.2 m to 2.4 m above the floor counts.
+        in_range = (heights > 0.2) & (heights < 2.4)
+        self._air_cells, cells, heights = air_cells[in_range], cells[in_range], heights[in_range]
+        # A very low room has no cells of the air in this range.
         low, high = (corners_of(cells) if len(cells) else np.zeros((2, 3), dtype=np.int64))[:, :2]
         self._shape = tuple(high - low + 1)
         column = cells[:, :2] - low
         self._columns = column[:, 0] * self._shape[1] + column[:, 1]
-        self._slices = {2: (above > SPLIT_M).astype(np.int64),
-                        len(AIR_SLICES_M) + 1: np.searchsorted(AIR_SLICES_M, above)}
-        #: For each row and column of the grid the index in the air, and whether air is there.
-        self._at, there = [], []
-        for k, axis in enumerate(window.axes):
+        self._slices = {2: (heights > SPLIT_M).astype(np.int64),
+                        len(AIR_SLICES_M) + 1: np.searchsorted(AIR_SLICES_M, heights)}
+        # For each row and each column of the grid: index in the air, and whether there is air.
+        self._air_indices, has_air = [], []
+        for k, axis in enumerate(window.centres_by_axis):
             index = np.floor(axis / model.edge).astype(np.int64) - low[k]
-            there.append((index >= 0) & (index < self._shape[k]))
-            self._at.append(np.clip(index, 0, self._shape[k] - 1))
-        self.known = np.logical_and.outer(*there)
+            has_air.append((index >= 0) & (index < self._shape[k]))
+            self._air_indices.append(np.clip(index, 0, self._shape[k] - 1))
+        self.has_air = np.logical_and.outer(*has_air)
 
     def shares(self, bits: np.ndarray, slices: int) -> np.ndarray:
-        """Return the share of the air above each cell whose bits are set: (slices, 64, 64)."""
-        flags = unpack(bits, self._count)[self._kept]
+        """
+        Return the share of the air above each cell whose bits are set: (S, 64, 64).
+
+        :param bits: packed bits of the partial map's cells.
+        :param slices: S, number of slices by height, 2 or 3.
+        """
+        flags = unpack(bits, self._count)[self._air_cells]
         size = self._shape[0] * self._shape[1]
         index = self._slices[slices] * size + self._columns
-        there = np.bincount(index, minlength=slices * size)
-        found = np.bincount(index[flags], minlength=slices * size)
-        share = (found / np.maximum(there, 1)).reshape(slices, *self._shape)
-        return share[:, self._at[0][:, None], self._at[1][None, :]] * self.known
+        counts = np.bincount(index, minlength=slices * size)
+        set_counts = np.bincount(index[flags], minlength=slices * size)
+        share = (set_counts / np.maximum(counts, 1)).reshape(slices, *self._shape)
+        rows, columns = self._air_indices
+        return share[:, rows[:, None], columns[None, :]] * self.has_air
 
 
-def _summed(index: np.ndarray, channels: int, weights: np.ndarray | None = None) -> np.ndarray:
-    """Sum weights of points, or count points, in each cell: (channels, 64, 64); skip index -1."""
+def _cell_sums(index: np.ndarray, channels: int, weights: np.ndarray | None = None) -> np.ndarray:
+    """
+    Return the sum of the points' weights in each cell, or their number: (channels, 64, 64).
+
+    :param index: (N,) channel * 64 * 64 + cell of each point; -1 to skip a point.
+    :param channels: number of channels.
+    :param weights: (N,) of the points; None to count points.
+    """
     inside = index >= 0
     return np.bincount(index[inside], None if weights is None else weights[inside],
                        channels * CELLS * CELLS).reshape(channels, CELLS, CELLS)
 
 
-def _density(counts: np.ndarray) -> np.ndarray:
-    """Convert counts of points into uint8 on a logarithmic scale."""
-    return _bytes(np.log1p(counts) / np.log1p(MANY_POINTS))
+def _encode_counts(counts: np.ndarray) -> np.ndarray:
+    """Return counts of points as uint8 on a logarithmic scale; 32 points become 255."""
+    return _to_uint8(np.log1p(counts) / np.log1p(32.0))
 
 
-def _share(shares: np.ndarray) -> np.ndarray:
-    """Convert shares of an error into uint8 on a logarithmic scale."""
-    return _bytes(np.log1p(FINE_SHARES * shares) / np.log1p(FINE_SHARES * MUCH_ERROR))
+def _encode_error_shares(shares: np.ndarray) -> np.ndarray:
+    """Return shares of an error as uint8 on a logarithmic scale; a share of 0.03 becomes 255."""
+    resolution = 500.0  # A larger factor resolves smaller shares.
+    return _to_uint8(np.log1p(resolution * shares) / np.log1p(resolution * 0.03))
 
 
-def _bytes(values: np.ndarray) -> np.ndarray:
-    """Convert numbers from 0 to 1 into uint8; larger ones become 255."""
+def _to_uint8(values: np.ndarray) -> np.ndarray:
+    """Return numbers from 0 to 1 as uint8 from 0 to 255; larger numbers become 255."""
     return (255.0 * np.minimum(values, 1.0) + 0.5).astype(np.uint8)
 
 
-def _spots(window: Window, places: np.ndarray) -> np.ndarray:
-    """Mark places (J, >= 2) by Gaussian spots: (1, 64, 64) uint8."""
-    rows, columns = window.axes
+def _draw_spots(window: Window, places: np.ndarray) -> np.ndarray:
+    """Return a channel (1, 64, 64) uint8 with a Gaussian spot at each place (J, 2 or more)."""
+    deviation_m = 0.4
+    rows, columns = window.centres_by_axis
     marks = np.zeros((CELLS, CELLS))
     for place in places:
         marks = np.maximum(marks, np.multiply.outer(
-            np.exp(-0.5 * ((rows - place[0]) / SPOT_M) ** 2),
-            np.exp(-0.5 * ((columns - place[1]) / SPOT_M) ** 2)))
-    return _bytes(marks)[None]
+            np.exp(-0.5 * ((rows - place[0]) / deviation_m) ** 2),
+            np.exp(-0.5 * ((columns - place[1]) / deviation_m) ** 2)))
+    return _to_uint8(marks)[None]

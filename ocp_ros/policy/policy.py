@@ -28,8 +28,8 @@ class Policy:
     """
     Run a checkpoint that reads the observed cloud; stable-baselines3 is not needed.
 
-    :param checkpoint: weights and sizes.
-    :param encoder: with the properties of the rig; None for an encoder with its default values.
+    :param checkpoint: weights, and sizes of the network.
+    :param encoder: makes the network's inputs; None for an encoder of a rig with default values.
     """
 
     def __init__(self, checkpoint: Checkpoint, encoder: Encoder | None = None) -> None:
@@ -52,11 +52,11 @@ class Policy:
         """
         Choose the next move of each camera.
 
-        :param cloud: (N, 3) float32, metres, map frame: the observed cloud.
-        :param camera_positions: (K, 3), metres, map frame.
+        :param cloud: (N, 3) float32, metres, map frame: N observed points.
+        :param camera_positions: (K, 3), metres, map frame, of the K cameras.
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
-        :param rng: to draw the moves from the policy's distribution; None for its best moves.
+        :param rng: generator to draw the moves at random; None for the most probable moves.
         :returns: (K, 2) float32, in units of the longest step.
         :raises ConfigurationError: if the weights are for another number of cameras.
         """
@@ -66,13 +66,19 @@ class Policy:
         moves = np.empty((len(camera_positions), 2), dtype=np.float32)
         encoded = self.encoder.turn(cloud, camera_positions, turn, turns)
         for camera in order_of(turn, len(moves)):
-            (chosen,) = self.choose(encoded.inputs(camera), rng)
-            moves[camera] = encoded.move(camera, chosen)
+            (move,) = self.choose(encoded.inputs(camera), rng)
+            moves[camera] = encoded.move(camera, move)
         return moves
 
     def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
                ) -> np.ndarray:
-        """Choose the next moves of C cameras, (C, 2), from an encoded observation."""
+        """
+        Choose the next moves of the cameras of an encoded observation.
+
+        :param encoded: one observation; see :mod:`ocp_ros.policy.observation_cloud`.
+        :param rng: generator to draw the moves at random; None for the most probable moves.
+        :returns: (K, 2) float32, in units of the longest step.
+        """
         batch = {name: torch.from_numpy(value)[None] for name, value in encoded.items()}
         with torch.inference_mode():
             mean, log_std = self.actor(batch)
@@ -105,35 +111,38 @@ class ValuePolicy:
         """
         Return the values of all cells for one camera, given the other cameras.
 
-        :param room: of :class:`~ocp_ros.policy.observation_map.ObservationMap`.
-        :param others: of its :meth:`~ocp_ros.policy.observation_map.ObservationMap.others`.
-        :param numbers: of the same method.
+        :param room: channels of :class:`~ocp_ros.policy.observation_map.ObservationMap`.
+        :param others: channels of
+            :meth:`~ocp_ros.policy.observation_map.ObservationMap.others`.
+        :param numbers: scalars of the same method.
         :param lens: of the camera; see :func:`~ocp_ros.policy.observation_map.lens_features`.
-        :returns: (D, 64, 64) float32: ln((E with the camera + e) / (E of the others + e)) of the
-            depth error E, for each heading of
+        :returns: (D, 64, 64) float32: ln((E1 + e) / (E0 + e)) of the depth error E0 of the other
+            cameras, E1 with this camera too, and a small e; for each of the D headings of
             :func:`~ocp_ros.policy.observation_map.yaws_of`; inf outside the observed part.
         """
         aimed = self._network.aimed
+        # The values of ``lens`` are 1 for an omnidirectional camera.
         network = self._network if aimed is None or lens.min() >= 1.0 else aimed
-        return _valued(network, {'room': room, 'others': others, 'numbers': numbers,
-                                 'lens': lens})[0].numpy()
+        inputs = {'room': room, 'others': others, 'numbers': numbers, 'lens': lens}
+        return _cell_values(network, inputs)[0].numpy()
 
     def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
         """
         Draw the target of a camera from the distribution that soft actor-critic trains.
 
-        :param inputs: of :meth:`values`, and ``choices`` (64, 64), not 0 for feasible cells.
+        :param inputs: ``room``, ``others`` and ``numbers`` of :meth:`values`, and ``choices``
+            (64, 64), not 0 for feasible cells.
         :param rng: the only source of random numbers.
-        :returns: (2,) float32, from the centre of the map, in units of half its side.
+        :returns: (2,) float32, x and y from the centre of the map, in units of half its side.
         """
-        free = torch.from_numpy(inputs['choices'])[None]
+        feasible = torch.from_numpy(inputs['choices'])[None]
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(rng.integers(1 << 62)))
-            return CellChoices(_valued(self._network, inputs), free).sample()[0].numpy()
+            return CellChoices(_cell_values(self._network, inputs), feasible).sample()[0].numpy()
 
 
-def _valued(network: ValueMap, inputs: dict[str, np.ndarray]) -> torch.Tensor:
-    """Return the values of all cells: (1, D, 64, 64)."""
+def _cell_values(network: ValueMap, inputs: dict[str, np.ndarray]) -> torch.Tensor:
+    """Return the values of all cells for one observation: (1, D, 64, 64)."""
     with torch.inference_mode():
         return valued(network, {name: torch.from_numpy(value)[None]
                                 for name, value in inputs.items()})

@@ -19,87 +19,90 @@ from ocp_ros.util.kernels import njit
 
 
 @njit(cache=True, nogil=True)
-def _squared(one, other):
+def _squared_distance(first, second):
     """Return the squared distance of two points (3,)."""
-    dx, dy, dz = one[0] - other[0], one[1] - other[1], one[2] - other[2]
+    dx, dy, dz = first[0] - second[0], first[1] - second[1], first[2] - second[2]
     return dx * dx + dy * dy + dz * dz
 
 
 @njit(cache=True, nogil=True)
 def farthest_points(points, count):
     """
-    Choose points one by one, each the farthest from the chosen points; the first is point 0.
+    Choose point 0, then one by one the point that is farthest from all chosen points.
 
     :param points: (N, 3) float32.
-    :param count: number of points to choose; if it exceeds the distinct points, points repeat.
-    :returns: (count,) int32 indices.
+    :param count: number of points to choose; with fewer distinct points, points repeat.
+    :returns: (count,) int32 indices of the chosen points.
     """
     chosen = np.zeros(count, dtype=np.int32)
-    nearest = np.full(points.shape[0], np.inf, dtype=np.float32)
+    # Squared distance of each point to the nearest chosen point.
+    distances = np.full(points.shape[0], np.inf, dtype=np.float32)
     last = 0
     for k in range(1, count):
-        farthest, best = 0, np.float32(-1.0)
+        farthest, largest = 0, np.float32(-1.0)
         for i in range(points.shape[0]):
-            nearest[i] = min(nearest[i], _squared(points[i], points[last]))
-            if nearest[i] > best:
-                farthest, best = i, nearest[i]
+            distances[i] = min(distances[i], _squared_distance(points[i], points[last]))
+            if distances[i] > largest:
+                farthest, largest = i, distances[i]
         chosen[k] = last = farthest
     return chosen
 
 
 @njit(cache=True, nogil=True)
-def ball_query(points, keys, radius, size):
+def ball_query(points, key_indices, radius, group_size):
     """
-    Group the first points, in their order, within a radius of each key point.
+    Return for each key point the first points of the array within a radius.
 
     :param points: (N, 3) float32.
-    :param keys: (K,) indices of the key points.
+    :param key_indices: (K,) indices of the key points.
     :param radius: in the points' unit.
-    :param size: points per group; a smaller group repeats its first point.
-    :returns: (K, size) int32 indices.
+    :param group_size: points per group; a smaller group repeats its first point.
+    :returns: (K, group_size) int32 indices.
     """
-    groups = np.empty((keys.shape[0], size), dtype=np.int32)
-    for k in range(keys.shape[0]):
-        centre, found = points[keys[k]], 0
+    groups = np.empty((key_indices.shape[0], group_size), dtype=np.int32)
+    for k in range(key_indices.shape[0]):
+        centre, count = points[key_indices[k]], 0
         for i in range(points.shape[0]):
-            if _squared(points[i], centre) <= radius * radius:
-                groups[k, found] = i
-                found += 1
-                if found == size:
+            if _squared_distance(points[i], centre) <= radius * radius:
+                groups[k, count] = i
+                count += 1
+                if count == group_size:
                     break
-        for i in range(found, size):
+        for i in range(count, group_size):
             groups[k, i] = groups[k, 0]
     return groups
 
 
 @njit(cache=True, nogil=True)
-def nearest_in_ball(points, keys, radius, size):
+def nearest_in_ball(points, key_indices, radius, group_size):
     """
-    Group the nearest points within a radius of each key point, the key point first.
+    Return for each key point the nearest points within a radius, the key point first.
 
-    With evenly spread key points, nearly every point is in a group, also in a dense cloud; a ball
-    query would take the same first points for many groups.
+    With evenly spread key points, nearly every point is in a group, also in a dense cloud;
+    :func:`ball_query` would take the same first points for many groups.
 
     :param points: (N, 3) float32.
-    :param keys: (K,) indices of the key points.
+    :param key_indices: (K,) indices of the key points.
     :param radius: in the points' unit.
-    :param size: points per group; a smaller group repeats its first point.
-    :returns: (K, size) int32 indices.
+    :param group_size: points per group; a smaller group repeats its first point.
+    :returns: (K, group_size) int32 indices.
     """
-    groups = np.empty((keys.shape[0], size), dtype=np.int32)
-    away = np.empty(size, dtype=np.float32)
-    for k in range(keys.shape[0]):
-        centre, found = points[keys[k]], 0
+    groups = np.empty((key_indices.shape[0], group_size), dtype=np.int32)
+    distances = np.empty(group_size, dtype=np.float32)
+    for k in range(key_indices.shape[0]):
+        centre, count = points[key_indices[k]], 0
         for i in range(points.shape[0]):
-            distance = _squared(points[i], centre)
-            if distance > radius * radius or (found == size and distance >= away[size - 1]):
+            distance = _squared_distance(points[i], centre)
+            is_full = count == group_size
+            if distance > radius * radius or (is_full and distance >= distances[group_size - 1]):
                 continue
-            at = min(found, size - 1)
-            while at > 0 and away[at - 1] > distance:
-                away[at], groups[k, at] = away[at - 1], groups[k, at - 1]
-                at -= 1
-            away[at], groups[k, at] = distance, i
-            found = min(found + 1, size)
-        for i in range(found, size):
+            # Insert the point into the group, which is sorted by squared distance.
+            rank = min(count, group_size - 1)
+            while rank > 0 and distances[rank - 1] > distance:
+                distances[rank], groups[k, rank] = distances[rank - 1], groups[k, rank - 1]
+                rank -= 1
+            distances[rank], groups[k, rank] = distance, i
+            count = min(count + 1, group_size)
+        for i in range(count, group_size):
             groups[k, i] = groups[k, 0]
     return groups

@@ -18,22 +18,22 @@ from pathlib import Path
 
 from ocp_ros.util.resources import share_folder
 
-#: The default weights.
+#: Name of the default model.
 DEFAULT_MODEL = 'map'
 
 
 def find_model(name: str) -> Path:
     """
-    Find weights by path or by the name of a model that comes with the package.
+    Return the path of a weights file, given its path or the name of a shipped model.
 
     :param name: a path, or a name such as ``map``.
-    :raises FileNotFoundError: if there is none; the message lists the available names.
+    :raises FileNotFoundError: if there is no such file; the message lists the shipped models.
     """
-    known = {path.stem: path for path in (share_folder() / 'models').glob('*.safetensors')}
+    shipped = {path.stem: path for path in (share_folder() / 'models').glob('*.safetensors')}
     # A file in the current folder must not hide a model of the package.
-    if name in known:
-        return known[name]
+    if name in shipped:
+        return shipped[name]
     if Path(name).is_file():
         return Path(name)
     raise FileNotFoundError(f'model: found no file {name!r} and no model of that name; expected a '
-                            f'path to .safetensors or one of {sorted(known)}')
+                            f'path to .safetensors or one of {sorted(shipped)}')

@@ -22,7 +22,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import MESH
-from ocp_ros.report.camera_words import aim_of, named, Words, words_for
+from ocp_ros.report.camera_words import aim_text, camera_label, Instructions, instructions_for
 from ocp_ros.report.findings import evaluate_placement, scores_of
 from ocp_ros.report.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
 from ocp_ros.rig.placement_file import created_by, data_of, Placement
@@ -33,9 +33,6 @@ from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 
-#: Largest difference between equal objective values.
-LOSS_TOLERANCE = 1e-6
-
 
 @dataclass(frozen=True, eq=False)
 class Assessment:
@@ -43,16 +40,16 @@ class Assessment:
     A placement in a room, with its scores and findings.
 
     :ivar objective: the engine in the room, and the rig.
-    :ivar placement: poses of the cameras.
+    :ivar placement: poses of the K cameras.
     :ivar found: what ``ocp score --json`` prints: scores, broken, missed, one_more, notes.
-    :ivar frame_asked: frame of files and pages, ``'map'`` or ``'source'``; None for data in the
-        map frame and pages for people in the frame of the scan.
+    :ivar requested_frame: frame of files and pages, ``'map'`` or ``'source'``; None for data in
+        the map frame and pages for people in the frame of the scan.
     """
 
     objective: Objective
     placement: Placement
     found: dict[str, Any]
-    frame_asked: str | None = None
+    requested_frame: str | None = None
 
     @classmethod
     def of(cls, problem: Problem, placement: Placement, frame: str | None = None,
@@ -61,8 +58,8 @@ class Assessment:
         Evaluate a placement that has its rig and the record of its room.
 
         :param problem: the rig in the room.
-        :param frame: requested frame of files, ``'map'`` or ``'source'``.
-        :param more: other data to report.
+        :param frame: requested frame of files, ``'map'`` or ``'source'``; None for the default.
+        :param more: other data to add to ``found``.
         """
         found = {'room': placement.room, 'cameras': data_of(placement)['cameras'],
                  **evaluate_placement(problem, placement.poses), **more}
@@ -71,12 +68,12 @@ class Assessment:
     @property
     def frame(self) -> SourceFrame:
         """Return the frame of coordinates on pages for people."""
-        return SourceFrame() if self.frame_asked == 'map' else self.scene.source
+        return SourceFrame() if self.requested_frame == 'map' else self.scene.source
 
     @property
     def data_frame(self) -> SourceFrame:
         """Return the frame of tables and files for programs."""
-        return self.scene.source if self.frame_asked == 'source' else SourceFrame()
+        return self.scene.source if self.requested_frame == 'source' else SourceFrame()
 
     @property
     def scene(self) -> Scene:
@@ -85,37 +82,37 @@ class Assessment:
 
     @property
     def positions(self) -> np.ndarray:
-        """Return the positions of all cameras: (K, 3) metres, map frame."""
+        """Return the positions of the K cameras: (K, 3) metres, map frame."""
         return np.array([placed.position for placed in self.placement.cameras])
 
     @property
     def plan_positions(self) -> np.ndarray:
-        """Return the positions in a plan with wall A at the top: (K, 2) metres."""
-        return self.positions @ self.upright[:2].T
+        """Return the camera positions in a plan with wall A at the top: (K, 2) metres."""
+        return self.positions @ self.plan_rotation[:2].T
 
     @cached_property
     def counts(self) -> np.ndarray:
-        """Return the number of cameras that see each point: (N,) int."""
-        objective, order = self.objective, self.objective.simulator.visibility.order
-        views = [*objective.look(self.placement.poses), *objective.fixed]
+        """Return the number of cameras that see each of the N scene points: (N,) int."""
+        views = [*self.objective.look(self.placement.poses), *self.objective.fixed]
+        order = self.objective.simulator.visibility.order
         return np.sum([Subset(view.seen, order).mask for view in views], axis=0)
 
     @property
-    def missed(self) -> np.ndarray:
-        """Return the points that fewer cameras see than the rig asks for: (N,) bool."""
+    def missed_points(self) -> np.ndarray:
+        """Return whether each point is seen by fewer cameras than the rig asks for: (N,) bool."""
         return self.counts < self.objective.rig.seen_by
 
     @cached_property
     def error_by_point(self) -> np.ndarray:
-        """Return the part of the depth error at each point: (N,) metres; the sum is the error."""
+        """Return the depth error at each point: (N,) metres; the sum is the depth error."""
         errors = np.empty(len(self.scene))
-        seen = self.objective.evaluate(self.placement.poses).seen
-        errors[seen.order] = self.objective.simulator.depth_error.error_by_point(seen.bits)
+        visible = self.objective.evaluate(self.placement.poses).seen
+        errors[visible.order] = self.objective.simulator.depth_error.error_by_point(visible.bits)
         return errors
 
     @cached_property
     def references(self) -> WallReferences:
-        """Return the walls from which camera positions are measured."""
+        """Return the reference walls, from which camera positions are measured."""
         return WallReferences(self.scene, self.positions)
 
     @property
@@ -134,15 +131,15 @@ class Assessment:
         return floor_height(self.scene)
 
     @cached_property
-    def words(self) -> list[Words]:
+    def instructions(self) -> list[Instructions]:
         """Return the mounting instructions of each camera."""
-        return [words_for(placed, distances, self.walls, self.floor, self.frame)
+        return [instructions_for(placed, distances, self.walls, self.floor, self.frame)
                 for placed, distances in zip(self.placement.cameras, self.references.distances)]
 
     @cached_property
     def aims(self) -> list[str]:
-        """Return the place at the centre of each camera's picture; '' if there is none."""
-        return [aim_of(placed, self.scene, self.walls, self.floor)
+        """Return in words, for each camera, the place at the centre of its picture, or ''."""
+        return [aim_text(placed, self.scene, self.walls, self.floor)
                 for placed in self.placement.cameras]
 
     @property
@@ -152,17 +149,18 @@ class Assessment:
 
     @property
     def rows(self) -> list[list[str]]:
-        """Return the rows of the installer's table: number of a camera, then :data:`COLUMNS`."""
-        return [[str(number), named(words.name, placed.mount), *words[1:]]
-                for number, (placed, words) in enumerate(
-                    zip(self.placement.cameras, self.words), start=1)]
+        """Return the installer's table: camera number, then ``INSTRUCTION_COLUMNS``, in rows."""
+        return [[str(number), camera_label(name, placed.mount), *texts]
+                for number, (placed, (name, *texts)) in enumerate(
+                    zip(self.placement.cameras, self.instructions), start=1)]
 
     @property
-    def upright(self) -> np.ndarray:
-        """Return the rotation (3, 3) from the map frame to a frame with wall A at the top."""
-        view = np.eye(3)
-        view[0, :2], view[1, :2] = self.walls[1].outward, self.walls[0].outward
-        return view
+    def plan_rotation(self) -> np.ndarray:
+        """Return the rotation (3, 3) from the map frame to the plan's, with wall A at the top."""
+        rotation = np.eye(3)
+        rotation[0, :2] = self.walls[1].outward
+        rotation[1, :2] = self.walls[0].outward
+        return rotation
 
 
 def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str,
@@ -171,10 +169,9 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     Evaluate a placement in a room.
 
     :param placement: a placement, with or without its rig's requirements.
-    :param room: description of the room, from
-        :func:`~ocp_ros.rooms.scene_source.room_named`.
-    :param command: the command line, for the record.
-    :param frame: requested frame of files, ``'map'`` or ``'source'``.
+    :param room: record of the room, from :func:`~ocp_ros.rooms.scene_source.room_named`.
+    :param command: the command line, for the record of the placement.
+    :param frame: requested frame of files, ``'map'`` or ``'source'``; None for the default.
     :raises ConfigurationError: if the placement's rig cannot be used in this room.
     """
     rig = placement.rig_in(scene)
@@ -190,17 +187,18 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
                              frame)
     if (planned := placement.planned_poses) is not None:
         assessed.found['planned'] = scores_of(problem.objective, problem.look(planned))
-    assessed.found['notes'] += [*notes, *_notes(placement, room, assessed.found['scores'])]
+    loss = assessed.found['scores']['loss']
+    assessed.found['notes'] += [*notes, *_mismatch_notes(placement, room, loss)]
     return assessed
 
 
-def _notes(placement: Placement, room: dict[str, Any], scores: dict[str, Any]) -> list[str]:
-    """Return notes on differences between the file and the evaluated room, rig and engine."""
-    before = placement.scores.get('loss')
+def _mismatch_notes(placement: Placement, room: dict[str, Any], loss: float) -> list[str]:
+    """Return a note if the scan or the objective value is not as in the placement file."""
+    recorded = placement.scores.get('loss')
     if placement.room.get('sha256') not in (None, room['sha256']):
         return ['the file was made for another scan; the scores in the file are not those of '
                 'this scan']
-    if isinstance(before, float) and abs(before - scores['loss']) > LOSS_TOLERANCE:
-        return [f'the file has the objective value {before:.6f}; found {scores["loss"]:.6f}: '
+    if isinstance(recorded, float) and abs(recorded - loss) > 1e-6:
+        return [f'the file has the objective value {recorded:.6f}; found {loss:.6f}: '
                 'rig, points or engine are not those that it was scored with']
     return []

@@ -27,28 +27,29 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, rotation_matrix
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.installer import instructions
+from ocp_ros.report.installer import installer_page
 from ocp_ros.report.templates import fill_template
 from ocp_ros.rig.placement_file import FRAME, numbers_of, Placement, save_placement
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import FileSet, write_atomically
 
 #: Placement files, which can be read again.
-PLACEMENTS = ('placement.yaml', 'placement.json')
-#: The file that is always written.
+PLACEMENT_FILES = ('placement.yaml', 'placement.json')
+#: Name of the file that is always written.
 MARK = 'placement.json'
-#: All files of a placement; ``curve.png`` is the one that counting cameras adds.
-WRITTEN = (*PLACEMENTS, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro', 'cameras.rviz',
-           'installer.md', 'plan.png', 'report.png', 'report_2.png', 'report.html', 'curve.png')
+#: All files of a placement; ``curve.png`` is written only if cameras were counted.
+WRITTEN = (*PLACEMENT_FILES, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro',
+           'cameras.rviz', 'installer.md', 'plan.png', 'report.png', 'report_2.png', 'report.html',
+           'curve.png')
 #: Rotation from a camera's body frame (x forward, y left, z up) to its optical frame (z forward,
 #: x right, y down): roll, pitch, yaw in radians, REP-103.
-OPTICAL = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
-#: Name of the frame of the room's scan, in metres.
-SCAN = 'scan'
+OPTICAL_RPY = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
+#: Name of the frame with the axes of the room's scan, in metres.
+SCAN_FRAME = 'scan'
 #: Columns of ``cameras.csv``: metres and degrees.
 CSV_COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
                'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
-JOINT = """    <link name="%s"/>
+JOINT_TEMPLATE = """    <link name="%s"/>
     <joint name="%s_joint" type="fixed">
       <parent link=%s/>
       <child link="%s"/>
@@ -57,15 +58,16 @@ JOINT = """    <link name="%s"/>
 """
 
 
-def written_to(files: FileSet, assessed: Assessment, prefix: str = '', brief: bool = False
-               ) -> dict[str, Any]:
+def write_files(files: FileSet, assessed: Assessment, prefix: str = '', brief: bool = False
+                ) -> dict[str, Any]:
     """
     Write a placement in all file formats, and its reports.
 
-    :param files: the files to write.
-    :param prefix: of the names of frames, so that the frames of two rigs have different names.
+    :param files: the folder, whose files are replaced together.
+    :param assessed: the placement in its room.
+    :param prefix: prefix of frame names, so that the frames of two rigs have different names.
     :param brief: whether to leave out the reports, which take seconds to draw.
-    :returns: ``written``; also ``error`` if some files could not be written.
+    :returns: ``written``: paths; also ``error`` if some files could not be written.
     """
     paths: list[str] = []
     try:
@@ -88,26 +90,26 @@ def export(folder: Path, assessed: Assessment, prefix: str = '') -> Iterator[Pat
     to the frame of the scan. The frame of the other files is
     :attr:`~ocp_ros.report.assessment.Assessment.data_frame`.
 
-    :param folder: it is created if it does not exist.
-    :param prefix: of the names of frames.
+    :param folder: folder to write to, which is created if it does not exist.
+    :param assessed: the placement in its room.
+    :param prefix: prefix of frame names.
     :raises OSError: if a file cannot be written.
     """
     placement = assessed.placement
     source = assessed.scene.source
-    for name in PLACEMENTS:
+    for name in PLACEMENT_FILES:
         save_placement(folder / name, placement)
         yield folder / name
-    shown = placement
-    link = link_between(FRAME, SCAN, source.rotation, -source.shift)
+    link = link_between(FRAME, SCAN_FRAME, source.rotation, -source.shift)
     if not assessed.data_frame.is_map:
-        shown = placement_in(placement, source)
-        link = link_between(SCAN, FRAME, source.rotation.T, source.rotation.T @ source.shift)
+        placement = placement_in_scan_axes(placement, source)
+        link = link_between(SCAN_FRAME, FRAME, source.rotation.T, source.rotation.T @ source.shift)
     links = [] if source.is_map else [link]
-    texts = {'cameras.csv': table_of(shown, assessed.data_frame.scale, prefix),
-             'cameras.launch.py': launch_of(shown, links, prefix),
-             'cameras.urdf.xacro': xacro_of(shown, links, prefix),
-             'cameras.rviz': rviz_of(shown),
-             'installer.md': instructions(assessed, 'plan.png')}
+    texts = {'cameras.csv': csv_of(placement, assessed.data_frame.scale, prefix),
+             'cameras.launch.py': launch_of(placement, links, prefix),
+             'cameras.urdf.xacro': xacro_of(placement, links, prefix),
+             'cameras.rviz': rviz_of(placement),
+             'installer.md': installer_page(assessed, 'plan.png')}
     for name, text in texts.items():
         write_atomically(folder / name, text)
         yield folder / name
@@ -118,10 +120,10 @@ def export(folder: Path, assessed: Assessment, prefix: str = '') -> Iterator[Pat
 
 
 def reports(folder: Path, assessed: Assessment) -> Iterator[Path]:
-    """Write the PNG sheet, the HTML page and the curve of counted cameras; yield their paths."""
+    """Write the PNG pages, the HTML page and the curve of counted cameras; yield their paths."""
     from ocp_ros.report.drawing import assessment_pictures, report_page
     from ocp_ros.report.viewer import write_view
-    yield from report_page.draw(folder, assessed)
+    yield from report_page.draw_pages(folder, assessed)
     write_view(folder / 'report.html', assessed.scene, assessed)
     yield folder / 'report.html'
     if 'curve' in assessed.found:
@@ -133,10 +135,10 @@ class Link(NamedTuple):
     """
     A transform between frames of a placement.
 
-    :ivar parent: parent frame.
-    :ivar child: child frame.
-    :ivar position: of the child in the parent, metres.
-    :ivar angles: of the child in the parent: roll, pitch, yaw in radians.
+    :ivar parent: name of the parent frame.
+    :ivar child: name of the child frame.
+    :ivar position: origin of the child frame in the parent frame, metres.
+    :ivar angles: rotation of the child frame in the parent frame: roll, pitch, yaw in radians.
     """
 
     parent: str
@@ -146,88 +148,98 @@ class Link(NamedTuple):
 
 
 def link_between(parent: str, child: str, rotation: np.ndarray, position: np.ndarray) -> Link:
-    """Return the transform of a frame from its rotation (3, 3) and its position in metres."""
+    """
+    Return the transform between two frames.
+
+    :param rotation: (3, 3) from child to parent.
+    :param position: (3,) metres, origin of the child frame in the parent frame.
+    """
     yaw, pitch, roll = heading_of(rotation).tolist()
     return Link(parent, child, tuple(position.tolist()), (roll, pitch, yaw))
 
 
-def placement_in(placement: Placement, source: SourceFrame) -> Placement:
-    """Return a placement in the axes of a scan, in metres."""
+def placement_in_scan_axes(placement: Placement, source: SourceFrame) -> Placement:
+    """Return a placement with positions in metres and angles in the axes of the scan file."""
     cameras = []
     for placed in placement.cameras:
         angles = heading_of(source.rotation.T @ rotation_matrix(*np.deg2rad(placed.angles)))
         cameras.append(placed._replace(
             position=tuple((source.scale * source.to_source(placed.position)).tolist()),
             angles=tuple(np.round(np.rad2deg(angles), 6).tolist())))
-    return replace(placement, cameras=tuple(cameras), frame=SCAN)
+    return replace(placement, cameras=tuple(cameras), frame=SCAN_FRAME)
 
 
-def link_of(number: int) -> str:
-    """Return the name of a camera's body frame, as in the nodes: the first camera is number 0."""
+def body_frame(number: int) -> str:
+    """Return the name of the body frame of camera ``number``, from 0, as in the nodes."""
     return f'camera_{number}'
 
 
-def table_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
+def csv_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
     """
-    Return the cameras as CSV: degrees, one row each.
+    Return the cameras as CSV, one row for each camera; angles are in degrees.
 
-    :param scale: metres per unit of the positions.
-    :param prefix: of the names of frames.
+    :param placement: poses of the cameras.
+    :param scale: metres per unit of the written positions.
+    :param prefix: prefix of frame names.
     """
     file = io.StringIO()
-    rows = csv.DictWriter(file, CSV_COLUMNS, extrasaction='ignore', lineterminator='\n')
-    rows.writeheader()
+    writer = csv.DictWriter(file, CSV_COLUMNS, extrasaction='ignore', lineterminator='\n')
+    writer.writeheader()
     for number, placed in enumerate(placement.cameras, start=1):
-        rows.writerow({
+        writer.writerow({
             'number': number, 'name': placed.camera.name, 'frame': placement.frame,
-            'link': prefix + link_of(number - 1), 'mount': placed.mount,
+            'link': prefix + body_frame(number - 1), 'mount': placed.mount,
             **numbers_of(placed.camera),
             **dict(zip('xyz', (value / scale for value in placed.position))),
             **dict(zip(('yaw', 'pitch', 'roll'), placed.angles))})
     return file.getvalue()
 
 
-def links_of(placement: Placement, prefix: str = '', without: Collection[str] = ()
-             ) -> Iterator[Link]:
+def camera_links(placement: Placement, prefix: str = '', omitted: Collection[str] = ()
+                 ) -> Iterator[Link]:
     """
-    Yield the transforms of camera_<i> and camera_<i>_optical, i from 0.
+    Yield the transforms of the frames camera_<i> and camera_<i>_optical of camera i, from 0.
 
-    :param prefix: of the names of frames.
-    :param without: names of cameras to leave out.
+    :param placement: poses of the cameras.
+    :param prefix: prefix of frame names.
+    :param omitted: names of cameras to leave out.
     """
     for number, placed in enumerate(placement.cameras):
-        if placed.camera.name not in without:
-            body = prefix + link_of(number)
+        if placed.camera.name not in omitted:
+            body = prefix + body_frame(number)
             # Rotations about the fixed axes x, y, z, as in ROS.
             yaw, pitch, roll = np.deg2rad(placed.angles).tolist()
             yield Link(placement.frame, body, placed.position, (roll, pitch, yaw))
-            yield Link(body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL)
+            yield Link(body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL_RPY)
 
 
 def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '',
-              without: Collection[str] = ()) -> str:
+              omitted: Collection[str] = ()) -> str:
     """
-    Return a ROS 2 launch file that publishes the frames of :func:`links_of`.
+    Return a ROS 2 launch file that publishes the frames of :func:`camera_links`.
 
+    :param placement: poses of the cameras.
     :param links: other transforms to publish.
-    :param prefix: of the names of frames.
-    :param without: names of cameras to leave out.
+    :param prefix: prefix of frame names.
+    :param omitted: names of cameras to leave out.
     """
     lines = [(link.parent, link.child, *map(float, link.position),
               *(round(angle, 9) for angle in link.angles))
-             for link in (*links, *links_of(placement, prefix, without))]
+             for link in (*links, *camera_links(placement, prefix, omitted))]
     return fill_template('cameras.launch.py.in',
                          frames=''.join(f'    {line!r},\n' for line in lines))
 
 
 def xacro_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '') -> str:
     """Return a xacro macro with links and joints for the same frames as :func:`launch_of`."""
-    root, joints = '${parent}', ''
+    root = '${parent}'
+    joints = ''
     for link in (*(link._replace(parent=root) for link in links),
-                 *links_of(replace(placement, frame=root), prefix)):
+                 *camera_links(replace(placement, frame=root), prefix)):
         xyz, rpy = (' '.join(f'{value:.12g}' for value in values)
                     for values in (link.position, link.angles))
-        joints += JOINT % (link.child, link.child, quoteattr(link.parent), link.child, xyz, rpy)
+        child, parent = link.child, quoteattr(link.parent)
+        joints += JOINT_TEMPLATE % (child, child, parent, child, xyz, rpy)
     return fill_template('cameras.urdf.xacro', parent=quoteattr(placement.frame), joints=joints)
 
 

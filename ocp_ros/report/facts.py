@@ -15,7 +15,7 @@
 """
 The facts of a placement in words: every number with its unit and rounding, and every sentence.
 
-The terminal, the HTML page, the PNG sheet and the installer's page arrange these texts.
+The terminal, the HTML page, the PNG pages and the installer's page arrange these texts.
 """
 
 from collections import Counter
@@ -26,19 +26,20 @@ import shlex
 from typing import Any, NamedTuple
 
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.camera_words import named
+from ocp_ros.report.camera_words import camera_label
 from ocp_ros.report.rig_planning import gap_percent
 from ocp_ros.rig.placement_file import ANGLES
 from ocp_ros.search.registry import OBSERVED, planner_names
 from ocp_ros.util.terminal_text import printable
 
-#: Folders before a file name, in a word of a command line.
-FOLDERS = re.compile(r'(?<![^=])[^=]*/(?=[^/])')
+#: Matches the folders before a file name, in a word of a command line.
+FOLDER_PATTERN = re.compile(r'(?<![^=])[^=]*/(?=[^/])')
+#: Column heads of the table of regions.
 REGION_COLUMNS = ('region', 'seen', 'required', 'satisfied')
-#: Denominator of each share of a number of cameras: as a column head, and in a sentence.
-SHARES = {'seen': ('of visible points', 'points that can be seen'),
-          'coverage': ('of reachable space', 'space that can be covered'),
-          'error': ('of error reduction', 'possible error reduction')}
+#: By the key of a share that cameras reach: its column head, and its denominator in a sentence.
+SHARE_LABELS = {'seen': ('of visible points', 'points that can be seen'),
+                'coverage': ('of reachable space', 'space that can be covered'),
+                'error': ('of error reduction', 'possible error reduction')}
 
 
 class Figure(NamedTuple):
@@ -50,7 +51,15 @@ class Figure(NamedTuple):
 
 
 class CameraFacts(NamedTuple):
-    """A camera: name, position, angles in degrees, and what the rig loses without this camera."""
+    """
+    Facts of a camera.
+
+    :ivar name: name of the camera.
+    :ivar position: x, y, z in metres, map frame.
+    :ivar angles: yaw, pitch, roll in degrees.
+    :ivar reduction: depth error that the rig has more without this camera.
+    :ivar only: share of the points that only this camera sees.
+    """
 
     name: str
     position: str
@@ -68,8 +77,8 @@ class Facts:
     :ivar satisfied: whether all constraints are satisfied and there are no doubts.
     :ivar doubts: possible errors of the room or the file, a sentence each.
     :ivar figures: the key figures.
-    :ivar cameras: one for each camera.
-    :ivar regions: the cells of :data:`REGION_COLUMNS` for each region.
+    :ivar cameras: the facts of each camera.
+    :ivar regions: for each region its row of the table with :data:`REGION_COLUMNS`.
     :ivar links: pairs of cameras that can be calibrated to each other; '' if not required.
     :ivar certificate: a sentence on the optimality gap; '' if the placement was not planned.
     """
@@ -105,31 +114,31 @@ class PageFacts(Facts):
     walls: str
 
 
-def facts_of(found: Mapping[str, Any]) -> Facts:
+def facts_of(findings: Mapping[str, Any]) -> Facts:
     """
     Return the facts of a placement.
 
-    :param found: plain data of ``ocp score --json`` or ``ocp plan --json``.
+    :param findings: plain data of ``ocp score --json`` or ``ocp plan --json``.
     """
-    scores, broken = found['scores'], found['broken']
-    doubts = [printable(note) for note in found['notes']]
-    verdict = (f'{counted(len(broken), "constraint")} violated' if broken else
+    scores, broken = findings['scores'], findings['broken']
+    doubts = [printable(note) for note in findings['notes']]
+    verdict = (f'{count_text(len(broken), "constraint")} violated' if broken else
                'all constraints are satisfied')
     if doubts:
         verdict += f', {"and" if broken else "but"} the scan is doubtful'
-    cameras = [CameraFacts(named(added['name'], placed['mount']),
+    cameras = [CameraFacts(camera_label(added['name'], placed['mount']),
                            ', '.join(f'{value:.2f}' for value in placed['position']),
                            ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
                            f'{added["depth_error"]:.3f} m', percent(added['only']))
-               for placed, added in zip(found['cameras'], scores['cameras'])]
-    certificate = found['search']['certificate']['sentence'] if 'search' in found else ''
+               for placed, added in zip(findings['cameras'], scores['cameras'])]
+    certificate = findings['search']['certificate']['sentence'] if 'search' in findings else ''
     links = links_line(scores['calibratable']) if 'calibratable' in scores else ''
-    return Facts(verdict, not (broken or doubts), doubts, _figures(found), cameras,
+    return Facts(verdict, not (broken or doubts), doubts, _figures(findings), cameras,
                  region_rows(scores), links, certificate)
 
 
 def region_rows(scores: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return the cells of :data:`REGION_COLUMNS` for each region."""
+    """Return for each region its row of the table with :data:`REGION_COLUMNS`."""
     return [(region['name'], f'{percent(region["seen"])} of its {region["of"]}',
              percent(region['must_see']), 'yes' if region['met'] else 'no')
             for region in scores['regions']]
@@ -143,12 +152,12 @@ def page_facts_of(assessed: Assessment) -> PageFacts:
     width, depth = assessed.size
     origin = '; '.join(filter(None, [
         f'found by the planner {created["planner"]}' if 'planner' in created else '',
-        f'made by {without_folders(created["command"])}' if 'command' in created else '',
+        f'made by {strip_folders(created["command"])}' if 'command' in created else '',
         created.get('date', ''),
         f'ocp_ros {created["version"]}' if 'version' in created else '']))
     return PageFacts(
         **vars(facts_of(assessed.found)),
-        title=f'{scene.name}: {counted(len(cameras), "camera")}',
+        title=f'{scene.name}: {count_text(len(cameras), "camera")}',
         subtitle=f'{width:.1f} x {depth:.1f} x {scene.size[2]:.1f} m, {len(scene):,} points; '
         + ', '.join(f'{count} x {sensor.replace("_", " ")}' for sensor, count in sensors.items()),
         origin=printable(origin), meaning=printable('; '.join([
@@ -165,25 +174,25 @@ def score_figures(scores: Mapping[str, Any], expected: Mapping[str, float]) -> l
     Return the key figures that scores give.
 
     :param scores: from :func:`~ocp_ros.report.findings.scores_of`.
-    :param expected: from :func:`~ocp_ros.report.findings.expected`.
+    :param expected: from :func:`~ocp_ros.report.findings.expected`, for the room itself.
     """
-    by = 'a camera' if scores['seen_by'] == 1 else f'{scores["seen_by"]} cameras'
-    twice = sum(count for cameras, count in scores['overlap'].items() if cameras not in '01')
+    viewers = 'a camera' if scores['seen_by'] == 1 else f'{scores["seen_by"]} cameras'
+    seen_twice = sum(count for cameras, count in scores['overlap'].items() if cameras not in '01')
     return [
         Figure('depth error', metres(scores['depth_error']),
                f'{metres(scores["depth_error_of_nothing"])} without cameras'),
         Figure('expected (9 of 10 rooms)', metres(expected['depth_error']),
                f'{metres(expected["low"])} to {metres(expected["high"])}'),
-        Figure('seen', percent(scores['seen']), f'of the points, by {by}'),
-        Figure('seen twice', percent(twice / scores['points']), 'by two cameras or more'),
+        Figure('seen', percent(scores['seen']), f'of the points, by {viewers}'),
+        Figure('seen twice', percent(seen_twice / scores['points']), 'by two cameras or more'),
         Figure('space coverage', f'{scores["space_coverage"]:.1f} m³',
                f'of {scores["volume"]:.1f} m³ in all')]
 
 
-def _figures(found: Mapping[str, Any]) -> list[Figure]:
+def _figures(findings: Mapping[str, Any]) -> list[Figure]:
     """Return all key figures of a placement."""
-    scores, missed = found['scores'], found['missed']
-    figures = [*score_figures(scores, found['expected']),
+    scores, missed = findings['scores'], findings['missed']
+    figures = [*score_figures(scores, findings['expected']),
                Figure('missed', percent(missed['share']),
                       f'no candidate sees {percent(missed["hopeless"])}')]
     if regions := scores['regions']:
@@ -195,22 +204,22 @@ def _figures(found: Mapping[str, Any]) -> list[Figure]:
         groups = len(links['groups'])
         figures.append(Figure('overlap', 'connected' if groups == 1 else f'{groups} groups',
                               f'pairs share {percent(links["overlap"])} or more'))
-    proof = found['search']['certificate'] if 'search' in found else {'gap': None}
-    if proof['gap'] is not None:
-        figures.append(Figure('better by at most', f'{gap_percent(proof["gap"]):.1f} %',
-                              f'on {proof["candidates"]:,} candidate poses'))
-    if more := found['one_more']:
-        place = ', '.join(f'{value:.1f}' for value in more['position'])
-        figures.append(Figure('one more camera', f'-{metres(max(more["gain"], 0.0))}',
+    certificate = findings['search']['certificate'] if 'search' in findings else {'gap': None}
+    if certificate['gap'] is not None:
+        figures.append(Figure('better by at most', f'{gap_percent(certificate["gap"]):.1f} %',
+                              f'on {certificate["candidates"]:,} candidate poses'))
+    if one_more := findings['one_more']:
+        place = ', '.join(f'{value:.1f}' for value in one_more['position'])
+        figures.append(Figure('one more camera', f'-{metres(max(one_more["gain"], 0.0))}',
                               f'depth error, at {place}'))
     return figures
 
 
 def links_line(links: Mapping[str, Any]) -> str:
     """
-    Return the pairs of cameras that can be calibrated to each other.
+    Return a sentence on the pairs of cameras that can be calibrated to each other.
 
-    :param links: the key ``calibratable`` of the scores.
+    :param links: value of the key ``calibratable`` of the scores.
     """
     pairs = ', '.join(f'{" and ".join(pair["cameras"])} {percent(pair["overlap"])}'
                       for pair in links['pairs'] if pair['linked'])
@@ -238,12 +247,12 @@ def details_of(found: Mapping[str, Any]) -> Iterator[str]:
                f'seen, objective value {planned["loss"]:.4f}; the other figures are as built')
 
 
-def quality_of(found: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the objective value, its comparison with others, its bounds and the certificate."""
-    if 'search' not in found:
-        yield f'objective value {found["scores"]["loss"]:.4f}'
+def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:
+    """Yield lines on the objective value: other searches, random placements, bounds, proof."""
+    if 'search' not in findings:
+        yield f'objective value {findings["scores"]["loss"]:.4f}'
         return
-    search = found['search']
+    search = findings['search']
     loss, random, bound = search['loss'], search['random'], search['everywhere']['loss']
     kind = 'turns' if search['planner'] in planner_names(OBSERVED) else 'placements'
     yield (f'{search["planner"]}: {search["evaluations"]:,} {kind} in {search["seconds"]:.1f} s'
@@ -261,27 +270,27 @@ def quality_of(found: Mapping[str, Any]) -> Iterator[str]:
 
 
 def count_sentence(count: Mapping[str, Any]) -> str:
-    """Return the number of cameras that reaches the target, without claiming a proof."""
-    target = f'{percent(count["target"])} of the {SHARES[count["by"]][1]}'
-    cameras, fewer = counted(count['cameras'], 'camera'), count.get('fewer')
+    """Return a sentence on the number of cameras that reaches the target, in this search."""
+    target = f'{percent(count["target"])} of the {SHARE_LABELS[count["by"]][1]}'
+    cameras, fewer = count_text(count['cameras'], 'camera'), count.get('fewer')
     if not count['reached']:
         return f'{cameras}, the largest number planned, did not reach {target} in this search'
     return f'{cameras} reach{"es" * (count["cameras"] == 1)} {target}' + (
         f'; {fewer} did not in this search' if fewer else '')
 
 
-def without_folders(command: str) -> str:
-    """Return a command with file names without their folders."""
+def strip_folders(command: str) -> str:
+    """Return a command line whose file names have no folders."""
     try:
-        parts = shlex.split(command)
+        words = shlex.split(command)
     except ValueError:
-        return FOLDERS.sub('', command)
-    return shlex.join(FOLDERS.sub('', part) for part in parts)
+        return FOLDER_PATTERN.sub('', command)
+    return shlex.join(FOLDER_PATTERN.sub('', word) for word in words)
 
 
-def counted(count: int, thing: str) -> str:
-    """Return a number of things, with an s for several."""
-    return f'{count} {thing}{"s" * (count != 1)}'
+def count_text(count: int, noun: str) -> str:
+    """Return a count and a noun as text, such as "1 camera" or "2 cameras"."""
+    return f'{count} {noun}{"s" * (count != 1)}'
 
 
 def metres(length: float) -> str:
@@ -290,15 +299,15 @@ def metres(length: float) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share as per cent."""
+    """Return a share from 0 to 1 as text in per cent."""
     return f'{100.0 * share:.1f} %'
 
 
 def _other_searches(losses: list[float]) -> str:
-    """Return the results of the other searches in words."""
+    """Return in words how much worse the other searches ended; ``losses`` are sorted."""
     if len(losses) == 1:
         return ' (one search)'
     best, second, *_ = losses
-    apart = f'{percent((second - best) / best)} more' if best > 0.0 else f'{second:.4f}'
-    return (f'; of {len(losses)} searches the second best ended at {apart}, the worst at '
+    difference = f'{percent((second - best) / best)} more' if best > 0.0 else f'{second:.4f}'
+    return (f'; of {len(losses)} searches the second best ended at {difference}, the worst at '
             f'{losses[-1]:.4f}')

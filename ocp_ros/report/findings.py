@@ -16,10 +16,10 @@
 Findings on a placement: scores, violated constraints, missed points, one more camera.
 
 A search fits the placement to the scan, so the depth error in the room itself is mostly a little
-larger than the engine's error on the scan. A scan without ceiling or floor has no points there, so
-the engine does not count what the cameras miss on them. The ratio of both errors was measured in
-generated rooms, whose meshes are known. The table is ``promise.json``, written by
-``benchmarks/promise.py``; :func:`expected` reads it.
+larger than the error on the scan. If the scan has no ceiling or floor, the error on the scan does
+not include what the cameras miss there. The ratio of both errors was measured in generated rooms,
+whose meshes are known. :func:`expected` reads the ratios from ``promise.json``, which
+``benchmarks/promise.py`` writes.
 """
 
 from collections.abc import Sequence
@@ -38,47 +38,38 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.settings import ConfigurationError
 
-#: Number of candidates for one more camera.
-CANDIDATES = 480
-#: Edge of the cells in which missed points are counted, metres.
-MISSED_CELL = 1.0
-#: Number of reported cells.
-REPORTED_CELLS = 3
-#: Share of points that all candidates miss, above which there is a note.
-HOPELESS_SHARE = 0.3
-#: Share of points that the cameras miss, above which there is a note.
-MISSED_SHARE = 0.9
-
 
 def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     """
     Return all findings on a placement as plain data.
 
     :param problem: the rig in the room.
-    :param poses: (K, 6) metres, map frame, and radians.
-    :returns: ``scores``, ``broken``, ``missed`` and ``one_more``; ``expected``: the depth error
-        in the room itself, see :func:`expected`; ``notes``: doubts about
-        the room or the result; and ``remarks``: corrections of the scan.
+    :param poses: (K, 6) metres, map frame, and radians, of the K cameras.
+    :returns: ``scores`` of :func:`scores_of`; ``broken`` of :func:`broken_by`; ``missed`` and
+        ``one_more`` of :func:`improvements`; ``expected``: the depth error in the room itself, of
+        :func:`expected`; ``notes``: doubts about the room or the result; and ``remarks``:
+        corrections of the scan.
     """
     views = problem.look(poses)
     scores = scores_of(problem.objective, views)
-    better = improvements(problem, poses, views)
+    improvement = improvements(problem, poses, views)
     scene = problem.objective.simulator.scene
     missing = missing_surfaces(scene)
-    return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **better,
+    return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **improvement,
             'expected': expected(scores['depth_error'], scores['depth_error_of_nothing'], missing),
-            'notes': [*room_notes(scene), *notes_on(missing), *scene.notes,
-                      *_share_notes(better['missed'])],
+            'notes': [*room_notes(scene), *missing_surface_notes(missing), *scene.notes,
+                      *_share_notes(improvement['missed'])],
             'remarks': list(scene.remarks)}
 
 
 def _share_notes(missed: dict[str, Any]) -> list[str]:
-    """Return a note if a large share of the points is missed."""
-    if missed['hopeless'] > HOPELESS_SHARE:
+    """Return a note if cameras, or even all candidates together, miss most of the points."""
+    max_hopeless_share, max_missed_share = 0.3, 0.9
+    if missed['hopeless'] > max_hopeless_share:
         return [f'found {100.0 * missed["hopeless"]:.0f} % of the points out of sight from '
                 'everywhere that cameras may be; expected one room that they are in; the scan may '
                 'have several, or cameras may be kept out of most of it']
-    if missed['share'] > MISSED_SHARE:
+    if missed['share'] > max_missed_share:
         return [f'found {100.0 * missed["share"]:.0f} % of the points seen by too few cameras; '
                 'expected most of them seen; use more cameras, or of longer range']
     return []
@@ -88,6 +79,7 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
     """
     Return the scores of a placement as plain data, as in placement files.
 
+    :param objective: the engine in the room, and the rig.
     :param views: views of the placed cameras.
     """
     return {**rig_scores(objective, views, objective.judge(views)),
@@ -95,16 +87,16 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
 
 
 def camera_scores(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
-    """Return the scores of :func:`scores_of` that are about single cameras and their pairs."""
-    added = zip(objective.rig.all_cameras, objective.contributions(views))
-    return {**_links_of(objective, views), 'cameras': [
+    """Return those scores of :func:`scores_of` that are about a camera or a pair of cameras."""
+    contributions = zip(objective.rig.all_cameras, objective.contributions(views))
+    return {**_calibration_links(objective, views), 'cameras': [
         {'name': camera.name, 'depth_error': gain.depth_error, 'only': gain.only}
-        for camera, gain in added]}
+        for camera, gain in contributions]}
 
 
 def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvaluation
                ) -> dict[str, Any]:
-    """Return the scores of :func:`scores_of` that are about the cameras together."""
+    """Return those scores of :func:`scores_of` that are about all cameras together."""
     simulator, rig = objective.simulator, objective.rig
     points = len(simulator.scene)
     return {
@@ -119,49 +111,52 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
                     for region, share in zip(rig.regions, evaluation.regions)]}
 
 
-def _links_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
+def _calibration_links(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
     """Return which cameras can be calibrated to each other; {} if the rig does not require it."""
-    found, asked = objective.covisibility(views), objective.rig.calibratable
-    if found is None:
+    covisibility = objective.covisibility(views)
+    required = objective.rig.calibratable
+    if covisibility is None:
         return {}
-    names, count = [camera.name for camera in objective.rig.all_cameras], len(found.shares)
+    names = [camera.name for camera in objective.rig.all_cameras]
+    count = len(covisibility.shares)
     movable = count - len(objective.fixed)
-    pairs = [(one, other) for one in range(min(movable, count)) for other in range(one + 1, count)]
-    tree = {tuple(sorted(link)) for link in found.tree}
+    # Two fixed cameras are no pair.
+    pairs = [(i, k) for i in range(movable) for k in range(i + 1, count)]
+    tree = {tuple(sorted(link)) for link in covisibility.tree}
     return {'calibratable': {
-        'overlap': asked.overlap, 'angle': float(np.rad2deg(asked.angle)),
-        'groups': [[names[camera] for camera in group] for group in found.groups],
-        'pairs': [{'cameras': [names[one], names[other]],
-                   'overlap': float(found.shares[one, other]),
-                   'linked': found.linked(one, other)}
-                  for one, other in pairs if found.linked(one, other) or (one, other) in tree]}}
+        'overlap': required.overlap, 'angle': float(np.rad2deg(required.angle)),
+        'groups': [[names[camera] for camera in group] for group in covisibility.groups],
+        'pairs': [{'cameras': [names[i], names[k]], 'overlap': float(covisibility.shares[i, k]),
+                   'linked': covisibility.linked(i, k)}
+                  for i, k in pairs if covisibility.linked(i, k) or (i, k) in tree]}}
 
 
 def broken_by(region: FeasibleRegion, poses: np.ndarray, scores: dict[str, Any]) -> list[str]:
     """
     Return a sentence for each violated constraint of a placement, regions included.
 
-    :param poses: (K, 6) metres, map frame, and radians.
-    :param scores: from :func:`scores_of`.
+    :param region: feasible region of the rig in the room.
+    :param poses: (K, 6) metres, map frame, and radians, of the K cameras.
+    :param scores: scores of the placement, from :func:`scores_of`.
     """
     return region.broken(poses) + [
-        f'{part["name"]}: found {100.0 * part["seen"]:.1f} % of its {part["of"]} seen; expected '
-        f'{100.0 * part["must_see"]:.1f} % (must_see); turn or move a camera towards it'
-        for part in scores['regions'] if not part['met']] + _split_groups(scores)
+        f'{score["name"]}: found {100.0 * score["seen"]:.1f} % of its {score["of"]} seen; '
+        f'expected {100.0 * score["must_see"]:.1f} % (must_see); turn or move a camera towards it'
+        for score in scores['regions'] if not score['met']] + _group_sentences(scores)
 
 
-def _split_groups(scores: dict[str, Any]) -> list[str]:
-    """Return a sentence on groups of cameras that cannot be calibrated to each other."""
+def _group_sentences(scores: dict[str, Any]) -> list[str]:
+    """Return a sentence if groups of cameras cannot be calibrated to each other."""
     links = scores.get('calibratable', {'groups': []})
     if len(links['groups']) < 2:
         return []
-    lacking = [pair for pair in links['pairs'] if not pair['linked']]
-    nearest = max(lacking, key=lambda pair: pair['overlap'])
-    first, second = nearest['cameras']
+    unlinked = [pair for pair in links['pairs'] if not pair['linked']]
+    best = max(unlinked, key=lambda pair: pair['overlap'])
+    first, second = best['cameras']
     groups = ' and '.join(f'({", ".join(group)})' for group in links['groups'])
     return [f'calibratable: found {len(links["groups"])} groups of cameras, {groups}, between '
             f'which no two share enough, at most {first} and {second} with '
-            f'{100.0 * nearest["overlap"]:.1f} % of their points; expected '
+            f'{100.0 * best["overlap"]:.1f} % of their points; expected '
             f'{100.0 * links["overlap"]:.0f} % under at most {links["angle"]:.0f} degrees; '
             'let these two look at the same surfaces, or add a camera']
 
@@ -171,97 +166,114 @@ def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> 
     Return the missed points and the best pose of one more camera, as plain data.
 
     :param problem: the rig in the room.
-    :param poses: (K, 6) metres, map frame, and radians.
+    :param poses: (K, 6) metres, map frame, and radians, of the K cameras.
     :param views: views of these cameras.
-    :returns: ``missed``: share of missed points, share that all candidates miss too, and the cells
-        with most missed points; ``one_more``: the best candidate, None if none is feasible.
+    :returns: ``missed``: share of missed points, share of ``hopeless`` points, which all candidate
+        poses miss too, and ``places`` with most missed points; ``one_more``: the best candidate
+        pose, None if no candidate is feasible.
     """
     objective, simulator, rig = problem.objective, problem.simulator, problem.rig
     evaluation = objective.judge(views)
     models = [rig.models.index(model) for model in rig.placed_models]
-    candidates = []
-    reachable = evaluation.seen.bits.copy()
+    count = 480 // len(models)
+    # For each camera model the best candidate: depth error with it, camera and pose.
+    best = []
+    visible = evaluation.seen.bits.copy()
     for number in models:
         try:
-            offered = problem.region.candidates(rig.models[number], CANDIDATES // len(models))
+            candidates = problem.region.candidates(rig.models[number], count)
         except ConfigurationError:
             continue
-        offered = offered[satisfies_spacing(offered[:, :3], poses[:, :3], rig.spacing)]
-        more = simulator.look_many(offered, number)
-        for view in more:
-            reachable |= view.seen
-        errors = objective.with_one_more(views, more)
+        candidates = candidates[satisfies_spacing(candidates[:, :3], poses[:, :3], rig.spacing)]
+        candidate_views = simulator.look_many(candidates, number)
+        for view in candidate_views:
+            visible |= view.seen
+        errors = objective.with_one_more(views, candidate_views)
         if len(errors):
-            candidates.append((float(errors.min()), rig.cameras[number],
-                               offered[int(errors.argmin())]))
+            best.append((float(errors.min()), rig.cameras[number],
+                         candidates[int(errors.argmin())]))
     missed = ~evaluation.seen.mask
-    hopeless = ~Subset(reachable, simulator.visibility.order).mask
+    hopeless = ~Subset(visible, simulator.visibility.order).mask
     one_more = None
-    if candidates:
-        error, camera, pose = min(candidates, key=itemgetter(0))
+    if best:
+        error, camera, pose = min(best, key=itemgetter(0))
         yaw, pitch, roll = np.round(np.rad2deg(pose[3:]), 1).tolist()
         one_more = {'sensor': camera.sensor or camera.name,
                     'position': np.round(pose[:3], 3).tolist(),
                     'yaw': yaw, 'pitch': pitch, 'roll': roll, 'depth_error': error,
                     'gain': float(evaluation.depth_error - error)}
+    places = _largest_cells(simulator.scene.points[missed], len(simulator.scene))
     return {'missed': {'share': float(missed.mean()), 'hopeless': float(hopeless.mean()),
-                       'places': _cells_of(simulator.scene.points[missed], len(simulator.scene))},
-            'one_more': one_more}
+                       'places': places}, 'one_more': one_more}
 
 
-def _cells_of(points: np.ndarray, total: int) -> list[dict[str, Any]]:
-    """Return the cells with most of some points (M, 3), metres, as shares of ``total`` points."""
+def _largest_cells(points: np.ndarray, total: int) -> list[dict[str, Any]]:
+    """
+    Return the three cubes of 1 m that contain most points.
+
+    :param points: (M, 3) metres, M points.
+    :param total: number of points of which the result gives shares.
+    :returns: for each cube the share of the points, and their ``low`` and ``high`` corner.
+    """
+    edge_m = 1.0
     if len(points) == 0:
         return []
     points = points.astype(np.float64)
-    cells = np.floor((points - points.min(axis=0)) / MISSED_CELL).astype(int)
+    cells = np.floor((points - points.min(axis=0)) / edge_m).astype(int)
     _, cell, sizes = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
-    found = []
-    for number in np.argsort(-sizes, kind='stable')[:REPORTED_CELLS]:
+    largest = []
+    for number in np.argsort(-sizes, kind='stable')[:3]:
         inside = points[cell.ravel() == number]
-        found.append({'share': float(sizes[number] / total),
-                      'low': np.round(inside.min(axis=0), 2).tolist(),
-                      'high': np.round(inside.max(axis=0), 2).tolist()})
-    return found
+        largest.append({'share': float(sizes[number] / total),
+                        'low': np.round(inside.min(axis=0), 2).tolist(),
+                        'high': np.round(inside.max(axis=0), 2).tolist()})
+    return largest
 
 
 @cache
-def _table() -> dict[str, Any]:
-    """Return the table of ratios."""
+def _ratio_table() -> dict[str, Any]:
+    """Return the table of ratios: depth error in the room itself / on the scan."""
     return json.loads(files(__package__).joinpath('promise.json').read_text())
 
 
-def ratios_for(error: float, nothing: float, missing: Sequence[str]) -> list[float]:
-    """Return the smallest, the median and the largest ratio for :func:`expected`."""
+def ratios_for(error: float, worst: float, missing: Sequence[str]) -> list[float]:
+    """
+    Return the smallest, the median and the largest ratio of the error in the room to the scan's.
+
+    :param error: depth error on the scan, metres.
+    :param worst: depth error without any visible point, metres.
+    :param missing: names of surfaces without points in the scan.
+    """
     for surface in missing:
-        if surface in _table():
-            return _table()[surface]['ratios']
-    levels = _table()['levels']
-    number = np.searchsorted([level['from'] for level in levels], error / nothing, side='right')
+        if surface in _ratio_table():
+            return _ratio_table()[surface]['ratios']
+    levels = _ratio_table()['levels']
+    number = np.searchsorted([level['from'] for level in levels], error / worst, side='right')
     return levels[max(int(number) - 1, 0)]['ratios']
 
 
-def expected(error: float, nothing: float, missing: Sequence[str] = ()) -> dict[str, float]:
+def expected(error: float, worst: float, missing: Sequence[str] = ()) -> dict[str, float]:
     """
     Return the depth error that a placement is expected to have in the room itself.
 
-    :param error: depth error by the engine, metres.
-    :param nothing: depth error without any visible point, metres.
-    :param missing: surfaces without points in the scan, from
+    :param error: depth error on the scan, metres.
+    :param worst: depth error without any visible point, metres.
+    :param missing: names of surfaces without points in the scan, from
         :func:`~ocp_ros.rig.plausibility.missing_surfaces`.
     :returns: ``depth_error``, ``low`` and ``high``, metres; in nine of ten rooms the error was
         between ``low`` and ``high``.
     """
-    offset = _table()['offset'] * nothing
-    low, middle, high = (float(np.clip(ratio * (error + offset) - offset, 0.0, nothing))
-                         for ratio in ratios_for(error, nothing, missing))
-    return {'depth_error': middle, 'low': low, 'high': high}
+    offset = _ratio_table()['offset'] * worst
+    low, median, high = (float(np.clip(ratio * (error + offset) - offset, 0.0, worst))
+                         for ratio in ratios_for(error, worst, missing))
+    return {'depth_error': median, 'low': low, 'high': high}
 
 
-def notes_on(missing: Sequence[str]) -> list[str]:
+def missing_surface_notes(missing: Sequence[str]) -> list[str]:
     """Return a note on the effect of each missing surface on the expected error."""
+    table = _ratio_table()
     return [f'without the {surface} in the scan, what the cameras miss there is not known: in '
-            f'{_table()[surface]["plans"]} rooms whose {surface} was left out the true depth '
-            f'error was {_table()[surface]["times"][0]:.1f} to {_table()[surface]["times"][1]:.1f}'
+            f'{table[surface]["plans"]} rooms whose {surface} was left out the true depth '
+            f'error was {table[surface]["times"][0]:.1f} to {table[surface]["times"][1]:.1f}'
             f' times that of the scan; scan the {surface} as well'
-            for surface in missing if surface in _table()]
+            for surface in missing if surface in table]

@@ -23,55 +23,57 @@ import re
 
 import numpy as np
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.camera_words import COLUMNS, lens_of
+from ocp_ros.report.camera_words import INSTRUCTION_COLUMNS, lens_text
 from ocp_ros.report.facts import page_facts_of
 from ocp_ros.report.templates import fill_template
 from ocp_ros.util.terminal_text import printable
 
-#: Mount of the cameras in words, by the rig file's ``mount.on``.
-MOUNTED = {'walls': 'on walls', 'ceiling': 'under the ceiling',
-           'plane': 'on stands, poles or rods, all at one height',
-           'free': 'on stands, poles or rods'}
 #: Characters that begin or end markup within a line; an underscore between letters does not.
-MARKS = re.compile(r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@')
+MARKUP = re.compile(r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@')
 
 
-def in_markdown(text: str) -> str:
-    """Return an untrusted text as one line of Markdown, with all markup escaped."""
-    return MARKS.sub(r'\\\g<0>', escape(printable(text), quote=False))
+def escape_markdown(text: str) -> str:
+    """Return a text, which may come from a file, as one line of Markdown without markup."""
+    return MARKUP.sub(r'\\\g<0>', escape(printable(text), quote=False))
 
 
-def instructions(assessed: Assessment, plan: str) -> str:
+def installer_page(assessed: Assessment, plan: str) -> str:
     """
     Return the installer's page as Markdown.
 
     :param assessed: the placement in its room.
-    :param plan: file name of the plan beside it.
+    :param plan: file name of the plan's picture in the same folder.
     """
-    facts, cameras, corner = page_facts_of(assessed), assessed.placement.cameras, assessed.corner
-    rig, floor = assessed.objective.rig, assessed.floor
-    corner_at = assessed.frame.to_source(np.append(corner.at, floor)).round(2)
-    inner = ', '.join(wall.description(assessed.walls, floor)
-                      for wall in assessed.references.inner)
-    mount = f'**Mount.** The cameras are {MOUNTED[rig.mount.on]}. The room is ' \
+    facts = page_facts_of(assessed)
+    cameras = assessed.placement.cameras
+    rig = assessed.objective.rig
+    floor = assessed.floor
+    mounts = {'walls': 'on walls', 'ceiling': 'under the ceiling',
+              'plane': 'on stands, poles or rods, all at one height',
+              'free': 'on stands, poles or rods'}
+    corner_position = assessed.frame.to_source(np.append(assessed.corner.position, floor)).round(2)
+    surfaces = ', '.join(wall.description(assessed.walls, floor)
+                         for wall in assessed.references.inner)
+    mount = f'**Mount.** The cameras are {mounts[rig.mount.on]}. The room is ' \
             f'{100.0 * (assessed.scene.bounds[1, 2] - floor):.0f} cm high.\n\n'
-    level = ' Unless the table gives a roll, keep the long side of the camera level, top side up.'
-    table = [['', *COLUMNS], ['---'] * (len(COLUMNS) + 1),
-             *(map(in_markdown, row) for row in assessed.rows)]
+    advice = ' Unless the table gives a roll, keep the long side of the camera level, top side up.'
+    table = [['', *INSTRUCTION_COLUMNS], ['---'] * (len(INSTRUCTION_COLUMNS) + 1),
+             *(map(escape_markdown, row) for row in assessed.rows)]
     return fill_template(
-        'installer.md', room=in_markdown(assessed.scene.name), plan=plan, walls=facts.walls,
-        doubts=''.join(f'**Check first:** {in_markdown(doubt)}.\n\n' for doubt in facts.doubts),
-        inner_walls=f' Other surfaces to measure from: {inner}.' if inner else '',
+        'installer.md', room=escape_markdown(assessed.scene.name), plan=plan, walls=facts.walls,
+        doubts=''.join(f'**Check first:** {escape_markdown(doubt)}.\n\n'
+                       for doubt in facts.doubts),
+        inner_walls=f' Other surfaces to measure from: {surfaces}.' if surfaces else '',
         mount=mount if 'mount' in rig.document.data else '',
-        level='' if all(placed.camera.model.omnidirectional for placed in cameras) else level,
-        frame=facts.frame, corner=corner.letters,
+        level='' if all(placed.camera.model.omnidirectional for placed in cameras) else advice,
+        frame=facts.frame, corner=assessed.corner.letters,
         # Adding 0 turns -0.0 into 0.0.
-        corner_at=', '.join(f'{value + 0.0:.2f}' for value in corner_at),
+        corner_at=', '.join(f'{value + 0.0:.2f}' for value in corner_position),
         table='\n'.join(f'| {" | ".join(row)} |' for row in table),
-        lenses='\n'.join(f'- {in_markdown(placed.camera.name)}: '
-                         + '; '.join(filter(None, (lens_of(placed.camera.model), aim)))
+        lenses='\n'.join(f'- {escape_markdown(placed.camera.name)}: '
+                         + '; '.join(filter(None, (lens_text(placed.camera.model), aim)))
                          for placed, aim in zip(cameras, assessed.aims)),
         figures='; '.join(f'{label} {value} ({remark})'
                           for label, value, remark in facts.figures[:3]),
-        certificate=f' {in_markdown(facts.certificate)}'.rstrip(),
-        origin=in_markdown(facts.origin))
+        certificate=f' {escape_markdown(facts.certificate)}'.rstrip(),
+        origin=escape_markdown(facts.origin))

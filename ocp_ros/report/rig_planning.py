@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.camera_words import COLUMNS
+from ocp_ros.report.camera_words import INSTRUCTION_COLUMNS
 from ocp_ros.rig.placement_file import created_by, Placement, placement_of
 from ocp_ros.rig.rig_file import Rig, with_count
 from ocp_ros.scenes.scene import Scene
@@ -34,24 +34,19 @@ from ocp_ros.simulation.ray_visibility import with_rays
 
 #: Default number of cameras.
 CAMERAS = 4
-#: Default seconds of search for a given number of cameras.
-SECONDS = 60.0
-#: Default seconds of search for each number of cameras, if the number is chosen.
-SECONDS_EACH = 15.0
 #: Default mount: cameras cannot be mounted in mid-air.
 MOUNT = 'walls'
-#: Share of the seconds for the proof.
-PROOF_SHARE = 0.25
 #: Smallest reported optimality gap, per cent.
-LEAST_GAP_PERCENT = 0.1
+MIN_GAP_PERCENT = 0.1
 
 
 class Counting(NamedTuple):
     """
     Criterion to choose the number of cameras.
 
-    :ivar target: share of the best possible value, above 0, at most 1.
-    :ivar by: quantity of this share: ``error``, ``seen`` or ``coverage``.
+    :ivar target: share to reach of the best possible value, above 0, at most 1.
+    :ivar by: quantity that the share is of: ``error`` (reduction of the depth error), ``seen``
+        (points) or ``coverage`` (of space).
     :ivar most: largest number of cameras to try.
     """
 
@@ -86,50 +81,52 @@ class PlanTask:
         check_planner(self.planner, self.counting is not None)
 
     def budgets(self) -> tuple[Budget, float | None]:
-        """Return the budget of the search, and the seconds of the proof."""
+        """Return the budget of the search, and the seconds of the proof (None for no limit)."""
         seconds = self.seconds
         if seconds is None and self.evaluations is None:
-            seconds = SECONDS if self.counting is None else SECONDS_EACH
+            seconds = 60.0 if self.counting is None else 15.0
         if seconds is None or self.planner == RIG_SEARCH:
             # The search of ``RIG_SEARCH`` includes the proof.
             return Budget(seconds, self.evaluations), seconds
-        return Budget((1.0 - PROOF_SHARE) * seconds, self.evaluations), PROOF_SHARE * seconds
+        proof_share = 0.25
+        return Budget((1.0 - proof_share) * seconds, self.evaluations), proof_share * seconds
 
 
 class PlannedRig:
     """
-    A rig that is planned in a room.
+    A rig and its plans in a room; the constructor runs the search.
 
     :param scene: the room.
     :param rig: the rig; with :class:`Counting`, its number of cameras is replaced.
     :param task: settings of the search.
     :param budget: of the search, from :meth:`PlanTask.budgets`; the caller may stop it.
-    :param proving: seconds of the proof.
-    :param progress: called several times a second.
+    :param proof_seconds: seconds of the proof; None for no limit.
+    :param progress: called several times a second with the used share of the budget and the
+        smallest objective value so far; its result is ignored.
     :ivar engine: settings of the engine.
-    :ivar plans: one, or one for each number of cameras; the last one is the result.
+    :ivar plans: one plan, or one for each number of cameras; the last plan is the result.
     :raises ConfigurationError: if the rig has no placement in this room.
     """
 
     def __init__(self, scene: Scene, rig: Rig, task: PlanTask, budget: Budget,
-                 proving: float | None = None, progress: Progress | None = None) -> None:
+                 proof_seconds: float | None = None, progress: Progress | None = None) -> None:
         self.task = task
         self.budget = budget
         # A mesh gives the exact occlusion of its points by ray casting.
-        exact = scene.mesh is not None and scene.mesh.exact
-        self.engine = with_rays(PROMISING, scene) if exact else PROMISING
+        has_exact_mesh = scene.mesh is not None and scene.mesh.exact
+        self.engine = with_rays(PROMISING, scene) if has_exact_mesh else PROMISING
         self.planner = RigPlanner(scene, rig, self.engine, budget, task.seed, progress,
                                   task.planner)
-        self.plans = list(self._counted(rig, task.counting) if task.counting
-                          else [self.planner.plan(rig)])
-        self.plans[-1] = self.planner.certified(self.plans[-1], budget.restarted(proving))
+        self.plans = (list(self._plans_by_count(rig, task.counting)) if task.counting
+                      else [self.planner.plan(rig)])
+        self.plans[-1] = self.planner.certified(self.plans[-1], budget.restarted(proof_seconds))
 
     @property
     def best(self) -> RigPlan:
         """Return the last plan, which is the result."""
         return self.plans[-1]
 
-    def _counted(self, rig: Rig, counting: Counting) -> Iterator[RigPlan]:
+    def _plans_by_count(self, rig: Rig, counting: Counting) -> Iterator[RigPlan]:
         """Yield plans with an increasing number of cameras until one reaches the target."""
         first = max(rig.seen_by - len(rig.fixed), 1)
         for plan in self.planner.count_up(lambda count: with_count(rig, count), first,
@@ -142,8 +139,8 @@ class PlannedRig:
         """
         Return the placement without scores.
 
-        :param room: description of the room, as in placement files.
-        :param command: for the record.
+        :param room: record of the room, as in placement files.
+        :param command: the command line, for the record of the placement.
         """
         return placement_of(self.best.rig, self.best.answer.poses, room=room, engine=self.engine,
                             created=created_by(command, self.best.planner))
@@ -153,29 +150,31 @@ class PlannedRig:
         Evaluate the placement.
 
         :param placement: from :meth:`placement`.
-        :param frame: requested frame of files, ``'map'`` or ``'source'``.
+        :param frame: requested frame of files, ``'map'`` or ``'source'``; None for the default.
         """
-        counted = {} if self.task.counting is None else {
-            'curve': rows_of_curve(self.plans), 'count': self._count()}
+        count_findings = {} if self.task.counting is None else {
+            'curve': curve_rows(self.plans), 'count': self._count_data()}
         assessed = Assessment.of(self.planner.problem(self.best.rig), placement, frame,
-                                 search=self._search(), **counted)
-        assessed.found['installer'] = [dict(zip(['number', *COLUMNS], row)) | {'aim': aim}
+                                 search=self._search_data(), **count_findings)
+        columns = ['number', *INSTRUCTION_COLUMNS]
+        assessed.found['installer'] = [dict(zip(columns, row)) | {'aim': aim}
                                        for row, aim in zip(assessed.rows, assessed.aims)]
         return assessed
 
-    def _count(self) -> dict[str, Any]:
-        """Return the number of cameras that reaches the target, and the last that does not."""
+    def _count_data(self) -> dict[str, Any]:
+        """Return the number of cameras of the result, and the number tried before, as data."""
         target, by, _ = self.task.counting
         return {'cameras': len(self.best.rig.cameras), 'by': by, 'target': target,
                 'reached': self.best.reaches(by, target),
                 'fewer': len(self.plans[-2].rig.cameras) if len(self.plans) > 1 else None}
 
-    def _search(self) -> dict[str, Any]:
-        """Return the data of the search and the values for comparison, as plain data."""
-        plan, answer, random = self.best, self.best.answer, self.best.random
+    def _search_data(self) -> dict[str, Any]:
+        """Return figures of the search, and values to compare the result with, as plain data."""
+        plan = self.best
+        random = plan.random
         return {'planner': plan.planner, 'seed': self.task.seed,
-                'loss': plan.evaluation.loss, 'searches': sorted(answer.losses),
-                'evaluations': answer.evaluations, 'seconds': round(plan.seconds, 2),
+                'loss': plan.evaluation.loss, 'searches': sorted(plan.answer.losses),
+                'evaluations': plan.answer.evaluations, 'seconds': round(plan.seconds, 2),
                 'stopped': self.budget.stopped, 'candidates': plan.candidates,
                 'random': {'placements': len(random),
                            'median': float(np.median(random)) if len(random) else None,
@@ -185,18 +184,19 @@ class PlannedRig:
                 'certificate': certificate_data(plan.certificate, plan.uncertain)}
 
 
-def certificate_data(proof: Certificate | None, uncertain: str = '') -> dict[str, Any]:
+def certificate_data(proof: Certificate | None, reason: str = '') -> dict[str, Any]:
     """
-    Return a certificate as plain data.
+    Return a certificate, the proof of an optimality gap, as plain data.
 
-    :param uncertain: reason why there is none.
+    :param proof: the certificate; None if there is none.
+    :param reason: why there is no certificate.
     :returns: ``sentence``, and the values in it; ``gap`` is None without a certificate.
     """
     if proof is None:
-        return {'sentence': f'The optimality gap is unknown: {uncertain}.', 'gap': None}
+        return {'sentence': f'The optimality gap is unknown: {reason}.', 'gap': None}
     spacing = f'{proof.step:.2g} m' + (f' and {proof.turn:g} degrees' if proof.turn else '')
     gain = (f'; moving off this grid gained {100.0 * proof.moved:.1f} %'
-            if proof.moved >= LEAST_GAP_PERCENT / 100.0 else '')
+            if proof.moved >= MIN_GAP_PERCENT / 100.0 else '')
     return {'sentence': f'No placement on {proof.candidates:,} candidate poses ({spacing} apart, '
                         f'closer around the cameras) is better by more than '
                         f'{gap_percent(proof.gap):.1f} %{gain} (computed '
@@ -204,8 +204,8 @@ def certificate_data(proof: Certificate | None, uncertain: str = '') -> dict[str
             'gap': proof.gap, 'moved': proof.moved, **asdict(proof)}
 
 
-def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
-    """Return the scores of each number of cameras as plain data."""
+def curve_rows(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
+    """Return the scores of the plan with each number of cameras, as plain data."""
     return [{'cameras': len(plan.rig.cameras), 'loss': plan.evaluation.loss,
              'depth_error': plan.evaluation.depth_error,
              'space_coverage': plan.evaluation.space_coverage,
@@ -214,5 +214,5 @@ def rows_of_curve(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
 
 
 def gap_percent(gap: float) -> float:
-    """Return a gap in per cent, rounded up to tenths, so that it remains an upper limit."""
-    return max(ceil(1000.0 * gap - 0.01) / 10.0, LEAST_GAP_PERCENT)
+    """Return an optimality gap in per cent, rounded up to tenths: it stays an upper limit."""
+    return max(ceil(1000.0 * gap - 0.01) / 10.0, MIN_GAP_PERCENT)

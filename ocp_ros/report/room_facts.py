@@ -25,30 +25,19 @@ from ocp_ros.rig.structure import Air, ceiling_of, floor_height
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.viewpoints import viewpoints_of
 
-#: Rows of the depth maps for openings.
-DEPTH_MAP_ROWS = 64
-#: Half the side of a point's cube, in multiples of the edge of the point's square.
-CUBE_SCALE = 0.75
-#: Elevation from which on a direction counts as above or below, degrees.
-STEEP_DEGREES = 30.0
 #: Directions of openings.
 SIDES = ('+x', '+y', '-x', '-y', 'above', 'below')
-#: Smallest open share of a side that is printed.
-LEAST_OPENING = 0.005
-#: Names of common units, by metres.
-UNITS = {1.0: 'metres', 0.001: 'millimetres', 0.01: 'centimetres', 0.0254: 'inches',
-         0.3048: 'feet'}
 
 
 def facts_of(scene: Scene) -> dict[str, Any]:
     """
-    Measure a room.
+    Return the measurements of a room as plain data.
 
-    :returns: plain data: ``name``, ``points`` and their median ``spacing``; ``bounds`` and
+    :returns: ``name``, ``points`` (their number) and their median ``spacing``; ``bounds`` and
         ``size``, metres; ``floor`` and ``ceiling``, their heights in metres, None without a
-        ceiling; ``floor_area``, square metres that are free for cameras; ``openings``, the share
-        of directions from inside that meet no surface, by side; ``source``: unit, up direction and
-        the transform from the map to the file; ``notes`` and ``remarks``.
+        ceiling; ``floor_area``, square metres that are free for cameras; ``openings`` of
+        :func:`openings_of`; ``source``: unit, up direction and the transform from the map to the
+        file; ``notes``: doubts, and ``remarks``: corrections of the scan.
     """
     floor, source = floor_height(scene), scene.source
     ceiling = ceiling_of(scene).points
@@ -66,48 +55,54 @@ def facts_of(scene: Scene) -> dict[str, Any]:
 
 def openings_of(scene: Scene, air: Air) -> dict[str, float]:
     """
-    Measure the share of directions from inside a room that meet no surface.
+    Return the share of the directions from inside a room that meet no surface, by side.
 
-    :param air: of the room.
+    :param scene: the room.
+    :param air: the air in the room.
     :returns: shares of the solid angle: ``all``, and one for each of the six ``SIDES``; empty if
-        the room has no inside.
+        no air was found.
     """
+    # From this elevation on a direction counts as above or below.
+    steep_degrees = 30.0
     if len(air.cells(float(scene.bounds[:, 2].mean()))) == 0:
         return {}
     places = viewpoints_of(scene)
-    maps = DepthError(scene.points, CUBE_SCALE * scene.pitch, scene.diameter, places,
-                      DEPTH_MAP_ROWS)
+    # In these depth maps of 64 rows a point is a cube, whose half side is 0.75 point spacings.
+    maps = DepthError(scene.points, 0.75 * scene.pitch, scene.diameter, places, 64)
     rows, columns = maps.shape
-    # As in cell_of, row 0 is straight down, and column 0 begins at the direction -x.
+    # As in the depth maps, row 0 is straight down, and column 0 begins at the direction -x.
     elevation = (np.arange(rows) + 0.5) * 180.0 / rows - 90.0
     azimuth = (np.arange(columns) + 0.5) * 360.0 / columns - 180.0
     side = np.empty((rows, columns), dtype=int)
     side[:] = np.round(azimuth / 90.0).astype(int) % 4
-    side[elevation > STEEP_DEGREES] = SIDES.index('above')
-    side[elevation < -STEEP_DEGREES] = SIDES.index('below')
+    side[elevation > steep_degrees] = SIDES.index('above')
+    side[elevation < -steep_degrees] = SIDES.index('below')
     weights = np.repeat(np.cos(np.deg2rad(elevation)), columns)
-    empty = np.mean([maps.depth_map(k) >= maps.far for k in range(len(places))], axis=0)
-    open_, whole = (np.bincount(side.ravel(), values, len(SIDES))
-                    for values in (weights * empty.ravel(), weights))
-    return {'all': float(open_.sum() / whole.sum()),
-            **dict(zip(SIDES, (open_ / whole).tolist()))}
+    open_shares = np.mean([maps.depth_map(k) >= maps.far for k in range(len(places))], axis=0)
+    open_angles, totals = (np.bincount(side.ravel(), angles, len(SIDES))
+                           for angles in (weights * open_shares.ravel(), weights))
+    return {'all': float(open_angles.sum() / totals.sum()),
+            **dict(zip(SIDES, (open_angles / totals).tolist()))}
 
 
-def room_rows(found: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the facts of a room in words: name and value of each."""
-    low, high = found['bounds']
+def room_rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Return the name and the value in words of each fact in data of :func:`facts_of`."""
+    min_open_share = 0.005
+    units = {1.0: 'metres', 0.001: 'millimetres', 0.01: 'centimetres', 0.0254: 'inches',
+             0.3048: 'feet'}
+    low, high = facts['bounds']
     floor, ceiling, openings, source = (
-        found[key] for key in ('floor', 'ceiling', 'openings', 'source'))
-    unit = UNITS.get(source['metres_per_unit'], f'{source["metres_per_unit"]:g} m')
+        facts[key] for key in ('floor', 'ceiling', 'openings', 'source'))
+    unit = units.get(source['metres_per_unit'], f'{source["metres_per_unit"]:g} m')
     open_sides = ', '.join(f'{side} {100.0 * openings[side]:.0f} %' for side in SIDES
-                           if openings.get(side, 0.0) >= LEAST_OPENING)
+                           if openings.get(side, 0.0) >= min_open_share)
     return [
-        ('points', f'{found["points"]:,}, median spacing {found["spacing"]:.3f} m'),
-        ('size', ' x '.join(f'{edge:.2f}' for edge in found['size']) + ' m'),
+        ('points', f'{facts["points"]:,}, median spacing {facts["spacing"]:.3f} m'),
+        ('size', ' x '.join(f'{edge:.2f}' for edge in facts['size']) + ' m'),
         ('bounds', ', '.join(f'{axis} {first:.2f} to {last:.2f}' for axis, first, last
                              in zip('xyz', low, high)) + ' m'),
         # Adding 0 turns -0.0 into 0.0.
-        ('floor', f'z = {round(floor, 2) + 0.0:.2f} m, {found["floor_area"]:.1f} m²'),
+        ('floor', f'z = {round(floor, 2) + 0.0:.2f} m, {facts["floor_area"]:.1f} m²'),
         ('ceiling', 'not found' if ceiling is None else
          f'z = {ceiling:.2f} m, {ceiling - floor:.2f} m above the floor'),
         ('openings', 'no inside was found' if not openings else

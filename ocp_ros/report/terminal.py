@@ -18,16 +18,16 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 import io
 from typing import Any
 
-from ocp_ros.report.camera_words import COLUMNS
+from ocp_ros.report.camera_words import INSTRUCTION_COLUMNS
 from ocp_ros.report.facts import (
     count_sentence,
     details_of,
     facts_of,
     metres,
     percent,
-    quality_of,
+    quality_lines,
     REGION_COLUMNS,
-    SHARES,
+    SHARE_LABELS,
 )
 from ocp_ros.report.room_facts import room_rows
 from ocp_ros.util.terminal_text import printable
@@ -39,20 +39,25 @@ from rich.table import Table
 WIDTH = 100
 CAMERA_COLUMNS = ('camera', 'position (m)', 'yaw, pitch, roll', 'error reduction',
                   'seen by this camera only')
-#: Columns of the installer's table; the key figures name the sensors.
-MOUNTING_COLUMNS = [name for name in COLUMNS if name != 'sensor']
+#: Columns of the installer's table that are printed: all except the sensor.
+MOUNTING_COLUMNS = [name for name in INSTRUCTION_COLUMNS if name != 'sensor']
 
 
-def as_text(show: Callable[[Console, Mapping[str, Any]], None], found: Mapping[str, Any]) -> str:
-    """Return the output of a function such as :func:`show_score` as plain text."""
+def wide_console() -> Console:
+    """Return a console of :data:`WIDTH` characters on the standard output."""
+    return Console(width=WIDTH)
+
+
+def as_text(show: Callable[[Console, Mapping[str, Any]], None], data: Mapping[str, Any]) -> str:
+    """Return the output of a function such as :func:`show_score` for ``data`` as plain text."""
     text = io.StringIO()
-    show(Console(width=WIDTH, file=text, force_terminal=False, color_system=None), found)
+    show(Console(width=WIDTH, file=text, force_terminal=False, color_system=None), data)
     return '\n'.join(line.rstrip() for line in text.getvalue().splitlines())
 
 
 def print_table(console: Console, title: str | None, columns: Sequence[str],
                 rows: Iterable[Sequence[str]]) -> None:
-    """Print a table; its columns have no heads if all their names are empty."""
+    """Print a table; it has no head if the names of all columns are empty."""
     table = Table(title=title and escape(printable(title)), show_header=any(columns))
     for name in columns:
         table.add_column(escape(printable(name)), no_wrap=name == 'camera', overflow='fold')
@@ -61,42 +66,44 @@ def print_table(console: Console, title: str | None, columns: Sequence[str],
     console.print(table)
 
 
-def show_score(console: Console, found: Mapping[str, Any]) -> None:
-    """Print what was found about a placement: the data of ``ocp score --json``."""
-    facts = facts_of(found)
+def show_score(console: Console, findings: Mapping[str, Any]) -> None:
+    """Print the findings on a placement, in the data of ``ocp score`` or ``ocp plan --json``."""
+    facts = facts_of(findings)
     print_table(console, 'Cameras', CAMERA_COLUMNS, facts.cameras)
     print_table(console, 'Key figures', ('', '', ''), facts.figures)
     if facts.regions:
         print_table(console, 'Regions', REGION_COLUMNS, facts.regions)
-    for line in filter(None, [*details_of(found), facts.links]):
+    for line in filter(None, [*details_of(findings), facts.links]):
         console.print(line)
-    console.print(facts.verdict + (':' if found['broken'] else ''))
-    for sentence in found['broken']:
+    console.print(facts.verdict + (':' if findings['broken'] else ''))
+    for sentence in findings['broken']:
         console.print(f'  {sentence}', style='red', markup=False, highlight=False)
-    show_notes(console, found)
-    if 'installer' in found:
+    show_notes(console, findings)
+    if 'installer' in findings:
         print_table(console, 'How to mount the cameras', ('', *MOUNTING_COLUMNS), [
             (row['number'], *(row[name] for name in MOUNTING_COLUMNS))
-            for row in found['installer']])
-    for line in quality_of(found):
+            for row in findings['installer']])
+    for line in quality_lines(findings):
         console.print(line, highlight=False)
-    if 'curve' in found:
+    if 'curve' in findings:
+        shares = [column for column, _ in SHARE_LABELS.values()]
         print_table(console, 'Number of cameras', (
-            'cameras', 'objective value', 'depth error', *(head for head, _ in SHARES.values())), [
+            'cameras', 'objective value', 'depth error', *shares), [
             (str(row['cameras']), f'{row["loss"]:.4f}', metres(row['depth_error']),
-             *(percent(row[f'share_{name}']) for name in SHARES)) for row in found['curve']])
-        console.print(count_sentence(found['count']), highlight=False)
+             *(percent(row[f'share_{name}']) for name in SHARE_LABELS))
+            for row in findings['curve']])
+        console.print(count_sentence(findings['count']), highlight=False)
 
 
-def show_room(console: Console, found: Mapping[str, Any]) -> None:
-    """Print the facts of a room: the data of ``ocp info --json``."""
-    print_table(console, None, ('room', found['name']), room_rows(found))
-    show_notes(console, found)
+def show_room(console: Console, facts: Mapping[str, Any]) -> None:
+    """Print the facts of a room, in the data of ``ocp info --json``."""
+    print_table(console, None, ('room', facts['name']), room_rows(facts))
+    show_notes(console, facts)
 
 
-def show_notes(console: Console, found: Mapping[str, Any]) -> None:
+def show_notes(console: Console, data: Mapping[str, Any]) -> None:
     """Print corrections of the scan, and doubts about a room or a result."""
-    for remark in found.get('remarks', ()):
+    for remark in data.get('remarks', ()):
         console.print(remark, markup=False, highlight=False)
-    for note in found['notes']:
+    for note in data['notes']:
         console.print(f'note: {note}', style='yellow', markup=False, highlight=False)

@@ -27,12 +27,12 @@ from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAME
 from ocp_ros.report.drawing.frustum_drawing import chained, edges
 from ocp_ros.report.drawing.plan_marks import camera_colour, corners_of, STYLES, zones_of
 from ocp_ros.report.drawing.room_drawing import (
+    choose_indices,
     HEIGHTS,
     heights_of,
     INK,
     PALE_INK,
     room_of,
-    some_of,
 )
 from ocp_ros.report.facts import page_facts_of, REGION_COLUMNS
 from ocp_ros.report.templates import fill_template
@@ -41,16 +41,12 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
 import plotly.graph_objects as go
 
-#: Largest number of points on the page: more points make the rotation slow.
+#: Largest number of points on the page: with more points the page rotates slowly.
 SHOWN = 40000
 #: Decimals of positions in metres on the page, which limit its size.
 DECIMALS = 3
 #: Colour of seen points and of points without error.
-PLAIN = '#dcdcd6'
-#: Smallest share of a wall's votes for a side.
-LEAST_VOTES = 0.3
-#: Length of a drawn frustum, as a share of the room's diagonal.
-FRUSTUM_SHARE = 0.12
+PLAIN_COLOUR = '#dcdcd6'
 
 
 class Layer(NamedTuple):
@@ -58,8 +54,8 @@ class Layer(NamedTuple):
     A part of the picture that can be switched on and off.
 
     :ivar name: label of the switch.
-    :ivar traces: plotly traces.
-    :ivar shown: whether it is visible at first.
+    :ivar traces: plotly traces, which are the drawn objects.
+    :ivar shown: whether the layer is visible at first.
     """
 
     name: str
@@ -72,17 +68,17 @@ class Paint(NamedTuple):
     A way to colour the points.
 
     :ivar name: label of the switch.
-    :ivar values: (N,) from 0 to 1, of all points of the scene.
-    :ivar scale: plotly colour scale of the values.
-    :ivar legend: names and their colours; empty for a scale from low to high.
-    :ivar ends: labels of 0 and 1, if there is no legend.
+    :ivar values: (N,) from 0 to 1, for the N points of the scene.
+    :ivar scale: plotly colour scale: pairs of a value from 0 to 1 and a colour.
+    :ivar legend: pairs of a name and its colour; empty for a scale from low to high.
+    :ivar end_labels: labels of the values 0 and 1, if there is no legend.
     """
 
     name: str
     values: np.ndarray
     scale: list[list[Any]]
     legend: tuple[tuple[str, str], ...] = ()
-    ends: tuple[str, str] = ('', '')
+    end_labels: tuple[str, str] = ('', '')
 
 
 def write_view(path: str | Path, scene: Scene, assessed: Assessment | None = None) -> None:
@@ -90,27 +86,28 @@ def write_view(path: str | Path, scene: Scene, assessed: Assessment | None = Non
     Write a room as a self-contained HTML page.
 
     :param path: file to write; its folder is created.
+    :param scene: the room.
     :param assessed: a placement in the room to show; None for the room alone.
     """
     points = scene.points.astype(np.float64)
-    some = some_of(len(points), SHOWN)
-    groups, facing = groups_of(points[some])
-    groups = [some[group] for group in groups]
+    indices = choose_indices(len(points), SHOWN)
+    groups, facing = groups_of(points[indices])
+    groups = [indices[group] for group in groups]
     paints = paints_of(scene, assessed)
-    layers = [Layer('ceiling', [_cloud(points[groups.pop()], '#a3aeb6')], False)]
+    layers = [Layer('ceiling', [_point_trace(points[groups.pop()], '#a3aeb6')], shown=False)]
     layers += [layer for layer in layers_of(assessed) if layer.traces] if assessed else []
-    figure = go.Figure([_cloud(points[group], PALE_INK) for group in groups])
+    figure = go.Figure([_point_trace(points[group], PALE_INK) for group in groups])
     numbers = []
     for layer in layers:
         numbers.append(list(range(len(figure.data), len(figure.data) + len(layer.traces))))
         figure.add_traces([trace.update(visible=layer.shown) for trace in layer.traces])
-    _lay_out(figure, scene)
+    _set_axes(figure, scene)
     plot = figure.to_html(full_html=False, include_plotlyjs=True, div_id='view',
                           config={'displaylogo': False, 'responsive': True})
     data = {'facing': facing, 'paints': [
-        {'scale': paint.scale, 'values': [_bytes_of(paint.values[group]) for group in groups]}
+        {'scale': paint.scale, 'values': [_base64_of(paint.values[group]) for group in groups]}
         for paint in paints]}
-    title, subtitle = _head(scene, assessed)
+    title, subtitle = _title_lines(scene, assessed)
     write_atomically(path, fill_template(
         'viewer.html', title=escape(title), subtitle=escape(subtitle),
         paints='\n'.join(map(_paint_switch, paints, range(len(paints)))),
@@ -118,8 +115,8 @@ def write_view(path: str | Path, scene: Scene, assessed: Assessment | None = Non
         tables='' if assessed is None else '\n'.join(tables_of(assessed))))
 
 
-def _lay_out(figure: go.Figure, scene: Scene) -> None:
-    """Set the axes to the room, in metres, seen from above one corner."""
+def _set_axes(figure: go.Figure, scene: Scene) -> None:
+    """Set the axes to the room, in metres, and the viewer above a corner."""
     low, high = scene.bounds
     margin = 0.03 * float((high - low).max())
     figure.update_layout(
@@ -136,141 +133,146 @@ def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
     Group points by the wall of the room that must be hidden for a view inside.
 
     :param points: (N, 3) metres.
-    :returns: indices of the points that are always visible, of the walls that face each of four
-        directions, and of the ceiling; and these four directions, x and y.
+    :returns: six arrays of indices: the points that are always visible, those of the walls that
+        face each of four directions, and the ceiling; and these four directions, x and y.
     """
     room = room_of(points, np.arange(len(points))[:, None])
-    ways = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
-    along = room.inward[:, :2] @ np.array(ways).T
-    side = np.where(along.max(axis=1) > LEAST_VOTES, along.argmax(axis=1), -1)
-    shown = room.colours[:, 0]
-    groups = [shown[side == k] for k in range(-1, 4)]
-    return [*groups, np.setdiff1d(np.arange(len(points)), shown)], ways
+    directions = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
+    votes = room.inward[:, :2] @ np.array(directions).T
+    # The inward vector of a wall has a length of 0.3 or more along its direction.
+    wall = np.where(votes.max(axis=1) > 0.3, votes.argmax(axis=1), -1)
+    indices = room.colours[:, 0]
+    groups = [indices[wall == k] for k in range(-1, 4)]
+    return [*groups, np.setdiff1d(np.arange(len(points)), indices)], directions
 
 
 def paints_of(scene: Scene, assessed: Assessment | None) -> list[Paint]:
-    """Return the ways to colour the points; the first one is shown first."""
+    """Return the ways to colour the points of a scene; the page opens with the first way."""
     low, high = np.percentile(scene.points[:, 2], [2.0, 98.0])
-    height = Paint('height', heights_of(scene.points), _scale(HEIGHTS), (),
-                   tuple(f'{value + 0.0:.1f} m' for value in np.round([low, high], 1)))
+    height = Paint('height', heights_of(scene.points), _colour_scale(HEIGHTS), end_labels=tuple(
+        f'{value + 0.0:.1f} m' for value in np.round([low, high], 1)))
     if assessed is None:
         return [height]
-    kinds = len(COUNT_COLOURS)
-    counts = (np.minimum(assessed.counts, kinds - 1) + 0.5) / kinds
+    bands = len(COUNT_COLOURS)
+    counts = (np.minimum(assessed.counts, bands - 1) + 0.5) / bands
     errors = 1000.0 * assessed.error_by_point
-    most = float(np.percentile(errors[errors > 0.0], 98.0)) if (errors > 0.0).any() else 1.0
-    return [_banded('seen by how many cameras', counts, tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
-            _banded('what is missed', assessed.missed.astype(float),
-                    (('seen', PLAIN), ('missed', COUNT_COLOURS[0]))),
-            Paint('depth error', np.sqrt(np.minimum(errors / most, 1.0)),
-                  [[0.0, PLAIN], *([max(share, 0.004), colour]
-                                   for share, colour in _scale(ERROR_COLOURS))], (),
-                  ('0', f'{most:.2g} mm or more at a point')), height]
+    high_error = float(np.percentile(errors[errors > 0.0], 98.0)) if (errors > 0.0).any() else 1.0
+    # Points without any error have the plain colour.
+    error_scale = [[0.0, PLAIN_COLOUR], *([max(share, 0.004), colour]
+                                          for share, colour in _colour_scale(ERROR_COLOURS))]
+    return [_banded_paint('seen by how many cameras', counts,
+                          tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
+            _banded_paint('what is missed', assessed.missed_points.astype(float),
+                          (('seen', PLAIN_COLOUR), ('missed', COUNT_COLOURS[0]))),
+            Paint('depth error', np.sqrt(np.minimum(errors / high_error, 1.0)), error_scale,
+                  end_labels=('0', f'{high_error:.2g} mm or more at a point')), height]
 
 
-def _banded(name: str, values: np.ndarray, legend: tuple[tuple[str, str], ...]) -> Paint:
-    """Return a way to colour points by a legend; its colours divide 0 to 1 into equal parts."""
-    bands = [[(k + edge) / len(legend), colour] for k, (_, colour) in enumerate(legend)
+def _banded_paint(name: str, values: np.ndarray, legend: tuple[tuple[str, str], ...]) -> Paint:
+    """Return a way to colour points by a legend, whose colours are equal parts of 0 to 1."""
+    scale = [[(k + edge) / len(legend), colour] for k, (_, colour) in enumerate(legend)
              for edge in (0, 1)]
-    return Paint(name, values, bands, legend)
+    return Paint(name, values, scale, legend)
 
 
-def _bytes_of(shares: np.ndarray) -> str:
-    """Return shares from 0 to 1 as base64 with one byte for each."""
+def _base64_of(shares: np.ndarray) -> str:
+    """Return shares (N,) from 0 to 1 as base64 text with a byte for each."""
     return b64encode(np.rint(255.0 * shares).astype(np.uint8).tobytes()).decode()
 
 
 def layers_of(assessed: Assessment) -> Iterator[Layer]:
-    """Yield layers: cameras, fields of view, ranges, the rig's zones and one more camera."""
-    placed, scene, rig = assessed.placement.cameras, assessed.scene, assessed.objective.rig
-    yield Layer('cameras', [_cameras(assessed)])
-    longest = float(np.linalg.norm(scene.size))
+    """Yield the layers: cameras, fields of view, ranges, zones of the rig, one more camera."""
+    cameras, scene = assessed.placement.cameras, assessed.scene
+    yield Layer('cameras', [_camera_trace(assessed)])
+    diagonal = float(np.linalg.norm(scene.size))
 
-    def frusta(part: float) -> list[go.Scatter3d]:
-        return [_line(edges(one.camera.model, one.pose, min(one.camera.model.max_range,
-                                                            part * longest)),
-                      camera_colour(number), f'camera {number + 1}')
-                for number, one in enumerate(placed) if not one.camera.model.omnidirectional]
-    yield Layer('fields of view', frusta(FRUSTUM_SHARE))
-    balls = [_ball(one.position, one.camera.model.max_range, camera_colour(number))
-             for number, one in enumerate(placed) if one.camera.model.omnidirectional]
-    # Several frusta with their full range would hide the room, so they are off at first.
-    yield Layer('ranges', [*balls, *frusta(1.0)], len(balls) == len(placed))
-    zones = zones_of(rig)
+    def frusta(max_length: float) -> list[go.Scatter3d]:
+        return [_line_trace(edges(model, placed.pose, min(model.max_range, max_length)),
+                            camera_colour(number), f'camera {number + 1}')
+                for number, placed in enumerate(cameras)
+                if not (model := placed.camera.model).omnidirectional]
+    yield Layer('fields of view', frusta(0.12 * diagonal))
+    spheres = [_range_trace(placed.position, placed.camera.model.max_range, camera_colour(number))
+               for number, placed in enumerate(cameras) if placed.camera.model.omnidirectional]
+    # Several frusta with their full range would hide the room, so they are invisible at first.
+    yield Layer('ranges', [*spheres, *frusta(diagonal)], shown=len(spheres) == len(cameras))
+    zones = zones_of(assessed.objective.rig)
     for kind, style in STYLES.items():
         yield Layer(f'{kind}s', [
-            _line(_outline(zone, scene, assessed.floor), style['edgecolor'], name)
-            for other, name, zone in zones if other == kind])
-    more = assessed.found.get('one_more')
+            _line_trace(_zone_edges(zone, scene, assessed.floor), style['edgecolor'], name)
+            for zone_kind, name, zone in zones if zone_kind == kind])
+    one_more = assessed.found.get('one_more')
     yield Layer('one more camera', [go.Scatter3d(
-        x=[more['position'][0]], y=[more['position'][1]], z=[more['position'][2]],
-        mode='markers', hovertemplate=f'one more {escape(more["sensor"])}: x %{{x:.2f}}, '
-        f'y %{{y:.2f}}, z %{{z:.2f}} m, {more["gain"]:.3f} m less error<extra></extra>',
+        x=[one_more['position'][0]], y=[one_more['position'][1]], z=[one_more['position'][2]],
+        mode='markers', hovertemplate=f'one more {escape(one_more["sensor"])}: x %{{x:.2f}}, '
+        f'y %{{y:.2f}}, z %{{z:.2f}} m, {one_more["gain"]:.3f} m less error<extra></extra>',
         marker={'size': 9, 'color': '#e69f00', 'symbol': 'diamond',
-                'line': {'color': INK, 'width': 2}})] if more else [], False)
+                'line': {'color': INK, 'width': 2}})] if one_more else [], shown=False)
 
 
-def _scale(colours: Any) -> list[list[Any]]:
-    """Return a colour map as a plotly colour scale."""
+def _colour_scale(colours: Any) -> list[list[Any]]:
+    """Return a matplotlib colour map as a plotly colour scale."""
     return [[share, 'rgb({:.0f},{:.0f},{:.0f})'.format(*(255 * value for value in
                                                          colours(share)[:3]))]
             for share in np.linspace(0.0, 1.0, 12).tolist()]
 
 
-def _cloud(points: np.ndarray, colour: str) -> go.Scatter3d:
-    """Return the trace of points (N, 3) in a colour."""
+def _point_trace(points: np.ndarray, colour: str) -> go.Scatter3d:
+    """Return the trace of N points (N, 3), metres, in a colour."""
     x, y, z = np.round(points, DECIMALS).astype(np.float32).T
     return go.Scatter3d(x=x.copy(), y=y.copy(), z=z.copy(), mode='markers', hoverinfo='skip',
                         marker={'size': 2.8, 'color': colour, 'line': {'width': 0}})
 
 
-def _cameras(assessed: Assessment) -> go.Scatter3d:
-    """Return the trace of the cameras with numbers, and mounting instructions on hover."""
+def _camera_trace(assessed: Assessment) -> go.Scatter3d:
+    """Return the trace of the cameras: numbers, and mounting instructions under the pointer."""
     x, y, z = assessed.positions.T
     numbers = range(len(assessed.positions))
-    about = [' <br>'.join(escape(part) for part in words) for words in assessed.words]
+    instructions = [' <br>'.join(map(escape, texts)) for texts in assessed.instructions]
     return go.Scatter3d(
         x=x, y=y, z=z, mode='markers+text', text=[f'<b>{k + 1}</b>' for k in numbers],
-        textposition='top center', textfont={'size': 15, 'color': INK}, customdata=about,
+        textposition='top center', textfont={'size': 15, 'color': INK}, customdata=instructions,
         hovertemplate='camera %{text}: x %{x:.2f}, y %{y:.2f}, z %{z:.2f} m<br>%{customdata}'
         '<extra></extra>',
         marker={'size': 9, 'color': [camera_colour(k) for k in numbers],
                 'line': {'color': 'white', 'width': 2}})
 
 
-def _line(points: np.ndarray, colour: str, label: str) -> go.Scatter3d:
-    """Return the trace of lines (M, 3), separated by rows of NaN."""
+def _line_trace(points: np.ndarray, colour: str, label: str) -> go.Scatter3d:
+    """Return the trace of lines: (M, 3) metres, corners of lines with rows of NaN between."""
     x, y, z = np.round(points, DECIMALS).T
     return go.Scatter3d(x=x, y=y, z=z, mode='lines', line={'color': colour, 'width': 3},
                         hovertemplate=f'{escape(label)}<extra></extra>')
 
 
-def _ball(centre: Sequence[float], radius: float, colour: str) -> go.Mesh3d:
+def _range_trace(centre: Sequence[float], radius: float, colour: str) -> go.Mesh3d:
     """Return the trace of an omnidirectional camera's range, a sphere."""
     azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 37),
                                      np.linspace(-np.pi / 2, np.pi / 2, 19))
-    way = np.stack([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth),
-                    np.sin(elevation)], axis=-1).reshape(-1, 3)
-    x, y, z = np.round(np.asarray(centre) + radius * way, DECIMALS).T
+    cosine = np.cos(elevation)
+    directions = np.stack([cosine * np.cos(azimuth), cosine * np.sin(azimuth), np.sin(elevation)],
+                          axis=-1).reshape(-1, 3)
+    x, y, z = np.round(np.asarray(centre) + radius * directions, DECIMALS).T
     return go.Mesh3d(x=x, y=y, z=z, alphahull=0, color=colour, opacity=0.05, hoverinfo='skip')
 
 
-def _outline(zone: Zone, scene: Scene, floor: float) -> np.ndarray:
-    """Return the edges of a zone (M, 3), with its heights clipped to the room."""
-    lift = floor if zone.above_floor else 0.0
-    bottom, top = np.clip([zone.low[2] + lift, zone.high[2] + lift], *scene.bounds[:, 2])
+def _zone_edges(zone: Zone, scene: Scene, floor: float) -> np.ndarray:
+    """Return the edges of a zone as lines (M, 3) for :func:`_line_trace`, within the room."""
+    base = floor if zone.above_floor else 0.0
+    bottom, top = np.clip([zone.low[2] + base, zone.high[2] + base], *scene.bounds[:, 2])
     corners = corners_of(zone)
     rings = [np.column_stack([np.concatenate([corners, corners[:1]]),
                               np.full(len(corners) + 1, z)]) for z in (bottom, top)]
-    posts = [np.array([[x, y, bottom], [x, y, top]]) for x, y in corners]
-    return chained([*rings, *posts])
+    verticals = [np.array([[x, y, bottom], [x, y, top]]) for x, y in corners]
+    return chained([*rings, *verticals])
 
 
-def _head(scene: Scene, assessed: Assessment | None) -> tuple[str, str]:
-    """Return the headline and the line below it."""
+def _title_lines(scene: Scene, assessed: Assessment | None) -> tuple[str, str]:
+    """Return the title and the subtitle of the page."""
     if assessed is None:
         size = ' x '.join(f'{edge:.1f}' for edge in scene.size)
-        title, subtitle = scene.name, f'{size} m, {len(scene):,} points'
+        title = scene.name
+        subtitle = f'{size} m, {len(scene):,} points'
     else:
         facts = page_facts_of(assessed)
         title, subtitle = facts.title, facts.subtitle
@@ -283,7 +285,7 @@ def _paint_switch(paint: Paint, number: int) -> str:
                      for name, colour in paint.legend)
     if not paint.legend:
         stops = ', '.join(f'{colour} {100 * share:.0f}%' for share, colour in paint.scale)
-        low, high = map(escape, paint.ends)
+        low, high = map(escape, paint.end_labels)
         legend = f'{low} <b style="background:linear-gradient(to right, {stops})"></b> {high}'
     return (f'<label><input type="radio" name="paint" value="{number}"'
             f'{"" if number else " checked"}> {escape(paint.name)}</label><small>{legend}</small>')
@@ -296,43 +298,45 @@ def _layer_switch(layer: Layer, numbers: list[int]) -> str:
 
 
 def tables_of(assessed: Assessment) -> Iterator[str]:
-    """Return the tables beside the room as HTML."""
+    """Yield the parts of HTML beside the room: verdict, doubts, tables and notes."""
     facts = page_facts_of(assessed)
     yield f'<p class="{"good" if facts.satisfied else "bad"}">{escape(facts.verdict)}</p>'
-    yield from _list(assessed.found['broken'])
+    yield from _html_list(assessed.found['broken'])
     if facts.doubts:
         yield '<p class="bad">Check first:</p>'
-        yield from _list(facts.doubts)
-    yield _table(('', '', ''), facts.figures)
-    yield from _paragraphs(facts.certificate)
+        yield from _html_list(facts.doubts)
+    yield _html_table(('', '', ''), facts.figures)
+    yield from _html_paragraphs(facts.certificate)
     yield '<h2>How to mount the cameras</h2>'
     rows = []
-    for number, (words, camera) in enumerate(zip(assessed.words, facts.cameras), start=1):
-        sensor = '' if words.name.startswith(words.sensor) else f' ({words.sensor})'
-        mounting = '; '.join((words.place, words.height, words.pan, words.tilt))
-        rows.append((str(number), f'{words.name}{sensor}: {mounting}', words.coordinates,
+    for number, (texts, camera) in enumerate(zip(assessed.instructions, facts.cameras), start=1):
+        sensor = '' if texts.name.startswith(texts.sensor) else f' ({texts.sensor})'
+        mounting = '; '.join((texts.place, texts.height, texts.pan, texts.tilt))
+        rows.append((str(number), f'{texts.name}{sensor}: {mounting}', texts.coordinates,
                      camera.reduction, camera.only))
-    yield _table(('', 'camera', 'x, y, z', 'error reduction', 'seen by this camera only'), rows)
-    yield from _paragraphs(f'Walls: {facts.walls}; A faces +y most, then clockwise. x, y and z '
-                           f'are {facts.frame}.')
+    columns = ('', 'camera', 'x, y, z', 'error reduction', 'seen by this camera only')
+    yield _html_table(columns, rows)
+    yield from _html_paragraphs(f'Walls: {facts.walls}; A faces +y most, then clockwise. x, y and '
+                                f'z are {facts.frame}.')
     if facts.regions:
-        yield '<h2>Regions</h2>' + _table(REGION_COLUMNS, facts.regions)
-    yield from _paragraphs(facts.links, facts.origin, facts.meaning)
+        yield '<h2>Regions</h2>' + _html_table(REGION_COLUMNS, facts.regions)
+    yield from _html_paragraphs(facts.links, facts.origin, facts.meaning)
 
 
-def _paragraphs(*texts: str) -> Iterator[str]:
-    """Yield texts as paragraphs of HTML, without empty ones."""
+def _html_paragraphs(*texts: str) -> Iterator[str]:
+    """Return the texts that are not empty as paragraphs of HTML."""
     return (f'<p>{escape(text)}</p>' for text in texts if text)
 
 
-def _list(texts: Sequence[str]) -> Iterator[str]:
-    """Yield a list of texts as HTML, if there are any."""
+def _html_list(texts: Sequence[str]) -> Iterator[str]:
+    """Yield a list of texts as HTML, or nothing without texts."""
     if texts:
         yield '<ul>' + ''.join(f'<li>{escape(text)}</li>' for text in texts) + '</ul>'
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """Return a table as HTML."""
+def _html_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """Return a table as HTML; without a head if the names of all columns are empty."""
     lines = [f'<tr>{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>' for row in rows]
-    top = f'<tr>{"".join(f"<th>{escape(cell)}</th>" for cell in head)}</tr>' if any(head) else ''
-    return f'<table>{top}{"".join(lines)}</table>'
+    if any(columns):
+        lines.insert(0, f'<tr>{"".join(f"<th>{escape(name)}</th>" for name in columns)}</tr>')
+    return f'<table>{"".join(lines)}</table>'

@@ -27,16 +27,10 @@ from ocp_ros.rig.placement_file import Placement
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.zones import Zone
 
-#: Distinct with any kind of colour vision; red is reserved for points that no camera sees.
+#: Colours that are distinct with any kind of colour vision, without red: red marks missed points.
 CAMERA_COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#332288', '#f0e442',
                   '#8c6d31')
-#: Distance between the centres of two numbers, inches for each point of font size.
-NUMBER_SPACING = 0.032
-#: Smallest readable font size of numbers, points.
-LEAST_FONT_SIZE = 4.5
-#: Largest share of a room's picture that numbers may cover.
-LARGEST_COVER = 0.35
-NO_PLACES = np.empty((0, 2))
+NO_POSITIONS = np.empty((0, 2))
 #: Edge colour, hatching and line style of each kind of zone.
 STYLES = {
     'must-see region': {'edgecolor': '#00664d', 'hatch': '//', 'linestyle': '-'},
@@ -46,111 +40,120 @@ STYLES = {
 
 
 def camera_colour(number: int) -> str:
-    """Return the colour of a camera, counted from 0."""
+    """Return the colour of a camera by its number from 0; colours repeat after eight."""
     return CAMERA_COLOURS[number % len(CAMERA_COLOURS)]
 
 
-def apart(places: np.ndarray, least: float, taken: np.ndarray, rounds: int = 1000) -> np.ndarray:
+def move_apart(positions: np.ndarray, min_distance: float, fixed: np.ndarray) -> np.ndarray:
     """
-    Move places (K, 2) away from each other until all distances are at least about ``least``.
+    Return positions that are moved away from each other to about a smallest distance.
 
-    :param least: smallest distance, in the unit of the places.
-    :param taken: (M, 2) other places, which do not move.
-    :param rounds: largest number of iterations.
+    :param positions: (K, 2), K positions.
+    :param min_distance: smallest distance, in the unit of the positions.
+    :param fixed: (M, 2), M other positions, which do not move.
+    :returns: (K, 2).
     """
-    moved = places + 1e-3 * least * np.random.default_rng(0).standard_normal(places.shape)
-    for _ in range(rounds):
-        way = moved[:, None] - np.concatenate([moved, taken])[None]
-        distance = np.linalg.norm(way, axis=2)
-        np.fill_diagonal(distance, 2.0 * least)
-        close = np.maximum(least - distance, 0.0) / np.maximum(distance, 1e-9)
-        if not close.any():
+    noise = np.random.default_rng(0).standard_normal(positions.shape)
+    moved = positions + 1e-3 * min_distance * noise
+    for _ in range(1000):
+        vectors = moved[:, None] - np.concatenate([moved, fixed])[None]
+        distances = np.linalg.norm(vectors, axis=2)
+        np.fill_diagonal(distances, 2.0 * min_distance)
+        overlaps = np.maximum(min_distance - distances, 0.0) / np.maximum(distances, 1e-9)
+        if not overlaps.any():
             break
-        moved = moved + 0.5 * (way * close[..., None]).sum(axis=1)
+        moved = moved + 0.5 * (vectors * overlaps[..., None]).sum(axis=1)
     return moved
 
 
-def draw_numbers(axes: Axes, places: np.ndarray, size: float, area: float,
-                 taken: np.ndarray = NO_PLACES, always: bool = False) -> None:
+def draw_numbers(axes: Axes, positions: np.ndarray, size: float, area: float,
+                 fixed: np.ndarray = NO_POSITIONS, always: bool = False) -> None:
     """
-    Draw cameras (K, 2) as dots with numbers; numbers that would overlap are moved to the side.
+    Draw cameras as dots with numbers; numbers that would overlap are moved to the side.
 
-    The size of the numbers is reduced if they would cover too much of the room. If it would be too
-    small, the numbers are left out.
+    The font size is reduced if the numbers would cover too much of the room. If the font size
+    would be too small to read, the numbers are left out.
 
+    :param positions: (K, 2) of the K cameras, data units of the axes.
     :param size: largest font size, points.
-    :param area: of the room in the picture, in the square of the unit of the places.
-    :param taken: (M, 2) places of other letters.
-    :param always: draw numbers even if they cover too much.
+    :param area: area of the room in the picture, square data units.
+    :param fixed: (M, 2) positions of M other letters.
+    :param always: whether to draw numbers even if they cover too much.
     """
-    unit = unit_of(axes)
-    size = min(size, float(np.sqrt(LARGEST_COVER * area / len(places))) / unit / NUMBER_SPACING)
-    if size < LEAST_FONT_SIZE and not always:
-        for number, place in enumerate(places):
-            _draw_dot(axes, place, camera_colour(number))
+    max_covered_share, min_font_size = 0.35, 4.5
+    # Distance between the centres of two numbers, inches for each point of font size.
+    spacing = 0.032
+    units = units_per_inch(axes)
+    size = min(size, float(np.sqrt(max_covered_share * area / len(positions))) / units / spacing)
+    if size < min_font_size and not always:
+        for number, position in enumerate(positions):
+            _draw_dot(axes, position, camera_colour(number))
         return
-    size = max(size, LEAST_FONT_SIZE)
-    least = NUMBER_SPACING * size * unit
-    for number, (place, label) in enumerate(zip(places, apart(places, least, taken))):
+    size = max(size, min_font_size)
+    min_distance = spacing * size * units
+    labels = move_apart(positions, min_distance, fixed)
+    for number, (position, label) in enumerate(zip(positions, labels)):
         colour = camera_colour(number)
-        if np.linalg.norm(label - place) > 0.2 * least:
-            axes.plot(*np.stack([place, label]).T, color=colour, linewidth=1.0, zorder=6)
-        _draw_dot(axes, place, colour)
+        if np.linalg.norm(label - position) > 0.2 * min_distance:
+            axes.plot(*np.stack([position, label]).T, color=colour, linewidth=1.0, zorder=6)
+        _draw_dot(axes, position, colour)
         axes.text(label[0], label[1], str(number + 1), fontsize=size, fontweight='bold',
                   color='white', ha='center', va='center', zorder=7, clip_on=False,
-                  bbox={'boxstyle': 'circle,pad=0.22', 'facecolor': dark(colour),
+                  bbox={'boxstyle': 'circle,pad=0.22', 'facecolor': darkened(colour),
                         'edgecolor': 'white', 'linewidth': 0.8})
 
 
-def unit_of(axes: Axes) -> float:
-    """Return the data units of the axes in one inch of the picture."""
+def units_per_inch(axes: Axes) -> float:
+    """Return the number of data units of the axes in an inch of the picture."""
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     box = axes.get_position(original=True)
     width, height = axes.get_figure(root=True).get_size_inches()
     return max((right - left) / (box.width * width), (top - bottom) / (box.height * height))
 
 
-def _draw_dot(axes: Axes, place: np.ndarray, colour: str) -> None:
+def _draw_dot(axes: Axes, position: np.ndarray, colour: str) -> None:
     """Draw the position of a camera as a dot."""
-    axes.plot(*place, 'o', color=colour, markersize=3.5, markeredgecolor='white',
+    axes.plot(*position, 'o', color=colour, markersize=3.5, markeredgecolor='white',
               markeredgewidth=0.6, zorder=6)
 
 
-def draw_headings(axes: Axes, placement: Placement, places: np.ndarray, frame: np.ndarray,
+def draw_headings(axes: Axes, placement: Placement, positions: np.ndarray, rotation: np.ndarray,
                   width: float) -> None:
     """
     Draw the heading of each camera that is not omnidirectional as an arrow.
 
-    :param places: (K, 2) of the cameras.
-    :param frame: (2, 2) from the map frame to that of the picture; its scale is the length of the
-        arrows in metres.
-    :param width: of the lines, points.
+    :param placement: poses of the K cameras.
+    :param positions: (K, 2) of the cameras in the picture, metres.
+    :param rotation: (2, 2) from the map frame to the picture, times the length of the arrows in
+        metres.
+    :param width: width of the lines, points.
     """
-    for number, (placed, place) in enumerate(zip(placement.cameras, places)):
+    for number, (placed, position) in enumerate(zip(placement.cameras, positions)):
         if placed.camera.model.horizontal_fov < 2.0 * np.pi - 1e-9:
             yaw = np.deg2rad(placed.angles[0])
-            axes.annotate('', place + frame @ [np.cos(yaw), np.sin(yaw)], place, zorder=5,
+            axes.annotate('', position + rotation @ [np.cos(yaw), np.sin(yaw)], position, zorder=5,
                           arrowprops={'arrowstyle': '-|>', 'color': camera_colour(number),
                                       'lw': width, 'shrinkA': 0.0, 'shrinkB': 0.0})
 
 
-def dark(colour: str) -> tuple[float, float, float]:
-    """Return a colour, darkened if needed so that white letters on it are readable."""
+def darkened(colour: str) -> tuple[float, float, float]:
+    """Return a colour as RGB, darkened so far that white letters on the colour are readable."""
     rgb = np.array(to_rgb(colour))
-    light = float(rgb @ [0.2126, 0.7152, 0.0722])
-    return tuple(rgb * min(1.0, 0.5 / max(light, 1e-6)))
+    lightness = float(rgb @ [0.2126, 0.7152, 0.0722])
+    return tuple(rgb * min(1.0, 0.5 / max(lightness, 1e-6)))
 
 
-def draw_letters(axes: Axes, walls: Sequence[ReferenceWall | InnerWall], places: np.ndarray,
+def draw_letters(axes: Axes, walls: Sequence[ReferenceWall | InnerWall], positions: np.ndarray,
                  size: float, **style: Any) -> None:
     """
     Write the letters of walls.
 
-    :param places: (M, 2) of the letters.
-    :param size: of the letters, points.
-    :param style: other properties of the texts.
+    :param walls: M walls.
+    :param positions: (M, 2) of the letters, data units of the axes.
+    :param size: font size, points.
+    :param style: other properties of the texts, as of ``Axes.text``.
     """
-    for wall, (x, y) in zip(walls, places):
+    for wall, (x, y) in zip(walls, positions):
         axes.text(x, y, wall.letter, fontsize=size, fontweight='bold', color=INK, ha='center',
                   va='center', **style)
 
@@ -172,16 +175,16 @@ def zones_of(rig: Rig) -> list[tuple[str, str, Zone]]:
               for number, zone in enumerate(zones, start=1))]
 
 
-def draw_zones(axes: Axes, rig: Rig, frame: np.ndarray, level: float) -> None:
+def draw_zones(axes: Axes, rig: Rig, rotation: np.ndarray, zorder: float) -> None:
     """
     Draw the zones of a rig on a plan.
 
-    :param frame: (2, 2) rotation from the map frame to that of the plan.
-    :param level: drawing order (zorder).
+    :param rotation: (2, 2) from the map frame to that of the plan.
+    :param zorder: drawing order of matplotlib: larger is in front.
     """
     for kind, _, zone in zones_of(rig):
-        axes.add_patch(Polygon(corners_of(zone) @ frame.T, facecolor='none', linewidth=1.2,
-                               zorder=level, label=kind, **STYLES[kind]))
+        axes.add_patch(Polygon(corners_of(zone) @ rotation.T, facecolor='none', linewidth=1.2,
+                               zorder=zorder, label=kind, **STYLES[kind]))
 
 
 def zone_legend(rig: Rig) -> dict[str, Patch]:

@@ -25,6 +25,7 @@ from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.scenes.scene import PLANE_NEIGHBOURS
 from scipy.spatial import cKDTree, ConvexHull
 
+#: Colours of lines and texts.
 INK = '#1c2530'
 PALE_INK = '#66707c'
 #: Lightness decreases evenly with height, so that walls are dark in the plan.
@@ -32,16 +33,10 @@ HEIGHTS = LinearSegmentedColormap.from_list(
     'heights', ['#e6e4dc', '#c9cfd1', '#a3aeb6', '#748593', '#4a5b6b', '#2a3644'])
 #: Direction to the light: right, up and towards the viewer.
 LIGHT = np.array([-0.35, 0.6, 0.72])
+#: Elevation of the viewer, radians.
 ELEVATION = np.radians(42.0)
-#: Azimuths of the viewer, in the south: x points right and y points away from the viewer, as in
-#: the plan.
-AZIMUTHS = np.radians([-60.0, -120.0])
 #: A level surface higher above the floor than this may be a ceiling, metres.
-HEADROOM = 1.8
-#: Width of the columns that are kept or removed as a whole with the front walls, metres.
-COLUMN = 0.3
-#: Number of neighbours whose votes for the inside of a wall are averaged.
-VOTERS = 60
+HEADROOM_M = 1.8
 
 
 class Room(NamedTuple):
@@ -49,9 +44,10 @@ class Room(NamedTuple):
     The points of a room for drawing.
 
     :ivar points: (N, 3) metres.
-    :ivar normals: (N, 3) unit vectors of either sign.
-    :ivar inward: (N, 3) from the walls around the room into it; zero for all other points.
-    :ivar radius: (N,) metres, of the disc of a point.
+    :ivar normals: (N, 3) unit normals of either sign, at the N points.
+    :ivar inward: (N, 3) vectors of length 0 to 1 from the walls around the room into the room; 0
+        for all other points. A longer vector is more certain.
+    :ivar radius: (N,) metres, radius of each point's disc.
     :ivar colours: (N, 3) RGB.
     """
 
@@ -61,36 +57,37 @@ class Room(NamedTuple):
     radius: np.ndarray
     colours: np.ndarray
 
-    def only(self, keep: np.ndarray) -> 'Room':
-        """Return the part of the room that a mask selects."""
+    def select(self, keep: np.ndarray) -> 'Room':
+        """Return the room with the points where ``keep`` (N,) is true."""
         return Room(*(values[keep] for values in self))
 
 
 def room_of(points: np.ndarray, colours: np.ndarray) -> Room:
     """
-    Prepare a room without its ceiling.
+    Return a room for drawing, without its ceiling.
 
     :param points: (N, 3) metres, z up.
-    :param colours: (N, 3) RGB.
+    :param colours: (N, 3) RGB of the N points; any array with N rows is allowed.
     """
-    normals, radius = _surface(points)
-    pitch = float(np.median(radius))
-    room = Room(points, normals, _inward(points, normals, max(0.25, 3.0 * pitch)), radius, colours)
-    return room.only(~_ceiling(points, normals, 2.5 * pitch))
+    normals, radii = _fit_discs(points)
+    pitch = float(np.median(radii))
+    inward = _inward_vectors(points, normals, max(0.25, 3.0 * pitch))
+    room = Room(points, normals, inward, radii, colours)
+    return room.select(~_find_ceiling(points, normals, 2.5 * pitch))
 
 
-def some_of(count: int, most: int) -> np.ndarray:
-    """Return at most ``most`` of ``count`` indices, drawn at random with a fixed seed."""
-    if count <= most:
+def choose_indices(count: int, max_count: int) -> np.ndarray:
+    """Return at most ``max_count`` of ``count`` indices, drawn at random with a fixed seed."""
+    if count <= max_count:
         return np.arange(count)
-    return np.sort(np.random.default_rng(0).choice(count, most, replace=False))
+    return np.sort(np.random.default_rng(0).choice(count, max_count, replace=False))
 
 
-def fit(axes: Axes, shown: np.ndarray, margin: float = 0.0) -> None:
-    """Fit axes to places (M, 2), to scale, with a margin as a share of the longer edge."""
-    low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
-    room = margin * (high - low).max()
-    axes.set(xlim=(low[0] - room, high[0] + room), ylim=(low[1] - room, high[1] + room),
+def fit_axes(axes: Axes, positions: np.ndarray, margin: float = 0.0) -> None:
+    """Fit axes to M positions (M, 2), to scale, with a margin as a share of the longer edge."""
+    low, high = np.nanmin(positions, axis=0), np.nanmax(positions, axis=0)
+    border = margin * (high - low).max()
+    axes.set(xlim=(low[0] - border, high[0] + border), ylim=(low[1] - border, high[1] + border),
              aspect='equal')
 
 
@@ -100,110 +97,134 @@ def heights_of(points: np.ndarray) -> np.ndarray:
     return np.clip((points[:, 2] - low) / max(high - low, 1e-6), 0.0, 1.0)
 
 
-def _surface(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _fit_discs(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """
-    Fit discs to the surfaces behind the points.
+    Fit a disc to the surface at each of N points.
 
     :returns: (N, 3) unit normals of either sign and (N,) radii in metres, smaller for points that
         are not on a surface.
     """
-    distance, near = cKDTree(points).query(points, k=min(PLANE_NEIGHBOURS, len(points)))
-    normals = edge_aware_normals(points, near)
-    offsets = points[near[:, :10]] - points[:, None]
-    misfit = np.einsum('nki,ni->nk', offsets, normals).std(axis=1)
-    pitch = distance[:, 1:5].mean(axis=1)
-    usual = max(float(np.median(pitch)), 1e-3)
-    pitch = np.clip(pitch, 0.8 * usual, 1.5 * usual)
-    return normals, pitch * np.clip(1.35 - 1.4 * misfit / pitch, 0.6, 1.0)
+    distances, neighbours = cKDTree(points).query(points, k=min(PLANE_NEIGHBOURS, len(points)))
+    normals = edge_aware_normals(points, neighbours)
+    offsets = points[neighbours[:, :10]] - points[:, None]
+    misfits = np.einsum('nki,ni->nk', offsets, normals).std(axis=1)
+    pitches = distances[:, 1:5].mean(axis=1)
+    median_pitch = max(float(np.median(pitches)), 1e-3)
+    pitches = np.clip(pitches, 0.8 * median_pitch, 1.5 * median_pitch)
+    return normals, pitches * np.clip(1.35 - 1.4 * misfits / pitches, 0.6, 1.0)
 
 
-def _columns(points: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the column number of each point in the plan, (N,), and the columns' tops, (M,)."""
-    cell = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / width).astype(np.int64)
-    keys, column = np.unique(cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1], return_inverse=True)
-    top = np.full(len(keys), -np.inf)
-    np.maximum.at(top, column, points[:, 2])
-    return column, top
-
-
-def _ceiling(points: np.ndarray, normals: np.ndarray, width: float) -> np.ndarray:
+def _group_columns(points: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
     """
-    Find the points that hide the room from above: (N,) bool.
+    Group points in columns over square cells of the plan.
 
-    A lid is a level surface above head height and the highest surface in its column. A few lids
+    :param points: (N, 3) metres.
+    :param width: of the cells, metres.
+    :returns: column number of each point (N,), and height of the highest point of each of M
+        columns (M,).
+    """
+    cells = np.floor((points[:, :2] - points[:, :2].min(axis=0)) / width).astype(np.int64)
+    numbers = cells[:, 0] * (cells[:, 1].max() + 1) + cells[:, 1]
+    keys, columns = np.unique(numbers, return_inverse=True)
+    tops = np.full(len(keys), -np.inf)
+    np.maximum.at(tops, columns, points[:, 2])
+    return columns, tops
+
+
+def _find_ceiling(points: np.ndarray, normals: np.ndarray, width: float) -> np.ndarray:
+    """
+    Return whether each point hides the room from above: (N,) bool.
+
+    A lid is a point on a level surface above head height, near the top of its column. A few lids
     are the tops of cupboards; a ceiling covers a large part of the room.
+
+    :param width: width of the columns, metres.
     """
     z = points[:, 2]
-    low, high = np.percentile(z, [2.0, 99.5])
-    column, top = _columns(points, width)
-    lid = (np.abs(normals[:, 2]) > 0.8) & (z > top[column] - 0.2)
-    lid &= z > low + max(HEADROOM, 0.6 * (high - low))
-    if len(np.unique(column[lid])) < 0.12 * len(top):
+    floor, highest = np.percentile(z, [2.0, 99.5])
+    columns, tops = _group_columns(points, width)
+    lids = (np.abs(normals[:, 2]) > 0.8) & (z > tops[columns] - 0.2)
+    lids &= z > floor + max(HEADROOM_M, 0.6 * (highest - floor))
+    if len(np.unique(columns[lids])) < 0.12 * len(tops):
         return np.zeros(len(points), dtype=bool)
     # Lamps and the upper ends of walls are removed with the ceiling.
-    return lid | (z > np.percentile(z[lid], 5.0) - 0.1)
+    return lids | (z > np.percentile(z[lids], 5.0) - 0.1)
 
 
-def _inward(points: np.ndarray, normals: np.ndarray, reach: float) -> np.ndarray:
+def _inward_vectors(points: np.ndarray, normals: np.ndarray, radius: float) -> np.ndarray:
     """
-    Find the walls around the room: those with floor or ceiling on one side only.
+    Find the walls around the room: the walls with floor or ceiling on one side only.
 
-    :returns: (N, 3) unit vectors from these walls into the room, zero for all other points.
+    Each point of a wall votes for the side with more floor and ceiling; the votes of neighbours
+    (at most 60) are averaged.
+
+    :param radius: distance in which floor and ceiling are counted, metres.
+    :returns: (N, 3), see :attr:`Room.inward`.
     """
     inward = np.zeros_like(points)
-    level = np.abs(normals[:, 2]) > 0.9
+    is_level = np.abs(normals[:, 2]) > 0.9
     upright = np.flatnonzero(np.abs(normals[:, 2]) < 0.5)
-    if not level.any() or len(upright) == 0:
+    if not is_level.any() or len(upright) == 0:
         return inward
-    floor, at, sideways = cKDTree(points[level, :2]), points[upright], normals[upright]
-    front, back = (floor.query_ball_point((at + s * reach * sideways)[:, :2], reach,
-                                          return_length=True) for s in (1.0, -1.0))
-    balance = (front - back) / np.maximum(front + back, 1)
-    votes = sideways * (balance * (np.abs(balance) > 0.4))[:, None]
-    _, near = cKDTree(at).query(at, k=min(VOTERS, len(at)))
-    inward[upright] = votes[near].mean(axis=1)
+    level_tree = cKDTree(points[is_level, :2])
+    positions, wall_normals = points[upright], normals[upright]
+    front_counts, back_counts = (
+        level_tree.query_ball_point((positions + sign * radius * wall_normals)[:, :2], radius,
+                                    return_length=True) for sign in (1.0, -1.0))
+    balance = (front_counts - back_counts) / np.maximum(front_counts + back_counts, 1)
+    votes = wall_normals * (balance * (np.abs(balance) > 0.4))[:, None]
+    _, neighbours = cKDTree(positions).query(positions, k=min(60, len(positions)))
+    inward[upright] = votes[neighbours].mean(axis=1)
     return inward
 
 
-def _view(azimuth: float, elevation: float) -> np.ndarray:
+def _view_rotation(azimuth: float, elevation: float) -> np.ndarray:
     """Return the rotation to the viewer's axes (right, up, towards the viewer): (3, 3)."""
-    (c, s), (ce, se) = ((np.cos(a), np.sin(a)) for a in (azimuth, elevation))
+    (c, s), (ce, se) = ((np.cos(angle), np.sin(angle)) for angle in (azimuth, elevation))
     return np.array([[-s, c, 0.0], [-se * c, -se * s, ce], [ce * c, ce * s, se]])
 
 
 def cut_open(room: Room, view: np.ndarray) -> Room:
-    """Remove the front walls, whose inner sides face away from the viewer."""
-    z, level = room.points[:, 2], np.abs(room.normals[:, 2])
-    column, top = _columns(room.points, COLUMN)
-    low, high = np.percentile(z, [2.0, 99.5])
+    """
+    Return a room without its front walls, whose inner sides face away from the viewer.
+
+    :param view: (3, 3) rotation to the viewer's axes: right, up, towards the viewer.
+    """
+    z, normal_z = room.points[:, 2], np.abs(room.normals[:, 2])
+    columns, tops = _group_columns(room.points, width=0.3)
+    floor, highest = np.percentile(z, [2.0, 99.5])
     # Keep or remove whole columns: a decision by point would leave isolated points.
-    away = np.bincount(column, -(room.inward @ view[2]))
-    upright = np.bincount(column, level < 0.5)
-    cut = (away > 0.15 * upright) & (top > low + 0.75 * (high - low))
-    return room.only(~(cut[column] & ((level < 0.8) | (z > low + HEADROOM))))
+    back_votes = np.bincount(columns, -(room.inward @ view[2]))
+    wall_points = np.bincount(columns, normal_z < 0.5)
+    removed = (back_votes > 0.15 * wall_points) & (tops > floor + 0.75 * (highest - floor))
+    return room.select(~(removed[columns] & ((normal_z < 0.8) | (z > floor + HEADROOM_M))))
 
 
 def open_view(room: Room) -> tuple[np.ndarray, Room]:
-    """Choose the view with more visible level surfaces; return it and the room cut open for it."""
+    """
+    Return the view with more visible level surfaces, and the room without its front walls.
+
+    :returns: (3, 3) rotation to the viewer's axes, of a viewer in the south, and the cut room.
+    """
     candidates = []
-    for azimuth in AZIMUTHS:
-        view = _view(azimuth, ELEVATION)
-        part = cut_open(room, view)
-        at = part.points @ view.T
-        pixel = np.floor(at[:, :2] / (2.0 * np.median(part.radius))).astype(np.int64)
-        _, pixel = np.unique(pixel, axis=0, return_inverse=True)
-        nearest = np.full(pixel.max() + 1, -np.inf)
-        np.maximum.at(nearest, pixel.ravel(), at[:, 2])
-        seen = at[:, 2] > nearest[pixel.ravel()] - 0.3
-        level = np.abs(part.normals[:, 2]) > 0.8
-        candidates.append((np.count_nonzero(seen & level), view, part))
-    _, view, part = max(candidates, key=lambda candidate: candidate[0])
-    return view, part
+    for azimuth in np.radians([-60.0, -120.0]):
+        view = _view_rotation(azimuth, ELEVATION)
+        shown_room = cut_open(room, view)
+        positions = shown_room.points @ view.T
+        pixels = np.floor(positions[:, :2] / (2.0 * np.median(shown_room.radius))).astype(np.int64)
+        _, pixels = np.unique(pixels, axis=0, return_inverse=True)
+        nearest = np.full(pixels.max() + 1, -np.inf)
+        np.maximum.at(nearest, pixels.ravel(), positions[:, 2])
+        visible = positions[:, 2] > nearest[pixels.ravel()] - 0.3
+        is_level = np.abs(shown_room.normals[:, 2]) > 0.8
+        candidates.append((np.count_nonzero(visible & is_level), view, shown_room))
+    _, view, shown_room = max(candidates, key=lambda candidate: candidate[0])
+    return view, shown_room
 
 
 class Eye(NamedTuple):
     """
-    A viewer of a room, for perspective projection.
+    A viewer of a room; calling the viewer projects points in perspective.
 
     :ivar view: (3, 3) rotation to the viewer's axes: right, up, towards the viewer.
     :ivar target: (3,) metres, centre of the picture.
@@ -216,9 +237,9 @@ class Eye(NamedTuple):
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Project points (..., 3), metres, to the picture: (..., 2) metres."""
-        seen = (points - self.target) @ self.view.T
-        # The limit avoids a division by 0 for points beside or behind the viewer.
-        return seen[..., :2] / np.maximum(1.0 - seen[..., 2:] / self.distance, 0.2)
+        in_view = (points - self.target) @ self.view.T
+        # The limit 0.2 avoids a division by 0 for points beside or behind the viewer.
+        return in_view[..., :2] / np.maximum(1.0 - in_view[..., 2:] / self.distance, 0.2)
 
 
 def eye_at(points: np.ndarray, azimuth: float) -> Eye:
@@ -230,7 +251,7 @@ def eye_at(points: np.ndarray, azimuth: float) -> Eye:
     """
     low, high = np.percentile(points, [1.0, 99.0], axis=0)
     size = float(np.linalg.norm(high - low))
-    return Eye(_view(azimuth, ELEVATION), 0.5 * (low + high), 1.6 * size)
+    return Eye(_view_rotation(azimuth, ELEVATION), 0.5 * (low + high), 1.6 * size)
 
 
 def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
@@ -238,25 +259,27 @@ def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
     """
     Draw each point as a disc on its surface, from back to front.
 
+    :param view: (3, 3) rotation to the viewer's axes: right, up, towards the viewer.
     :param eye: viewer of the same view; None for parallel projection.
     :param contrast: darkening of surfaces that face away from the light; 0 for none.
     :returns: the outline of the room, to clip the drawn ranges.
     """
-    flatten = eye or (lambda points: points @ view[:2].T)
+    project = eye or (lambda points: points @ view[:2].T)
     normals = room.normals * np.where(room.normals @ view[2] < 0.0, -1.0, 1.0)[:, None]
     shade = 1.05 - contrast * 0.33 * (1.0 - np.clip(normals @ view.T @ LIGHT, 0.0, 1.0))
-    first = np.cross(normals, np.where(np.abs(normals[:, 2:]) < 0.7, (0, 0, 1.0), (1.0, 0, 0)))
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(normals, first)
-    angle = np.arange(8)[:, None] * (np.pi / 4.0)
-    rim = np.cos(angle) * first[:, None] + np.sin(angle) * second[:, None]
-    discs = flatten(room.points[:, None] + room.radius[:, None, None] * rim)
+    tangents = np.cross(normals, np.where(np.abs(normals[:, 2:]) < 0.7, (0, 0, 1.0), (1.0, 0, 0)))
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    bitangents = np.cross(normals, tangents)
+    angles = np.arange(8)[:, None] * (np.pi / 4.0)
+    rims = np.cos(angles) * tangents[:, None] + np.sin(angles) * bitangents[:, None]
+    discs = project(room.points[:, None] + room.radius[:, None, None] * rims)
     order = np.argsort(room.points @ view[2])
     colours = np.clip(room.colours * shade[:, None], 0.0, 1.0)[order]
     # A wall seen edge-on is drawn by the lines of its discs, so these are thicker.
     widths = np.where(np.abs(normals @ view[2]) < 0.2, 4.5, 0.8)[order]
-    flat = flatten(room.points)
-    outline = Polygon(flat[ConvexHull(flat, qhull_options='QJ').vertices], fill=False, linewidth=0)
+    centres = project(room.points)
+    corners = centres[ConvexHull(centres, qhull_options='QJ').vertices]
+    outline = Polygon(corners, fill=False, linewidth=0)
     axes.add_patch(outline)
     axes.add_collection(PolyCollection(discs[order], facecolors=colours, edgecolors=colours,
                                        linewidths=widths)).set_clip_path(outline)

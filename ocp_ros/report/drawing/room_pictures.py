@@ -27,8 +27,9 @@ from matplotlib.patches import Circle, Patch, Polygon
 import numpy as np
 from ocp_ros.report.drawing.plan_marks import camera_colour, draw_numbers
 from ocp_ros.report.drawing.room_drawing import (
+    choose_indices,
     draw_discs,
-    fit,
+    fit_axes,
     HEIGHTS,
     heights_of,
     INK,
@@ -36,7 +37,6 @@ from ocp_ros.report.drawing.room_drawing import (
     PALE_INK,
     Room,
     room_of,
-    some_of,
 )
 from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.rooms.generator import generate_room, plan_of
@@ -44,8 +44,6 @@ from ocp_ros.scenes.scene import Scene
 
 #: Colour of points that no camera sees; no camera has this colour.
 UNOBSERVED = '#c44e3b'
-#: Number of points of each room in a picture of several rooms.
-SHOWN = 20_000
 
 
 def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | None,
@@ -55,21 +53,21 @@ def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | 
     Write a PNG of 1800 x 950 pixels: a plan of the room and a view into it.
 
     :param path: file to write; its folder is created.
-    :param points: (N, 3) the whole room, metres, map frame, z up.
-    :param observed: (N,) bool, points that the final placement sees, or None.
-    :param trajectories: (T, K, 3) metres, positions after each time step; row 0 is the start.
+    :param points: (N, 3) the N points of the whole room, metres, map frame, z up.
+    :param observed: (N,) bool, points that the final placement sees; None to show no difference.
+    :param trajectories: (T, K, 3) metres, positions of the K cameras after each of T time steps;
+        row 0 is the start.
     :param max_range: range of every camera, metres.
     :param title: headline.
-    :param subtitle: line of numbers below it.
+    :param subtitle: line of numbers below the headline.
     :raises ValueError: for a wrong shape or range; the message contains the wrong value.
     """
-    points, observed, paths = _checked(points, observed, trajectories, max_range)
-    room = room_of(points, coloured(points, observed))
+    points, observed, paths = _checked_arrays(points, observed, trajectories, max_range)
+    room = room_of(points, height_colours(points, observed))
     figure = Figure(figsize=(18.0, 9.5), dpi=100, facecolor='white')
     figure.text(0.03, 0.945, title, fontsize=21, fontweight='bold', color=INK, va='center',
                 parse_math=False)
-    figure.text(0.03, 0.9, subtitle, fontsize=14, color=PALE_INK, va='center',
-                parse_math=False)
+    figure.text(0.03, 0.9, subtitle, fontsize=14, color=PALE_INK, va='center', parse_math=False)
     draw_plan(figure.add_axes((0.045, 0.13, 0.44, 0.73)), room, paths, max_range)
     _draw_cutaway(figure.add_axes((0.505, 0.1, 0.485, 0.77)), room, paths, max_range)
     unseen = None if observed is None else f' ({100.0 * np.mean(~observed):.1f} % of the points)'
@@ -77,8 +75,8 @@ def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | 
     save_figure(figure, path, dpi=100)
 
 
-def _checked(points, observed, trajectories, max_range: float):
-    """Return the arrays as float64 and bool; raise an error for a wrong shape or range."""
+def _checked_arrays(points, observed, trajectories, max_range: float):
+    """Return points, observed and trajectories as float64 and bool arrays, or raise an error."""
     points, paths = np.asarray(points, np.float64), np.asarray(trajectories, np.float64)
     if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
         raise ValueError(f'points: found shape {points.shape}; expected (N, 3), N of 4 or more')
@@ -93,8 +91,13 @@ def _checked(points, observed, trajectories, max_range: float):
     return points, None if observed is None else np.asarray(observed, bool), paths
 
 
-def coloured(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
-    """Return the colours of points by height, in red for unobserved points: (N, 3) RGB."""
+def height_colours(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
+    """
+    Return the colours of points by height, in red for unobserved points: (N, 3) RGB.
+
+    :param points: (N, 3) metres, z up.
+    :param observed: (N,) bool; None if all points are observed.
+    """
     height = heights_of(points)
     colours = HEIGHTS(height)[:, :3]
     if observed is not None:
@@ -105,24 +108,29 @@ def coloured(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
 
 
 def _draw_cameras(axes: Axes, paths: np.ndarray, max_range: float, clip: Polygon) -> None:
-    """Draw ranges, paths (T, K, 2), starts and final positions, and fit the axes to them."""
-    fit(axes, np.concatenate([clip.get_xy(), *paths]), 0.03)
+    """
+    Draw ranges, paths, starts and final positions, and fit the axes to them.
+
+    :param paths: (T, K, 2) metres, positions of the K cameras after each of T time steps.
+    :param clip: outline of the room, at which ranges end.
+    """
+    fit_axes(axes, np.concatenate([clip.get_xy(), *paths]), 0.03)
     # With many cameras the ranges are paler, so that the room stays visible.
-    strength = min(1.0, 2.0 / np.sqrt(paths.shape[1]))
-    casing = [patheffects.withStroke(linewidth=4.5, foreground='white')]
-    for k in range(paths.shape[1]):
-        colour, path = camera_colour(k), paths[:, k]
+    opacity = min(1.0, 2.0 / np.sqrt(paths.shape[1]))
+    effects = [patheffects.withStroke(linewidth=4.5, foreground='white')]
+    for camera in range(paths.shape[1]):
+        colour, path = camera_colour(camera), paths[:, camera]
         axes.add_patch(Circle(path[-1], max_range, fill=False, edgecolor=colour, linewidth=1.5,
-                              alpha=0.4 + 0.4 * strength, zorder=2)).set_clip_path(clip)
+                              alpha=0.4 + 0.4 * opacity, zorder=2)).set_clip_path(clip)
         if len(path) > 1:
-            axes.plot(*path.T, color=colour, linewidth=2.4, zorder=4, path_effects=casing)
+            axes.plot(*path.T, color=colour, linewidth=2.4, zorder=4, path_effects=effects)
             axes.plot(*path[0], 'o', markersize=7, markerfacecolor='white', markeredgewidth=2.0,
                       markeredgecolor=colour, zorder=5)
     draw_numbers(axes, paths[-1], 11.0, float(np.prod(np.ptp(clip.get_xy(), axis=0))), always=True)
 
 
 def draw_plan(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
-    """Draw the room from above, to scale, in metres."""
+    """Draw the room from above, to scale, in metres, with paths (T, K, 3) of the cameras."""
     outline = draw_discs(axes, room, np.eye(3))
     _draw_cameras(axes, paths[..., :2], max_range, outline)
     axes.set_xlabel('x (m)', fontsize=12, color=PALE_INK)
@@ -132,50 +140,58 @@ def draw_plan(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> No
 
 
 def _draw_cutaway(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
-    """Draw the room in parallel projection without its front walls."""
-    view, part = open_view(room)
-    outline = draw_discs(axes, part, view)
-    floor = float(np.percentile(part.points[:, 2], 2.0))
-    for final in paths[-1]:
-        foot = np.array([final, [*final[:2], floor]]) @ view[:2].T
-        axes.plot(*foot.T, color=INK, linewidth=1.0, linestyle=(0, (2, 2)), zorder=3)
-        axes.plot(*foot[1], 'o', color=INK, markersize=3.5, zorder=3)
+    """Draw the room in parallel projection without front walls, with the cameras' paths."""
+    view, shown_room = open_view(room)
+    outline = draw_discs(axes, shown_room, view)
+    floor = float(np.percentile(shown_room.points[:, 2], 2.0))
+    for position in paths[-1]:
+        vertical = np.array([position, [*position[:2], floor]]) @ view[:2].T
+        axes.plot(*vertical.T, color=INK, linewidth=1.0, linestyle=(0, (2, 2)), zorder=3)
+        axes.plot(*vertical[1], 'o', color=INK, markersize=3.5, zorder=3)
     _draw_cameras(axes, paths @ view[:2].T, max_range, outline)
     axes.set_axis_off()
     _draw_triad(axes, view)
 
 
 def _draw_triad(axes: Axes, view: np.ndarray) -> None:
-    """Draw the three axes, each of a round length, in the lower left corner."""
+    """Draw the axes x, y and z, each of a round length, in the lower left corner."""
     (left, right), (bottom, _) = axes.get_xlim(), axes.get_ylim()
     lengths = np.array([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0])
-    arm = lengths[max(np.searchsorted(lengths, 0.13 * (right - left)) - 1, 0)]
-    arms = arm * view[:2].T
-    origin = np.array([left, bottom]) + 0.2 * arm - np.minimum(arms, 0.0).min(axis=0)
-    for name, tip in zip('xyz', arms):
+    length = lengths[max(np.searchsorted(lengths, 0.13 * (right - left)) - 1, 0)]
+    axis_vectors = length * view[:2].T
+    origin = np.array([left, bottom]) + 0.2 * length - np.minimum(axis_vectors, 0.0).min(axis=0)
+    for name, tip in zip('xyz', axis_vectors):
         axes.annotate('', origin + tip, origin, zorder=8,
                       arrowprops={'arrowstyle': '-|>', 'color': INK, 'linewidth': 1.6,
                                   'shrinkA': 0.0, 'shrinkB': 0.0})
         axes.annotate(name, origin + tip, 9.0 * tip / np.hypot(*tip), color=INK, fontsize=12,
                       textcoords='offset points', ha='center', va='center', zorder=8)
-    axes.annotate(f'{arm:g} m each', (left, bottom + 0.2 * arm), (0.0, -10.0),
+    axes.annotate(f'{length:g} m each', (left, bottom + 0.2 * length), (0.0, -10.0),
                   textcoords='offset points', color=PALE_INK, fontsize=11, va='top')
 
 
 def draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | None) -> None:
-    """Draw a legend below the panels; ``unseen`` is None if colours show only heights."""
-    ladder = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
-    dot = {'color': PALE_INK, 'linestyle': 'none', 'marker': 'o'}
+    """
+    Draw a legend below the panels.
+
+    :param moved: whether the cameras moved, so that starts and paths are drawn.
+    :param unseen: text after "not observed"; None if the colours show heights only.
+    """
+    # A ladder of four points, one above the other.
+    points = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
+    style = {'color': PALE_INK, 'linestyle': 'none', 'marker': 'o'}
     entries = {
-        'start': Line2D([], [], markersize=8, markerfacecolor='white', markeredgewidth=2.0, **dot),
+        'start': Line2D([], [], markersize=8, markerfacecolor='white', markeredgewidth=2.0,
+                        **style),
         'path': Line2D([], [], color=PALE_INK, linewidth=2.4)} if moved else {}
     entries |= {
-        'final position': Line2D([], [], markersize=15, **dot),
-        f'range {max_range:g} m': Line2D([], [], markersize=17, markerfacecolor='#eceef0', **dot),
-        'darker is higher': tuple(Patch(color=c) for c in coloured(ladder, None))}
+        'final position': Line2D([], [], markersize=15, **style),
+        f'range {max_range:g} m': Line2D([], [], markersize=17, markerfacecolor='#eceef0',
+                                         **style),
+        'darker is higher': tuple(Patch(color=colour) for colour in height_colours(points, None))}
     if unseen is not None:
         entries[f'not observed{unseen}'] = tuple(
-            Patch(color=c) for c in coloured(ladder, np.zeros(4, dtype=bool)))
+            Patch(color=colour) for colour in height_colours(points, np.zeros(4, dtype=bool)))
     figure.legend(entries.values(), entries.keys(), loc='lower center', ncols=len(entries),
                   frameon=False, fontsize=13, labelcolor=INK, bbox_to_anchor=(0.5, 0.012),
                   columnspacing=2.4, handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)})
@@ -186,26 +202,26 @@ def draw_rooms(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
     Write a PNG of rooms cut open.
 
     :param path: file to write; its folder is created.
-    :param scenes: titles and rooms.
+    :param scenes: title and room of each part of the picture.
     :param columns: largest number of rooms in a row.
     """
     columns = min(columns, len(scenes))
     rows = -(-len(scenes) // columns)
     figure = Figure(figsize=(5.0 * columns, 4.2 * rows), dpi=75, facecolor='white')
-    for k, (title, scene) in enumerate(scenes):
-        axes = figure.add_axes(((k % columns + 0.02) / columns,
-                                (rows - 1 - k // columns + 0.02) / rows,
+    for number, (title, scene) in enumerate(scenes):
+        axes = figure.add_axes(((number % columns + 0.02) / columns,
+                                (rows - 1 - number // columns + 0.02) / rows,
                                 0.96 / columns, 0.86 / rows))
-        points = scene.points[some_of(len(scene), SHOWN)]
-        view, part = open_view(room_of(points, coloured(points, None)))
-        fit(axes, draw_discs(axes, part, view).get_xy())
+        points = scene.points[choose_indices(len(scene), max_count=20_000)]
+        view, shown_room = open_view(room_of(points, height_colours(points, None)))
+        fit_axes(axes, draw_discs(axes, shown_room, view).get_xy())
         axes.set_axis_off()
         axes.set_title(title, fontsize=12, color=INK, parse_math=False)
     save_figure(figure, path, dpi=75)
 
 
-def titled(seed: int, points: int) -> tuple[str, Scene]:
-    """Return a title with kind and size of a generated room, and the room."""
+def titled_room(seed: int, points: int) -> tuple[str, Scene]:
+    """Return a title with kind and size of a generated room, and the room with ``points``."""
     plan = plan_of(seed)
     width, depth, height = plan.size
     return (f'{seed}: {plan.kind.replace("_", " ")}, {width:.1f} x {depth:.1f} x {height:.1f} m',

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Figures as whole files, with fonts for all letters, and texts and tables that fit."""
+"""Figures saved as files, with fonts for all letters, and texts and tables that fit a width."""
 
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -34,14 +34,15 @@ from ocp_ros.util.files import write_atomically
 from scipy.optimize import brentq
 
 #: Fonts with Chinese, Japanese or Korean letters on Linux, macOS and Windows.
-FALLBACKS = ('Noto Sans CJK JP', 'Noto Sans CJK SC', 'Noto Sans CJK KR', 'Source Han Sans',
-             'WenQuanYi Micro Hei', 'WenQuanYi Zen Hei', 'Droid Sans Fallback', 'IPAGothic',
-             'NanumGothic', 'Hiragino Sans', 'PingFang SC', 'Apple SD Gothic Neo',
-             'Microsoft YaHei', 'Yu Gothic', 'Malgun Gothic', 'Arial Unicode MS')
+FALLBACK_FONTS = (
+    'Noto Sans CJK JP', 'Noto Sans CJK SC', 'Noto Sans CJK KR', 'Source Han Sans',
+    'WenQuanYi Micro Hei', 'WenQuanYi Zen Hei', 'Droid Sans Fallback', 'IPAGothic', 'NanumGothic',
+    'Hiragino Sans', 'PingFang SC', 'Apple SD Gothic Neo', 'Microsoft YaHei', 'Yu Gothic',
+    'Malgun Gothic', 'Arial Unicode MS')
 #: Gap between two columns, inches.
 COLUMN_GAP = 0.14
 #: Smallest readable font size, points.
-LEAST_FONT_SIZE = 5.2
+MIN_FONT_SIZE = 5.2
 
 
 def save_figure(figure: Figure, path: str | Path, **options: Any) -> None:
@@ -57,17 +58,18 @@ def save_figure(figure: Figure, path: str | Path, **options: Any) -> None:
     write_atomically(path, picture.getvalue())
 
 
-def families() -> list[str]:
-    """Return the fonts that are searched for a letter, in this order."""
+def font_families() -> list[str]:
+    """Return the names of the fonts in which matplotlib searches a letter, in this order."""
     installed = set(font_manager.fontManager.get_font_names())
-    usual = list(rcParams['font.family'])
-    return [*usual, *(name for name in FALLBACKS if name in installed and name not in usual)]
+    defaults = list(rcParams['font.family'])
+    return [*defaults, *(name for name in FALLBACK_FONTS
+                         if name in installed and name not in defaults)]
 
 
 @contextmanager
-def all_letters() -> Iterator[None]:
-    """Set the fonts that together have most letters; missing letters are drawn as boxes."""
-    with rc_context({'font.family': families()}), warnings.catch_warnings():
+def fonts_for_all_letters() -> Iterator[None]:
+    """Set fonts that together have most letters, in a context; other letters become boxes."""
+    with rc_context({'font.family': font_families()}), warnings.catch_warnings():
         # The boxes are visible on the page; docs/tasks/troubleshooting.md describes the remedy.
         warnings.filterwarnings('ignore', 'Glyph .* missing from font', UserWarning)
         yield
@@ -75,19 +77,24 @@ def all_letters() -> Iterator[None]:
 
 @lru_cache(maxsize=10000)
 def width_of(text: str, size: float, bold: bool = False) -> float:
-    """Return the width of a text, inches, at a font size in points: 72 are an inch."""
+    """Return the width of a text in inches at a font size in points (1/72 inch)."""
     font = FontProperties(weight='bold' if bold else 'normal', size=size)
     return text_to_path.get_text_width_height_descent(text, font, False)[0] / 72.0
 
 
 def in_one_line(text: str) -> str:
-    """Return a text for one line of a figure, with $ escaped against formulas."""
+    """Return a text as one line for a figure; $ is escaped, as it would begin a formula."""
     text = ''.join(letter if letter.isprintable() else ' ' for letter in text)
     return ' '.join(text.split()).replace('$', r'\$')
 
 
 def shortened(text: str, width: float, size: float, bold: bool = False) -> str:
-    """Return a text; if it is wider than a width in inches, shortened and with three dots."""
+    """
+    Return a text as one line, which ends in three dots if it had to be shortened.
+
+    :param width: largest width, inches.
+    :param size: font size, points.
+    """
     text = in_one_line(text)
     if width_of(text, size, bold) <= width:
         return text
@@ -99,17 +106,18 @@ def shortened(text: str, width: float, size: float, bold: bool = False) -> str:
 def write(figure: Figure, place: tuple[float, float], text: str, width: float, size: float,
           colour: Any, bold: bool = False, align: str = 'left') -> None:
     """
-    Write a line of text in a figure; if it is too wide, reduce its size first, then shorten it.
+    Write a line of text in a figure; a text that is too wide gets smaller, then shorter.
 
-    :param place: position of the text's left end, right end or centre, by ``align``, inches.
+    :param place: x and y of the text's left end, right end or centre, by ``align``, inches.
     :param width: largest width, inches.
-    :param size: of the letters, points.
+    :param size: largest font size, points.
+    :param colour: colour of the text, as in matplotlib.
     :param align: ``left``, ``right`` or ``center``.
     """
     x, y = place / figure.get_size_inches()
-    whole = in_one_line(text)
-    while size > LEAST_FONT_SIZE and width_of(whole, size, bold) > width:
-        size = max(size - 0.2, LEAST_FONT_SIZE)
+    line = in_one_line(text)
+    while size > MIN_FONT_SIZE and width_of(line, size, bold) > width:
+        size = max(size - 0.2, MIN_FONT_SIZE)
     figure.text(x, y, shortened(text, width, size, bold), fontsize=size, color=colour,
                 fontweight='bold' if bold else 'normal', va='center', ha=align)
 
@@ -119,33 +127,34 @@ def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Seq
     """
     Draw a table; columns have the width of their contents, if there is enough space.
 
-    :param box: left, bottom, width and height, inches.
-    :param rows: the head first.
-    :param size: of the letters, points; it is reduced if the table is too wide.
-    :param colours: of the first cell of each row except the head.
+    :param box: left edge, lower edge, width and height of the table, inches.
+    :param rows: cells of each row; the first row is the head.
+    :param size: font size, points; it is reduced if the table is too wide.
+    :param colours: colour of the first cell of each row except the head.
     """
     left, bottom, width, height = box
-    room = width - COLUMN_GAP * (len(rows[0]) - 1)
+    available = width - COLUMN_GAP * (len(rows[0]) - 1)
 
-    def widths(size: float) -> list[float]:
-        return [max(width_of(row[k], size, n == 0 or k == 0) for n, row in enumerate(rows))
+    def text_widths(size: float) -> list[float]:
+        return [max(width_of(row[k], size, bold=i == 0 or k == 0) for i, row in enumerate(rows))
                 for k in range(len(rows[0]))]
-    while sum(widths(size)) > room and size > LEAST_FONT_SIZE:
-        size = max(size - 0.2, LEAST_FONT_SIZE)
-    columns = widths(size)
-    if sum(columns) > room:
+    while sum(text_widths(size)) > available and size > MIN_FONT_SIZE:
+        size = max(size - 0.2, MIN_FONT_SIZE)
+    widths = text_widths(size)
+    if sum(widths) > available:
         # Limit the columns to a common largest width at which all fit.
-        most = brentq(lambda width: np.minimum(columns, width).sum() - room, 0.0, max(columns))
-        columns = [min(one, most) for one in columns]
+        limit = brentq(lambda limit: np.minimum(widths, limit).sum() - available, 0.0, max(widths))
+        widths = [min(text_width, limit) for text_width in widths]
     else:
         # Distribute the remaining width among the columns.
-        columns = [one + (room - sum(columns)) / len(columns) for one in columns]
-    step = height / len(rows)
-    for n, row in enumerate(rows):
-        at, y = left, bottom + height - (n + 0.5) * step
-        for k, (cell, wide) in enumerate(zip(row, columns)):
-            colour = PALE_INK if n == 0 else colours[n - 1] if k == 0 else INK
-            write(figure, (at, y), cell, wide, size, colour, n == 0 or k == 0)
-            at += wide + COLUMN_GAP
-        figure.add_artist(Line2D([left, left + width], [y - 0.5 * step] * 2, color='#c9ced3',
-                                 linewidth=0.3 if n else 0.8, transform=figure.dpi_scale_trans))
+        extra = (available - sum(widths)) / len(widths)
+        widths = [text_width + extra for text_width in widths]
+    row_height = height / len(rows)
+    for i, row in enumerate(rows):
+        x, y = left, bottom + height - (i + 0.5) * row_height
+        for k, (cell, cell_width) in enumerate(zip(row, widths)):
+            colour = PALE_INK if i == 0 else colours[i - 1] if k == 0 else INK
+            write(figure, (x, y), cell, cell_width, size, colour, bold=i == 0 or k == 0)
+            x += cell_width + COLUMN_GAP
+        figure.add_artist(Line2D([left, left + width], [y - 0.5 * row_height] * 2, color='#c9ced3',
+                                 linewidth=0.3 if i else 0.8, transform=figure.dpi_scale_trans))
