@@ -14,6 +14,7 @@
 
 """Check whether a scan looks like a room: level, upright, in metres, of one storey, and closed."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -55,8 +56,9 @@ class _Layers(NamedTuple):
         return float(self.areas[(self.z >= low) & (self.z <= high)].sum())
 
 
+@lru_cache(maxsize=1)
 def missing_surfaces(scene: Scene) -> tuple[str, ...]:
-    """Return which of ``ceiling`` and ``floor`` are missing in a scan."""
+    """Return which of ``ceiling`` and ``floor`` are missing in a scan; remember the last scan."""
     return _missing(scene, _layers_of(scene), ceiling_of(scene).points, _lean(scene))
 
 

@@ -177,7 +177,7 @@ class Page:
         return move
 
     def _show(self) -> None:
-        """Show the present placement: colours first, since people wait for them."""
+        """Show the present placement and its figures: colours first, people wait for them."""
         self._detailed = False
         evaluation = self.evaluation
         if evaluation is not self._shown:
@@ -190,6 +190,7 @@ class Page:
             self._mark(evaluation)
             if fresh:
                 self._show_rig(evaluation.state)
+        self.panel.show_numbers(evaluation, self.studio.certificate(evaluation), self.kept)
 
     def paint(self) -> None:
         """Colour the points."""
@@ -200,8 +201,7 @@ class Page:
         self._detailed = True
         evaluation, camera = self.evaluation, self.selected
         self._place_cameras()
-        self.panel.show_details(evaluation, camera, self.studio.certificate(evaluation),
-                                self.kept)
+        self.panel.show_details(evaluation.state, camera)
         self._show_nearest(evaluation, camera)
         scene, order = self.studio.scene, self.studio.order
         seen = order[evaluation.seen_from(camera)]

@@ -209,11 +209,13 @@ class Panel:
         """Show the most important figures."""
         self.summary.content = texts.summary(evaluation)
 
-    def show_details(self, evaluation: Evaluation, camera: int, certificate: Certificate | None,
+    def show_numbers(self, evaluation: Evaluation, certificate: Certificate | None,
                      kept: Evaluation | None) -> None:
-        """Show all figures, and the pose of the selected camera in its fields."""
-        state = evaluation.state
+        """Show all figures; see :func:`ocp_ros.studio.texts.numbers`."""
         self.numbers.content = texts.numbers(evaluation, certificate, kept)
+
+    def show_details(self, state: State, camera: int) -> None:
+        """Show the pose of the selected camera in its fields."""
         pose, chosen = state.poses[camera], state.rig.cameras[camera]
         self.position.value = tuple(pose[:3].round(4).tolist())
         self.heading.value = tuple(np.rad2deg(pose[3:]).round(3).tolist())
