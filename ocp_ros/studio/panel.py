@@ -31,7 +31,7 @@ from ocp_ros.studio.zone_edits import (
     changed_entry,
     entries_of,
     Entry,
-    KINDS,
+    KEYS,
     with_new,
     without,
 )
@@ -132,7 +132,7 @@ class Panel:
         self.weight = gui.add_number('Weight', 1.0, min=0.0, max=1000.0, step=0.5)
         self.must_see = gui.add_number('Share that must be seen', 0.0, min=0.0, max=1.0,
                                        step=0.05)
-        self.new_zone = gui.add_button_group('Add', tuple(name for name, _ in KINDS.values()))
+        self.new_zone = gui.add_button_group('Add', tuple(KEYS))
         self.no_zone = gui.add_button('Remove this zone')
         self._on(self.zone, lambda _: self._show_zone())
         for field in (self.low, self.high):
@@ -351,8 +351,7 @@ class Panel:
 
     def _add_zone(self, kind: str) -> None:
         """Add a box in the middle of the room, and select it."""
-        key = next(key for key, (name, _) in KINDS.items() if name == kind)
-        studio = self.page.studio
+        key, studio = KEYS[kind], self.page.studio
         floor = self.page.evaluation.problem.region.floor
         self.page.edit_rig(**with_new(studio.state.rig, key, studio.scene, floor))
         self._select_zone(key, len(studio.state.rig.document.data[key]) - 1)
