@@ -14,6 +14,7 @@
 
 """The server of the studio: who can reach it, and what clients can do to it."""
 
+from dataclasses import replace
 import http.client
 from pathlib import Path
 import socket
@@ -32,6 +33,7 @@ from ocp_ros.studio import texts  # noqa: E402
 from ocp_ros.studio.folder import Folder  # noqa: E402
 from ocp_ros.studio.model import Studio  # noqa: E402
 from ocp_ros.studio.page import Page  # noqa: E402
+from ocp_ros.studio.scene_nodes import below  # noqa: E402
 from ocp_ros.studio.server import is_local, LocalServer, start_server  # noqa: E402
 from websockets.exceptions import InvalidStatus  # noqa: E402
 
@@ -233,6 +235,33 @@ def test_names_are_escaped():
         [('<script>', '&')], ('<b>',))
     assert '<img' not in text and '<script' not in text and '<b>' not in text
     assert '&lt;img' in text
+
+
+def area_of(vertices, triangles):
+    """Return the area of a mesh, square metres."""
+    a, b, c = vertices[triangles].swapaxes(0, 1)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+
+
+def test_a_mesh_is_cut_at_a_height(scene):
+    mesh, height = scene.mesh, 1.1
+    low, turned = below(mesh, height), replace(mesh, vertices=mesh.vertices * [1, 1, -1])
+    assert low[0][low[1]][..., 2].max() == pytest.approx(height, abs=1e-6)
+    assert area_of(*low) + area_of(*below(turned, -height)) == pytest.approx(
+        area_of(mesh.vertices, mesh.triangles), rel=1e-5)
+    assert 0.2 < area_of(*low) / area_of(mesh.vertices, mesh.triangles) < 0.8
+
+
+def test_the_room_is_shown_as_a_mesh(page):
+    page, url = page
+    with PageClient(url) as client:
+        client.look()
+        client.until(shows('realsense_d455_1'))
+        client.send('GuiUpdateMessage', uuid=page.panel.room._impl.uuid,
+                    updates={'value': texts.MESH})
+        found = set()
+        client.until(lambda message: found.add((message['type'], message.get('visible')))
+                     or {('MeshMessage', None), ('SetSceneNodeVisibilityMessage', False)} <= found)
 
 
 def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):

@@ -64,6 +64,7 @@ class Panel:
     def __init__(self, page: 'Page', cut: float) -> None:
         self.page, gui = page, page.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
+        gui.add_html(texts.RULES)
         self.summary = gui.add_html('')
         self.said = gui.add_html('')
         tabs = gui.add_tab_group()
@@ -113,10 +114,12 @@ class Panel:
         page, (low, high) = self.page, self.page.studio.scene.bounds[:, 2].tolist()
         self.colours = gui.add_dropdown('Colours', texts.PAINTS)
         self.legend = gui.add_html(texts.legend(texts.BY_COUNT))
+        self.room = gui.add_dropdown('Room', texts.ROOMS, visible=page.surfaces is not None)
         self.cut = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1), 0.05,
                                   round(cut, 1))
         self.compare = gui.add_button_group('Compare', ('Keep as A', 'Go to A', 'Stop'))
         self._on(self.colours, lambda _: self._set_colours())
+        self._on(self.room, page.show_room)
         self._on(self.cut, lambda value: page.cut(float(value)))
         actions: dict[str, Callable[[], None]] = {
             'Keep as A': lambda: page.compare(page.evaluation), 'Go to A': self._go_to_kept,
