@@ -257,6 +257,22 @@ def test_the_guide_fits_a_phone(browser):
 
 
 @pytest.mark.system
+def test_names_of_files_and_typed_names_are_text(opened, page, tmp_path):
+    page, _ = page
+    name = '<img src=x onerror=document.harmed=1>'
+    (tmp_path / f'{name}.yaml').write_text('cameras: 3')
+    page.do(page.panel._list_files)
+    tab = opened()
+    show_tab(tab, 'Files')
+    tab.get_by_role('button', name='Load').click()
+    tab.get_by_text(f'{name}.yaml').first.wait_for()
+    tab.get_by_role('textbox').first.fill(name)
+    tab.get_by_role('button', name='Placement', exact=True).click()
+    tab.get_by_text(f"name: found '{name}'").wait_for()
+    assert tab.evaluate('document.harmed') is None
+
+
+@pytest.mark.system
 def test_a_violation_shows_the_nearest_allowed_pose(opened, page):
     page, _ = page
     tab = opened()
