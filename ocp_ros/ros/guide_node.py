@@ -107,11 +107,6 @@ class GuideNode(ManagedNode):
             self.page.server.stop()
             self.page = None
 
-    def destroy_node(self) -> None:
-        """End the page and the node."""
-        self.release()
-        super().destroy_node()
-
     def _taken(self, take: Callable, message) -> None:
         """Take a message, or log why it cannot be used."""
         try:

@@ -39,6 +39,7 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
+    replaced,
     rotation_of,
     stamp_to_ns,
 )
@@ -125,6 +126,8 @@ class LiveTurns:
         self._command: PoseArray | None = None
         #: Of the command: targets, (K, 3) metres, and rotations (3, 3) of cameras that it rotates.
         self._sent: tuple[np.ndarray, dict[int, np.ndarray]] = np.empty((0, 3)), {}
+        #: The poses at which the cameras stood when the turn was answered.
+        self._began = PoseArray()
         self._instruction = self._expected = ''
         #: Of the last instruction: targets, positions and rotations, (K, 8) metres and radians.
         self._instructed = np.empty((0, 8))
@@ -289,19 +292,33 @@ class LiveTurns:
             self._with_cloud.update(self._turns.used)
         if not before:
             self._observation.publish(cloud_to_msg(self._fused.points, header))
-        self._commands.publish(self._command)
-        self._resend_timer.reset()
-        targets = msg_to_positions(self._command)
-        self._rig_size = len(targets), header.frame_id
-        turned = self._target_rotations(poses)
-        if self._config.manual:
-            self._expected = self._expect(self._fused.points, poses, self._command)
-            self._instruct(self._turns.positions, targets, turned, header)
-        self._turns.sent(targets, turned, targets[:, 2] != msg_to_positions(poses)[:, 2])
-        self._sent = targets, turned
+        self._began = poses
+        self._send()
         if self._final():
             self._turns.change(*self._wait_limits())
         self._plan_ahead()
+
+    def redirect(self, camera: int, pose: PoseMsg) -> None:
+        """Send one camera to another pose in this turn; the others keep their targets."""
+        if self._command is not None:
+            self._command = replaced(self._command, camera, pose)
+            # Since the last command no poses may have come.
+            self._turns.positions = self._rig.positions
+            self._send()
+
+    def _send(self) -> None:
+        """Send the command of this turn, and begin to wait for the cameras."""
+        poses = self._began
+        self._commands.publish(self._command)
+        self._resend_timer.reset()
+        targets = msg_to_positions(self._command)
+        self._rig_size = len(targets), poses.header.frame_id
+        turned = self._target_rotations(poses)
+        if self._config.manual:
+            self._expected = self._expect(self._fused.points, poses, self._command)
+            self._instruct(self._rig.positions, targets, turned, poses.header)
+        self._turns.sent(targets, turned, targets[:, 2] != msg_to_positions(poses)[:, 2])
+        self._sent = targets, turned
 
     @property
     def gaps(self) -> str:

@@ -108,6 +108,11 @@ class ManagedNode(LifecycleNode):
     def release(self) -> None:
         """Release everything that is not an entity of ROS."""
 
+    def destroy_node(self) -> None:
+        """Release everything, and end the node."""
+        self.release()
+        super().destroy_node()
+
     def change(self, config: Any) -> None:
         """Continue with other parameters; is called only while the node is configured."""
 
