@@ -23,7 +23,7 @@ from urllib.parse import urlsplit
 from conftest import HUNG, wait_until
 import numpy as np
 from ocp_ros.rig.rig_file import rig_of
-from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 
@@ -39,17 +39,17 @@ from websockets.exceptions import InvalidStatus  # noqa: E402
 
 
 @pytest.fixture(scope='module')
-def scene():
-    """Return a small room."""
-    return generate_room(3, 2000)
+def room():
+    """Return a small room and its description."""
+    return room_named('3', 2000)
 
 
 @pytest.fixture
-def page(scene, tmp_path):
+def page(room, tmp_path):
     """Yield a page and its URL."""
     rig = rig_of(2, 'realsense_d455', mount={'on': 'free'})
     server, url = start_server(port=0)
-    page = Page(server, Studio(scene, {'seed': 3, 'points': 2000}, rig), Folder(tmp_path))
+    page = Page(server, Studio(*room, rig), Folder(tmp_path))
     yield page, url
     page.close()
 
@@ -96,7 +96,7 @@ def test_a_name_that_points_to_this_machine_is_refused(page):
     assert status_of(url, Host=f'example.org:{urlsplit(url).port}') == 403
 
 
-def test_another_address_needs_the_token(scene):
+def test_another_address_needs_the_token():
     server, url = start_server('127.0.0.1', 0)
     server.stop()
     server, url = start_server('0.0.0.0', 0)
@@ -243,8 +243,8 @@ def area_of(vertices, triangles):
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
 
 
-def test_a_mesh_is_cut_at_a_height(scene):
-    mesh, height = scene.mesh, 1.1
+def test_a_mesh_is_cut_at_a_height(room):
+    mesh, height = room[0].mesh, 1.1
     low, turned = below(mesh, height), replace(mesh, vertices=mesh.vertices * [1, 1, -1])
     assert low[0][low[1]][..., 2].max() == pytest.approx(height, abs=1e-6)
     assert area_of(*low) + area_of(*below(turned, -height)) == pytest.approx(
@@ -292,6 +292,7 @@ def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):
         press(panel.save, 'Placement', (tmp_path / 'placement.yaml').exists)
         press(panel.name, 'my_rig', lambda: panel.name.value == 'my_rig')
         press(panel.save, 'Rig', (tmp_path / 'my_rig.yaml').exists)
+        press(panel.export, True, lambda: 'wrote 10 files to my_rig' in panel.file_said.content)
         press(panel.name, '../up', lambda: panel.name.value == '../up')
         press(panel.save, 'Placement', lambda: 'name: found' in panel.said.content)
         press(panel.planners['Which camera to leave out'], True,

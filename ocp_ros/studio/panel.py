@@ -25,7 +25,7 @@ from ocp_ros.studio import texts
 from ocp_ros.studio.depth_image import NOTHING
 from ocp_ros.studio.model import Evaluation
 from ocp_ros.studio.state import State
-from ocp_ros.studio.tasks import best_addition, least_useful, Progress, searched, Task
+from ocp_ros.studio.tasks import best_addition, least_useful, Progress, searched, Task, Work
 from ocp_ros.studio.zone_edits import (
     box_of,
     changed_entry,
@@ -163,7 +163,7 @@ class Panel:
         self.progress = gui.add_progress_bar(0.0, visible=False)
         self.stop = gui.add_button('Stop', visible=False)
         self.stop.on_click(lambda _: self._stop())
-        self.task_said = gui.add_html('')
+        self._told = self.task_said = gui.add_html('')
 
     def _add_files(self, gui: viser.GuiApi) -> None:
         """Add what saves, loads and exports."""
@@ -247,7 +247,13 @@ class Panel:
         self.progress.value = 100.0 * min(news.share, 1.0)
         self.progress.visible = self.stop.visible = not news.over
         if news.said:
-            self.task_said.content = texts.message(news.said)
+            self._told.content = texts.message(news.said)
+
+    def _start(self, work: Work, seconds: float, said: str, told: viser.GuiHtmlHandle) -> None:
+        """Start a task whose news are told in a part of the panel."""
+        self.page.start_task(work, seconds)
+        self._told = told
+        self.show_progress(Progress(0.0, said))
 
     def _camera_edit(self, edit: Callable[[int], Any]) -> None:
         """Edit the selected camera."""
@@ -376,8 +382,8 @@ class Panel:
         """Search for better poses."""
         seconds = float(np.clip(float(self.seconds.value), *SECONDS[1:]))
         studio = self.page.studio
-        self.page.start_task(searched(studio, studio.state, from_here), seconds)
-        self.show_progress(Progress(0.0, 'searching'))
+        self._start(searched(studio, studio.state, from_here), seconds, 'searching',
+                    self.task_said)
 
     def _stop(self) -> None:
         """Stop the task at its next step; what it has found stays."""
@@ -388,9 +394,8 @@ class Panel:
     def _search_addition(self) -> None:
         """Search for the best pose of one more camera, and add it."""
         page = self.page
-        page.start_task(best_addition(page.evaluation, lambda sensor, pose: page.do(
-            partial(page.studio.add, sensor, pose))), SECONDS[2])
-        self.show_progress(Progress(0.0, 'searching'))
+        self._start(best_addition(page.evaluation, lambda sensor, pose: page.do(
+            partial(page.studio.add, sensor, pose))), SECONDS[2], 'searching', self.task_said)
 
     def _leave_out(self) -> None:
         """Select the camera that can be left out best."""
@@ -426,8 +431,7 @@ class Panel:
         def work(_: Task) -> Any:
             files = page.folder.export(name, page.studio.scene, placement, page.studio.command)
             yield Progress(1.0, f'wrote {len(files)} files to {name}: {", ".join(files)}')
-        page.start_task(work, SECONDS[2])
-        self.show_progress(Progress(0.0, 'writing all files; see below'))
+        self._start(work, SECONDS[2], 'writing all files', self.file_said)
 
     def _list_files(self, chosen: str = '') -> None:
         """Show the files of the folder in the list."""
