@@ -309,10 +309,11 @@ def test_a_search_from_a_pose_that_is_not_allowed_begins_at_the_nearest_one(stud
 
 
 def test_a_search_is_stopped(studio):
-    task = tasks.Task(tasks.searched(studio, studio.state, False), HUNG, lambda _: None)
+    news = []
+    task = tasks.Task(tasks.searched(studio, studio.state, False), HUNG, news.append)
     task.stop()
     task.join()
-    assert not task.running
+    assert news[-1].over
 
 
 def test_the_best_additional_camera_is_that_of_ocp_score(studio, tmp_path, capsys):

@@ -22,7 +22,7 @@ import re
 
 from conftest import HUNG, wait_until
 import numpy as np
-from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.cameras import Pose, rotation_matrix
 from ocp_ros.report.facts import metres
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.scene_source import room_named
@@ -34,6 +34,7 @@ sync_api = pytest.importorskip('playwright.sync_api', reason='playwright is not 
 if not CHROMIUM.exists():
     pytest.skip(f'{CHROMIUM} is not installed: apt-get install chromium', allow_module_level=True)
 from ocp_ros.studio.folder import Folder  # noqa: E402, I100
+from ocp_ros.studio.guide_page import BUTTONS, GuidePage  # noqa: E402
 from ocp_ros.studio.model import Studio  # noqa: E402
 from ocp_ros.studio.page import Page  # noqa: E402
 from ocp_ros.studio.scene_nodes import rotation_of  # noqa: E402
@@ -189,10 +190,86 @@ def test_every_part_of_the_panel_fits(opened, page, size):
         show_tab(tab, name)
         tab.wait_for_timeout(500)
         pictured(tab, f'{size[0]}_{name}')
-        wide = tab.evaluate('document.documentElement.scrollWidth')
-        assert wide <= size[0]
-    for box in (tab.get_by_role('tab', name=name).bounding_box() for name in ('Cameras', 'Plan')):
-        assert box['x'] >= 0 and box['x'] + box['width'] <= size[0]
+        assert_fits(tab, size)
+    if size == PHONE:
+        header = tab.get_by_text('ocp studio').last
+        assert header.bounding_box()['y'] < 0.6 * size[1]
+        header.click()
+        wait_until(lambda: header.bounding_box()['y'] > 0.9 * size[1])
+
+
+def assert_fits(tab, size):
+    """Assert that no control is cut off at the sides, and that scrolling reaches all of them."""
+    assert tab.evaluate('document.documentElement.scrollWidth') <= size[0]
+    for control in tab.locator('button:visible, input:visible, svg:visible').all():
+        control.scroll_into_view_if_needed()
+        box = control.bounding_box()
+        assert box['x'] >= 0 and box['x'] + box['width'] <= size[0], control.inner_html()
+        assert box['y'] >= 0 and box['y'] + box['height'] <= size[1], control.inner_html()
+
+
+@pytest.mark.system
+def test_a_search_is_started_and_stopped_by_keyboard(opened, page):
+    page, _ = page
+    tab = opened()
+    tab.get_by_role('tab', name='Cameras').focus()
+    for _ in range(3):
+        tab.keyboard.press('ArrowRight')
+
+    def press_button(name):
+        for _ in range(20):
+            if tab.evaluate('document.activeElement.textContent') == name:
+                tab.keyboard.press('Enter')
+                return
+            tab.keyboard.press('Tab')
+        raise AssertionError(name)
+
+    tab.get_by_label('Seconds').fill('600')
+    press_button('Plan all')
+    wait_until(lambda: page.task is not None)
+    tab.get_by_role('button', name='Stop').wait_for()
+    press_button('Stop')
+    wait_until(lambda: page.task is None)
+
+
+@pytest.mark.system
+def test_the_guide_fits_a_phone(browser):
+    server, url = start_server(port=0)
+    pressed = []
+    guide = GuidePage(server, pressed.append)
+    guide.set_cloud(room_named('3', 3000)[0].points)
+    guide.poses = [Pose.of(np.array([2.0, 3.0, 1.5, 0.5 * k, 0.1, 0.0])) for k in range(4)]
+    guide.targets = [Pose.of(np.array([2.0 + k, 4.0, 1.8, 1.0, 0.2, 0.0])) for k in range(4)]
+    guide.expected, guide.status = 'expected: less error', 'not final: turn 1 of 5'
+    guide.show()
+    with closing(browser.new_context()) as context:
+        tab = context.new_page()
+        tab.set_viewport_size(dict(zip(('width', 'height'), PHONE)))
+        tab.goto(url)
+        tab.get_by_text('camera 3: 3.00 m to the right').wait_for()
+        tab.wait_for_timeout(1000)
+        pictured(tab, 'guide')
+        assert_fits(tab, PHONE)
+        for label in BUTTONS:
+            tab.get_by_role('button', name=label).click()
+        wait_until(lambda: pressed == list(BUTTONS))
+    server.stop()
+
+
+@pytest.mark.system
+def test_names_of_files_and_typed_names_are_text(opened, page, tmp_path):
+    page, _ = page
+    name = '<img src=x onerror=document.harmed=1>'
+    (tmp_path / f'{name}.yaml').write_text('cameras: 3')
+    page.do(page.panel._list_files)
+    tab = opened()
+    show_tab(tab, 'Files')
+    tab.get_by_role('button', name='Load').click()
+    tab.get_by_text(f'{name}.yaml').first.wait_for()
+    tab.get_by_role('textbox').first.fill(name)
+    tab.get_by_role('button', name='Placement', exact=True).click()
+    tab.get_by_text(f"name: found '{name}'").wait_for()
+    assert tab.evaluate('document.harmed') is None
 
 
 @pytest.mark.system

@@ -14,6 +14,7 @@
 
 """The server of the studio: who can reach it, and what clients can do to it."""
 
+from dataclasses import replace
 import http.client
 from pathlib import Path
 import socket
@@ -22,7 +23,7 @@ from urllib.parse import urlsplit
 from conftest import HUNG, wait_until
 import numpy as np
 from ocp_ros.rig.rig_file import rig_of
-from ocp_ros.rooms.generator import generate_room
+from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 
@@ -32,22 +33,23 @@ from ocp_ros.studio import texts  # noqa: E402
 from ocp_ros.studio.folder import Folder  # noqa: E402
 from ocp_ros.studio.model import Studio  # noqa: E402
 from ocp_ros.studio.page import Page  # noqa: E402
+from ocp_ros.studio.scene_nodes import below  # noqa: E402
 from ocp_ros.studio.server import is_local, LocalServer, start_server  # noqa: E402
 from websockets.exceptions import InvalidStatus  # noqa: E402
 
 
 @pytest.fixture(scope='module')
-def scene():
-    """Return a small room."""
-    return generate_room(3, 2000)
+def room():
+    """Return a small room and its description."""
+    return room_named('3', 2000)
 
 
 @pytest.fixture
-def page(scene, tmp_path):
+def page(room, tmp_path):
     """Yield a page and its URL."""
     rig = rig_of(2, 'realsense_d455', mount={'on': 'free'})
     server, url = start_server(port=0)
-    page = Page(server, Studio(scene, {'seed': 3, 'points': 2000}, rig), Folder(tmp_path))
+    page = Page(server, Studio(*room, rig), Folder(tmp_path))
     yield page, url
     page.close()
 
@@ -94,7 +96,7 @@ def test_a_name_that_points_to_this_machine_is_refused(page):
     assert status_of(url, Host=f'example.org:{urlsplit(url).port}') == 403
 
 
-def test_another_address_needs_the_token(scene):
+def test_another_address_needs_the_token():
     server, url = start_server('127.0.0.1', 0)
     server.stop()
     server, url = start_server('0.0.0.0', 0)
@@ -235,6 +237,33 @@ def test_names_are_escaped():
     assert '&lt;img' in text
 
 
+def area_of(vertices, triangles):
+    """Return the area of a mesh, square metres."""
+    a, b, c = vertices[triangles].swapaxes(0, 1)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+
+
+def test_a_mesh_is_cut_at_a_height(room):
+    mesh, height = room[0].mesh, 1.1
+    low, turned = below(mesh, height), replace(mesh, vertices=mesh.vertices * [1, 1, -1])
+    assert low[0][low[1]][..., 2].max() == pytest.approx(height, abs=1e-6)
+    assert area_of(*low) + area_of(*below(turned, -height)) == pytest.approx(
+        area_of(mesh.vertices, mesh.triangles), rel=1e-5)
+    assert 0.2 < area_of(*low) / area_of(mesh.vertices, mesh.triangles) < 0.8
+
+
+def test_the_room_is_shown_as_a_mesh(page):
+    page, url = page
+    with PageClient(url) as client:
+        client.look()
+        client.until(shows('realsense_d455_1'))
+        client.send('GuiUpdateMessage', uuid=page.panel.room._impl.uuid,
+                    updates={'value': texts.MESH})
+        found = set()
+        client.until(lambda message: found.add((message['type'], message.get('visible')))
+                     or {('MeshMessage', None), ('SetSceneNodeVisibilityMessage', False)} <= found)
+
+
 def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):
     page, url = page
     panel, studio = page.panel, page.studio
@@ -263,6 +292,7 @@ def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):
         press(panel.save, 'Placement', (tmp_path / 'placement.yaml').exists)
         press(panel.name, 'my_rig', lambda: panel.name.value == 'my_rig')
         press(panel.save, 'Rig', (tmp_path / 'my_rig.yaml').exists)
+        press(panel.export, True, lambda: 'wrote 10 files to my_rig' in panel.file_said.content)
         press(panel.name, '../up', lambda: panel.name.value == '../up')
         press(panel.save, 'Placement', lambda: 'name: found' in panel.said.content)
         press(panel.planners['Which camera to leave out'], True,

@@ -57,7 +57,7 @@ def main() -> None:
             tab = browser.new_page(viewport={'width': size[0], 'height': size[1]})
             tab.set_default_timeout(120_000)
             tab.goto(url)
-            tab.get_by_text(re.compile(r'^\d+\.\d+ m of')).first.wait_for()
+            tab.get_by_text(re.compile(r'^[\d.]+ m \(.* without')).first.wait_for()
             tab.wait_for_timeout(DRAWN)
             for button in tab.locator('.mantine-Notification-closeButton').all():
                 button.click()

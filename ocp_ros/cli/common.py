@@ -232,6 +232,12 @@ def show_written(result: Found) -> None:
         print(written({'cameras': result['cameras']}, '.yaml'), end='')
 
 
+def no_ros(asked: str, error: ImportError) -> ConfigurationError:
+    """Return the error of a command or an option that needs ROS 2, which is not installed."""
+    return ConfigurationError(f'{asked}: found no ROS 2 ({error}); expected rclpy and its '
+                              'messages; run tools/setup, or source a ROS 2 installation')
+
+
 def command_of(argv: Sequence[str]) -> str:
     """Return a command line as a user types it."""
     return shlex.join(['ocp', *argv])

@@ -19,8 +19,7 @@ import math
 from pathlib import Path
 
 from ocp_ros.cli.arguments import read_number
-from ocp_ros.cli.common import Commands, Found, REPLAY
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.cli.common import Commands, Found, no_ros, REPLAY
 from ocp_ros.util.terminal_text import printable
 
 
@@ -57,9 +56,7 @@ def run(arguments: argparse.Namespace) -> Found:
     try:
         from ocp_ros.ros.bags.replay_run import replay
     except ImportError as error:
-        raise ConfigurationError(
-            f'ocp replay: found no ROS 2 ({error}); expected rclpy and its messages; run '
-            'tools/setup, or source a ROS 2 installation') from error
+        raise no_ros('ocp replay', error) from error
     return replay(arguments)
 
 

@@ -229,22 +229,26 @@ def links_line(links: Mapping[str, Any]) -> str:
 
 def details_of(found: Mapping[str, Any]) -> Iterator[str]:
     """Yield what the key figures summarise: counts, comparison, missed places, suggestion."""
-    scores, more, planned = found['scores'], found['one_more'], found.get('planned')
+    scores, planned = found['scores'], found.get('planned')
     yield 'seen by ' + ', '.join(f'{cameras}: {percent(count / scores["points"])}'
                                  for cameras, count in scores['overlap'].items())
     for place in found['missed']['places']:
         low, high = (', '.join(f'{value:.2f}' for value in place[end]) for end in ('low', 'high'))
         yield f'missed: {percent(place["share"])} from ({low}) to ({high})'
-    if more is None:
-        yield 'one more camera: there is no feasible pose for it'
-    else:
-        at = ', '.join(f'{value:.2f}' for value in more['position'])
-        yield (f'one more {more["sensor"]} helps most at ({at}), yaw {more["yaw"]:.0f}, pitch '
-               f'{more["pitch"]:.0f}: depth error {metres(more["depth_error"])}')
+    yield one_more_line(found['one_more'])
     if planned:
         yield (f'as planned: depth error {metres(planned["depth_error"])}, space coverage '
                f'{planned["space_coverage"]:.1f} m³, {percent(planned["seen"])} of the points '
                f'seen, objective value {planned["loss"]:.4f}; the other figures are as built')
+
+
+def one_more_line(more: Mapping[str, Any] | None) -> str:
+    """Return where one more camera helps most; ``more`` is the key ``one_more`` of findings."""
+    if more is None:
+        return 'one more camera: there is no feasible pose for it'
+    at = ', '.join(f'{value:.2f}' for value in more['position'])
+    return (f'one more {more["sensor"]} helps most at ({at}), yaw {more["yaw"]:.0f}, pitch '
+            f'{more["pitch"]:.0f}: depth error {metres(more["depth_error"])}')
 
 
 def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:

@@ -14,6 +14,7 @@
 
 """Check whether a scan looks like a room: level, upright, in metres, of one storey, and closed."""
 
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -50,8 +51,9 @@ class _LevelPoints(NamedTuple):
     plan_m2: float
 
 
+@lru_cache(maxsize=1)
 def missing_surfaces(scene: Scene) -> tuple[str, ...]:
-    """Return which of ``ceiling`` and ``floor`` are missing in a scan."""
+    """Return which of ``ceiling`` and ``floor`` are missing in a scan; remember the last scan."""
     return _missing_names(scene, _level_points(scene), ceiling_of(scene).points, _tilt_deg(scene))
 
 

@@ -28,7 +28,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from geometry_msgs.msg import PoseArray
+from geometry_msgs.msg import Pose, PoseArray
 import numpy as np
 from ocp_ros.online.online_planner import Online
 from ocp_ros.policy.agent_config import CheckpointError
@@ -43,6 +43,7 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
+from ocp_ros.ros.interface.handles import CameraHandles
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.convergence import Convergence
@@ -87,6 +88,7 @@ class PolicyNode(ManagedNode):
         self._live: LiveTurns | None = None
         self._calibrator: Calibrator | None = None
         self._paused = False
+        self._handles: CameraHandles | None = None
         super().__init__('policy_node', PolicyNodeConfig, {'manual': MANUAL_DEFAULTS}, **kwargs)
 
     def configure(self) -> None:
@@ -124,6 +126,7 @@ class PolicyNode(ManagedNode):
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
         self._views = PolicyViews(self, self._decider.models, live=self._live is not None,
                                   rig_state=self._decider.state if self._decider.rig else None)
+        self._handles = CameraHandles(self, self._on_handle)
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._status_publisher = diagnostics.StatusPublisher(self, self._status)
@@ -146,7 +149,9 @@ class PolicyNode(ManagedNode):
         """Drop the weights, the rig and all observations."""
         if self._calibrator is not None:
             self._calibrator.close()
-        self._live = self._turns = self._experiences = self._calibrator = None
+        if self._handles is not None:
+            self._handles.close()
+        self._live = self._turns = self._experiences = self._calibrator = self._handles = None
         self._paused = False
 
     def _plan_ahead(self) -> None:
@@ -269,8 +274,18 @@ class PolicyNode(ManagedNode):
         self._counts['turns_answered'] += 1
         self._step += 1
         self._views.show_turn(cloud, poses)
+        self._handles.show(answer, self._decider.count_movable(poses))
         self._convergence.publish_status(self._step, self.config)
         return answer
+
+    def _on_handle(self, camera: int, pose: Pose) -> None:
+        """Command a camera to the pose to which a person has dragged its handle."""
+        if not (self.active and not self._commander.must_wait) or self._is_final or self._experiences:
+            return
+        try:
+            (self._live or self._turns).redirect(camera, pose)
+        except MessageError as error:
+            self._refuse(error)
 
     def _reason_to_finish(self) -> str:
         """Return why the placement is final; empty if it is not final yet."""

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import Pose
 from ocp_ros.geometry.packed_bits import unpack
-from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.simulation.simulator import Simulator, View
 
 
 class PointMaps(NamedTuple):
@@ -45,7 +45,12 @@ def maps_of(simulator: Simulator, poses: Sequence[Pose]) -> PointMaps:
     :param simulator: the engine for the room; camera k has the engine's model k, or its only one.
     :param poses: the poses of K cameras, K >= 1.
     """
-    views = [simulator.look(pose, camera) for camera, pose in enumerate(poses)]
+    return maps_of_views(simulator, [simulator.look(pose, camera)
+                                     for camera, pose in enumerate(poses)])
+
+
+def maps_of_views(simulator: Simulator, views: Sequence[View]) -> PointMaps:
+    """Compute the maps of a placement, given the views of its cameras."""
     order = simulator.visibility.order
     count, error = np.empty(len(order), dtype=np.int64), np.empty(len(order))
     count[order] = np.sum([unpack(view.seen, len(order)) for view in views], axis=0)

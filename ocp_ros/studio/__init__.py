@@ -13,3 +13,6 @@
 # limitations under the License.
 
 """An interactive page: move cameras in a room and see at once what they see."""
+
+#: Address of this machine alone, and the port at which the search for a free one begins.
+LOCAL, PORT = '127.0.0.1', 8080

@@ -22,7 +22,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.rig.motion import wrapped
 from ocp_ros.studio.scene_nodes import wxyz_of
-from ocp_ros.studio.texts import camera_rgb, message, STYLE
+from ocp_ros.studio.texts import camera_rgb, message, RULES, STYLE
 import viser
 
 #: Number of points of the cloud that a phone shows, cells of the plan along its longer edge, and
@@ -59,6 +59,7 @@ class GuidePage:
         self._nodes: dict[str, viser.SceneNodeHandle] = {}
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
+        gui.add_html(RULES)
         self.text = gui.add_html('')
         for label in BUTTONS:
             gui.add_button(label).on_click(lambda _, label=label: pressed(label))

@@ -25,10 +25,20 @@ from ocp_ros.studio.depth_image import coloured, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Evaluation, Studio
 from ocp_ros.studio.panel import Panel
-from ocp_ros.studio.scene_nodes import CameraNode, Cloud, ZoneNode
+from ocp_ros.studio.scene_nodes import CameraNode, Cloud, Surfaces, ZoneNode
 from ocp_ros.studio.state import State
 from ocp_ros.studio.tasks import Progress, Task
-from ocp_ros.studio.texts import camera_rgb, camera_title, colours_of, HELP, MISSED, PLAIN, rgb
+from ocp_ros.studio.texts import (
+    BOTH,
+    camera_rgb,
+    camera_title,
+    colours_of,
+    HELP,
+    MESH,
+    MISSED,
+    PLAIN,
+    rgb,
+)
 from ocp_ros.studio.zone_edits import entries_of, Entry, moved_box
 from ocp_ros.util.settings import UserError
 import viser
@@ -70,13 +80,14 @@ class Page:
         self._spacing = float(np.median(scene.spacing))
         self._normals = scene.normals_or_estimate[studio.order]
         self.cloud = Cloud(server.scene, '/room', self._points, self._normals, self._spacing)
+        self.surfaces = Surfaces(server.scene, scene.mesh) if scene.mesh is not None else None
         self._other: list[Cloud | CameraNode] = []
         self._cameras: dict[str, tuple[tuple[Any, ...], CameraNode]] = {}
         self._zones: dict[str, tuple[tuple[Any, ...], ZoneNode]] = {}
         self._ghost: CameraNode | None = None
         low, high = scene.bounds
         self.panel = Panel(self, low[2] + CUT * (high[2] - low[2]))
-        self.cloud.cut(self.panel.cut.value)
+        self.cut(self.panel.cut.value)
         middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
         server.initial_camera.position = middle + size * np.array([-0.35, -0.5, 0.6])
         server.initial_camera.look_at = middle
@@ -177,7 +188,7 @@ class Page:
         return move
 
     def _show(self) -> None:
-        """Show the present placement: colours first, since people wait for them."""
+        """Show the present placement and its figures: colours first, people wait for them."""
         self._detailed = False
         evaluation = self.evaluation
         if evaluation is not self._shown:
@@ -190,6 +201,7 @@ class Page:
             self._mark(evaluation)
             if fresh:
                 self._show_rig(evaluation.state)
+        self.panel.show_numbers(evaluation, self.studio.certificate(evaluation), self.kept)
 
     def paint(self) -> None:
         """Colour the points."""
@@ -200,8 +212,7 @@ class Page:
         self._detailed = True
         evaluation, camera = self.evaluation, self.selected
         self._place_cameras()
-        self.panel.show_details(evaluation, camera, self.studio.certificate(evaluation),
-                                self.kept)
+        self.panel.show_details(evaluation.state, camera)
         self._show_nearest(evaluation, camera)
         scene, order = self.studio.scene, self.studio.order
         seen = order[evaluation.seen_from(camera)]
@@ -323,10 +334,15 @@ class Page:
 
     def cut(self, height: float) -> None:
         """Show the room up to a height, metres."""
-        self.cloud.cut(height)
-        for node in self._other:
-            if isinstance(node, Cloud):
+        for node in (self.cloud, self.surfaces, *self._other):
+            if isinstance(node, (Cloud, Surfaces)):
                 node.cut(height)
+
+    def show_room(self, shown: str) -> None:
+        """Show the room in one of the ways of :data:`ocp_ros.studio.texts.ROOMS`."""
+        self.cloud.show(shown != MESH)
+        if self.surfaces is not None:
+            self.surfaces.show(shown in (BOTH, MESH))
 
 
 def _exchange(shown: dict[str, tuple[tuple[Any, ...], Any]], wanted: dict[str, Any],

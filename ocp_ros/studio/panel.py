@@ -25,13 +25,13 @@ from ocp_ros.studio import texts
 from ocp_ros.studio.depth_image import NOTHING
 from ocp_ros.studio.model import Evaluation
 from ocp_ros.studio.state import State
-from ocp_ros.studio.tasks import best_addition, least_useful, Progress, searched, Task
+from ocp_ros.studio.tasks import best_addition, least_useful, Progress, searched, Task, Work
 from ocp_ros.studio.zone_edits import (
     box_of,
     changed_entry,
     entries_of,
     Entry,
-    KINDS,
+    KEYS,
     with_new,
     without,
 )
@@ -64,6 +64,7 @@ class Panel:
     def __init__(self, page: 'Page', cut: float) -> None:
         self.page, gui = page, page.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
+        gui.add_html(texts.RULES)
         self.summary = gui.add_html('')
         self.said = gui.add_html('')
         tabs = gui.add_tab_group()
@@ -113,10 +114,12 @@ class Panel:
         page, (low, high) = self.page, self.page.studio.scene.bounds[:, 2].tolist()
         self.colours = gui.add_dropdown('Colours', texts.PAINTS)
         self.legend = gui.add_html(texts.legend(texts.BY_COUNT))
+        self.room = gui.add_dropdown('Room', texts.ROOMS, visible=page.surfaces is not None)
         self.cut = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1), 0.05,
                                   round(cut, 1))
         self.compare = gui.add_button_group('Compare', ('Keep as A', 'Go to A', 'Stop'))
         self._on(self.colours, lambda _: self._set_colours())
+        self._on(self.room, page.show_room)
         self._on(self.cut, lambda value: page.cut(float(value)))
         actions: dict[str, Callable[[], None]] = {
             'Keep as A': lambda: page.compare(page.evaluation), 'Go to A': self._go_to_kept,
@@ -132,7 +135,7 @@ class Panel:
         self.weight = gui.add_number('Weight', 1.0, min=0.0, max=1000.0, step=0.5)
         self.must_see = gui.add_number('Share that must be seen', 0.0, min=0.0, max=1.0,
                                        step=0.05)
-        self.new_zone = gui.add_button_group('Add', tuple(name for name, _ in KINDS.values()))
+        self.new_zone = gui.add_button_group('Add', tuple(KEYS))
         self.no_zone = gui.add_button('Remove this zone')
         self._on(self.zone, lambda _: self._show_zone())
         for field in (self.low, self.high):
@@ -160,7 +163,7 @@ class Panel:
         self.progress = gui.add_progress_bar(0.0, visible=False)
         self.stop = gui.add_button('Stop', visible=False)
         self.stop.on_click(lambda _: self._stop())
-        self.task_said = gui.add_html('')
+        self._told = self.task_said = gui.add_html('')
 
     def _add_files(self, gui: viser.GuiApi) -> None:
         """Add what saves, loads and exports."""
@@ -209,11 +212,13 @@ class Panel:
         """Show the most important figures."""
         self.summary.content = texts.summary(evaluation)
 
-    def show_details(self, evaluation: Evaluation, camera: int, certificate: Certificate | None,
+    def show_numbers(self, evaluation: Evaluation, certificate: Certificate | None,
                      kept: Evaluation | None) -> None:
-        """Show all figures, and the pose of the selected camera in its fields."""
-        state = evaluation.state
+        """Show all figures; see :func:`ocp_ros.studio.texts.numbers`."""
         self.numbers.content = texts.numbers(evaluation, certificate, kept)
+
+    def show_details(self, state: State, camera: int) -> None:
+        """Show the pose of the selected camera in its fields."""
         pose, chosen = state.poses[camera], state.rig.cameras[camera]
         self.position.value = tuple(pose[:3].round(4).tolist())
         self.heading.value = tuple(np.rad2deg(pose[3:]).round(3).tolist())
@@ -242,7 +247,13 @@ class Panel:
         self.progress.value = 100.0 * min(news.share, 1.0)
         self.progress.visible = self.stop.visible = not news.over
         if news.said:
-            self.task_said.content = texts.message(news.said)
+            self._told.content = texts.message(news.said)
+
+    def _start(self, work: Work, seconds: float, said: str, told: viser.GuiHtmlHandle) -> None:
+        """Start a task whose news are told in a part of the panel."""
+        self.page.start_task(work, seconds)
+        self._told = told
+        self.show_progress(Progress(0.0, said))
 
     def _camera_edit(self, edit: Callable[[int], Any]) -> None:
         """Edit the selected camera."""
@@ -349,8 +360,7 @@ class Panel:
 
     def _add_zone(self, kind: str) -> None:
         """Add a box in the middle of the room, and select it."""
-        key = next(key for key, (name, _) in KINDS.items() if name == kind)
-        studio = self.page.studio
+        key, studio = KEYS[kind], self.page.studio
         floor = self.page.evaluation.problem.region.floor
         self.page.edit_rig(**with_new(studio.state.rig, key, studio.scene, floor))
         self._select_zone(key, len(studio.state.rig.document.data[key]) - 1)
@@ -372,8 +382,8 @@ class Panel:
         """Search for better poses."""
         seconds = float(np.clip(float(self.seconds.value), *SECONDS[1:]))
         studio = self.page.studio
-        self.page.start_task(searched(studio, studio.state, from_here), seconds)
-        self.show_progress(Progress(0.0, 'searching'))
+        self._start(searched(studio, studio.state, from_here), seconds, 'searching',
+                    self.task_said)
 
     def _stop(self) -> None:
         """Stop the task at its next step; what it has found stays."""
@@ -384,9 +394,8 @@ class Panel:
     def _search_addition(self) -> None:
         """Search for the best pose of one more camera, and add it."""
         page = self.page
-        page.start_task(best_addition(page.evaluation, lambda sensor, pose: page.do(
-            partial(page.studio.add, sensor, pose))), SECONDS[2])
-        self.show_progress(Progress(0.0, 'searching'))
+        self._start(best_addition(page.evaluation, lambda sensor, pose: page.do(
+            partial(page.studio.add, sensor, pose))), SECONDS[2], 'searching', self.task_said)
 
     def _leave_out(self) -> None:
         """Select the camera that can be left out best."""
@@ -422,8 +431,7 @@ class Panel:
         def work(_: Task) -> Any:
             files = page.folder.export(name, page.studio.scene, placement, page.studio.command)
             yield Progress(1.0, f'wrote {len(files)} files to {name}: {", ".join(files)}')
-        page.start_task(work, SECONDS[2])
-        self.show_progress(Progress(0.0, 'writing all files; see below'))
+        self._start(work, SECONDS[2], 'writing all files', self.file_said)
 
     def _list_files(self, chosen: str = '') -> None:
         """Show the files of the folder in the list."""

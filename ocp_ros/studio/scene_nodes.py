@@ -19,6 +19,7 @@ from collections.abc import Callable
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, OPTICAL_TO_BODY, PINHOLE, rotation_matrix
 from ocp_ros.rig.zones import Zone
+from ocp_ros.scenes.scene import Mesh
 from scipy.spatial.transform import Rotation
 import viser
 
@@ -27,6 +28,8 @@ import viser
 FRUSTUM, HANDLE, BALL = 0.35, 0.6, 0.09
 #: Width of lines, metres, and size of a point in multiples of the median spacing.
 LINE, POINT = 0.012, 0.9
+#: Colour of the mesh: lighter than all colours of points.
+SURFACE = (236, 236, 230)
 #: Direction of the light that shades the points, and the darkest shade of 255.
 LIGHT, DARKEST = np.array([0.36, 0.48, 0.8]), 150
 #: Handles of cameras and zones: is called with the position (3,), metres, the rotation (3, 3), the
@@ -69,8 +72,12 @@ class Cloud:
         # The normals have no sign.
         self._shade = (DARKEST + (255 - DARKEST) * np.abs(normals @ LIGHT)).astype(np.uint16)
         self._shift = np.zeros(3) if shift is None else shift
-        self._colours = np.full(points.shape, 200, dtype=np.uint8)
+        self._colours, self._visible = np.full(points.shape, 200, dtype=np.uint8), True
         self.cut(np.inf)
+
+    def show(self, visible: bool) -> None:
+        """Show the points, or hide them."""
+        self._visible = self._node.visible = visible
 
     def cut(self, height: float) -> None:
         """Show only the points up to a height, metres."""
@@ -78,7 +85,7 @@ class Cloud:
         self._node = self._scene.add_point_cloud(
             self._name, self._points[self._shown], self._colours[self._shown],
             point_size=self._size, point_shape='circle', precision='float32',
-            point_shading='flat', position=self._shift)
+            point_shading='flat', position=self._shift, visible=self._visible)
 
     def paint(self, colours: np.ndarray) -> None:
         """Colour the points: (N, 3) uint8; positions are not sent again."""
@@ -89,6 +96,50 @@ class Cloud:
     def remove(self) -> None:
         """Remove the cloud from the page."""
         self._node.remove()
+
+
+class Surfaces:
+    """
+    The mesh of the room, cut off at a height; hidden at first.
+
+    :param scene: of the page.
+    :param mesh: of the room.
+    """
+
+    def __init__(self, scene: viser.SceneApi, mesh: Mesh) -> None:
+        self._scene, self._mesh, self._height = scene, mesh, np.inf
+        self._node: viser.MeshHandle | None = None
+
+    def show(self, visible: bool) -> None:
+        """Show the mesh, or remove it from the page."""
+        if self._node is not None:
+            self._node.remove()
+        self._node = self._scene.add_mesh_simple(
+            '/surfaces', *below(self._mesh, self._height), color=SURFACE, flat_shading=True,
+            side='double', cast_shadow=False, receive_shadow=False) if visible else None
+
+    def cut(self, height: float) -> None:
+        """Show only the parts up to a height, metres."""
+        self._height = height
+        self.show(self._node is not None)
+
+
+def below(mesh: Mesh, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the vertices (V, 3) and triangles (T, 3) of the parts of a mesh up to a height."""
+    corners = mesh.corners
+    under = corners[:, :, 2] <= height
+    count, parts = under.sum(axis=1), []
+    for number, alone in ((1, under), (2, ~under)):
+        some = count == number
+        # The corner that is alone on its side comes first; the order around the triangle stays.
+        order = (np.argmax(alone[some], axis=1)[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(corners[some], order[..., None], axis=1).swapaxes(0, 1)
+        ab, ac = (a + (height - a[:, 2:]) / (end - a)[:, 2:] * (end - a) for end in (b, c))
+        parts += [(a, ab, ac)] if number == 1 else [(ab, b, c), (ab, c, ac)]
+    cut = np.concatenate([np.stack(part, axis=1) for part in parts]).reshape(-1, 3)
+    new = len(mesh.vertices) + np.arange(len(cut)).reshape(-1, 3)
+    return (np.concatenate([mesh.vertices, cut]),
+            np.concatenate([mesh.triangles[count == 3], new]))
 
 
 class CameraNode:

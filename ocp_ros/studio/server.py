@@ -31,15 +31,14 @@ from threading import Lock
 from typing import Any
 from urllib.parse import urlsplit
 
+from ocp_ros.studio import LOCAL, PORT
 from ocp_ros.util.settings import ConfigurationError
 import viser
 import websockets.asyncio.server
 from websockets.http11 import Request, Response
 
-#: Address of this machine alone, and the port at which the search for a free one begins.
-LOCAL, PORT = '127.0.0.1', 8080
 #: Names of this machine in URLs; another name may be of a page that rebinds its address.
-NAMES = ('127.0.0.1', 'localhost', '[::1]')
+NAMES = (LOCAL, 'localhost', '[::1]')
 #: Other pages must neither show this one inside them nor learn its URL.
 HEADERS = {'X-Frame-Options': 'DENY', 'Referrer-Policy': 'no-referrer'}
 #: Bytes of a token.

@@ -20,6 +20,7 @@ from threading import Thread
 from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.report.facts import one_more_line
 from ocp_ros.report.findings import improvements
 from ocp_ros.rig.placement_file import ANGLES
 from ocp_ros.rig.rig_file import Rig
@@ -72,11 +73,6 @@ class Task:
         self._work = work
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
-
-    @property
-    def running(self) -> bool:
-        """Return whether the task has not ended yet."""
-        return self._thread.is_alive()
 
     def stop(self) -> None:
         """End the work at its next step; it keeps what it has found."""
@@ -185,16 +181,12 @@ def best_addition(evaluation: Evaluation, add: Callable[[str, np.ndarray], None]
     def work(_: Task) -> Iterator[Progress]:
         yield Progress(0.1, 'comparing poses of one more camera')
         found = improvements(evaluation.problem, evaluation.state.poses, evaluation.views)
-        more = found['one_more']
-        if more is None:
-            yield Progress(1.0, 'one more camera: there is no feasible pose for it')
-            return
-        like = next(camera.name for camera in evaluation.state.rig.cameras
-                    if (camera.sensor or camera.name) == more['sensor'])
-        add(like, np.array([*more['position'],
-                            *np.deg2rad([more[angle] for angle in ANGLES])]))
-        yield Progress(1.0, f'one more {more["sensor"]}: depth error {more["depth_error"]:.3f} m, '
-                            f'{more["gain"]:.3f} m less')
+        if (more := found['one_more']) is not None:
+            like = next(camera.name for camera in evaluation.state.rig.cameras
+                        if (camera.sensor or camera.name) == more['sensor'])
+            add(like, np.array([*more['position'],
+                                *np.deg2rad([more[angle] for angle in ANGLES])]))
+        yield Progress(1.0, one_more_line(more))
     return work
 
 

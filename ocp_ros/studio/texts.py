@@ -43,11 +43,16 @@ LEGENDS = {
               ('unseen part of a region that must be seen', REQUIRED)),
     BY_CAMERA: (('others see it', PLAIN), ('seen by no camera', MISSED),
                 ('seen by it and others', COUNT_COLOURS[1]), ('seen by it alone', ALONE))}
+#: The ways to show the room.
+POINTS, BOTH, MESH = ROOMS = 'points', 'points and mesh', 'mesh'
 HELP = ('Drag a camera: the colours show what is seen.',
         'Cameras: type exact poses. Ctrl+Alt+Z: undo.',
         'Plan finds better poses, Files saves them.')
 #: Sentence in place of a certificate.
 UNPROVED = 'How far from the best is not known for this rig: Plan all finds out.'
+#: Rules for all pages: lines of a message stay lines, and on a phone the panel has its full width.
+RULES = ('<style>.mantine-Notification-description{white-space:pre-line}'
+         '@media(max-width:36em){div[style*="width: 20em"]{width:100vw!important}}</style>')
 STYLE = 'font-size:0.85em;line-height:1.35;padding:0.2em 0.6em;overflow-wrap:anywhere'
 
 
@@ -141,10 +146,11 @@ def message(text: str) -> str:
 
 def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
     """Return a table."""
-    cells = [f'<tr>{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>' for row in rows]
-    top = f'<tr>{"".join(f"<th>{escape(cell)}</th>" for cell in head)}</tr>' if head else ''
-    return (f'<table style="width:100%;text-align:left;border-spacing:0 0.15em">{top}'
-            f'{"".join(cells)}</table>')
+    rows_of = [f'<tr>{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>' for row in rows]
+    # Long names may be broken anywhere; heads are words.
+    top = ''.join(f'<th style="overflow-wrap:normal">{escape(cell)}</th>' for cell in head)
+    return (f'<table style="width:100%;text-align:left;border-spacing:0 0.15em">'
+            f'<tr>{top}</tr>{"".join(rows_of)}</table>')
 
 
 def camera_title(name: str, locked: bool) -> str:

@@ -14,17 +14,18 @@
 
 """Zones and regions of a rig as entries of lists that the page shows and edits."""
 
+from collections import Counter
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
+from ocp_ros.report.drawing.plan_marks import STYLES, zones_of
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
 
-#: Keys of the rig's lists, their names for people and the colours of their zones.
-KINDS = {'regions': ('region', '#009e73'), 'keep_out': ('keep-out zone', '#cc79a7'),
-         'keep_in': ('mounting zone', '#0072b2')}
+#: Keys of the rig's lists by the names of their zones for people.
+KEYS = {'region': 'regions', 'keep-out zone': 'keep_out', 'mounting zone': 'keep_in'}
 #: Metres: the edges of a new box, and how far it goes below the floor.
 EDGES, BELOW = np.array([1.5, 1.5, 1.2]), 0.05
 #: Decimals of metres in the rig.
@@ -39,23 +40,16 @@ class Entry(NamedTuple):
     :ivar number: position in that list.
     :ivar data: its data in the document.
     :ivar zone: its shape.
+    :ivar label: its name for people.
+    :ivar colour: of its edges.
     """
 
     key: str
     number: int
     data: dict[str, Any]
     zone: Zone
-
-    @property
-    def label(self) -> str:
-        """Return its name for people."""
-        name = self.data.get('name', str(self.number + 1))
-        return f'{KINDS[self.key][0]} {name}'
-
-    @property
-    def colour(self) -> str:
-        """Return the colour of its edges."""
-        return KINDS[self.key][1]
+    label: str
+    colour: str
 
     @property
     def is_box(self) -> bool:
@@ -65,11 +59,13 @@ class Entry(NamedTuple):
 
 def entries_of(rig: Rig) -> Iterator[Entry]:
     """Yield all zones and regions of a rig."""
-    zones = {'regions': [region.zone for region in rig.regions], 'keep_out': rig.keep_out,
-             'keep_in': rig.keep_in}
-    for key in KINDS:
-        for number, (data, zone) in enumerate(zip(rig.document.data.get(key, ()), zones[key])):
-            yield Entry(key, number, data, zone)
+    numbers = Counter[str]()
+    for kind, name, zone in zones_of(rig):
+        key = KEYS.get(kind, KEYS['region'])
+        number = numbers[key]
+        numbers[key] += 1
+        yield Entry(key, number, rig.document.data[key][number], zone,
+                    name if kind in KEYS else f'region {name}', STYLES[kind]['edgecolor'])
 
 
 def changed_entry(rig: Rig, entry: Entry, **parts: Any) -> dict[str, Any]:

@@ -39,6 +39,7 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
+    replaced,
     rotation_of,
     stamp_to_ns,
 )
@@ -117,6 +118,8 @@ class LiveTurns:
         #: (3, 3), of the cameras that the command rotates.
         self._sent_positions = np.empty((0, 3))
         self._sent_rotations: dict[int, np.ndarray] = {}
+        #: The poses at which the cameras stood when the turn was answered.
+        self._start_poses = PoseArray()
         self.reset()
         self._observation_publisher = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         if config.manual:
@@ -280,21 +283,36 @@ class LiveTurns:
             self._turns_with_cloud.update(self._turns.used_stamps.keys())
         if not was_final:
             self._observation_publisher.publish(cloud_to_msg(self._fused_cloud.points, header))
+        self._start_poses = poses
+        self._send_command()
+        if self._is_final():
+            self._turns.limits = self._wait_limits()
+        self._plan_ahead()
+
+    def redirect(self, camera: int, pose: PoseMsg) -> None:
+        """Send one camera to another pose in this turn; the others keep their targets."""
+        if self._command is not None:
+            self._command = replaced(self._command, camera, pose)
+            # Since the last command no poses may have come.
+            self._turns.positions = self._rig.positions
+            self._send_command()
+
+    def _send_command(self) -> None:
+        """Send the command of this turn, and begin to wait for the cameras."""
+        poses = self._start_poses
         self._commander.publish(self._command)
         self._resend_timer.reset()
         targets = msg_to_positions(self._command)
-        self._rig_size = len(targets), header.frame_id
+        self._rig_size = len(targets), poses.header.frame_id
         target_rotations = self._target_rotations(poses)
         if self._config.manual:
             self._gain_text = self._describe_gain(self._fused_cloud.points, poses, self._command)
-            self._publish_instructions(self._turns.positions, targets, target_rotations, header)
+            self._publish_instructions(self._rig.positions, targets, target_rotations,
+                                       poses.header)
         self._turns.on_command(targets, target_rotations,
                                height_changes=targets[:, 2] != msg_to_positions(poses)[:, 2])
         self._sent_positions = targets
         self._sent_rotations = target_rotations
-        if self._is_final():
-            self._turns.limits = self._wait_limits()
-        self._plan_ahead()
 
     @property
     def missing_data(self) -> str:

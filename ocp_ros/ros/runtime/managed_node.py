@@ -117,6 +117,11 @@ class ManagedNode(LifecycleNode):
     def release(self) -> None:
         """Release everything that is not an entity of ROS."""
 
+    def destroy_node(self) -> None:
+        """Release everything, and end the node."""
+        self.release()
+        super().destroy_node()
+
     def apply_config(self, config: Any) -> None:
         """Continue with new parameters; is called only while the node is configured."""
 
