@@ -62,8 +62,8 @@ SENTENCES = [
     (RESULTS, 'the integral is {}. When the scan is turned by 17 or 45 degrees, the objective '
      'value changes by at most {} of its value', 'measure/viewpoints/air/{key}',
      'rank_correlation turned_objective_change_worst'),
-    (RESULTS, 'in a turned scan is {} times that of a plan in the original scan (geometric mean; {} '
-     'at worst)', 'measure/{key}', 'turned_delivered_ratio turned_delivered_ratio_worst'),
+    (RESULTS, 'in a turned scan is {} times that of a plan in the original scan (geometric mean; '
+     '{} at worst)', 'measure/{key}', 'turned_delivered_ratio turned_delivered_ratio_worst'),
     (RESULTS, 'it delivers {}, {} and {} times', 'measure/stray_delivered_ratio/{key}',
      '0.002 0.01 0.05'),
     (RESULTS, 'is {} of the delivered one, and {} and {} in scans',

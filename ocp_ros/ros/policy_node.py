@@ -280,7 +280,8 @@ class PolicyNode(ManagedNode):
 
     def _on_handle(self, camera: int, pose: Pose) -> None:
         """Command a camera to the pose to which a person has dragged its handle."""
-        if not (self.active and not self._commander.must_wait) or self._is_final or self._experiences:
+        may_command = self.active and not self._commander.must_wait
+        if not may_command or self._is_final or self._experiences:
             return
         try:
             (self._live or self._turns).redirect(camera, pose)

@@ -81,9 +81,9 @@ class ViewNode(Node):
     def _move(self, poses: np.ndarray) -> None:
         """Move the cameras to poses (K, 6), metres and radians, and show what they see."""
         self.poses, self._views = poses, self.objective.look(poses)
-        self._rig.turn(self._header, list(map(CameraPose.of, np.vstack(
+        self._rig.show_turn(self._header, list(map(CameraPose.of, np.vstack(
             [poses, self.objective.rig.fixed_poses]))))
-        self._clouds.turn(self._header)
+        self._clouds.show_turn(self._header)
         message = positions_to_msg(poses[:, :3], self._header, poses[:, 3:])
         self._poses.publish(message)
         self._handles.show(message, len(poses))
