@@ -87,6 +87,8 @@ SENTENCES = [
     (RESULTS, '{} ms (median) with four cameras and {} points, and {} ms with eight cameras and '
      '{} points', 'studio/sizes/{key}', '0/event_to_colours_ms/p50 0/points '
      '1/event_to_colours_ms/p50 1/points'),
+    (RESULTS, '99 % take at most {} and {} ms', 'studio/sizes/{key}',
+     '0/event_to_colours_ms/p99 1/event_to_colours_ms/p99'),
     (MODELS, 'the error at the end is {} and {} times the error at the start (two seeds; at best '
      '{} and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
      'critics_300000_0/least_ratio critics_300000_1/least_ratio'),

@@ -45,6 +45,9 @@ import viser
 
 #: Seconds without an event after which everything is shown that takes longer.
 QUIET = 0.15
+#: From the middle of the room to where the view is at first, and to a place that is below the
+#: middle in the picture, in diagonals of the room.
+AWAY, BELOW = np.array([-0.35, -0.5, 0.6]), np.array([-0.2, -0.28, -0.35])
 #: Share of the room's height up to which it is shown at first.
 CUT = 0.8
 #: Seconds for which the help is shown.
@@ -88,9 +91,9 @@ class Page:
         low, high = scene.bounds
         self.panel = Panel(self, low[2] + CUT * (high[2] - low[2]))
         self.cut(self.panel.cut.value)
-        middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-        server.initial_camera.position = middle + size * np.array([-0.35, -0.5, 0.6])
-        server.initial_camera.look_at = middle
+        self._middle, self._size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+        server.initial_camera.position = self._middle + self._size * AWAY
+        server.initial_camera.look_at = self._middle
         server.on_client_connect(self._welcome)
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
@@ -140,7 +143,12 @@ class Page:
         return names.index(chosen) if chosen in names else 0
 
     def _welcome(self, client: viser.ClientHandle) -> None:
-        """Show three lines of help while nothing has been edited."""
+        """Show the room on a phone too, and three lines of help until something is edited."""
+        if client.camera.aspect < 1.0:
+            # The panel covers the lower part.
+            below = self._middle + self._size * BELOW
+            client.camera.position = below + 1.5 * self._size * AWAY
+            client.camera.look_at = below
         if not self.studio.history.past:
             client.add_notification('ocp studio', '\n'.join(HELP), auto_close_seconds=HELPED)
 
