@@ -42,6 +42,8 @@ ANYWHERE_SHARE, NEIGHBOURS = 0.3, 12
 YAWS, PITCHES = 8, 2
 #: Largest number of candidate poses (position and heading).
 MAX_POSES = 2000
+#: Metres: rounding of a value.
+ROUNDING_M = 1e-9
 #: Metres that a rotation by one radian counts as in the search for neighbours.
 METRES_PER_RADIAN = 0.5
 
@@ -52,14 +54,69 @@ def _value(seen, covered, trees, pixels, weight):
     return lost_depth(trees, seen) / pixels - weight * count_bits(covered)
 
 
+@njit(nogil=True)
+def _beside(camera, state, seen, covered, trees):
+    """Return what the cameras beside one leave: trees, the settled sum, and covered cells."""
+    others_seen, others_covered = np.zeros_like(seen[0]), np.zeros_like(covered[0])
+    for other in range(len(state)):
+        if other != camera:
+            others_seen |= seen[state[other]]
+            others_covered |= covered[state[other]]
+    left, settled = unsettled(trees, others_seen)
+    return left, settled, others_covered
+
+
+@njit(nogil=True)
+def _trial(site, most, beside, seen, covered, pixels, weight, values, exact):
+    """Return the value of a site beside the other cameras, any larger one if it exceeds most."""
+    if not exact[site] and values[site] <= most:
+        left, settled, others_covered = beside
+        bonus = weight * count_bits(others_covered | covered[site])
+        values[site] = (settled + lost_depth(
+            left, seen[site], (most + bonus) * pixels - settled)) / pixels - bonus
+        exact[site] = values[site] <= most
+    return values[site]
+
+
+@njit(cache=True, nogil=True)
+def _filled(seen, covered, trees, pixels, weight, kind_of, own, firsts):
+    """
+    Choose the best site for one camera after the other; for the parameters see :func:`_annealed`.
+
+    What a site adds to a choice becomes less as the choice grows (both terms of the value are
+    submodular), so sites that once added less than the best one does now are not looked at.
+    """
+    chosen = np.empty(len(kind_of), dtype=np.int64)
+    gains = np.full(len(seen), np.inf)
+    for camera in range(len(kind_of)):
+        beside = _beside(camera, chosen[:camera], seen, covered, trees)
+        left, settled, others_covered = beside
+        nothing = np.zeros_like(seen[0])
+        before = ((settled + lost_depth(left, nothing)) / pixels
+                  - weight * count_bits(others_covered))
+        values = np.full(len(seen), -np.inf)
+        exact = np.zeros(len(seen), dtype=np.bool_)
+        best, best_value = -1, np.inf
+        of_kind = own[firsts[kind_of[camera]]:firsts[kind_of[camera] + 1]]
+        for site in of_kind[np.argsort(-gains[of_kind], kind='mergesort')]:
+            if before - gains[site] > best_value + ROUNDING_M:
+                break
+            value = _trial(site, best_value, beside, seen, covered, pixels, weight, values, exact)
+            gains[site] = before - value
+            if value < best_value or (value == best_value and site < best):
+                best, best_value = site, value
+        chosen[camera] = best
+    return chosen
+
+
 @njit(cache=True, nogil=True)
 def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
               temperatures, rng):
     """
     Improve a choice by simulated annealing: exchange one site at a time, return the best choice.
 
-    Each camera gets some proposals in a row, so the views of the other cameras are merged once
-    for all of them.
+    Each camera gets some proposals in a row. The values of its sites beside the other cameras are
+    stored until another camera moves: late in a run the same few sites are proposed repeatedly.
 
     :param chosen: (K,) int64, the first choice.
     :param seen: (S, W) uint64, packed bits of the points that each site sees.
@@ -76,18 +133,19 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
     :param rng: numpy.random.Generator.
     """
     state, best, best_value = chosen.copy(), chosen.copy(), np.inf
+    beside = [(trees, 0.0, covered[0])] * len(state)
+    stale = np.ones(len(state), dtype=np.bool_)
+    values = np.empty((len(state), len(seen)))
+    exact = np.empty(values.shape, dtype=np.bool_)
     for block in range(0, len(temperatures), IN_A_ROW):
         camera = rng.integers(0, len(state))
         first, last = firsts[kind_of[camera]], firsts[kind_of[camera] + 1]
         neighbours = min(near.shape[1], last - first - 1)
-        others_seen, others_covered = np.zeros_like(seen[0]), np.zeros_like(covered[0])
-        for other in range(len(state)):
-            if other != camera:
-                others_seen |= seen[state[other]]
-                others_covered |= covered[state[other]]
-        left, settled = unsettled(trees, others_seen)
-        value = (settled + lost_depth(left, seen[state[camera]])) / pixels - weight * count_bits(
-            others_covered | covered[state[camera]])
+        if stale[camera]:
+            beside[camera] = _beside(camera, state, seen, covered, trees)
+            stale[camera], exact[camera], values[camera] = False, False, -np.inf
+        value = _trial(state[camera], np.inf, beside[camera], seen, covered, pixels, weight,
+                       values[camera], exact[camera])
         if value < best_value:
             best[:], best_value = state, value
         for temperature in temperatures[block:block + IN_A_ROW]:
@@ -96,10 +154,12 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
             else:
                 site = near[state[camera], rng.integers(0, neighbours)]
             most = value + temperature * rng.exponential()
-            bonus = weight * count_bits(others_covered | covered[site])
-            trial = (settled + lost_depth(
-                left, seen[site], (most + bonus) * pixels - settled)) / pixels - bonus
+            trial = _trial(site, most, beside[camera], seen, covered, pixels, weight,
+                           values[camera], exact[camera])
             if trial <= most:
+                if site != state[camera]:
+                    stale[:] = True
+                    stale[camera] = False
                 state[camera], value = site, trial
                 if value < best_value:
                     best[:], best_value = state, value
@@ -164,22 +224,23 @@ class Candidates:
 
     def fill(self) -> list[int]:
         """Choose a pose for one camera after the other, each time the one with the best value."""
-        chosen: list[int] = []
-        for kind in self.kind_of:
-            own = self.of_kind[kind].tolist()
-            values = [self.value([*chosen, site]) for site in own]
-            chosen.append(own[int(np.argmin(values))])
-        return chosen
+        error = self.model.depth_error
+        return _filled(self._seen, self._covered, error.trees, error.pixels, self.weight,
+                       self.kind_of, *self._by_kind()).tolist()
+
+    def _by_kind(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the candidates, sorted by kind, and where each kind begins: (kinds + 1,)."""
+        return (np.concatenate(self.of_kind),
+                np.cumsum([0, *(len(own) for own in self.of_kind)]))
 
     def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
         """Return the best choice that annealing finds from a first choice, perhaps that one."""
         error = self.model.depth_error
         temperatures = error.worst * between(FIRST_TEMPERATURE, LAST_TEMPERATURE,
                                              np.arange(EXCHANGES) / EXCHANGES)
-        firsts = np.cumsum([0, *(len(own) for own in self.of_kind)])
         return _annealed(np.array(chosen), self._seen, self._covered, error.trees, error.pixels,
-                         self.weight, self.kind_of, np.concatenate(self.of_kind),
-                         firsts, self.near, temperatures, rng).tolist()
+                         self.weight, self.kind_of, *self._by_kind(), self.near, temperatures,
+                         rng).tolist()
 
 
 def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:

@@ -240,7 +240,8 @@ class _Search:
     def _worth(self, goals: list[Goal]) -> float:
         """Return the objective value of all goals together, metres; less is better."""
         views = [goal.view for goal in goals]
-        return self._value(self._model.together(views), views[0])
+        together = self._model.together(views)
+        return self._model.depth_error(together.seen) - self._bonus(together, views[0])
 
     def _look(self, camera: int, headings: np.ndarray) -> list[View]:
         """Return the views of a camera with headings (H, 3), computed once and then cached."""
@@ -256,19 +257,20 @@ class _Search:
         """Set the goal of a camera to the best of its current goal and some headings (H, 3)."""
         others = self._model.together([
             goal.view for k, goal in enumerate(self.goals) if k != camera])
-        least = self._value(others, self.goals[camera].view)
-        for heading, view in zip(headings, self._look(camera, headings), strict=True):
-            value = self._value(others, view)
+        error_with = self._model.depth_error.given(others.seen)
+        least, best = np.inf, self.goals[camera]
+        for heading, view in [best, *zip(headings, self._look(camera, headings), strict=True)]:
+            bonus = self._bonus(others, view)
+            value = error_with(view.seen, least + bonus) - bonus
             if value < least:
-                least, self.goals[camera] = value, Goal(heading, view)
+                least, best = value, Goal(heading, view)
+        self.goals[camera] = best
 
-    def _value(self, others: View, view: View) -> float:
-        """Return the objective value of a view with the other views, metres; less is better."""
-        error = self._model.depth_error(others.seen | view.seen)
+    def _bonus(self, others: View, view: View) -> float:
+        """Return the bonus for the unseen cells that views cover together, metres."""
         if not self._weight:
-            return error
-        covered = (others.covered | view.covered) & self._unseen
-        return error - self._weight * int(count_bits(covered))
+            return 0.0
+        return self._weight * int(count_bits((others.covered | view.covered) & self._unseen))
 
 
 def _around(heading: np.ndarray, step: float) -> np.ndarray:
