@@ -28,6 +28,7 @@ from ocp_ros.util.kernels import njit
 
 HALF_PI = 0.5 * np.pi
 TWO_PI = 2.0 * np.pi
+u64 = np.uint64
 
 
 class CubeSettings(NamedTuple):
@@ -50,8 +51,8 @@ class Projection(NamedTuple):
 
     :ivar distance: (N,) float32, metres; inf for points out of the camera's range or field of
         view.
-    :ivar elevation: (N,) float32, radians.
-    :ivar azimuth: (N,) float32, radians.
+    :ivar elevation: (N,) float32, radians; 0 for these points.
+    :ivar azimuth: (N,) float32, radians; 0 for these points.
     """
 
     distance: np.ndarray
@@ -79,12 +80,13 @@ def project(points, pose, lens, out):
         dx, dy, dz = points[i, 0] - x0, points[i, 1] - y0, points[i, 2] - z0
         flat = math.sqrt(dx * dx + dy * dy)
         r = math.sqrt(flat * flat + dz * dz)
+        if (r < lens.min_range or r > lens.max_range or r == 0.0
+                or not (lens.kind == OMNIDIRECTIONAL or in_cone(dx, dy, dz, pose, lens))):
+            out.distance[i], out.elevation[i], out.azimuth[i] = np.inf, 0.0, 0.0
+            continue
         out.distance[i] = r
         out.elevation[i] = math.atan2(dz, flat)
         out.azimuth[i] = math.atan2(dy, dx)
-        if (r < lens.min_range or r > lens.max_range or r == 0.0
-                or not (lens.kind == OMNIDIRECTIONAL or in_cone(dx, dy, dz, pose, lens))):
-            out.distance[i] = np.inf
 
 
 def projected(points: np.ndarray, pose: Pose, lens: Frustum) -> Projection:
@@ -99,12 +101,31 @@ def in_reach(points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
     return np.isfinite(projected(points, pose, lens).distance)
 
 
+@njit(nogil=True, inline='always')
+def _floor(value):
+    """Return the floor of a number, without the function call of libm."""
+    whole = int(value)
+    return whole - (value < whole)
+
+
+@njit(nogil=True, inline='always')
+def _ceil(value):
+    """Return the ceiling of a number, without the function call of libm."""
+    whole = int(value)
+    return whole + (value > whole)
+
+
+@njit(nogil=True, inline='always')
+def _wrapped(column, columns):
+    """Return a column from -columns to 2 * columns - 1 as one of the map, without a division."""
+    return column + columns * (column < 0) - columns * (column >= columns)
+
+
 @njit(cache=True, nogil=True, inline='always')
 def cell_of(elevation, azimuth, rows, columns):
     """Return the (row, column) of the cell of a direction; azimuth pi is azimuth -pi."""
-    row = min(max(int(math.floor((elevation + HALF_PI) * rows / np.pi)), 0), rows - 1)
-    column = int(math.floor((azimuth + np.pi) * columns / TWO_PI)) % columns
-    return row, column
+    row = min(max(_floor((elevation + HALF_PI) * rows / np.pi), 0), rows - 1)
+    return row, _wrapped(_floor((azimuth + np.pi) * columns / TWO_PI), columns)
 
 
 @njit(cache=True, nogil=True, inline='always')
@@ -121,17 +142,17 @@ def footprint(distance, elevation, azimuth, half_side, rows, columns):
     half = half_side / distance
     at = (elevation + HALF_PI) * rows / np.pi - 0.5
     reach = half * rows / np.pi
-    first_row = max(min(int(math.ceil(at - reach)), row), 0)
-    last_row = min(max(int(math.floor(at + reach)), row), rows - 1)
+    first_row = max(min(_ceil(at - reach), row), 0)
+    last_row = min(max(_floor(at + reach), row), rows - 1)
     to_pole = HALF_PI - abs(elevation)
     half_azimuth = half / max(math.cos(elevation), 1e-6)
     if half >= to_pole or half_azimuth >= np.pi:
         return first_row, last_row, 0, columns
     at = (azimuth + np.pi) * columns / TWO_PI - 0.5
     reach = half_azimuth * columns / TWO_PI
-    column = int(math.floor(at + 0.5))
-    first_column = min(int(math.ceil(at - reach)), column)
-    last_column = max(int(math.floor(at + reach)), column)
+    column = _floor(at + 0.5)
+    first_column = min(_ceil(at - reach), column)
+    last_column = max(_floor(at + reach), column)
     return first_row, last_row, first_column, min(last_column - first_column + 1, columns)
 
 
@@ -148,6 +169,7 @@ def splat(projection, spacing, cube_scale, far, shadow_map):
     """
     rows, columns = shadow_map.shape
     shadow_map[:] = far
+    cells = shadow_map.ravel()
     for i in range(spacing.shape[0]):
         r = projection.distance[i]
         if r > far:
@@ -155,13 +177,15 @@ def splat(projection, spacing, cube_scale, far, shadow_map):
         first_row, last_row, first_column, count = footprint(
             r, projection.elevation[i], projection.azimuth[i], cube_scale * spacing[i],
             rows, columns)
-        first = first_column % columns
+        first = _wrapped(first_column, columns)
         last = first + count
         for row in range(first_row, last_row + 1):
-            for column in range(first, min(last, columns)):
-                shadow_map[row, column] = min(shadow_map[row, column], r)
-            for column in range(last - columns):
-                shadow_map[row, column] = min(shadow_map[row, column], r)
+            start = row * columns
+            # Unsigned, since an index that may be negative is checked each time.
+            for cell in range(u64(start + first), u64(start + min(last, columns))):
+                cells[cell] = min(cells[cell], r)
+            for cell in range(u64(start), u64(start + last - min(last, columns))):
+                cells[cell] = min(cells[cell], r)
 
 
 @njit(cache=True, nogil=True)
@@ -182,3 +206,44 @@ def visible(projection, compensation, shadow_map, out):
         row, column = cell_of(projection.elevation[i], projection.azimuth[i], rows, columns)
         if r <= shadow_map[row, column] + compensation:
             out[i] = True
+
+
+@njit(cache=True, nogil=True)
+def look_at_cubes(points, spacing, places, pose, lens, settings, seen, covered):
+    """
+    Add the points and positions that are visible to a camera, in one call without the GIL.
+
+    :param points: (N, 3) float32, metres, map frame.
+    :param spacing: (N,) float32, metres.
+    :param places: (M, 3) float32, metres.
+    :param pose: the camera's :class:`Pose`.
+    :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
+    :param settings: :class:`CubeSettings`.
+    :param seen: (W,) uint64, packed bits of the points, in and out.
+    :param covered: (V,) uint64, packed bits of the positions, in and out; empty to leave them out.
+    """
+    shadow_map = np.empty((settings.rows, 2 * settings.rows), dtype=np.float32)
+    view = _projected(points, pose, lens)
+    splat(view, spacing, settings.cube_scale, lens.max_range, shadow_map)
+    _add_visible(view, settings.compensation, shadow_map, seen)
+    if len(covered):
+        _add_visible(_projected(places, pose, lens), settings.compensation, shadow_map, covered)
+
+
+@njit(nogil=True)
+def _projected(points, pose, lens):
+    """Return the projection of points (N, 3) float32, metres."""
+    count = len(points)
+    view = Projection(np.empty(count, dtype=np.float32), np.empty(count, dtype=np.float32),
+                      np.empty(count, dtype=np.float32))
+    project(points, pose, lens, view)
+    return view
+
+
+@njit(nogil=True)
+def _add_visible(projection, compensation, shadow_map, words):
+    """Add the visible points to packed bits; see :func:`visible`."""
+    flags = np.zeros(len(projection.distance), dtype=np.bool_)
+    visible(projection, compensation, shadow_map, flags)
+    for i in range(len(flags)):
+        words[u64(i) >> u64(6)] |= u64(flags[i]) << (u64(i) & u64(63))

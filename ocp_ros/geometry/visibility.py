@@ -28,8 +28,8 @@ from copy import copy
 
 import numpy as np
 from ocp_ros.geometry.cameras import Frustum, Pose
-from ocp_ros.geometry.packed_bits import block_bounds, no_bits, pack, spatial_order
-from ocp_ros.geometry.shadow_maps import CubeSettings, projected, Projection, splat, visible
+from ocp_ros.geometry.packed_bits import block_bounds, no_bits, spatial_order
+from ocp_ros.geometry.shadow_maps import CubeSettings, look_at_cubes
 from ocp_ros.geometry.surfels import (
     kept_in_cone,
     look_at_surfels,
@@ -139,15 +139,5 @@ class CubeVisibility:
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:
         """Add what is visible to a camera; see :meth:`SurfelVisibility.look`."""
-        view, rows = projected(self._points, pose, lens), self.settings.rows
-        shadow_map = np.empty((rows, 2 * rows), dtype=np.float32)
-        splat(view, self._spacing, self.settings.cube_scale, lens.max_range, shadow_map)
-        seen |= self._visible(view, shadow_map)
-        if len(covered):
-            covered |= self._visible(projected(self._places, pose, lens), shadow_map)
-
-    def _visible(self, view: Projection, shadow_map: np.ndarray) -> np.ndarray:
-        """Return packed bits of the points that the map does not hide."""
-        flags = np.zeros(len(view.distance), dtype=bool)
-        visible(view, self.settings.compensation, shadow_map, flags)
-        return pack(flags)
+        look_at_cubes(self._points, self._spacing, self._places, pose, lens, self.settings, seen,
+                      covered)
