@@ -164,10 +164,11 @@ class HeadingPlanner:
             for camera in np.roll(self.aimed, turn):
                 if interrupted():
                     break
-                sought.best(camera, choices[camera])
+                value = sought.beside(camera)
+                sought.best(camera, choices[camera], value)
                 for step in FINE_STEPS:
                     near = _around(sought.goals[camera].heading, step)
-                    sought.best(camera, self._allowed(near, now[camera], reach))
+                    sought.best(camera, self._allowed(near, now[camera], reach), value)
         return np.array([goal.heading for goal in sought.goals])
 
     def _begun(self, now: np.ndarray, goals: np.ndarray | None, reach: float) -> np.ndarray:
@@ -253,17 +254,35 @@ class _Search:
             self._views.update(zip([keys[k] for k in new], views, strict=True))
         return [self._views[key] for key in keys]
 
-    def best(self, camera: int, headings: np.ndarray) -> None:
-        """Set the goal of a camera to the best of its current goal and some headings (H, 3)."""
+    def beside(self, camera: int) -> Callable[..., float]:
+        """
+        Return a function that computes the objective value of a view with those of other cameras.
+
+        :returns: a function of a view and of ``most``, metres; above it, any larger value may be
+            returned.
+        """
         others = self._model.together([
             goal.view for k, goal in enumerate(self.goals) if k != camera])
         error_with = self._model.depth_error.given(others.seen)
+
+        def value(view: View, most: float) -> float:
+            bonus = self._bonus(others, view)
+            return error_with(view.seen, most + bonus) - bonus
+
+        return value
+
+    def best(self, camera: int, headings: np.ndarray, value: Callable[..., float]) -> None:
+        """
+        Set the goal of a camera to the best of its current goal and some headings.
+
+        :param headings: (H, 3) radians.
+        :param value: of :meth:`beside`.
+        """
         least, best = np.inf, self.goals[camera]
         for heading, view in [best, *zip(headings, self._look(camera, headings), strict=True)]:
-            bonus = self._bonus(others, view)
-            value = error_with(view.seen, least + bonus) - bonus
-            if value < least:
-                least, best = value, Goal(heading, view)
+            found = value(view, least)
+            if found < least:
+                least, best = found, Goal(heading, view)
         self.goals[camera] = best
 
     def _bonus(self, others: View, view: View) -> float:
