@@ -14,7 +14,7 @@
 
 """Candidate poses from which :mod:`ocp_ros.online.lookahead` chooses a placement."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 
 import numpy as np
@@ -52,6 +52,15 @@ METRES_PER_RADIAN = 0.5
 def _value(seen, covered, trees, pixels, weight):
     """Return the depth error of visible points less the bonus for covered unseen cells, metres."""
     return lost_depth(trees, seen) / pixels - weight * count_bits(covered)
+
+
+@njit(nogil=True)
+def _union(views):
+    """Return the union of some views (M, W) uint64, packed bits."""
+    union = np.zeros_like(views[0])
+    for view in views:
+        union |= view
+    return union
 
 
 @njit(nogil=True)
@@ -110,15 +119,16 @@ def _filled(seen, covered, trees, pixels, weight, kind_of, own, firsts):
 
 
 @njit(cache=True, nogil=True)
-def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
+def _annealed(state, best, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
               temperatures, rng):
     """
-    Improve a choice by simulated annealing: exchange one site at a time, return the best choice.
+    Improve a choice by simulated annealing: exchange one site at a time.
 
     Each camera gets some proposals in a row. The values of its sites beside the other cameras are
     stored until another camera moves: late in a run the same few sites are proposed repeatedly.
 
-    :param chosen: (K,) int64, the first choice.
+    :param state: (K,) int64, the current choice, in and out.
+    :param best: (K,) int64, the best choice so far, in and out.
     :param seen: (S, W) uint64, packed bits of the points that each site sees.
     :param covered: (S, V) uint64, packed bits of the unseen cells that each site covers.
     :param trees: of the depth error.
@@ -132,7 +142,7 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
     :param temperatures: one for each proposal, metres.
     :param rng: numpy.random.Generator.
     """
-    state, best, best_value = chosen.copy(), chosen.copy(), np.inf
+    best_value = _value(_union(seen[best]), _union(covered[best]), trees, pixels, weight)
     beside = [(trees, 0.0, covered[0])] * len(state)
     stale = np.ones(len(state), dtype=np.bool_)
     values = np.empty((len(state), len(seen)))
@@ -163,7 +173,6 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
                 state[camera], value = site, trial
                 if value < best_value:
                     best[:], best_value = state, value
-    return best
 
 
 class Candidates:
@@ -218,8 +227,7 @@ class Candidates:
     def value(self, chosen: list[int]) -> float:
         """Return the objective value of a choice, metres; less is better."""
         error = self.model.depth_error
-        return _value(np.bitwise_or.reduce(self._seen[chosen], axis=0),
-                      np.bitwise_or.reduce(self._covered[chosen], axis=0),
+        return _value(_union(self._seen[chosen]), _union(self._covered[chosen]),
                       error.trees, error.pixels, self.weight)
 
     def fill(self) -> list[int]:
@@ -233,14 +241,23 @@ class Candidates:
         return (np.concatenate(self.of_kind),
                 np.cumsum([0, *(len(own) for own in self.of_kind)]))
 
-    def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
-        """Return the best choice that annealing finds from a first choice, perhaps that one."""
+    def anneal(self, chosen: list[int], rng: np.random.Generator, parts: int = 1
+               ) -> Iterator[list[int]]:
+        """
+        Anneal in several parts, from a first choice; yield the best choice after each part.
+
+        :param chosen: the first choice.
+        :param rng: draws the proposals.
+        :param parts: the number of parts; at least 1.
+        """
         error = self.model.depth_error
         temperatures = error.worst * between(FIRST_TEMPERATURE, LAST_TEMPERATURE,
                                              np.arange(EXCHANGES) / EXCHANGES)
-        return _annealed(np.array(chosen), self._seen, self._covered, error.trees, error.pixels,
-                         self.weight, self.kind_of, *self._by_kind(), self.near, temperatures,
-                         rng).tolist()
+        state, best = np.array(chosen), np.array(chosen)
+        for some in np.array_split(temperatures, parts):
+            _annealed(state, best, self._seen, self._covered, error.trees, error.pixels,
+                      self.weight, self.kind_of, *self._by_kind(), self.near, some, rng)
+            yield best.tolist()
 
 
 def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:
