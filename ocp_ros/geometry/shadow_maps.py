@@ -59,22 +59,17 @@ class Projection(NamedTuple):
     elevation: np.ndarray
     azimuth: np.ndarray
 
-    @classmethod
-    def empty(cls, count: int) -> 'Projection':
-        """Allocate arrays for ``count`` points."""
-        return cls(*(np.empty(count, dtype=np.float32) for _ in cls._fields))
-
 
 @njit(cache=True, nogil=True)
-def project(points, pose, lens, out):
+def projected(points, pose, lens):
     """
-    Write the spherical coordinates of each point relative to a camera.
+    Return the :class:`Projection` of points.
 
     :param points: (N, 3) float32, metres, map frame.
     :param pose: the camera's :class:`Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
-    :param out: :class:`Projection` of N points.
     """
+    distance, elevation, azimuth = np.zeros((3, len(points)), dtype=np.float32)
     x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
     for i in range(points.shape[0]):
         dx, dy, dz = points[i, 0] - x0, points[i, 1] - y0, points[i, 2] - z0
@@ -82,18 +77,12 @@ def project(points, pose, lens, out):
         r = math.sqrt(flat * flat + dz * dz)
         if (r < lens.min_range or r > lens.max_range or r == 0.0
                 or not (lens.kind == OMNIDIRECTIONAL or in_cone(dx, dy, dz, pose, lens))):
-            out.distance[i], out.elevation[i], out.azimuth[i] = np.inf, 0.0, 0.0
+            distance[i] = np.inf
             continue
-        out.distance[i] = r
-        out.elevation[i] = math.atan2(dz, flat)
-        out.azimuth[i] = math.atan2(dy, dx)
-
-
-def projected(points: np.ndarray, pose: Pose, lens: Frustum) -> Projection:
-    """Return the projection of points (N, 3) float32, metres; see :func:`project`."""
-    view = Projection.empty(len(points))
-    project(points, pose, lens, view)
-    return view
+        distance[i] = r
+        elevation[i] = math.atan2(dz, flat)
+        azimuth[i] = math.atan2(dy, dx)
+    return Projection(distance, elevation, azimuth)
 
 
 def in_reach(points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
@@ -223,21 +212,11 @@ def look_at_cubes(points, spacing, places, pose, lens, settings, seen, covered):
     :param covered: (V,) uint64, packed bits of the positions, in and out; empty to leave them out.
     """
     shadow_map = np.empty((settings.rows, 2 * settings.rows), dtype=np.float32)
-    view = _projected(points, pose, lens)
+    view = projected(points, pose, lens)
     splat(view, spacing, settings.cube_scale, lens.max_range, shadow_map)
     _add_visible(view, settings.compensation, shadow_map, seen)
     if len(covered):
-        _add_visible(_projected(places, pose, lens), settings.compensation, shadow_map, covered)
-
-
-@njit(nogil=True)
-def _projected(points, pose, lens):
-    """Return the projection of points (N, 3) float32, metres."""
-    count = len(points)
-    view = Projection(np.empty(count, dtype=np.float32), np.empty(count, dtype=np.float32),
-                      np.empty(count, dtype=np.float32))
-    project(points, pose, lens, view)
-    return view
+        _add_visible(projected(places, pose, lens), settings.compensation, shadow_map, covered)
 
 
 @njit(nogil=True)
