@@ -29,8 +29,8 @@ from copy import copy
 
 import numpy as np
 from ocp_ros.geometry.cameras import Frustum, Pose
-from ocp_ros.geometry.packed_bits import block_bounds, no_bits, pack, spatial_order
-from ocp_ros.geometry.shadow_maps import CubeSettings, mark_visible, projected, Projection, splat
+from ocp_ros.geometry.packed_bits import block_bounds, no_bits, spatial_order
+from ocp_ros.geometry.shadow_maps import CubeSettings, look_at_cubes
 from ocp_ros.geometry.surfels import (
     kept_in_cone,
     look_at_surfels,
@@ -147,15 +147,5 @@ class CubeVisibility:
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:
         """Set the bits of what is visible to a camera; see :meth:`SurfelVisibility.look`."""
-        projection = projected(self._points, pose, lens)
-        shadow_map = np.empty((self.settings.rows, 2 * self.settings.rows), dtype=np.float32)
-        splat(projection, self._spacing, self.settings.cube_scale, lens.max_range, shadow_map)
-        seen |= self._visible_bits(projection, shadow_map)
-        if len(covered):
-            covered |= self._visible_bits(projected(self._places, pose, lens), shadow_map)
-
-    def _visible_bits(self, projection: Projection, shadow_map: np.ndarray) -> np.ndarray:
-        """Return packed bits of the projected points that are visible."""
-        flags = np.zeros(len(projection.distance), dtype=bool)
-        mark_visible(projection, self.settings.compensation, shadow_map, flags)
-        return pack(flags)
+        look_at_cubes(self._points, self._spacing, self._places, pose, lens, self.settings, seen,
+                      covered)

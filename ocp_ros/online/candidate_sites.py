@@ -14,7 +14,7 @@
 
 """Candidate poses from which :mod:`ocp_ros.online.lookahead` chooses a placement."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from itertools import chain
 
 import numpy as np
@@ -42,6 +42,8 @@ ANYWHERE_SHARE, NEIGHBOURS = 0.3, 12
 YAWS, PITCHES = 8, 2
 #: Largest number of candidate poses (position and heading).
 MAX_POSES = 2000
+#: Metres: rounding of a value.
+ROUNDING_M = 1e-9
 #: Metres that a rotation by one radian counts as in the search for neighbours.
 METRES_PER_RADIAN = 0.5
 
@@ -52,16 +54,81 @@ def _value(seen, covered, trees, pixels, weight):
     return lost_depth(trees, seen) / pixels - weight * count_bits(covered)
 
 
+@njit(nogil=True)
+def _union(views):
+    """Return the union of some views (M, W) uint64, packed bits."""
+    union = np.zeros_like(views[0])
+    for view in views:
+        union |= view
+    return union
+
+
+@njit(nogil=True)
+def _beside(camera, state, seen, covered, trees):
+    """Return what the cameras beside one leave: trees, the settled sum, and covered cells."""
+    others_seen, others_covered = np.zeros_like(seen[0]), np.zeros_like(covered[0])
+    for other in range(len(state)):
+        if other != camera:
+            others_seen |= seen[state[other]]
+            others_covered |= covered[state[other]]
+    left, settled = unsettled(trees, others_seen)
+    return left, settled, others_covered
+
+
+@njit(nogil=True)
+def _trial(site, most, beside, seen, covered, pixels, weight, values, exact):
+    """Return the value of a site beside the other cameras, any larger one if it exceeds most."""
+    if not exact[site] and values[site] <= most:
+        left, settled, others_covered = beside
+        bonus = weight * count_bits(others_covered | covered[site])
+        values[site] = (settled + lost_depth(
+            left, seen[site], (most + bonus) * pixels - settled)) / pixels - bonus
+        exact[site] = values[site] <= most
+    return values[site]
+
+
 @njit(cache=True, nogil=True)
-def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
+def _filled(seen, covered, trees, pixels, weight, kind_of, own, firsts):
+    """
+    Choose the best site for one camera after the other; for the parameters see :func:`_annealed`.
+
+    What a site adds to a choice becomes less as the choice grows (both terms of the value are
+    submodular), so sites that once added less than the best one does now are not looked at.
+    """
+    chosen = np.empty(len(kind_of), dtype=np.int64)
+    gains = np.full(len(seen), np.inf)
+    for camera in range(len(kind_of)):
+        beside = _beside(camera, chosen[:camera], seen, covered, trees)
+        left, settled, others_covered = beside
+        nothing = np.zeros_like(seen[0])
+        before = ((settled + lost_depth(left, nothing)) / pixels
+                  - weight * count_bits(others_covered))
+        values = np.full(len(seen), -np.inf)
+        exact = np.zeros(len(seen), dtype=np.bool_)
+        best, best_value = -1, np.inf
+        of_kind = own[firsts[kind_of[camera]]:firsts[kind_of[camera] + 1]]
+        for site in of_kind[np.argsort(-gains[of_kind], kind='mergesort')]:
+            if before - gains[site] > best_value + ROUNDING_M:
+                break
+            value = _trial(site, best_value, beside, seen, covered, pixels, weight, values, exact)
+            gains[site] = before - value
+            if value < best_value or (value == best_value and site < best):
+                best, best_value = site, value
+        chosen[camera] = best
+    return chosen
+
+
+@njit(cache=True, nogil=True)
+def _annealed(state, best, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
               temperatures, rng):
     """
-    Improve a choice by simulated annealing: exchange one site at a time, return the best choice.
+    Improve a choice by simulated annealing: exchange one site at a time.
 
-    Each camera gets some proposals in a row, so the views of the other cameras are merged once
-    for all of them.
+    Each camera gets some proposals in a row. The values of its sites beside the other cameras are
+    stored until another camera moves: late in a run the same few sites are proposed repeatedly.
 
-    :param chosen: (K,) int64, the first choice.
+    :param state: (K,) int64, the current choice, in and out.
+    :param best: (K,) int64, the best choice so far, in and out.
     :param seen: (S, W) uint64, packed bits of the points that each site sees.
     :param covered: (S, V) uint64, packed bits of the unseen cells that each site covers.
     :param trees: of the depth error.
@@ -75,19 +142,20 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
     :param temperatures: one for each proposal, metres.
     :param rng: numpy.random.Generator.
     """
-    state, best, best_value = chosen.copy(), chosen.copy(), np.inf
+    best_value = _value(_union(seen[best]), _union(covered[best]), trees, pixels, weight)
+    beside = [(trees, 0.0, covered[0])] * len(state)
+    stale = np.ones(len(state), dtype=np.bool_)
+    values = np.empty((len(state), len(seen)))
+    exact = np.empty(values.shape, dtype=np.bool_)
     for block in range(0, len(temperatures), IN_A_ROW):
         camera = rng.integers(0, len(state))
         first, last = firsts[kind_of[camera]], firsts[kind_of[camera] + 1]
         neighbours = min(near.shape[1], last - first - 1)
-        others_seen, others_covered = np.zeros_like(seen[0]), np.zeros_like(covered[0])
-        for other in range(len(state)):
-            if other != camera:
-                others_seen |= seen[state[other]]
-                others_covered |= covered[state[other]]
-        left, settled = unsettled(trees, others_seen)
-        value = (settled + lost_depth(left, seen[state[camera]])) / pixels - weight * count_bits(
-            others_covered | covered[state[camera]])
+        if stale[camera]:
+            beside[camera] = _beside(camera, state, seen, covered, trees)
+            stale[camera], exact[camera], values[camera] = False, False, -np.inf
+        value = _trial(state[camera], np.inf, beside[camera], seen, covered, pixels, weight,
+                       values[camera], exact[camera])
         if value < best_value:
             best[:], best_value = state, value
         for temperature in temperatures[block:block + IN_A_ROW]:
@@ -96,14 +164,15 @@ def _annealed(chosen, seen, covered, trees, pixels, weight, kind_of, own, firsts
             else:
                 site = near[state[camera], rng.integers(0, neighbours)]
             most = value + temperature * rng.exponential()
-            bonus = weight * count_bits(others_covered | covered[site])
-            trial = (settled + lost_depth(
-                left, seen[site], (most + bonus) * pixels - settled)) / pixels - bonus
+            trial = _trial(site, most, beside[camera], seen, covered, pixels, weight,
+                           values[camera], exact[camera])
             if trial <= most:
+                if site != state[camera]:
+                    stale[:] = True
+                    stale[camera] = False
                 state[camera], value = site, trial
                 if value < best_value:
                     best[:], best_value = state, value
-    return best
 
 
 class Candidates:
@@ -158,28 +227,37 @@ class Candidates:
     def value(self, chosen: list[int]) -> float:
         """Return the objective value of a choice, metres; less is better."""
         error = self.model.depth_error
-        return _value(np.bitwise_or.reduce(self._seen[chosen], axis=0),
-                      np.bitwise_or.reduce(self._covered[chosen], axis=0),
+        return _value(_union(self._seen[chosen]), _union(self._covered[chosen]),
                       error.trees, error.pixels, self.weight)
 
     def fill(self) -> list[int]:
         """Choose a pose for one camera after the other, each time the one with the best value."""
-        chosen: list[int] = []
-        for kind in self.kind_of:
-            own = self.of_kind[kind].tolist()
-            values = [self.value([*chosen, site]) for site in own]
-            chosen.append(own[int(np.argmin(values))])
-        return chosen
+        error = self.model.depth_error
+        return _filled(self._seen, self._covered, error.trees, error.pixels, self.weight,
+                       self.kind_of, *self._by_kind()).tolist()
 
-    def anneal(self, chosen: list[int], rng: np.random.Generator) -> list[int]:
-        """Return the best choice that annealing finds from a first choice, perhaps that one."""
+    def _by_kind(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the candidates, sorted by kind, and where each kind begins: (kinds + 1,)."""
+        return (np.concatenate(self.of_kind),
+                np.cumsum([0, *(len(own) for own in self.of_kind)]))
+
+    def anneal(self, chosen: list[int], rng: np.random.Generator, parts: int = 1
+               ) -> Iterator[list[int]]:
+        """
+        Anneal in several parts, from a first choice; yield the best choice after each part.
+
+        :param chosen: the first choice.
+        :param rng: draws the proposals.
+        :param parts: the number of parts; at least 1.
+        """
         error = self.model.depth_error
         temperatures = error.worst * between(FIRST_TEMPERATURE, LAST_TEMPERATURE,
                                              np.arange(EXCHANGES) / EXCHANGES)
-        firsts = np.cumsum([0, *(len(own) for own in self.of_kind)])
-        return _annealed(np.array(chosen), self._seen, self._covered, error.trees, error.pixels,
-                         self.weight, self.kind_of, np.concatenate(self.of_kind),
-                         firsts, self.near, temperatures, rng).tolist()
+        state, best = np.array(chosen), np.array(chosen)
+        for some in np.array_split(temperatures, parts):
+            _annealed(state, best, self._seen, self._covered, error.trees, error.pixels,
+                      self.weight, self.kind_of, *self._by_kind(), self.near, some, rng)
+            yield best.tolist()
 
 
 def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:

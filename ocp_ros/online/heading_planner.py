@@ -164,10 +164,11 @@ class HeadingPlanner:
             for camera in np.roll(self.aimed, turn):
                 if interrupted():
                     break
-                sought.best(camera, choices[camera])
+                value = sought.beside(camera)
+                sought.best(camera, choices[camera], value)
                 for step in FINE_STEPS:
                     near = _around(sought.goals[camera].heading, step)
-                    sought.best(camera, self._allowed(near, now[camera], reach))
+                    sought.best(camera, self._allowed(near, now[camera], reach), value)
         return np.array([goal.heading for goal in sought.goals])
 
     def _begun(self, now: np.ndarray, goals: np.ndarray | None, reach: float) -> np.ndarray:
@@ -240,7 +241,8 @@ class _Search:
     def _worth(self, goals: list[Goal]) -> float:
         """Return the objective value of all goals together, metres; less is better."""
         views = [goal.view for goal in goals]
-        return self._value(self._model.together(views), views[0])
+        together = self._model.together(views)
+        return self._model.depth_error(together.seen) - self._bonus(together, views[0])
 
     def _look(self, camera: int, headings: np.ndarray) -> list[View]:
         """Return the views of a camera with headings (H, 3), computed once and then cached."""
@@ -252,23 +254,42 @@ class _Search:
             self._views.update(zip([keys[k] for k in new], views, strict=True))
         return [self._views[key] for key in keys]
 
-    def best(self, camera: int, headings: np.ndarray) -> None:
-        """Set the goal of a camera to the best of its current goal and some headings (H, 3)."""
+    def beside(self, camera: int) -> Callable[..., float]:
+        """
+        Return a function that computes the objective value of a view with those of other cameras.
+
+        :returns: a function of a view and of ``most``, metres; above it, any larger value may be
+            returned.
+        """
         others = self._model.together([
             goal.view for k, goal in enumerate(self.goals) if k != camera])
-        least = self._value(others, self.goals[camera].view)
-        for heading, view in zip(headings, self._look(camera, headings), strict=True):
-            value = self._value(others, view)
-            if value < least:
-                least, self.goals[camera] = value, Goal(heading, view)
+        error_with = self._model.depth_error.given(others.seen)
 
-    def _value(self, others: View, view: View) -> float:
-        """Return the objective value of a view with the other views, metres; less is better."""
-        error = self._model.depth_error(others.seen | view.seen)
+        def value(view: View, most: float) -> float:
+            bonus = self._bonus(others, view)
+            return error_with(view.seen, most + bonus) - bonus
+
+        return value
+
+    def best(self, camera: int, headings: np.ndarray, value: Callable[..., float]) -> None:
+        """
+        Set the goal of a camera to the best of its current goal and some headings.
+
+        :param headings: (H, 3) radians.
+        :param value: of :meth:`beside`.
+        """
+        least, best = np.inf, self.goals[camera]
+        for heading, view in [best, *zip(headings, self._look(camera, headings), strict=True)]:
+            found = value(view, least)
+            if found < least:
+                least, best = found, Goal(heading, view)
+        self.goals[camera] = best
+
+    def _bonus(self, others: View, view: View) -> float:
+        """Return the bonus for the unseen cells that views cover together, metres."""
         if not self._weight:
-            return error
-        covered = (others.covered | view.covered) & self._unseen
-        return error - self._weight * int(count_bits(covered))
+            return 0.0
+        return self._weight * int(count_bits((others.covered | view.covered) & self._unseen))
 
 
 def _around(heading: np.ndarray, step: float) -> np.ndarray:

@@ -26,8 +26,11 @@ candidates and then in small steps, on a finer model and among positions that th
 reach: a plan that is good on a coarsely thinned cloud is often worse in the room.
 
 In an episode of many time steps the next plan is computed while the cameras move; see
-:class:`~ocp_ros.online.online_planner.PipelinedPlanner`.
+:class:`~ocp_ros.online.online_planner.PipelinedPlanner`. There the annealing on the finer model is
+done in parts, one in each time step.
 """
+
+from collections.abc import Iterator
 
 import numpy as np
 from ocp_ros.geometry.visibility import FINE
@@ -56,6 +59,9 @@ QUICK_POINTS, QUICK_ROWS = 6000, 32
 CANDIDATES_KEPT = 2
 #: Points and depth-map rows of the model for the refinement.
 REFINING_POINTS, REFINING_ROWS = 60000, 128
+#: In an episode of many time steps: how many of them before the refinement that model is created,
+#: and the parts of the annealing on it, each in a time step of its own.
+SURVEY_AHEAD, SURVEY_PARTS = 2, 2
 #: Smallest number of time steps for which that model is reused.
 REFINING_KEPT = 4
 #: Proposals in a time step of refinement: in a short episode, in one of many time steps, and in a
@@ -104,20 +110,24 @@ class Lookahead(PipelinedPlanner):
         self._candidates: Candidates | None = None
         self._chosen: list[int] = []
         self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS)
+        #: The rest of the survey, see :meth:`_parts_of_survey`, and whether it is complete.
+        self._survey: Iterator[object] = iter(())
+        self._surveyed = False
         #: Time step in which the last model or the last candidates were created.
         self._made = 0
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
-        if turn >= REFINING_SHARE * turns:
-            self._refine(cloud, positions, turn, turns)
-            return
         ahead = self._ahead(turns)
+        if turn >= REFINING_SHARE * turns - SURVEY_AHEAD * ahead:
+            if self._surveyed or self._survey_on(cloud, positions, turn, turns):
+                self._refine(cloud, positions, turn, turns)
+            return
         if self._candidates is None or not ahead or turn - self._made >= CANDIDATES_KEPT:
             self._look_around(cloud, positions, turn, turns)
         # In an episode of many time steps, the greedy choice suffices for the first one.
         if not (ahead and self._waited_for(turn, turns, len(positions))):
-            self._chosen = self._candidates.anneal(self._chosen, self.rng)
+            (self._chosen,) = self._candidates.anneal(self._chosen, self.rng)
         self._settle(positions)
 
     def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
@@ -164,14 +174,11 @@ class Lookahead(PipelinedPlanner):
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan in small steps, among the positions that the cameras can still reach."""
+        if turn - self._made >= REFINING_KEPT and not self._kept.lasts(cloud, positions):
+            self._make_model(cloud, positions, turn)
         steps = PROPOSALS_OF_MANY if self._ahead(turns) else PROPOSALS
-        first_time = self._kept.made is None
-        if first_time or (turn - self._made >= REFINING_KEPT
-                          and not self._kept.lasts(cloud, positions)):
-            self._kept.make(cloud, positions, FINE, clearance_of(self.rig_state, self.clearance))
-            self._made, steps = turn, PROPOSALS_WITH_MODEL
-        if first_time:
-            self._survey(positions)
+        if self._made == turn:
+            steps = PROPOSALS_WITH_MODEL
         (model, self._space), first = self._kept.made, REFINING_SHARE * turns
         reached = [self._space.reached(position[:2], self.max_step, turns - turn)
                    for position in positions]
@@ -211,13 +218,39 @@ class Lookahead(PipelinedPlanner):
                     best, best_headings, best_error = placed, headings, error
         self.targets, self.headings = best, best_headings
 
-    def _survey(self, positions: np.ndarray) -> None:
+    def _make_model(self, cloud: np.ndarray, positions: np.ndarray, turn: int) -> None:
+        """Create the model for the refinement."""
+        self._kept.make(cloud, positions, FINE, clearance_of(self.rig_state, self.clearance))
+        self._made = turn
+
+    def _survey_on(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> bool:
+        """
+        Do a part of the survey, or all of it if the time step waits for its plan.
+
+        :returns: whether the survey is complete.
+        """
+        if self._kept.made is None:
+            self._survey = self._parts_of_survey(cloud, positions, turn)
+        for _ in self._survey:
+            if not self._waited_for(turn, turns, len(positions)):
+                return False
+        self._settle(positions)
+        self._surveyed = True
+        return True
+
+    def _parts_of_survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int
+                         ) -> Iterator[object]:
         """Anneal the plan once more among all candidates, on the model for the refinement."""
+        self._make_model(cloud, positions, turn)
         model, space = self._kept.made
+        # The depth error is computed when it is first needed.
+        yield model.depth_error
         self._list(model, space, self.memory.unseen(model), 0.0, self._plans(len(positions)),
                    len(positions))
-        self._chosen = self._candidates.anneal(self._chosen, self.rng)
-        self._settle(positions)
+        yield
+        for chosen in self._candidates.anneal(self._chosen, self.rng, SURVEY_PARTS):
+            self._chosen = chosen
+            yield
 
     def _trial(self, camera: int, placed: np.ndarray, headings: np.ndarray | None,
                space: FreePlane, share: float) -> tuple[np.ndarray, np.ndarray | None]:
