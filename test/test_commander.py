@@ -64,7 +64,7 @@ def test_the_second_policy_holds_and_takes_over_when_the_first_ends(graph, capfd
 
 def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
     first = graph.add(PolicyNode)
-    graph.until(lambda: not first._waits())
+    graph.until(lambda: not first._must_wait())
     second = graph.add(PolicyNode, cloud_topics='points')
     graph.until(lambda: held(second))
     probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
@@ -83,7 +83,7 @@ def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
     # What it has seen while it waited is long ago when it takes over.
     graph.until(lambda: not second._live._turns.is_due())
     graph.remove(first)
-    graph.until(lambda: not second._waits())
+    graph.until(lambda: not second._must_wait())
     send(1000)
     graph.until(lambda: counted(second, 'turns_answered') == 1)
     command = probe.last(topics.CAMERA_COMMANDS)
@@ -106,10 +106,10 @@ def test_a_policy_that_has_commanded_goes_on_beside_another_publisher(graph, pro
 def test_of_several_that_begin_at_once_one_commands(graph, monkeypatch):
     """Those that do not see each other in time give way, and look again."""
     with monkeypatch.context() as blind:
-        blind.setattr(Commander, '_others', 0)
+        blind.setattr(Commander, '_rival_count', 0)
         nodes = [graph.add(PolicyNode) for _ in range(3)]
     assert nodes[0].count_publishers(topics.CAMERA_COMMANDS) == 3
-    graph.until(lambda: sum(not node._waits() for node in nodes) == 1)
+    graph.until(lambda: sum(not node._must_wait() for node in nodes) == 1)
     graph.until(lambda: sum(held(node) for node in nodes) == 2)
 
 

@@ -259,7 +259,7 @@ def test_who_explores_tells_what_it_read_and_drew(room):
                 for name, space in encoded_space(AGENT).spaces.items()}
     for turn, count in ((0, 6), (1, 2)):
         moves = planner.move(room.points, positions, turn, 30)
-        choices = planner.policy.take()
+        choices = planner.policy.take_choices()
         assert len(choices) == count
         made = Experience(5, turn, positions + np.pad(moves, ((0, 0), (0, 1))), choices)
         found = from_bytes(to_bytes(made), expected, None)
@@ -268,7 +268,7 @@ def test_who_explores_tells_what_it_read_and_drew(room):
             free = one.observation['choices'].ravel()
             assert free[cell_of(torch.from_numpy(one.actions))].all()
     newer = learned.policy.replaced(Checkpoint(AGENT, network(1).state_dict(), 1))
-    assert newer.take() == []
+    assert newer.take_choices() == []
     with pytest.raises(ExperienceError, match='found actions'):
         from_bytes(to_bytes(made._replace(choices=[
             Choice(choices[0].observation, np.zeros((2, 2), np.float32))])), expected, None)

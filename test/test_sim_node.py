@@ -166,7 +166,7 @@ def test_an_episode_ends_truncated_and_stays_there(loop):
     loop.graph.until(lambda: status_of(sim)['resent_turns'] > resent)
     poses = loop.last(topics.CAMERA_POSES)
     loop.commands.publish(positions_to_msg(msg_to_positions(poses) + 0.1, poses.header))
-    loop.graph.until(lambda: sim._answered)
+    loop.graph.until(lambda: sim._turn_answered)
     assert sim.episode.turn.step == 2
 
 
