@@ -24,7 +24,7 @@ from ocp_ros.report.terminal import as_text, show_score
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.studio import tasks, texts
-from ocp_ros.studio.depth_image import coloured, depth_image
+from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Studio
 from ocp_ros.studio.state import History, State
@@ -245,7 +245,7 @@ def test_the_depth_image_has_the_distance_of_what_a_camera_sees(studio):
     assert one[np.isfinite(one)] == pytest.approx(1.0)
     assert row == pytest.approx(one.shape[0] / 2, abs=1)
     assert column == pytest.approx(one.shape[1] / 2, abs=1)
-    assert coloured(image, model).shape == (*image.shape, 3)
+    assert depth_colours(image, model).shape == (*image.shape, 3)
 
 
 def news_of(work, seconds=2.0):

@@ -19,7 +19,7 @@ from pathlib import Path
 
 from ocp_ros.cli.arguments import add_points, add_reading, room_and_placement, room_asked, whole
 from ocp_ros.cli.common import command_of, Commands, Found, LOOK
-from ocp_ros.studio import LOCAL, PORT
+from ocp_ros.studio import FIRST_PORT, LOCAL_ADDRESS
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
 
@@ -39,12 +39,12 @@ def add_arguments(commands: Commands) -> None:
                         help='placement file to begin with: docs/reference/placement.md')
     studio.add_argument('--out', type=Path, default=Path('out/studio'), metavar='DIR',
                         help='folder for files; the page reads and writes no others')
-    studio.add_argument('--host', default=LOCAL,
-                        help=f'address to listen on; default: {LOCAL}, which only this machine '
+    studio.add_argument('--host', default=LOCAL_ADDRESS,
+                        help=f'address to listen on; default: {LOCAL_ADDRESS}, which only this machine '
                              'reaches; any other gets a random token in the URL')
-    studio.add_argument('--port', type=whole(0, 65535, 'a number'), default=PORT,
+    studio.add_argument('--port', type=whole(0, 65535, 'a number'), default=FIRST_PORT,
                         help='port, or the first one to try; 0: any free one; default: '
-                             f'{PORT}')
+                             f'{FIRST_PORT}')
     add_points(studio)
     add_reading(studio)
     studio.set_defaults(run=run, show=lambda found: None)

@@ -34,7 +34,7 @@ from ocp_ros.ros.interface.conversions import MessageError, msg_to_cloud, msg_to
 from ocp_ros.ros.interface.qos import LATCHED, LOOP, POSES
 from ocp_ros.ros.runtime.managed_node import autostart, ManagedNode
 from ocp_ros.ros.runtime.node_main import run
-from ocp_ros.studio import guide_page, LOCAL, PORT
+from ocp_ros.studio import guide_page, FIRST_PORT, LOCAL_ADDRESS
 from ocp_ros.studio.guide_page import GuidePage
 from ocp_ros.studio.server import start_server
 from ocp_ros.util.settings import setting
@@ -60,9 +60,9 @@ FARTHEST, WIDEST, MORE = 1.0, 3.1, 1.1
 class GuideNodeConfig:
     """Parameters of ``guide_node``."""
 
-    host: str = setting(LOCAL, f'address that the page listens on; {LOCAL}: this machine alone; '
+    host: str = setting(LOCAL_ADDRESS, f'address that the page listens on; {LOCAL_ADDRESS}: this machine alone; '
                                '0.0.0.0: all, with a random token in the URL')
-    port: int = setting(PORT + 1, 'port of the page, or the first one to try; 0: any free one', 0,
+    port: int = setting(FIRST_PORT + 1, 'port of the page, or the first one to try; 0: any free one', 0,
                         65535)
     policy: str = setting('policy_node', 'name of the policy_node that is guided')
     autostart: bool = autostart()

@@ -37,7 +37,7 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
-from ocp_ros.studio.state import changed, entry_of, History, new_name, separated, State
+from ocp_ros.studio.state import changed_rig, camera_entry, History, new_name, with_single_entries, State
 from ocp_ros.util.settings import ConfigurationError
 
 #: Number of views that are kept for undo and for comparisons.
@@ -147,7 +147,7 @@ class Studio:
         self.scene, self.room, self.command, self.lock = scene, room, command, RLock()
         exact = scene.mesh is not None and scene.mesh.exact
         self.engine = engine or (with_rays(PROMISING, scene) if exact else PROMISING)
-        rig = separated(rig)
+        rig = with_single_entries(rig)
         self._simulator = Simulator(scene, SimulationConfig(engine=self.engine), rig.models)
         self._views: dict[tuple[CameraModel, bytes], View] = {}
         self._evaluation: Evaluation | None = None
@@ -261,7 +261,7 @@ class Studio:
             like = next((entry for entry in entries if entry['name'] == sensor),
                         {'sensor': sensor})
             name = new_name(sensor, state.rig.all_cameras)
-            rig = changed(state.rig, cameras=[*entries, entry_of(like, name)])
+            rig = changed_rig(state.rig, cameras=[*entries, camera_entry(like, name)])
             if pose is None:
                 pose = self._spread(rig, state.poses)[-1]
             self.change(rig, np.vstack([state.poses, pose]))
@@ -276,7 +276,7 @@ class Studio:
                                          'of them; add another first')
             entries = list(state.rig.document.data['cameras'])
             del entries[camera]
-            self.change(changed(state.rig, cameras=entries),
+            self.change(changed_rig(state.rig, cameras=entries),
                         np.delete(state.poses, camera, axis=0))
 
     def set_sensor(self, camera: int, sensor: str) -> None:
@@ -285,7 +285,7 @@ class Studio:
             state = self.state
             entries = list(state.rig.document.data['cameras'])
             entries[camera] = {'name': entries[camera]['name'], 'sensor': sensor}
-            self.change(changed(state.rig, cameras=entries), state.poses)
+            self.change(changed_rig(state.rig, cameras=entries), state.poses)
 
     def set_locked(self, camera: int, locked: bool) -> None:
         """Lock a camera, or release it."""
@@ -298,12 +298,12 @@ class Studio:
     def set_rig(self, **parts: Any) -> None:
         """Change keys of the rig, such as zones; the poses stay."""
         with self.lock:
-            self.change(changed(self.state.rig, **parts), self.state.poses)
+            self.change(changed_rig(self.state.rig, **parts), self.state.poses)
 
     def load(self, rig: Rig, poses: np.ndarray | None = None) -> None:
         """Begin to edit another rig; without poses its cameras are spread over the room."""
         with self.lock:
-            rig = separated(rig)
+            rig = with_single_entries(rig)
             before = self._problem
             self._use(self.problem_of(rig))
             try:

@@ -21,7 +21,7 @@ from threading import Condition, Thread
 from typing import Any
 
 import numpy as np
-from ocp_ros.studio.depth_image import coloured, depth_image
+from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Evaluation, Studio
 from ocp_ros.studio.panel import Panel
@@ -225,7 +225,7 @@ class Page:
         scene, order = self.studio.scene, self.studio.order
         seen = order[evaluation.seen_from(camera)]
         model = evaluation.problem.models[camera]
-        self.panel.picture.image = coloured(depth_image(
+        self.panel.picture.image = depth_colours(depth_image(
             scene.points[seen], scene.pitch[seen], evaluation.state.poses[camera], model), model)
 
     def _show_rig(self, state: State) -> None:

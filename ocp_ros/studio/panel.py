@@ -22,7 +22,7 @@ import numpy as np
 from ocp_ros.rig.rig_config import KINDS as SENSORS
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.studio import texts
-from ocp_ros.studio.depth_image import NOTHING
+from ocp_ros.studio.depth_image import NO_DEPTH_COLOUR
 from ocp_ros.studio.model import Evaluation
 from ocp_ros.studio.state import State
 from ocp_ros.studio.tasks import best_addition, least_useful, Progress, searched, Task, Work
@@ -96,7 +96,7 @@ class Panel:
         self.edit = gui.add_button_group('Edit', ('Add', 'Copy', 'Remove'))
         self.steps = gui.add_button_group('Steps', ('Undo', 'Redo'))
         self.nearest = gui.add_button('Move to the nearest allowed pose', visible=False)
-        self.picture = gui.add_image(np.full((2, 2, 3), NOTHING), label='What it sees (depth)')
+        self.picture = gui.add_image(np.full((2, 2, 3), NO_DEPTH_COLOUR), label='What it sees (depth)')
         self._on(self.camera, lambda _: None)
         self._on(self.sensor, self._set_sensor)
         self._on(self.position, lambda _: self._type_pose())

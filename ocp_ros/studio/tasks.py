@@ -32,7 +32,7 @@ from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.studio.model import Evaluation, Studio
-from ocp_ros.studio.state import changed, State
+from ocp_ros.studio.state import changed_rig, State
 from ocp_ros.util.settings import ConfigurationError, UserError
 
 #: Shares of the time of the searches that follow one another; each begins from the best so far,
@@ -151,7 +151,7 @@ def _rig_of_free(state: State, free: list[int]) -> Rig:
                **dict(zip(ANGLES, np.rad2deg(pose[3:]).tolist()))}
               for k, (entry, pose) in enumerate(zip(data['cameras'], state.poses))
               if k not in free]
-    return changed(state.rig, cameras=[data['cameras'][k] for k in free],
+    return changed_rig(state.rig, cameras=[data['cameras'][k] for k in free],
                    fixed=[*data.get('fixed', []), *locked])
 
 
