@@ -240,7 +240,7 @@ def test_the_guide_fits_a_phone(browser):
     guide.set_cloud(room_named('3', 3000)[0].points)
     guide.poses = [Pose.of(np.array([2.0, 3.0, 1.5, 0.5 * k, 0.1, 0.0])) for k in range(4)]
     guide.targets = [Pose.of(np.array([2.0 + k, 4.0, 1.8, 1.0, 0.2, 0.0])) for k in range(4)]
-    guide.expected, guide.status = 'expected: less error', 'not final: turn 1 of 5'
+    guide.expectation, guide.status = 'expected: less error', 'not final: turn 1 of 5'
     guide.show()
     with closing(browser.new_context()) as context:
         tab = context.new_page()

@@ -64,7 +64,7 @@ class Panel:
     def __init__(self, page: 'Page', cut: float) -> None:
         self.page, gui = page, page.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
-        gui.add_html(texts.RULES)
+        gui.add_html(texts.STYLE_RULES)
         self.summary = gui.add_html('')
         self.said = gui.add_html('')
         tabs = gui.add_tab_group()

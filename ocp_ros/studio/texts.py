@@ -51,7 +51,7 @@ HELP = ('Drag a camera: the colours show what is seen.',
 #: Sentence in place of a certificate.
 UNPROVED = 'How far from the best is not known for this rig: Plan all finds out.'
 #: Rules for all pages: lines of a message stay lines, and on a phone the panel has its full width.
-RULES = ('<style>.mantine-Notification-description{white-space:pre-line}'
+STYLE_RULES = ('<style>.mantine-Notification-description{white-space:pre-line}'
          '@media(max-width:36em){div[style*="width: 20em"]{width:100vw!important}}</style>')
 STYLE = 'font-size:0.85em;line-height:1.35;padding:0.2em 0.6em;overflow-wrap:anywhere'
 
