@@ -66,7 +66,7 @@ def test_the_page_shows_the_numbers_that_ocp_score_prints(studio, tmp_path, caps
     assert evaluation.broken and found['broken'] == evaluation.broken
     assert found['scores'] == evaluation.scores
     assert found['expected'] == evaluation.expected
-    assert found['scores']['loss'] == evaluation.worth.loss
+    assert found['scores']['loss'] == evaluation.rig_evaluation.loss
     assert not [note for note in found['notes'] if 'objective value' in note]
     printed = as_text(show_score, found)
     for label, value in texts.figures_of(evaluation):
@@ -100,7 +100,7 @@ def test_the_evaluation_is_that_of_all_cameras_looking_anew(studio):
     fresh = Studio(studio.scene, studio.room, studio.state.rig, studio.state.poses).evaluation()
     assert fresh.scores == evaluation.scores
     assert np.array_equal(fresh.counts, evaluation.counts)
-    seen = np.sum([evaluation.seen_from(camera) for camera in range(3)], axis=0)
+    seen = np.sum([evaluation.points_seen_by(camera) for camera in range(3)], axis=0)
     assert np.array_equal(evaluation.counts, seen)
 
 
@@ -138,7 +138,7 @@ def test_cameras_are_added_copied_and_removed(studio):
     camera = studio.add('kinect_v2')
     assert camera == 3 and studio.state.names[3] == 'kinect_v2'
     assert studio.state.rig.cameras[3].sensor == 'kinect_v2'
-    assert not studio.evaluation().misplaced
+    assert not studio.evaluation().violations
     copy = studio.add('kinect_v2', studio.state.poses[3] + 0.1)
     assert studio.state.names[copy] == 'kinect_v2_1'
     assert studio.state.rig.cameras[copy].model == studio.state.rig.cameras[3].model
@@ -152,10 +152,10 @@ def test_cameras_are_added_copied_and_removed(studio):
 
 
 def test_a_sensor_is_exchanged(studio):
-    before = studio.evaluation().worth.loss
+    before = studio.evaluation().rig_evaluation.loss
     studio.set_sensor(1, 'realsense_l515')
     assert studio.state.rig.cameras[1].sensor == 'realsense_l515'
-    assert studio.evaluation().worth.loss != before
+    assert studio.evaluation().rig_evaluation.loss != before
     with pytest.raises(ConfigurationError, match='sensor'):
         studio.set_sensor(1, 'no such sensor')
     assert studio.state.rig.cameras[1].sensor == 'realsense_l515'
@@ -173,30 +173,30 @@ def test_a_dragged_camera_keeps_its_roll_while_its_direction_changes(studio):
     from ocp_ros.geometry.cameras import rotation_matrix
     pose = studio.state.poses[0]
     about_up = rotation_matrix(*pose[3:]) @ rotation_matrix(0.5, 0.0, 0.0)
-    turned = studio.pose_of(0, pose[:3], about_up)
+    turned = studio.dragged_pose(0, pose[:3], about_up)
     assert turned[5] == pose[5] and turned[3] != pose[3]
-    rolled = studio.pose_of(0, pose[:3], rotation_matrix(pose[3], pose[4], 0.4))
+    rolled = studio.dragged_pose(0, pose[:3], rotation_matrix(pose[3], pose[4], 0.4))
     assert rolled[5] == pytest.approx(0.4)
 
 
 def test_a_violated_constraint_has_a_sentence_and_a_nearest_allowed_pose(studio):
     moved(studio, by=(0.0, 0.0, 2.0, 0.0, -1.0, 0.0))
     evaluation = studio.evaluation()
-    assert any('mount.height' in line for line in evaluation.misplaced)
+    assert any('mount.height' in line for line in evaluation.violations)
     near = studio.nearest_allowed(evaluation, 0)
     assert evaluation.problem.region.allowed(near[None], evaluation.problem.models[0])[0]
     assert np.linalg.norm(near[:2] - evaluation.state.poses[0, :2]) < 0.5
     studio.move(0, near)
-    assert not studio.evaluation().misplaced
+    assert not studio.evaluation().violations
 
 
 def test_a_camera_outside_the_room_has_a_nearest_allowed_pose(studio):
     studio.move(0, np.array([30.0, 0.0, 2.0, 0.0, 0.3, 0.0]))
     evaluation = studio.evaluation()
     near = studio.nearest_allowed(evaluation, 0)
-    assert evaluation.misplaced
+    assert evaluation.violations
     studio.move(0, near)
-    assert not studio.evaluation().misplaced
+    assert not studio.evaluation().violations
 
 
 def test_zones_are_added_moved_and_removed(studio):
@@ -211,7 +211,7 @@ def test_zones_are_added_moved_and_removed(studio):
     assert moved_to == pytest.approx(middle + [0.0, 0.5, 0.0], abs=2e-3)
     studio.set_rig(**changed_entry(studio.state.rig, region, must_see=1.0))
     assert studio.state.rig.regions[0].must_see == 1.0
-    assert studio.evaluation().unseen_in_regions().any()
+    assert studio.evaluation().unseen_required_points().any()
     with pytest.raises(ConfigurationError, match='found no points'):
         studio.set_rig(**moved_box(studio.state.rig, region, np.array([90.0, 0.0, 0.0])))
     assert studio.state.rig.regions[0].must_see == 1.0
@@ -221,18 +221,18 @@ def test_zones_are_added_moved_and_removed(studio):
 
 def test_colours_show_counts_requirements_and_the_selected_camera(studio):
     evaluation = studio.evaluation()
-    for paint in texts.PAINTS:
-        colours = texts.colours_of(evaluation, paint, 0)
+    for paint in texts.COLOURINGS:
+        colours = texts.point_colours(evaluation, paint, 0)
         legend = {texts.rgb(colour) for _, colour in texts.LEGENDS[paint]}
         assert colours.shape == (len(studio.scene), 3) and colours.dtype == np.uint8
         assert set(map(tuple, np.unique(colours, axis=0).tolist())) <= legend
-    missed = texts.colours_of(evaluation, texts.BY_COUNT, 0) == texts.rgb(texts.MISSED)
+    missed = texts.point_colours(evaluation, texts.BY_COUNT, 0) == texts.rgb(texts.UNSEEN_COLOUR)
     assert np.array_equal(missed.all(axis=1), evaluation.counts == 0)
 
 
 def test_the_depth_image_has_the_distance_of_what_a_camera_sees(studio):
     evaluation = studio.evaluation()
-    seen = studio.order[evaluation.seen_from(0)]
+    seen = studio.order[evaluation.points_seen_by(0)]
     pose, model = evaluation.state.poses[0], evaluation.problem.models[0]
     points = studio.scene.points[seen]
     image = depth_image(points, studio.scene.pitch[seen], pose, model)
@@ -253,18 +253,18 @@ def news_of(work, seconds=2.0):
     news = []
     task = tasks.Task(work, seconds, news.append)
     task.join()
-    assert news[-1].over
+    assert news[-1].ended
     return news
 
 
 def test_planning_improves_the_placement_and_shows_each_better_one(studio):
-    before, losses = studio.evaluation().worth.loss, []
-    news = news_of(tasks.searched(studio, studio.state, False))
+    before, losses = studio.evaluation().rig_evaluation.loss, []
+    news = news_of(tasks.search_work(studio, studio.state, False))
     for one in news:
         if one.poses is not None:
             studio.change(studio.state.rig, one.poses)
-            losses.append(studio.evaluation().worth.loss)
-            assert not studio.evaluation().misplaced
+            losses.append(studio.evaluation().rig_evaluation.loss)
+            assert not studio.evaluation().violations
     assert losses[-1] < before and losses == sorted(losses, reverse=True)
     assert [one.share for one in news] == sorted(one.share for one in news)
 
@@ -273,83 +273,84 @@ def test_a_proof_says_how_far_any_placement_of_the_rig_is_from_the_best(room):
     studio = Studio(*room, rig_of(1, mount={'on': 'plane'}))
     seconds = 1.0
     while (certificate := studio.certificate(studio.evaluation())) is None:
-        news = news_of(tasks.searched(studio, studio.state, False), seconds)
+        news = news_of(tasks.search_work(studio, studio.state, False), seconds)
         studio.change(studio.state.rig, [one.poses for one in news if one.poses is not None][-1])
         seconds *= 2.0
         assert seconds < HUNG
-    assert 'is better by more than' in texts.numbers(studio.evaluation(), certificate)
+    assert 'is better by more than' in texts.all_figures(studio.evaluation(), certificate)
     moved(studio, by=(0.3, 0.3, 0.0, 0.0, 0.0, 0.0))
     worse = studio.certificate(studio.evaluation())
     assert worse.gap > certificate.gap and worse.bound == certificate.bound
     studio.add('omnidirectional')
     assert studio.certificate(studio.evaluation()) is None
-    assert texts.UNPROVED in texts.numbers(studio.evaluation(), None)
+    assert texts.NO_CERTIFICATE in texts.all_figures(studio.evaluation(), None)
 
 
 def test_a_search_leaves_locked_cameras_where_they_are(studio):
     studio.set_locked(1, True)
-    before = studio.evaluation().worth.loss
-    news = news_of(tasks.searched(studio, studio.state, True))
+    before = studio.evaluation().rig_evaluation.loss
+    news = news_of(tasks.search_work(studio, studio.state, True))
     poses = [one.poses for one in news if one.poses is not None][-1]
     assert np.array_equal(poses[1], studio.state.poses[1])
     assert not np.array_equal(poses[0], studio.state.poses[0])
     studio.change(studio.state.rig, poses)
-    assert studio.evaluation().worth.loss < before
+    assert studio.evaluation().rig_evaluation.loss < before
     for camera in range(3):
         studio.set_locked(camera, True)
     assert 'found all of them locked' in news_of(
-        tasks.searched(studio, studio.state, True))[-1].said
+        tasks.search_work(studio, studio.state, True))[-1].message
 
 
 def test_a_search_from_a_pose_that_is_not_allowed_begins_at_the_nearest_one(studio):
     moved(studio, by=(0.0, 0.0, 3.0, 0.0, 0.0, 0.0))
-    news = news_of(tasks.searched(studio, studio.state, True))
+    news = news_of(tasks.search_work(studio, studio.state, True))
     studio.change(studio.state.rig, [one.poses for one in news if one.poses is not None][-1])
-    assert not studio.evaluation().misplaced
+    assert not studio.evaluation().violations
 
 
 def test_a_search_is_stopped(studio):
     news = []
-    task = tasks.Task(tasks.searched(studio, studio.state, False), HUNG, news.append)
+    task = tasks.Task(tasks.search_work(studio, studio.state, False), HUNG, news.append)
     task.stop()
     task.join()
-    assert news[-1].over
+    assert news[-1].ended
 
 
 def test_the_best_additional_camera_is_that_of_ocp_score(studio, tmp_path, capsys):
     path = Folder(tmp_path).save_placement('mine', studio.placement(True))
-    before, added = studio.evaluation().worth.depth_error, []
-    news_of(tasks.best_addition(studio.evaluation(), lambda *more: added.append(more)))
+    before, added = studio.evaluation().rig_evaluation.depth_error, []
+    news_of(tasks.addition_work(studio.evaluation(), lambda *more: added.append(more)))
     (sensor, pose), = added
     main(['score', '3', str(path), '--json'])
     more = json.loads(capsys.readouterr().out)['one_more']
     assert pose[:3].tolist() == more['position']
     studio.add(sensor, pose)
-    assert studio.evaluation().worth.depth_error < before
-    assert studio.evaluation().worth.depth_error == pytest.approx(more['depth_error'], rel=0.01)
+    after = studio.evaluation().rig_evaluation.depth_error
+    assert after < before and after == pytest.approx(more['depth_error'], rel=0.01)
 
 
 def test_the_camera_to_leave_out_costs_least(studio):
     evaluation = studio.evaluation()
-    camera, loss = tasks.least_useful(evaluation)
+    camera, loss = tasks.find_least_useful(evaluation)
     for other in range(3):
         left = Studio(studio.scene, studio.room, studio.state.rig, studio.state.poses)
         left.remove(other)
-        assert left.evaluation().worth.loss >= loss - 1e-12
-        assert other != camera or left.evaluation().worth.loss == loss
+        assert left.evaluation().rig_evaluation.loss >= loss - 1e-12
+        assert other != camera or left.evaluation().rig_evaluation.loss == loss
 
 
 def test_files_are_saved_loaded_and_exported(studio, tmp_path):
     folder = Folder(tmp_path)
     studio.set_sensor(0, 'kinect_v2')
     moved(studio)
-    loss, poses = studio.evaluation().worth.loss, studio.state.poses
+    loss, poses = studio.evaluation().rig_evaluation.loss, studio.state.poses
     folder.save_placement('mine', studio.placement(True))
     folder.save_rig('my_rig', studio.state.rig)
     studio.load(*folder.load('my_rig.yaml', studio.scene))
     assert not np.array_equal(studio.state.poses, poses)
     studio.load(*folder.load('mine.yaml', studio.scene))
-    assert np.array_equal(studio.state.poses, poses) and studio.evaluation().worth.loss == loss
+    assert np.array_equal(studio.state.poses, poses)
+    assert studio.evaluation().rig_evaluation.loss == loss
     (tmp_path / 'bad.yaml').write_text('cameras: 3\n')
     with pytest.raises(ConfigurationError, match='bad.yaml'):
         folder.load('bad.yaml', studio.scene)

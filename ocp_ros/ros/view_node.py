@@ -76,7 +76,8 @@ class ViewNode(Node):
             self.get_logger().warning(f'command refused: {shortened(error)}',
                                       throttle_duration_sec=1.0)
             return
-        self._move_cameras(np.array([[*pose.position, *heading_of(pose.rotation)] for pose in poses]))
+        self._move_cameras(np.array(
+            [[*pose.position, *heading_of(pose.rotation)] for pose in poses]))
 
     def _move_cameras(self, poses: np.ndarray) -> None:
         """Move the cameras to poses (K, 6), metres and radians, and publish what they see."""

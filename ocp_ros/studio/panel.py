@@ -25,7 +25,7 @@ from ocp_ros.studio import texts
 from ocp_ros.studio.depth_image import NO_DEPTH_COLOUR
 from ocp_ros.studio.model import Evaluation
 from ocp_ros.studio.state import State
-from ocp_ros.studio.tasks import best_addition, least_useful, Progress, searched, Task, Work
+from ocp_ros.studio.tasks import addition_work, find_least_useful, Progress, search_work, Task, Work
 from ocp_ros.studio.zone_edits import (
     box_of,
     changed_entry,
@@ -112,9 +112,9 @@ class Panel:
     def _add_view(self, gui: viser.GuiApi, cut: float) -> None:
         """Add the colours, the cut-away height and the comparison."""
         page, (low, high) = self.page, self.page.studio.scene.bounds[:, 2].tolist()
-        self.colours = gui.add_dropdown('Colours', texts.PAINTS)
+        self.colours = gui.add_dropdown('Colours', texts.COLOURINGS)
         self.legend = gui.add_html(texts.legend(texts.BY_COUNT))
-        self.room = gui.add_dropdown('Room', texts.ROOMS, visible=page.surfaces is not None)
+        self.room = gui.add_dropdown('Room', texts.ROOM_VIEWS, visible=page.surfaces is not None)
         self.cut = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1), 0.05,
                                   round(cut, 1))
         self.compare = gui.add_button_group('Compare', ('Keep as A', 'Go to A', 'Stop'))
@@ -200,7 +200,7 @@ class Panel:
     def paint(self) -> str:
         """Return the chosen way to colour the points."""
         value = self.colours.value
-        return value if value in texts.PAINTS else texts.BY_COUNT
+        return value if value in texts.COLOURINGS else texts.BY_COUNT
 
     def select(self, name: str) -> None:
         """Select a camera."""
@@ -214,8 +214,8 @@ class Panel:
 
     def show_numbers(self, evaluation: Evaluation, certificate: Certificate | None,
                      kept: Evaluation | None) -> None:
-        """Show all figures; see :func:`ocp_ros.studio.texts.numbers`."""
-        self.numbers.content = texts.numbers(evaluation, certificate, kept)
+        """Show all figures; see :func:`ocp_ros.studio.texts.all_figures`."""
+        self.numbers.content = texts.all_figures(evaluation, certificate, kept)
 
     def show_details(self, state: State, camera: int) -> None:
         """Show the pose of the selected camera in its fields."""
@@ -382,7 +382,7 @@ class Panel:
         """Search for better poses."""
         seconds = float(np.clip(float(self.seconds.value), *SECONDS[1:]))
         studio = self.page.studio
-        self._start(searched(studio, studio.state, from_here), seconds, 'searching',
+        self._start(search_work(studio, studio.state, from_here), seconds, 'searching',
                     self.task_said)
 
     def _stop(self) -> None:
@@ -394,18 +394,18 @@ class Panel:
     def _search_addition(self) -> None:
         """Search for the best pose of one more camera, and add it."""
         page = self.page
-        self._start(best_addition(page.evaluation, lambda sensor, pose: page.do(
+        self._start(addition_work(page.evaluation, lambda sensor, pose: page.do(
             partial(page.studio.add, sensor, pose))), SECONDS[2], 'searching', self.task_said)
 
     def _leave_out(self) -> None:
         """Select the camera that can be left out best."""
         evaluation = self.page.evaluation
-        camera, loss = least_useful(evaluation)
+        camera, loss = find_least_useful(evaluation)
         name = evaluation.state.names[camera]
         self.select(name)
         self.task_said.content = texts.message(
             f'without {name} the objective value is {loss:.4f} in place of '
-            f'{evaluation.worth.loss:.4f}: the least loss of all cameras; it is selected')
+            f'{evaluation.rig_evaluation.loss:.4f}: the least loss of all cameras; it is selected')
 
     def _save(self, kind: str) -> None:
         """Save the placement or the rig."""

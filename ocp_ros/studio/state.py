@@ -102,7 +102,7 @@ def changed_rig(rig: Rig, **new_values: Any) -> Rig:
     return rig_from(document)
 
 
-def with_single_entries(rig: Rig) -> Rig:
+def split_groups(rig: Rig) -> Rig:
     """Return the same rig with one named entry in its document for each camera to be placed."""
     groups = [group for group in rig.document.data['cameras']
               for _ in range(group.get('count', 1))]
