@@ -28,7 +28,7 @@ from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Studio
 from ocp_ros.studio.state import History, State
-from ocp_ros.studio.zone_edits import changed_entry, entries_of, moved_box, with_new, without
+from ocp_ros.studio.zone_edits import added_box, changed_entry, entries_of, moved_box, removed_entry
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 
@@ -54,7 +54,7 @@ def moved(studio, camera=0, by=(0.3, 0.1, 0.0, 0.2, 0.0, 0.0), action=None):
 
 def test_the_page_shows_the_numbers_that_ocp_score_prints(studio, tmp_path, capsys):
     folder = Folder(tmp_path)
-    studio.set_rig(**with_new(studio.state.rig, 'regions', studio.scene,
+    studio.set_rig(**added_box(studio.state.rig, 'regions', studio.scene,
                               studio.evaluation().problem.region.floor))
     entry, = entries_of(studio.state.rig)
     studio.set_rig(**changed_entry(studio.state.rig, entry, must_see=1.0, weight=2.0))
@@ -202,7 +202,7 @@ def test_a_camera_outside_the_room_has_a_nearest_allowed_pose(studio):
 def test_zones_are_added_moved_and_removed(studio):
     floor = studio.evaluation().problem.region.floor
     for key in ('keep_out', 'regions'):
-        studio.set_rig(**with_new(studio.state.rig, key, studio.scene, floor))
+        studio.set_rig(**added_box(studio.state.rig, key, studio.scene, floor))
     region, zone = entries_of(studio.state.rig)
     assert (region.label, zone.label) == ('region region_1', 'keep-out zone 1')
     middle = zone.zone.corners(floor).mean(axis=0)
@@ -215,7 +215,7 @@ def test_zones_are_added_moved_and_removed(studio):
     with pytest.raises(ConfigurationError, match='found no points'):
         studio.set_rig(**moved_box(studio.state.rig, region, np.array([90.0, 0.0, 0.0])))
     assert studio.state.rig.regions[0].must_see == 1.0
-    studio.set_rig(**without(studio.state.rig, zone))
+    studio.set_rig(**removed_entry(studio.state.rig, zone))
     assert not studio.state.rig.keep_out
 
 

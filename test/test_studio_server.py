@@ -33,7 +33,7 @@ from ocp_ros.studio import texts  # noqa: E402
 from ocp_ros.studio.folder import Folder  # noqa: E402
 from ocp_ros.studio.model import Studio  # noqa: E402
 from ocp_ros.studio.page import Page  # noqa: E402
-from ocp_ros.studio.scene_nodes import below  # noqa: E402
+from ocp_ros.studio.scene_nodes import mesh_below  # noqa: E402
 from ocp_ros.studio.server import is_local, LocalServer, start_server  # noqa: E402
 from websockets.exceptions import InvalidStatus  # noqa: E402
 
@@ -245,9 +245,9 @@ def area_of(vertices, triangles):
 
 def test_a_mesh_is_cut_at_a_height(room):
     mesh, height = room[0].mesh, 1.1
-    low, turned = below(mesh, height), replace(mesh, vertices=mesh.vertices * [1, 1, -1])
+    low, turned = mesh_below(mesh, height), replace(mesh, vertices=mesh.vertices * [1, 1, -1])
     assert low[0][low[1]][..., 2].max() == pytest.approx(height, abs=1e-6)
-    assert area_of(*low) + area_of(*below(turned, -height)) == pytest.approx(
+    assert area_of(*low) + area_of(*mesh_below(turned, -height)) == pytest.approx(
         area_of(mesh.vertices, mesh.triangles), rel=1e-5)
     assert 0.2 < area_of(*low) / area_of(mesh.vertices, mesh.triangles) < 0.8
 

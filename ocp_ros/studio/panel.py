@@ -32,7 +32,7 @@ from ocp_ros.studio.zone_edits import (
     entries_of,
     Entry,
     KEYS,
-    with_new,
+    added_box,
     without,
 )
 from ocp_ros.util.settings import ConfigurationError
@@ -362,7 +362,7 @@ class Panel:
         """Add a box in the middle of the room, and select it."""
         key, studio = KEYS[kind], self.page.studio
         floor = self.page.evaluation.problem.region.floor
-        self.page.edit_rig(**with_new(studio.state.rig, key, studio.scene, floor))
+        self.page.edit_rig(**added_box(studio.state.rig, key, studio.scene, floor))
         self._select_zone(key, len(studio.state.rig.document.data[key]) - 1)
 
     def _remove_zone(self) -> None:
