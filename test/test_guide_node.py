@@ -50,7 +50,8 @@ def guided(graph, probe, room):
 
 def test_the_page_shows_the_cloud_the_cameras_and_where_they_shall_go(guided):
     page = guided.guide.page
-    guided.graph.until(lambda: 'camera 0: ' in page.instructions.content and '<svg' in page.plan.content)
+    guided.graph.until(lambda: 'camera 0: ' in page.instructions.content
+                       and '<svg' in page.plan.content)
     assert len(page.points) > 100
     guided.graph.until(lambda: 'expected' in page.instructions.content)
     assert 'not final: turn 1 of 3' in page.instructions.content

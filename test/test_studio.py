@@ -28,7 +28,13 @@ from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Studio
 from ocp_ros.studio.state import History, State
-from ocp_ros.studio.zone_edits import added_box, changed_entry, entries_of, moved_box, removed_entry
+from ocp_ros.studio.zone_edits import (
+    added_box,
+    changed_entry,
+    entries_of,
+    moved_box,
+    removed_entry,
+)
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 

@@ -213,7 +213,7 @@ def test_no_typed_name_leaves_the_folder(tmp_path, name):
     (inside / 'link').symlink_to(tmp_path)
     for suffix in ('.yaml', ''):
         with pytest.raises(ConfigurationError, match='name: found'):
-            folder.new(name, suffix)
+            folder.claim_path(name, suffix)
     for file in ('../outside.yaml', '/etc/passwd', 'link.yaml', 'link', 'none.yaml'):
         with pytest.raises(ConfigurationError, match='load: found'):
             folder.load(file, None)
@@ -224,10 +224,10 @@ def test_files_of_others_are_not_replaced(tmp_path):
     Path(tmp_path / 'mine.yaml').write_text('kept')
     folder = Folder(tmp_path)
     with pytest.raises(ConfigurationError, match='exists already'):
-        folder.new('mine')
+        folder.claim_path('mine')
     folder.save_rig('rig', rig_of(1))
     folder.save_rig('rig', rig_of(2))
-    assert folder.names() == ['mine.yaml', 'rig.yaml']
+    assert folder.file_names() == ['mine.yaml', 'rig.yaml']
 
 
 def test_names_are_escaped():
@@ -283,18 +283,18 @@ def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):
         press(panel.new_zone, 'region', lambda: len(studio.state.rig.regions) == 1)
         press(panel.must_see, 0.9, lambda: studio.state.rig.regions[0].must_see == 0.9)
         press(panel.new_zone, 'keep-out zone', lambda: len(studio.state.rig.keep_out) == 1)
-        press(panel.no_zone, True, lambda: not studio.state.rig.keep_out)
+        press(panel.remove_zone, True, lambda: not studio.state.rig.keep_out)
         press(panel.colours, texts.BY_REQUIREMENT, lambda: 'too few' in panel.legend.content)
         press(panel.compare, 'Keep as A', lambda: page.kept_evaluation is not None)
         press(panel.locked, True, lambda: len(studio.state.locked) == 1)
         press(panel.compare, 'Go to A', lambda: not studio.state.locked)
         press(panel.compare, 'Stop', lambda: page.kept_evaluation is None)
         press(panel.save, 'Placement', (tmp_path / 'placement.yaml').exists)
-        press(panel.name, 'my_rig', lambda: panel.name.value == 'my_rig')
+        press(panel.file_name, 'my_rig', lambda: panel.file_name.value == 'my_rig')
         press(panel.save, 'Rig', (tmp_path / 'my_rig.yaml').exists)
-        press(panel.export, True, lambda: 'wrote 10 files to my_rig' in panel.file_said.content)
-        press(panel.name, '../up', lambda: panel.name.value == '../up')
-        press(panel.save, 'Placement', lambda: 'name: found' in panel.said.content)
-        press(panel.planners['Which camera to leave out'], True,
-              lambda: 'the objective value is' in panel.task_said.content)
+        press(panel.export, True, lambda: 'wrote 10 files to my_rig' in panel.file_message.content)
+        press(panel.file_name, '../up', lambda: panel.file_name.value == '../up')
+        press(panel.save, 'Placement', lambda: 'name: found' in panel.message.content)
+        press(panel.plan_buttons['Which camera to leave out'], True,
+              lambda: 'the objective value is' in panel.search_message.content)
     assert not (tmp_path.parent / 'up.yaml').exists()

@@ -36,7 +36,7 @@ class Entry(NamedTuple):
     :ivar number: index in that list.
     :ivar data: its item of that list.
     :ivar zone: its shape.
-    :ivar label: its name for people, different from all others.
+    :ivar label: its name for people.
     :ivar colour: of its edges, such as ``#d55e00``.
     """
 
