@@ -61,7 +61,7 @@ def moved(studio, camera=0, by=(0.3, 0.1, 0.0, 0.2, 0.0, 0.0), action=None):
 def test_the_page_shows_the_numbers_that_ocp_score_prints(studio, tmp_path, capsys):
     folder = Folder(tmp_path)
     studio.set_rig(**added_box(studio.state.rig, 'regions', studio.scene,
-                              studio.evaluation().problem.region.floor))
+                               studio.evaluation().problem.region.floor))
     entry, = entries_of(studio.state.rig)
     studio.set_rig(**changed_entry(studio.state.rig, entry, must_see=1.0, weight=2.0))
     moved(studio, by=(0.31234, -0.2, -0.7, 0.123456, 0.05, 0.0))

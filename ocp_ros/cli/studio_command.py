@@ -53,7 +53,7 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Serve the page until Ctrl-C; the returned record of results is empty."""
+    """Serve the page until Ctrl-C; return an empty result."""
     from ocp_ros.rig.rig_file import load_rig, rig_of
     try:
         from ocp_ros.studio.page import Page

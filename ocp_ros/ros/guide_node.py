@@ -81,14 +81,13 @@ class GuideNode(ManagedNode):
         self._limits_to_restore: dict[str, float] = {}
         #: Seconds and nanoseconds of the last command; a command with this stamp repeats it.
         self._command_stamp: tuple[int, int] | None = None
-        for message_type, topic, callback, profile in (
+        for msg_type, topic, callback, qos in (
                 (PointCloud2, topics.OBSERVATION, self._on_cloud, LOOP),
                 (PoseArray, topics.CAMERA_POSES, self._on_poses, POSES),
                 (PoseArray, topics.CAMERA_COMMANDS, self._on_command, LOOP),
                 (String, topics.INSTRUCTIONS, self._on_instructions, LATCHED),
                 (String, topics.PLACEMENT_STATUS, self._on_status, LATCHED)):
-            self.create_subscription(message_type, topic, partial(self._take_message, callback),
-                                     profile)
+            self.create_subscription(msg_type, topic, partial(self._take_message, callback), qos)
         policy = self.config.policy
         self._pause_client = self.create_client(SetBool, f'{policy}/pause')
         self._reset_client = self.create_client(Trigger, f'{policy}/reset')
@@ -133,7 +132,7 @@ class GuideNode(ManagedNode):
     def _on_instructions(self, message: String) -> None:
         """Show what the next time step is expected to bring."""
         self.page.expectation = next((line for line in message.data.splitlines()
-                                   if line.startswith('expected')), '')
+                                      if line.startswith('expected')), '')
 
     def _on_status(self, message: String) -> None:
         """Show the progress towards a final placement."""

@@ -19,14 +19,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.geometry.cameras import Pose as CameraPose
 from ocp_ros.report.facts import metres
-from ocp_ros.ros.interface import topics
-from ocp_ros.ros.interface.conversions import (
-    cloud_to_msg,
-    MessageError,
-    msg_to_poses,
-    positions_to_msg,
-    shortened,
-)
+from ocp_ros.ros.interface import conversions, topics
 from ocp_ros.ros.interface.handles import CameraHandles
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.interface.views import CloudView, RigView
@@ -50,8 +43,9 @@ class ViewNode(Node):
         super().__init__('ocp_view', **kwargs)
         self.objective = objective
         self._header = Header(frame_id='map', stamp=self.get_clock().now().to_msg())
+        points = objective.simulator.scene.points
         self._scene_publisher = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
-        self._scene_publisher.publish(cloud_to_msg(objective.simulator.scene.points, self._header))
+        self._scene_publisher.publish(conversions.cloud_to_msg(points, self._header))
         self._pose_publisher = self.create_publisher(PoseArray, topics.CAMERA_POSES, LATCHED)
         models = [camera.model for camera in objective.rig.all_cameras]
         self._rig_view = RigView(self, topics.MARKERS, models, len(models))
@@ -64,16 +58,16 @@ class ViewNode(Node):
 
     def _on_handle(self, camera: int, pose: Pose) -> None:
         """Move the camera of a handle to the pose at which a person lets go of the handle."""
-        message = positions_to_msg(self.poses[:, :3], self._header, self.poses[:, 3:])
+        message = conversions.positions_to_msg(self.poses[:, :3], self._header, self.poses[:, 3:])
         message.poses[camera] = pose
         self._on_command(message)
 
     def _on_command(self, message: PoseArray) -> None:
         """Move the cameras, or log why the command cannot be used."""
         try:
-            poses = msg_to_poses(message, len(self.poses))
-        except MessageError as error:
-            self.get_logger().warning(f'command refused: {shortened(error)}',
+            poses = conversions.msg_to_poses(message, len(self.poses))
+        except conversions.MessageError as error:
+            self.get_logger().warning(f'command refused: {conversions.shortened(error)}',
                                       throttle_duration_sec=1.0)
             return
         self._move_cameras(np.array(
@@ -86,7 +80,7 @@ class ViewNode(Node):
         self._rig_view.show_turn(self._header, list(map(CameraPose.of, np.vstack(
             [poses, self.objective.rig.fixed_poses]))))
         self._cloud_view.show_turn(self._header)
-        message = positions_to_msg(poses[:, :3], self._header, poses[:, 3:])
+        message = conversions.positions_to_msg(poses[:, :3], self._header, poses[:, 3:])
         self._pose_publisher.publish(message)
         self._handles.show(message, len(poses))
         evaluation = self.objective.judge(self._views)
@@ -99,6 +93,6 @@ class ViewNode(Node):
         super().destroy_node()
 
 
-def show(objective: Objective, poses: np.ndarray) -> int:
+def show_placement(objective: Objective, poses: np.ndarray) -> int:
     """Show a placement in RViz until Ctrl-C, and return the exit status; see :class:`ViewNode`."""
     return run(lambda: ViewNode(objective, poses), [])

@@ -16,7 +16,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from threading import RLock
 from typing import Any
 
@@ -153,6 +153,7 @@ class Studio:
         self.engine = engine or (with_rays(PROMISING, scene) if has_exact_mesh else PROMISING)
         rig = split_groups(rig)
         self._simulator = Simulator(scene, SimulationConfig(engine=self.engine), rig.models)
+        #: Views by camera model and pose; those that were used last come last.
         self._views: dict[tuple[CameraModel, bytes], View] = {}
         self._evaluation: Evaluation | None = None
         self._problem = self.problem_of(rig)
@@ -387,10 +388,9 @@ class Studio:
             return (satisfies_spacing(poses[:, :3], others, rig.spacing)
                     & region.allowed(poses, model))
 
-        def nearest_around(centre: np.ndarray) -> np.ndarray | None:
-            reach_m = 1.0
-            return nearest_place(centre, pose[:3], reach_m, region.onto_mount, are_allowed)
-
+        # Searches up to 1 m around a position for the one that is nearest to the pose.
+        nearest_around = partial(nearest_place, target=pose[:3], reach=1.0,
+                                 move_onto_mount=region.onto_mount, are_allowed=are_allowed)
         nearest = nearest_around(pose[:3])
         if nearest is None:
             positions = self._allowed_positions(region, model)

@@ -59,14 +59,13 @@ class Page:
         self.task: Task | None = None
         self.kept_evaluation: Evaluation | None = None
         self._shown_evaluation: Evaluation | None = None
-        #: Is notified of new actions and drags; its lock guards the next four attributes.
+        #: Is notified of new actions and drags, and of the end; its lock guards them.
         self._changed = Condition()
         self._actions: list[Callable[[], None]] = []
         #: Newest position (3,), rotation (3, 3) and gesture of each dragged camera, by its name.
         self._drags: dict[str, tuple[np.ndarray, np.ndarray, object]] = {}
         self._gesture_count = 0
-        self._closed = False
-        self._details_shown = False
+        self._closed = self._details_shown = False
         scene = studio.scene
         self._points = scene.points[studio.order]
         self._spacing = float(np.median(scene.spacing))

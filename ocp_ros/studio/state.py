@@ -107,7 +107,7 @@ def split_groups(rig: Rig) -> Rig:
     groups = [group for group in rig.document.data['cameras']
               for _ in range(group.get('count', 1))]
     return changed_rig(rig, cameras=[camera_entry(group, camera.name)
-                                 for group, camera in zip(groups, rig.cameras)])
+                                     for group, camera in zip(groups, rig.cameras)])
 
 
 def camera_entry(group: dict[str, Any], name: str) -> dict[str, Any]:

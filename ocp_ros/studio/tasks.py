@@ -27,7 +27,6 @@ from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import check_regions, MountedCamera, pool_of
 from ocp_ros.search.plan import plan
-from ocp_ros.search.pose_annealing import SearchResult
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
@@ -112,7 +111,6 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
         pool = pool_of(problem, task.budget)
         check_regions(problem.objective, pool)
         best_sites = _start_sites(studio, problem, state, unlocked) if from_here else ()
-        result: SearchResult | None = None
         certificate: Certificate | None = None
         done_share = 0.0
         # Each search begins from the best placement so far, which the page shows meanwhile.

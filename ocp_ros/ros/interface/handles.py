@@ -92,7 +92,7 @@ def handle_of(number: int, pose: Pose, frame: str) -> InteractiveMarker:
     :param pose: of the camera.
     :param frame: frame of the pose. RViz returns poses in this frame too, since the stamp is 0.
     """
-    # Quaternions of 90 degrees about x, y and z turn the x axis of a control parallel to x, z and y.
+    # Rotations of 90 degrees about x, y and z make the axis of a control parallel to x, z and y.
     half_root = 0.5 ** 0.5
     controls = [InteractiveMarkerControl(name=f'{axis}_{mode}', interaction_mode=mode,
                                          orientation=Quaternion(w=half_root, **{axis: half_root}))
