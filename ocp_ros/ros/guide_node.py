@@ -125,7 +125,7 @@ class GuideNode(ManagedNode):
         self.page.targets = msg_to_poses(message)
         stamp = message.header.stamp.sec, message.header.stamp.nanosec
         if self._limits_to_restore and stamp != self._command_stamp:
-            self._set_parameters(**self._limits_to_restore)
+            self._set_policy_parameters(**self._limits_to_restore)
             self._limits_to_restore = {}
         self._command_stamp = stamp
 
@@ -174,7 +174,7 @@ class GuideNode(ManagedNode):
                 if distance == np.inf else f'found a camera {distance:.2f} m off; expected at '
                 f'most {max_metres / margin:.2f} m; carry it nearer to its target')
             return
-        # A rotation angle is at most pi.
+        # policy_node accepts at most 1 m and 3.1 rad.
         needed = dict(zip(ARRIVAL_LIMITS, (distance * margin, min(angle * margin, 3.1))))
 
         def widen_limits(future: Future) -> None:
@@ -182,8 +182,8 @@ class GuideNode(ManagedNode):
                        for name, value in zip(ARRIVAL_LIMITS, future.result().values)}
             if len(present) == len(ARRIVAL_LIMITS):
                 self._limits_to_restore = self._limits_to_restore or present
-                self._set_parameters(**{name: max(present[name], needed[name])
-                                        for name in ARRIVAL_LIMITS}, **other_parameters)
+                widened = {name: max(present[name], needed[name]) for name in ARRIVAL_LIMITS}
+                self._set_policy_parameters(**widened, **other_parameters)
         self._call(self._get_client, GetParameters.Request(names=list(ARRIVAL_LIMITS)),
                    widen_limits)
 
@@ -196,7 +196,7 @@ class GuideNode(ManagedNode):
         else:
             self._arrive(turns=max(int(turn[1]), 1))
 
-    def _set_parameters(self, **values: float) -> None:
+    def _set_policy_parameters(self, **values: float) -> None:
         """Set parameters of ``policy_node``."""
         self._call(self._set_client, SetParameters.Request(parameters=[
             Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]))

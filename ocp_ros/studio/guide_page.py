@@ -70,10 +70,9 @@ class GuidePage:
 
     def set_cloud(self, points: np.ndarray) -> None:
         """Set the points observed so far: (N, 3) metres, map frame."""
-        # A phone draws 20,000 to 40,000 points without delay.
-        step = max(len(points) // 20_000, 1)
         with self._lock:
-            self.points = points[::step]
+            # A phone draws 20,000 to 40,000 points without delay.
+            self.points = points[::max(len(points) // 20_000, 1)]
             self._cloud_changed = True
 
     def show_message(self, text: str) -> None:
