@@ -55,7 +55,7 @@ def studio(room):
 
 def moved(studio, camera=0, by=(0.3, 0.1, 0.0, 0.2, 0.0, 0.0), action=None):
     """Move a camera."""
-    assert studio.move(camera, studio.state.poses[camera] + np.array(by), action)
+    assert studio.move_camera(camera, studio.state.poses[camera] + np.array(by), action)
 
 
 def test_the_page_shows_the_numbers_that_ocp_score_prints(studio, tmp_path, capsys):
@@ -69,9 +69,9 @@ def test_the_page_shows_the_numbers_that_ocp_score_prints(studio, tmp_path, caps
     evaluation = studio.evaluation()
     assert main(['score', '3', str(path), '--json']) == 0
     found = json.loads(capsys.readouterr().out)
-    assert evaluation.broken and found['broken'] == evaluation.broken
+    assert evaluation.all_violations and found['broken'] == evaluation.all_violations
     assert found['scores'] == evaluation.scores
-    assert found['expected'] == evaluation.expected
+    assert found['expected'] == evaluation.expected_error
     assert found['scores']['loss'] == evaluation.rig_evaluation.loss
     assert not [note for note in found['notes'] if 'objective value' in note]
     printed = as_text(show_score, found)
@@ -105,16 +105,16 @@ def test_the_evaluation_is_that_of_all_cameras_looking_anew(studio):
     evaluation = studio.evaluation()
     fresh = Studio(studio.scene, studio.room, studio.state.rig, studio.state.poses).evaluation()
     assert fresh.scores == evaluation.scores
-    assert np.array_equal(fresh.counts, evaluation.counts)
+    assert np.array_equal(fresh.camera_counts, evaluation.camera_counts)
     seen = np.sum([evaluation.points_seen_by(camera) for camera in range(3)], axis=0)
-    assert np.array_equal(evaluation.counts, seen)
+    assert np.array_equal(evaluation.camera_counts, seen)
 
 
 def test_undo_and_redo(studio):
     first = studio.state
     moved(studio)
     second = studio.state
-    studio.add(D455)
+    studio.add_camera(D455)
     assert studio.history.undo() and studio.state is second
     assert studio.history.undo() and studio.state is first
     assert not studio.history.undo()
@@ -128,7 +128,7 @@ def test_the_steps_of_one_drag_are_undone_together(studio):
     for _ in range(5):
         moved(studio, by=(0.01, 0, 0, 0, 0, 0), action='drag 1')
     moved(studio, by=(0.01, 0, 0, 0, 0, 0), action='drag 2')
-    assert len(studio.history.past) == 2
+    assert len(studio.history.past_states) == 2
     assert studio.history.undo() and studio.history.undo() and studio.state is first
 
 
@@ -136,25 +136,25 @@ def test_the_history_has_an_end():
     state = State(rig_of(1), np.zeros((1, 6)))
     history = History(state)
     for _ in range(500):
-        history.change(State(state.rig, state.poses))
-    assert len(history.past) == 200
+        history.set_present(State(state.rig, state.poses))
+    assert len(history.past_states) == 200
 
 
 def test_cameras_are_added_copied_and_removed(studio):
-    camera = studio.add('kinect_v2')
+    camera = studio.add_camera('kinect_v2')
     assert camera == 3 and studio.state.names[3] == 'kinect_v2'
     assert studio.state.rig.cameras[3].sensor == 'kinect_v2'
     assert not studio.evaluation().violations
-    copy = studio.add('kinect_v2', studio.state.poses[3] + 0.1)
+    copy = studio.add_camera('kinect_v2', studio.state.poses[3] + 0.1)
     assert studio.state.names[copy] == 'kinect_v2_1'
     assert studio.state.rig.cameras[copy].model == studio.state.rig.cameras[3].model
-    studio.remove(0)
+    studio.remove_camera(0)
     assert studio.state.names == [f'{D455}_2', f'{D455}_3', 'kinect_v2', 'kinect_v2_1']
     assert len(studio.evaluation().scores['cameras']) == 4
     for _ in range(3):
-        studio.remove(0)
+        studio.remove_camera(0)
     with pytest.raises(ConfigurationError, match='cameras: found one'):
-        studio.remove(0)
+        studio.remove_camera(0)
 
 
 def test_a_sensor_is_exchanged(studio):
@@ -169,10 +169,10 @@ def test_a_sensor_is_exchanged(studio):
 
 def test_a_locked_camera_stays(studio):
     studio.set_locked(1, True)
-    assert not studio.move(1, studio.state.poses[1] + 0.1)
-    assert studio.move(0, studio.state.poses[0] + 0.1)
+    assert not studio.move_camera(1, studio.state.poses[1] + 0.1)
+    assert studio.move_camera(0, studio.state.poses[0] + 0.1)
     studio.set_locked(1, False)
-    assert studio.move(1, studio.state.poses[1] + 0.1)
+    assert studio.move_camera(1, studio.state.poses[1] + 0.1)
 
 
 def test_a_dragged_camera_keeps_its_roll_while_its_direction_changes(studio):
@@ -192,16 +192,16 @@ def test_a_violated_constraint_has_a_sentence_and_a_nearest_allowed_pose(studio)
     near = studio.nearest_allowed(evaluation, 0)
     assert evaluation.problem.region.allowed(near[None], evaluation.problem.models[0])[0]
     assert np.linalg.norm(near[:2] - evaluation.state.poses[0, :2]) < 0.5
-    studio.move(0, near)
+    studio.move_camera(0, near)
     assert not studio.evaluation().violations
 
 
 def test_a_camera_outside_the_room_has_a_nearest_allowed_pose(studio):
-    studio.move(0, np.array([30.0, 0.0, 2.0, 0.0, 0.3, 0.0]))
+    studio.move_camera(0, np.array([30.0, 0.0, 2.0, 0.0, 0.3, 0.0]))
     evaluation = studio.evaluation()
     near = studio.nearest_allowed(evaluation, 0)
     assert evaluation.violations
-    studio.move(0, near)
+    studio.move_camera(0, near)
     assert not studio.evaluation().violations
 
 
@@ -233,12 +233,12 @@ def test_colours_show_counts_requirements_and_the_selected_camera(studio):
         assert colours.shape == (len(studio.scene), 3) and colours.dtype == np.uint8
         assert set(map(tuple, np.unique(colours, axis=0).tolist())) <= legend
     missed = texts.point_colours(evaluation, texts.BY_COUNT, 0) == texts.rgb(texts.UNSEEN_COLOUR)
-    assert np.array_equal(missed.all(axis=1), evaluation.counts == 0)
+    assert np.array_equal(missed.all(axis=1), evaluation.camera_counts == 0)
 
 
 def test_the_depth_image_has_the_distance_of_what_a_camera_sees(studio):
     evaluation = studio.evaluation()
-    seen = studio.order[evaluation.points_seen_by(0)]
+    seen = studio.point_order[evaluation.points_seen_by(0)]
     pose, model = evaluation.state.poses[0], evaluation.problem.models[0]
     points = studio.scene.points[seen]
     image = depth_image(points, studio.scene.pitch[seen], pose, model)
@@ -268,7 +268,7 @@ def test_planning_improves_the_placement_and_shows_each_better_one(studio):
     news = news_of(tasks.search_work(studio, studio.state, False))
     for one in news:
         if one.poses is not None:
-            studio.change(studio.state.rig, one.poses)
+            studio.set_placement(studio.state.rig, one.poses)
             losses.append(studio.evaluation().rig_evaluation.loss)
             assert not studio.evaluation().violations
     assert losses[-1] < before and losses == sorted(losses, reverse=True)
@@ -280,14 +280,15 @@ def test_a_proof_says_how_far_any_placement_of_the_rig_is_from_the_best(room):
     seconds = 1.0
     while (certificate := studio.certificate(studio.evaluation())) is None:
         news = news_of(tasks.search_work(studio, studio.state, False), seconds)
-        studio.change(studio.state.rig, [one.poses for one in news if one.poses is not None][-1])
+        poses = [one.poses for one in news if one.poses is not None][-1]
+        studio.set_placement(studio.state.rig, poses)
         seconds *= 2.0
         assert seconds < HUNG
     assert 'is better by more than' in texts.all_figures(studio.evaluation(), certificate)
     moved(studio, by=(0.3, 0.3, 0.0, 0.0, 0.0, 0.0))
     worse = studio.certificate(studio.evaluation())
     assert worse.gap > certificate.gap and worse.bound == certificate.bound
-    studio.add('omnidirectional')
+    studio.add_camera('omnidirectional')
     assert studio.certificate(studio.evaluation()) is None
     assert texts.NO_CERTIFICATE in texts.all_figures(studio.evaluation(), None)
 
@@ -299,7 +300,7 @@ def test_a_search_leaves_locked_cameras_where_they_are(studio):
     poses = [one.poses for one in news if one.poses is not None][-1]
     assert np.array_equal(poses[1], studio.state.poses[1])
     assert not np.array_equal(poses[0], studio.state.poses[0])
-    studio.change(studio.state.rig, poses)
+    studio.set_placement(studio.state.rig, poses)
     assert studio.evaluation().rig_evaluation.loss < before
     for camera in range(3):
         studio.set_locked(camera, True)
@@ -310,7 +311,8 @@ def test_a_search_leaves_locked_cameras_where_they_are(studio):
 def test_a_search_from_a_pose_that_is_not_allowed_begins_at_the_nearest_one(studio):
     moved(studio, by=(0.0, 0.0, 3.0, 0.0, 0.0, 0.0))
     news = news_of(tasks.search_work(studio, studio.state, True))
-    studio.change(studio.state.rig, [one.poses for one in news if one.poses is not None][-1])
+    poses = [one.poses for one in news if one.poses is not None][-1]
+    studio.set_placement(studio.state.rig, poses)
     assert not studio.evaluation().violations
 
 
@@ -330,7 +332,7 @@ def test_the_best_additional_camera_is_that_of_ocp_score(studio, tmp_path, capsy
     main(['score', '3', str(path), '--json'])
     more = json.loads(capsys.readouterr().out)['one_more']
     assert pose[:3].tolist() == more['position']
-    studio.add(sensor, pose)
+    studio.add_camera(sensor, pose)
     after = studio.evaluation().rig_evaluation.depth_error
     assert after < before and after == pytest.approx(more['depth_error'], rel=0.01)
 
@@ -340,7 +342,7 @@ def test_the_camera_to_leave_out_costs_least(studio):
     camera, loss = tasks.find_least_useful(evaluation)
     for other in range(3):
         left = Studio(studio.scene, studio.room, studio.state.rig, studio.state.poses)
-        left.remove(other)
+        left.remove_camera(other)
         assert left.evaluation().rig_evaluation.loss >= loss - 1e-12
         assert other != camera or left.evaluation().rig_evaluation.loss == loss
 
@@ -352,9 +354,9 @@ def test_files_are_saved_loaded_and_exported(studio, tmp_path):
     loss, poses = studio.evaluation().rig_evaluation.loss, studio.state.poses
     folder.save_placement('mine', studio.placement(True))
     folder.save_rig('my_rig', studio.state.rig)
-    studio.load(*folder.load('my_rig.yaml', studio.scene))
+    studio.replace_rig(*folder.load('my_rig.yaml', studio.scene))
     assert not np.array_equal(studio.state.poses, poses)
-    studio.load(*folder.load('mine.yaml', studio.scene))
+    studio.replace_rig(*folder.load('mine.yaml', studio.scene))
     assert np.array_equal(studio.state.poses, poses)
     assert studio.evaluation().rig_evaluation.loss == loss
     (tmp_path / 'bad.yaml').write_text('cameras: 3\n')

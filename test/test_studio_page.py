@@ -153,7 +153,7 @@ def test_a_placement_is_planned_saved_and_loaded_and_survives_a_reload(opened, p
     tab.get_by_role('button', name='Placement', exact=True).click()
     tab.get_by_text('wrote best.yaml').wait_for()
     poses = page.studio.state.poses
-    page.enqueue(lambda: page.studio.move(0, poses[0] + 0.1))
+    page.enqueue(lambda: page.studio.move_camera(0, poses[0] + 0.1))
     wait_until(lambda: not np.array_equal(page.studio.state.poses, poses))
     tab.get_by_role('button', name='Load').click()
     wait_until(lambda: np.array_equal(page.studio.state.poses, poses))
@@ -276,7 +276,7 @@ def test_names_of_files_and_typed_names_are_text(opened, page, tmp_path):
 def test_a_violation_shows_the_nearest_allowed_pose(opened, page):
     page, _ = page
     tab = opened()
-    page.enqueue(lambda: page.studio.move(0, page.studio.state.poses[0] + np.array(
+    page.enqueue(lambda: page.studio.move_camera(0, page.studio.state.poses[0] + np.array(
         [0.0, 0.0, 1.5, 0.0, 0.0, 0.0])))
     tab.get_by_text('mount.height').first.wait_for()
     tab.get_by_role('button', name='Move to the nearest allowed pose').click()

@@ -74,7 +74,7 @@ def main() -> None:
         def take_over(news: Progress) -> None:
             if news.poses is not None:
                 poses = news.poses
-                page.enqueue(lambda: studio.change(studio.state.rig, poses))
+                page.enqueue(lambda: studio.set_placement(studio.state.rig, poses))
 
         Task(search_work(studio, studio.state, False), SECONDS, take_over).join()
         take('studio_compared', DESK, lambda tab: tab.get_by_role('tab', name='Numbers').click())

@@ -65,16 +65,15 @@ def run(arguments: argparse.Namespace) -> Found:
                                  'pip install "ocp_ros[studio]"') from error
     from ocp_ros.studio.folder import Folder
     from ocp_ros.studio.model import Studio
-    command = command_of(arguments.argv)
     if arguments.placement:
         scene, placement, room = room_and_placement(arguments)
         studio = Studio(scene, room, placement.rig_in(scene), placement.poses, placement.engine,
-                        command)
+                        command_of(arguments.argv))
     else:
         rig = load_rig(arguments.rig) if arguments.rig else rig_of(
             DEFAULT_CAMERAS, DEFAULT_SENSOR, mount={'on': DEFAULT_MOUNT})
         scene, room = room_asked(arguments, {})
-        studio = Studio(scene, room, rig, command=command)
+        studio = Studio(scene, room, rig, command=command_of(arguments.argv))
     folder = Folder(arguments.out)
     server, url = start_server(arguments.host, arguments.port)
     page = Page(server, studio, folder)

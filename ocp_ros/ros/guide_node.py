@@ -174,7 +174,7 @@ class GuideNode(ManagedNode):
                 if distance == np.inf else f'found a camera {distance:.2f} m off; expected at '
                 f'most {max_metres / margin:.2f} m; carry it nearer to its target')
             return
-        # policy_node accepts at most 1 m and 3.1 rad.
+        # policy_node accepts at most 1 m and pi radians.
         needed = dict(zip(ARRIVAL_LIMITS, (distance * margin, min(angle * margin, 3.1))))
 
         def widen_limits(future: Future) -> None:

@@ -49,7 +49,7 @@ class Evaluation:
     The evaluation of one state; each property is computed when it is first used.
 
     N is the number of points of the room. Their order is that of the engine, which
-    :attr:`Studio.order` describes.
+    :attr:`Studio.point_order` describes.
 
     :ivar problem: the rig in the room.
     :ivar state: the placement.
@@ -70,7 +70,7 @@ class Evaluation:
         return self.objective.judge(self.views)
 
     @cached_property
-    def counts(self) -> np.ndarray:
+    def camera_counts(self) -> np.ndarray:
         """Return the number of cameras that see each point: (N,) uint8."""
         counts = np.zeros(len(self.problem.simulator.scene), dtype=np.uint8)
         for view in (*self.views, *self.objective.fixed):
@@ -97,12 +97,12 @@ class Evaluation:
         return any(line.startswith(f'{name}: ') for line in self.violations)
 
     @cached_property
-    def broken(self) -> list[str]:
+    def all_violations(self) -> list[str]:
         """Return a sentence for each constraint that a pose or the placement violates."""
         return broken_by(self.problem.region, self.state.poses, self.scores)
 
     @cached_property
-    def expected(self) -> dict[str, float]:
+    def expected_error(self) -> dict[str, float]:
         """Return the depth error to expect in the real room, and its interval, metres."""
         simulator = self.problem.simulator
         return expected(self.rig_evaluation.depth_error, simulator.depth_error.worst,
@@ -125,7 +125,7 @@ class Evaluation:
             if seen_share < region.must_see and region.air is None:
                 required |= region.zone.contains(scene.points, self.problem.region.floor)
         order = self.problem.simulator.visibility.order
-        return required[order] & (self.counts < self.problem.rig.seen_by)
+        return required[order] & (self.camera_counts < self.problem.rig.seen_by)
 
 
 class Studio:
@@ -165,10 +165,10 @@ class Studio:
     @property
     def state(self) -> State:
         """Return the present state."""
-        return self.history.now
+        return self.history.present
 
     @property
-    def order(self) -> np.ndarray:
+    def point_order(self) -> np.ndarray:
         """Return the index in ``scene.points`` of each point in the engine's order: (N,) int."""
         return self._simulator.visibility.order
 
@@ -211,14 +211,14 @@ class Studio:
         self._problem = problem
         self._positions_by_model.clear()
 
-    def change(self, rig: Rig, poses: np.ndarray, locked: frozenset[str] | None = None,
-               action: object = None) -> None:
+    def set_placement(self, rig: Rig, poses: np.ndarray, locked: frozenset[str] | None = None,
+                      action: object = None) -> None:
         """
         Set the present placement.
 
         :param poses: (K, 6) poses of the K cameras to be placed, metres, map frame, and radians.
         :param locked: names of the locked cameras; None if the same ones stay locked.
-        :param action: see :meth:`History.change`.
+        :param action: see :meth:`History.set_present`.
         :raises ConfigurationError: if the rig cannot be used in the room; the placement stays.
         """
         with self.lock:
@@ -226,15 +226,15 @@ class Studio:
                 self._set_problem(self.problem_of(rig))
             locked = self.state.locked if locked is None else locked
             names = {camera.name for camera in rig.cameras}
-            self.history.change(State(rig, as_written(poses), locked & names), action)
+            self.history.set_present(State(rig, as_written(poses), locked & names), action)
 
-    def move(self, camera: int, pose: np.ndarray, action: object = None) -> bool:
+    def move_camera(self, camera: int, pose: np.ndarray, action: object = None) -> bool:
         """
         Move a camera.
 
         :param camera: number of the camera.
         :param pose: (6,) metres, map frame, and radians.
-        :param action: see :meth:`History.change`.
+        :param action: see :meth:`History.set_present`.
         :returns: whether the camera was moved; False if there is no such camera, if the camera is
             locked, or if the pose is not finite or 10 km away.
         """
@@ -247,7 +247,7 @@ class Studio:
                 return False
             poses = state.poses.copy()
             poses[camera] = pose
-            self.change(state.rig, poses, action=action)
+            self.set_placement(state.rig, poses, action=action)
             return True
 
     def dragged_pose(self, camera: int, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
@@ -266,7 +266,7 @@ class Studio:
             pose[5] = previous[5]
         return pose
 
-    def add(self, sensor: str, pose: np.ndarray | None = None) -> int:
+    def add_camera(self, sensor: str, pose: np.ndarray | None = None) -> int:
         """
         Add a camera, and return its number.
 
@@ -283,10 +283,10 @@ class Studio:
             rig = changed_rig(state.rig, cameras=[*entries, camera_entry(template, name)])
             if pose is None:
                 pose = self._spread_cameras(rig, state.poses)[-1]
-            self.change(rig, np.vstack([state.poses, pose]))
+            self.set_placement(rig, np.vstack([state.poses, pose]))
             return len(state.poses)
 
-    def remove(self, camera: int) -> None:
+    def remove_camera(self, camera: int) -> None:
         """
         Remove a camera.
 
@@ -299,8 +299,8 @@ class Studio:
                                          'of them; add another first')
             entries = list(state.rig.document.data['cameras'])
             del entries[camera]
-            self.change(changed_rig(state.rig, cameras=entries),
-                        np.delete(state.poses, camera, axis=0))
+            self.set_placement(changed_rig(state.rig, cameras=entries),
+                               np.delete(state.poses, camera, axis=0))
 
     def set_sensor(self, camera: int, sensor: str) -> None:
         """Give a camera the model of a preset."""
@@ -308,22 +308,22 @@ class Studio:
             state = self.state
             entries = list(state.rig.document.data['cameras'])
             entries[camera] = {'name': entries[camera]['name'], 'sensor': sensor}
-            self.change(changed_rig(state.rig, cameras=entries), state.poses)
+            self.set_placement(changed_rig(state.rig, cameras=entries), state.poses)
 
     def set_locked(self, camera: int, locked: bool) -> None:
         """Lock a camera, or unlock it."""
         with self.lock:
             state = self.state
-            name = frozenset([state.names[camera]])
-            self.change(state.rig, state.poses,
-                        state.locked | name if locked else state.locked - name)
+            names = frozenset([state.names[camera]])
+            self.set_placement(state.rig, state.poses,
+                               state.locked | names if locked else state.locked - names)
 
     def set_rig(self, **new_values: Any) -> None:
         """Change values of the rig by their keys, such as zones; the poses stay."""
         with self.lock:
-            self.change(changed_rig(self.state.rig, **new_values), self.state.poses)
+            self.set_placement(changed_rig(self.state.rig, **new_values), self.state.poses)
 
-    def load(self, rig: Rig, poses: np.ndarray | None = None) -> None:
+    def replace_rig(self, rig: Rig, poses: np.ndarray | None = None) -> None:
         """
         Begin to edit another rig; no camera is locked.
 
@@ -340,7 +340,7 @@ class Studio:
             except ConfigurationError:
                 self._set_problem(previous)
                 raise
-            self.change(rig, poses, frozenset())
+            self.set_placement(rig, poses, frozenset())
 
     def _spread_cameras(self, rig: Rig, first_poses: Sequence | np.ndarray = ()) -> np.ndarray:
         """

@@ -67,9 +67,9 @@ class Page:
         self._gesture_count = 0
         self._closed = self._details_shown = False
         scene = studio.scene
-        self._points = scene.points[studio.order]
+        self._points = scene.points[studio.point_order]
         self._spacing = float(np.median(scene.spacing))
-        self._normals = scene.normals_or_estimate[studio.order]
+        self._normals = scene.normals_or_estimate[studio.point_order]
         self.cloud = Cloud(server.scene, '/room', self._points, self._normals, self._spacing)
         self.surfaces = Surfaces(server.scene, scene.mesh) if scene.mesh is not None else None
         self._comparison_nodes: list[Cloud | CameraNode] = []
@@ -80,7 +80,7 @@ class Page:
         low, high = scene.bounds
         # At first the room is shown without its upper fifth.
         self.panel = Panel(self, low[2] + 0.8 * (high[2] - low[2]))
-        self.cut_room(self.panel.height.value)
+        self.cut_room(self.panel.height_slider.value)
         self._centre = 0.5 * (low + high)
         self._diagonal = float(np.linalg.norm(high - low))
         server.initial_camera.position = self._centre + self._diagonal * VIEW_OFFSET
@@ -130,7 +130,7 @@ class Page:
     def selected(self) -> int:
         """Return the number of the selected camera; the first camera if none is selected."""
         names = self.studio.state.names
-        name = self.panel.camera.value
+        name = self.panel.camera_list.value
         return names.index(name) if name in names else 0
 
     def _greet_client(self, client: viser.ClientHandle) -> None:
@@ -140,7 +140,7 @@ class Page:
             target = self._centre + self._diagonal * np.array([-0.2, -0.28, -0.35])
             client.camera.position = target + 1.5 * self._diagonal * VIEW_OFFSET
             client.camera.look_at = target
-        if not self.studio.history.past:
+        if not self.studio.history.past_states:
             client.add_notification('ocp studio', '\n'.join(texts.HELP_LINES),
                                     auto_close_seconds=20.0)
 
@@ -188,7 +188,7 @@ class Page:
             camera = names.index(name)
             self.stop_task()
             pose = self.studio.dragged_pose(camera, position, rotation)
-            self.studio.move(camera, pose, action=gesture)
+            self.studio.move_camera(camera, pose, action=gesture)
 
     def _show(self) -> None:
         """Show the present placement and its figures; colours first, as people wait for them."""
@@ -220,7 +220,7 @@ class Page:
         self.panel.show_details(evaluation.state, camera)
         self._show_nearest(evaluation, camera)
         scene = self.studio.scene
-        seen = self.studio.order[evaluation.points_seen_by(camera)]
+        seen = self.studio.point_order[evaluation.points_seen_by(camera)]
         model = evaluation.problem.models[camera]
         self.panel.depth_picture.image = depth_colours(depth_image(
             scene.points[seen], scene.pitch[seen], evaluation.state.poses[camera], model), model)
@@ -310,7 +310,7 @@ class Page:
             return
         self.panel.show_progress(progress)
         if progress.poses is not None and self.studio.state is self._task_state:
-            self.studio.change(self.studio.state.rig, progress.poses, action=gesture)
+            self.studio.set_placement(self.studio.state.rig, progress.poses, action=gesture)
             self._task_state = self.studio.state
         if progress.ended:
             self.task = None
@@ -327,7 +327,7 @@ class Page:
         offset = np.array([-self.studio.scene.size[0] - gap_m, 0.0, 0.0])
         cloud = Cloud(self.server.scene, '/kept/room', self._points, self._normals,
                       self._spacing, offset)
-        cloud.cut(self.panel.height.value)
+        cloud.cut(self.panel.height_slider.value)
         cloud.set_colours(texts.point_colours(kept, self.panel.colouring, 0))
         self._comparison_nodes = [cloud]
         for number, (camera, pose) in enumerate(zip(kept.state.rig.cameras, kept.state.poses)):

@@ -46,8 +46,8 @@ class Panel:
 
     :param page: runs the actions of people.
     :param height: height up to which the room is shown at first, metres, map frame.
-    :ivar camera: list of the cameras, whose value is the name of the selected camera.
-    :ivar height: slider of the height up to which the room is shown.
+    :ivar camera_list: list of the cameras, whose value is the name of the selected camera.
+    :ivar height_slider: slider of the height up to which the room is shown.
     :ivar depth_picture: depth image of the selected camera.
     """
 
@@ -75,60 +75,61 @@ class Panel:
 
     def _add_camera_fields(self, gui: viser.GuiApi) -> None:
         """Add the fields of the selected camera."""
-        self.camera = gui.add_dropdown('Camera', (NO_CHOICE,))
-        self.sensor = gui.add_dropdown('Sensor', SENSORS)
+        self.camera_list = gui.add_dropdown('Camera', (NO_CHOICE,))
+        self.sensor_list = gui.add_dropdown('Sensor', SENSORS)
         self.position = gui.add_vector3('x, y, z (m)', (0.0, 0.0, 0.0), step=STEP_M)
         self.angles = gui.add_vector3('yaw, pitch, roll (degrees)', (0.0, 0.0, 0.0), step=1.0)
-        self.locked = gui.add_checkbox('Locked', initial_value=False)
-        self.edit = self._add_buttons(gui, 'Edit', {
+        self.locked_box = gui.add_checkbox('Locked', initial_value=False)
+        self.edit_buttons = self._add_buttons(gui, 'Edit', {
             'Add': self._add_camera, 'Copy': self._copy_camera, 'Remove': self._remove_camera})
-        self.steps = self._add_buttons(gui, 'Steps', {'Undo': self._undo, 'Redo': self._redo})
-        self.nearest = gui.add_button('Move to the nearest allowed pose', visible=False)
+        self.step_buttons = self._add_buttons(
+            gui, 'Steps', {'Undo': self._undo, 'Redo': self._redo})
+        self.nearest_button = gui.add_button('Move to the nearest allowed pose', visible=False)
         self.depth_picture = gui.add_image(np.full((2, 2, 3), NO_DEPTH_COLOUR),
                                            label='What it sees (depth)')
-        self._connect(self.camera, lambda _: None)
-        self._connect(self.sensor, self._set_sensor)
+        self._connect(self.camera_list, lambda _: None)
+        self._connect(self.sensor_list, self._set_sensor)
         self._connect(self.position, self._set_typed_pose)
         self._connect(self.angles, self._set_typed_pose)
-        self._connect(self.locked, self._set_locked)
-        self._connect(self.nearest, self._move_to_nearest)
+        self._connect(self.locked_box, self._set_locked)
+        self._connect(self.nearest_button, self._move_to_nearest)
 
     def _add_view_fields(self, gui: viser.GuiApi, height: float) -> None:
         """Add the colours, the height up to which the room is shown, and the comparison."""
-        page = self.page
-        low, high = self.studio.scene.bounds[:, 2].tolist()
-        self.colours = gui.add_dropdown('Colours', texts.COLOURINGS)
+        scene = self.studio.scene
+        low, high = scene.bounds[:, 2].tolist()
+        self.colouring_list = gui.add_dropdown('Colours', texts.COLOURINGS)
         self.legend = gui.add_html(texts.legend(texts.BY_COUNT))
-        self.room = gui.add_dropdown('Room', texts.ROOM_VIEWS, visible=page.surfaces is not None)
-        self.height = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1),
-                                     STEP_M, round(height, 1))
-        self.compare = self._add_buttons(gui, 'Compare', {
-            'Keep as A': lambda: page.compare(page.evaluation),
-            'Go to A': self._restore_kept, 'Stop': lambda: page.compare(None)})
-        self._connect(self.colours, self._set_colours)
-        self._connect(self.room, page.show_room)
-        self._connect(self.height, lambda value: page.cut_room(float(value)))
+        self.room_list = gui.add_dropdown('Room', texts.ROOM_VIEWS, visible=scene.mesh is not None)
+        self.height_slider = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1),
+                                            STEP_M, round(height, 1))
+        self.compare_buttons = self._add_buttons(gui, 'Compare', {
+            'Keep as A': lambda: self.page.compare(self.page.evaluation),
+            'Go to A': self._restore_kept, 'Stop': lambda: self.page.compare(None)})
+        self._connect(self.colouring_list, self._set_colours)
+        self._connect(self.room_list, self.page.show_room)
+        self._connect(self.height_slider, lambda value: self.page.cut_room(float(value)))
 
     def _add_zone_fields(self, gui: viser.GuiApi) -> None:
         """Add the list of zones and the fields of the selected zone."""
-        self.zone = gui.add_dropdown('Zone', (NO_CHOICE,))
-        self.low = gui.add_vector3('Lowest corner (m)', (0.0, 0.0, 0.0), step=STEP_M)
-        self.high = gui.add_vector3('Highest corner (m)', (0.0, 0.0, 0.0), step=STEP_M)
+        self.zone_list = gui.add_dropdown('Zone', (NO_CHOICE,))
+        self.low_corner = gui.add_vector3('Lowest corner (m)', (0.0, 0.0, 0.0), step=STEP_M)
+        self.high_corner = gui.add_vector3('Highest corner (m)', (0.0, 0.0, 0.0), step=STEP_M)
         self.zone_name = gui.add_text('Name', '')
         self.weight = gui.add_number('Weight', 1.0, min=0.0, max=1000.0, step=0.5)
         self.must_see = gui.add_number('Share that must be seen', 0.0, min=0.0, max=1.0, step=0.05)
-        self.new_zone = gui.add_button_group('Add', tuple(zone_edits.KEYS))
-        self.remove_zone = gui.add_button('Remove this zone')
-        self._connect(self.zone, lambda _: self._show_zone())
-        for corner in (self.low, self.high):
+        self.new_zone_buttons = gui.add_button_group('Add', tuple(zone_edits.KEYS))
+        self.remove_zone_button = gui.add_button('Remove this zone')
+        self._connect(self.zone_list, lambda _: self._show_zone())
+        for corner in (self.low_corner, self.high_corner):
             self._connect(corner, lambda _: self._edit_zone(
-                box=zone_edits.box_data(self.low.value, self.high.value)))
+                box=zone_edits.box_data(self.low_corner.value, self.high_corner.value)))
         self._connect(self.zone_name, lambda value: self._edit_region(name=value))
         self._connect(self.weight, lambda value: self._edit_region(weight=float(value)))
         self._connect(self.must_see, lambda value: self._edit_region(
             must_see=float(value) if value else None))
-        self._connect(self.new_zone, self._add_zone)
-        self._connect(self.remove_zone, self._remove_zone)
+        self._connect(self.new_zone_buttons, self._add_zone)
+        self._connect(self.remove_zone_button, self._remove_zone)
 
     def _add_plan_fields(self, gui: viser.GuiApi) -> None:
         """Add the buttons that start and stop searches, and their progress."""
@@ -141,9 +142,9 @@ class Panel:
         self.plan_buttons = {label: gui.add_button(label) for label in actions}
         for label, button in self.plan_buttons.items():
             self._connect(button, actions[label])
-        self.progress = gui.add_progress_bar(0.0, visible=False)
-        self.stop = gui.add_button('Stop', visible=False)
-        self.stop.on_click(lambda _: self._stop_search())
+        self.progress_bar = gui.add_progress_bar(0.0, visible=False)
+        self.stop_button = gui.add_button('Stop', visible=False)
+        self.stop_button.on_click(lambda _: self._stop_search())
         self.search_message = gui.add_html('')
         #: Where the messages of the present task are shown.
         self._task_message = self.search_message
@@ -151,15 +152,15 @@ class Panel:
     def _add_file_fields(self, gui: viser.GuiApi) -> None:
         """Add the fields and buttons that save, export and load."""
         self.file_name = gui.add_text('Name', 'placement')
-        self.save = gui.add_button_group('Save', ('Placement', 'Rig'))
-        self.export = gui.add_button('Export as ocp plan does')
-        self.file = gui.add_dropdown('File', (NO_CHOICE,))
-        self.load = gui.add_button('Load')
+        self.save_buttons = gui.add_button_group('Save', ('Placement', 'Rig'))
+        self.export_button = gui.add_button('Export as ocp plan does')
+        self.file_list = gui.add_dropdown('File', (NO_CHOICE,))
+        self.load_button = gui.add_button('Load')
         self.file_message = gui.add_html('')
         self._list_files()
-        self._connect(self.save, self._save)
-        self._connect(self.export, self._export)
-        self._connect(self.load, self._load)
+        self._connect(self.save_buttons, self._save)
+        self._connect(self.export_button, self._export)
+        self._connect(self.load_button, self._load)
 
     def _add_figures(self, gui: viser.GuiApi) -> None:
         """Add all figures of the placement."""
@@ -191,13 +192,13 @@ class Panel:
     @property
     def colouring(self) -> str:
         """Return the chosen colouring of the points, one of :data:`.texts.COLOURINGS`."""
-        value = self.colours.value
+        value = self.colouring_list.value
         return value if value in texts.COLOURINGS else texts.BY_COUNT
 
     def select(self, name: str) -> None:
         """Select the camera with this name."""
-        if name in self.camera.options:
-            self.camera.value = name
+        if name in self.camera_list.options:
+            self.camera_list.value = name
         self.page.colour_points()
 
     def show_summary(self, evaluation: Evaluation) -> None:
@@ -214,9 +215,9 @@ class Panel:
         pose, rig_camera = state.poses[camera], state.rig.cameras[camera]
         self.position.value = tuple(pose[:3].round(4).tolist())
         self.angles.value = tuple(np.rad2deg(pose[3:]).round(3).tolist())
-        self.locked.value = rig_camera.name in state.locked
+        self.locked_box.value = rig_camera.name in state.locked
         if rig_camera.sensor in SENSORS:
-            self.sensor.value = rig_camera.sensor
+            self.sensor_list.value = rig_camera.sensor
         if self.colouring == texts.BY_CAMERA:
             self.page.colour_points()
 
@@ -227,7 +228,7 @@ class Panel:
         :param pose: (6,) metres, map frame, and radians; None if there is none to offer.
         :param is_violating: whether the present pose of the camera violates a constraint.
         """
-        self.nearest.visible = pose is not None
+        self.nearest_button.visible = pose is not None
         self._nearest_pose = pose
         if is_violating and pose is None:
             self.show_message(
@@ -236,15 +237,15 @@ class Panel:
 
     def show_rig(self, state: State) -> None:
         """Show the cameras and zones of the rig in the lists."""
-        _set_choices(self.camera, state.names)
-        _set_choices(self.zone, [entry.label for entry in zone_edits.entries_of(state.rig)]
+        _set_choices(self.camera_list, state.names)
+        _set_choices(self.zone_list, [entry.label for entry in zone_edits.entries_of(state.rig)]
                      or [NO_CHOICE])
         self._show_zone()
 
     def show_progress(self, progress: Progress) -> None:
         """Show a report of the present task."""
-        self.progress.value = 100.0 * min(progress.share, 1.0)
-        self.progress.visible = self.stop.visible = not progress.ended
+        self.progress_bar.value = 100.0 * min(progress.share, 1.0)
+        self.progress_bar.visible = self.stop_button.visible = not progress.ended
         if progress.message:
             self._task_message.content = texts.message(progress.message)
 
@@ -277,16 +278,16 @@ class Panel:
         """Move the selected camera to the pose in the fields."""
         pose = np.concatenate([self.position.value, np.deg2rad(self.angles.value)])
         if not np.allclose(pose, self.studio.state.poses[self.page.selected], atol=1e-9):
-            self._edit_camera(self.studio.move, pose)
+            self._edit_camera(self.studio.move_camera, pose)
 
     def _move_to_nearest(self, _: Any) -> None:
         """Move the selected camera to the nearest allowed pose."""
         if self._nearest_pose is not None:
-            self._edit_camera(self.studio.move, self._nearest_pose)
+            self._edit_camera(self.studio.move_camera, self._nearest_pose)
 
     def _add_camera(self) -> None:
         """Add a camera with the sensor of the field, and select it."""
-        self._add_and_select(self.sensor.value)
+        self._add_and_select(self.sensor_list.value)
 
     def _copy_camera(self) -> None:
         """Add a camera like the selected one, half a metre beside it, and select the new one."""
@@ -295,16 +296,16 @@ class Panel:
         self._add_and_select(state.names[camera], pose)
 
     def _add_and_select(self, sensor: str, pose: np.ndarray | None = None) -> None:
-        """Add a camera, and select it; see :meth:`.Studio.add`."""
+        """Add a camera, and select it; see :meth:`.Studio.add_camera`."""
         self.page.stop_task()
-        camera = self.studio.add(sensor, pose)
+        camera = self.studio.add_camera(sensor, pose)
         names = self.studio.state.names
-        _set_choices(self.camera, names)
-        self.camera.value = names[camera]
+        _set_choices(self.camera_list, names)
+        self.camera_list.value = names[camera]
 
     def _remove_camera(self) -> None:
         """Remove the selected camera."""
-        self._edit_camera(self.studio.remove)
+        self._edit_camera(self.studio.remove_camera)
 
     def _undo(self) -> None:
         """Go back to the previous placement."""
@@ -330,25 +331,25 @@ class Panel:
         if self.page.kept_evaluation is not None:
             state = self.page.kept_evaluation.state
             self.page.stop_task()
-            self.studio.change(state.rig, state.poses, state.locked)
+            self.studio.set_placement(state.rig, state.poses, state.locked)
 
     @property
     def _selected_entry(self) -> zone_edits.Entry | None:
         """Return the selected zone."""
         return next((entry for entry in zone_edits.entries_of(self.studio.state.rig)
-                     if entry.label == self.zone.value), None)
+                     if entry.label == self.zone_list.value), None)
 
     def _show_zone(self) -> None:
         """Show the values of the selected zone in the fields, and hide all other fields."""
         entry = self._selected_entry
         is_box = entry is not None and entry.is_box
         is_region = entry is not None and entry.key == 'regions'
-        self.low.visible = self.high.visible = is_box
+        self.low_corner.visible = self.high_corner.visible = is_box
         self.zone_name.visible = self.weight.visible = self.must_see.visible = is_region
-        self.remove_zone.visible = entry is not None
+        self.remove_zone_button.visible = entry is not None
         if is_box:
             low, high = zone_edits.box_data(*entry.data['box'])
-            self.low.value, self.high.value = tuple(low), tuple(high)
+            self.low_corner.value, self.high_corner.value = tuple(low), tuple(high)
         if is_region:
             region = self.studio.state.rig.regions[entry.number]
             self.zone_name.value = entry.data['name']
@@ -382,9 +383,9 @@ class Panel:
     def _select_zone(self, key: str, number: int) -> None:
         """Select the zone with this key of a list and this index in the list."""
         entries = list(zone_edits.entries_of(self.studio.state.rig))
-        _set_choices(self.zone, [entry.label for entry in entries])
-        self.zone.value = next(entry.label for entry in entries
-                               if (entry.key, entry.number) == (key, number))
+        _set_choices(self.zone_list, [entry.label for entry in entries])
+        self.zone_list.value = next(entry.label for entry in entries
+                                    if (entry.key, entry.number) == (key, number))
         self._show_zone()
 
     def _search(self, from_here: bool) -> None:
@@ -402,7 +403,7 @@ class Panel:
     def _search_addition(self, _: Any) -> None:
         """Search for the best pose of one more camera, and add this camera."""
         def add(name: str, pose: np.ndarray) -> None:
-            self.page.enqueue(partial(self.studio.add, name, pose))
+            self.page.enqueue(partial(self.studio.add_camera, name, pose))
         self._start_task(addition_work(self.page.evaluation, add), MAX_SECONDS, 'searching',
                          self.search_message)
 
@@ -426,10 +427,10 @@ class Panel:
 
     def _load(self, _: Any) -> None:
         """Load the selected file."""
-        name = self.file.value
+        name = self.file_list.value
         rig, poses = self.page.folder.load(name, self.studio.scene)
         self.page.stop_task()
-        self.studio.load(rig, poses)
+        self.studio.replace_rig(rig, poses)
         self.file_name.value = name.rpartition('.')[0]
         self.file_message.content = texts.message(f'loaded {name}')
 
@@ -445,9 +446,9 @@ class Panel:
 
     def _list_files(self, selected_name: str = '') -> None:
         """List the files of the folder, and select one by its name; empty to keep the choice."""
-        _set_choices(self.file, self.page.folder.file_names() or [NO_CHOICE])
+        _set_choices(self.file_list, self.page.folder.file_names() or [NO_CHOICE])
         if selected_name:
-            self.file.value = selected_name
+            self.file_list.value = selected_name
 
 
 def _set_choices(dropdown: Any, choices: list[str]) -> None:

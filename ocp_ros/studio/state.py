@@ -53,13 +53,13 @@ class State:
 class History:
     """The present state, and the states that undo and redo bring back."""
 
-    now: State
-    past: list[State] = field(default_factory=list)
-    future: list[State] = field(default_factory=list)
+    present: State
+    past_states: list[State] = field(default_factory=list)
+    undone_states: list[State] = field(default_factory=list)
     #: The action that led to the present state.
     _action: object = None
 
-    def change(self, state: State, action: object = None) -> None:
+    def set_present(self, state: State, action: object = None) -> None:
         """
         Make a state the present one.
 
@@ -67,25 +67,25 @@ class History:
             together; None if this change is the whole action.
         """
         if action is None or action != self._action:
-            self.past = [*self.past, self.now][-MAX_PAST_STATES:]
-        self.now = state
-        self.future = []
+            self.past_states = [*self.past_states, self.present][-MAX_PAST_STATES:]
+        self.present = state
+        self.undone_states = []
         self._action = action
 
     def undo(self) -> bool:
         """Go back to the previous state; return whether there was one."""
-        return self._move_state(self.past, self.future)
+        return self._move_state(self.past_states, self.undone_states)
 
     def redo(self) -> bool:
         """Go to the state that was undone last; return whether there was one."""
-        return self._move_state(self.future, self.past)
+        return self._move_state(self.undone_states, self.past_states)
 
     def _move_state(self, source: list[State], target: list[State]) -> bool:
         """Append the present state to ``target``, and take the new one from ``source``."""
         if not source:
             return False
-        target.append(self.now)
-        self.now = source.pop()
+        target.append(self.present)
+        self.present = source.pop()
         self._action = None
         return True
 

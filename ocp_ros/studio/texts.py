@@ -64,7 +64,7 @@ def point_colours(evaluation: Evaluation, colouring: str, camera: int) -> np.nda
     :param colouring: one of :data:`COLOURINGS`.
     :param camera: number of the selected camera.
     """
-    counts = evaluation.counts
+    counts = evaluation.camera_counts
     # Each point's index in the legend.
     indices = np.minimum(counts, len(COUNT_COLOURS) - 1)
     if colouring == BY_REQUIREMENT:
@@ -89,7 +89,7 @@ def figures_of(evaluation: Evaluation) -> list[tuple[str, str]]:
     """Return the labels and values of the key figures, written as ``ocp score`` does."""
     scores = evaluation.rig_scores
     return [*((figure.label, f'{figure.value} ({figure.remark})')
-              for figure in facts.score_figures(scores, evaluation.expected)),
+              for figure in facts.score_figures(scores, evaluation.expected_error)),
             ('objective value', f'{scores["loss"]:.4f}')]
 
 
@@ -130,7 +130,7 @@ def all_figures(evaluation: Evaluation, certificate: Certificate | None,
         table(rows, head) + region_table(evaluation) + f'<p>{escape(optimality)}</p>'
         + (f'<p>{escape(facts.links_line(links))}</p>' if links else '')
         + table(cameras, ('camera', 'error reduction', 'seen by it only'))
-        + (_sentence_list(evaluation.broken) or '<p>All constraints are satisfied.</p>'))
+        + (_sentence_list(evaluation.all_violations) or '<p>All constraints are satisfied.</p>'))
 
 
 def _figure_rows(evaluation: Evaluation) -> list[Sequence[str]]:
