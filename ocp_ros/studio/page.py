@@ -127,7 +127,7 @@ class Page:
         return self.studio.evaluation()
 
     @property
-    def selected(self) -> int:
+    def selected_camera(self) -> int:
         """Return the number of the selected camera; the first camera if none is selected."""
         names = self.studio.state.names
         name = self.panel.camera_list.value
@@ -210,12 +210,12 @@ class Page:
     def colour_points(self) -> None:
         """Colour the points of the room as the panel asks for."""
         self.cloud.set_colours(
-            texts.point_colours(self.evaluation, self.panel.colouring, self.selected))
+            texts.point_colours(self.evaluation, self.panel.colouring, self.selected_camera))
 
     def _show_details(self) -> None:
         """Show what takes longer or would disturb a person who drags a camera."""
         self._details_shown = True
-        evaluation, camera = self.evaluation, self.selected
+        evaluation, camera = self.evaluation, self.selected_camera
         self._place_cameras()
         self.panel.show_details(evaluation.state, camera)
         self._show_nearest(evaluation, camera)
@@ -239,7 +239,7 @@ class Page:
                 texts.rgb('#777777') if is_fixed else texts.camera_rgb(number),
                 None if is_locked else partial(self.take_drag, camera.name),
                 None if is_fixed else partial(self.enqueue,
-                                              partial(self.panel.select, camera.name)))
+                                              partial(self.panel.select_camera, camera.name)))
         _update_nodes(self._camera_nodes, cameras)
         self._place_cameras()
         floor = evaluation.problem.region.floor

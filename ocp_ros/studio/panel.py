@@ -195,7 +195,7 @@ class Panel:
         value = self.colouring_list.value
         return value if value in texts.COLOURINGS else texts.BY_COUNT
 
-    def select(self, name: str) -> None:
+    def select_camera(self, name: str) -> None:
         """Select the camera with this name."""
         if name in self.camera_list.options:
             self.camera_list.value = name
@@ -259,7 +259,7 @@ class Panel:
     def _edit_camera(self, edit: Callable[..., Any], *values: Any) -> None:
         """Stop the task; call a function with the number of the selected camera and the values."""
         self.page.stop_task()
-        edit(self.page.selected, *values)
+        edit(self.page.selected_camera, *values)
 
     def _set_sensor(self, sensor: str) -> None:
         """Give the selected camera another sensor."""
@@ -272,12 +272,12 @@ class Panel:
     def _toggle_lock(self) -> None:
         """Lock the selected camera if it is not locked, otherwise unlock it."""
         state = self.studio.state
-        self._set_locked(state.names[self.page.selected] not in state.locked)
+        self._set_locked(state.names[self.page.selected_camera] not in state.locked)
 
     def _set_typed_pose(self, _: Any) -> None:
         """Move the selected camera to the pose in the fields."""
         pose = np.concatenate([self.position.value, np.deg2rad(self.angles.value)])
-        if not np.allclose(pose, self.studio.state.poses[self.page.selected], atol=1e-9):
+        if not np.allclose(pose, self.studio.state.poses[self.page.selected_camera], atol=1e-9):
             self._edit_camera(self.studio.move_camera, pose)
 
     def _move_to_nearest(self, _: Any) -> None:
@@ -291,7 +291,7 @@ class Panel:
 
     def _copy_camera(self) -> None:
         """Add a camera like the selected one, half a metre beside it, and select the new one."""
-        state, camera = self.studio.state, self.page.selected
+        state, camera = self.studio.state, self.page.selected_camera
         pose = state.poses[camera] + np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
         self._add_and_select(state.names[camera], pose)
 
@@ -412,7 +412,7 @@ class Panel:
         evaluation = self.page.evaluation
         camera, loss = find_least_useful(evaluation)
         name = evaluation.state.names[camera]
-        self.select(name)
+        self.select_camera(name)
         self.search_message.content = texts.message(
             f'without {name} the objective value is {loss:.4f} in place of '
             f'{evaluation.rig_evaluation.loss:.4f}: the least loss of all cameras; it is selected')
