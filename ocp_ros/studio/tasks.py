@@ -101,7 +101,7 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
     """
     Return the work of searching for better poses; locked cameras stay.
 
-    :param studio: gets the lower bound that the search finds.
+    :param studio: gets the certificate, a lower bound, that the search finds.
     :param state: the placement at the start.
     :param from_here: whether the search begins from this placement.
     """
