@@ -50,10 +50,11 @@ def guided(graph, probe, room):
 
 def test_the_page_shows_the_cloud_the_cameras_and_where_they_shall_go(guided):
     page = guided.guide.page
-    guided.graph.until(lambda: 'camera 0: ' in page.text.content and '<svg' in page.plan.content)
+    guided.graph.until(lambda: 'camera 0: ' in page.instructions.content
+                       and '<svg' in page.plan.content)
     assert len(page.points) > 100
-    guided.graph.until(lambda: 'expected' in page.text.content)
-    assert 'not final: turn 1 of 3' in page.text.content
+    guided.graph.until(lambda: 'expected' in page.instructions.content)
+    assert 'not final: turn 1 of 3' in page.instructions.content
     with PageClient(guided.guide.url) as client:
         client.look()
         client.until(lambda message: message['type'] == 'PointCloudMessage')
@@ -77,7 +78,7 @@ def test_accept_makes_the_placement_final_where_the_cameras_stand(guided):
     guided.press(guide_page.ACCEPT)
     placement = guided.last(topics.PLACEMENT)
     np.testing.assert_allclose(msg_to_positions(placement), guided.rig.positions, atol=1e-6)
-    guided.graph.until(lambda: 'final after' in guided.guide.page.text.content)
+    guided.graph.until(lambda: 'final after' in guided.guide.page.instructions.content)
 
 
 def test_hold_go_on_and_reset(guided):
@@ -110,9 +111,9 @@ def test_a_guide_without_a_policy_says_so(graph):
 def test_sentences_for_a_person():
     pose = Pose(np.array([1.0, 2.0, 1.2]), rotation_matrix(0.0, 0.1, 0.0))
     target = Pose(np.array([2.2, 1.5, 1.5]), rotation_matrix(np.deg2rad(40.0), 0.1, 0.0))
-    assert guide_page.sentence(2, pose, target, 0.0) == (
+    assert guide_page.instruction(2, pose, target, 0.0) == (
         'camera 2: 1.20 m to the right; 0.50 m down in the plan; 0.30 m higher, to 1.50 m above '
         'the floor; turn 40 degrees to the left (1.33 m off)')
-    assert guide_page.sentence(2, pose, pose, 0.0) == 'camera 2: is where it shall be'
-    plan = guide_page.plan_of(np.zeros((5, 3)), [pose], [target])
+    assert guide_page.instruction(2, pose, pose, 0.0) == 'camera 2: is where it shall be'
+    plan = guide_page.plan_svg(np.zeros((5, 3)), [pose], [target])
     assert plan.startswith('<svg') and len(re.findall('<circle', plan)) == 2

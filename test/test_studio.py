@@ -24,11 +24,17 @@ from ocp_ros.report.terminal import as_text, show_score
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.studio import tasks, texts
-from ocp_ros.studio.depth_image import coloured, depth_image
+from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Studio
 from ocp_ros.studio.state import History, State
-from ocp_ros.studio.zone_edits import changed_entry, entries_of, moved_box, with_new, without
+from ocp_ros.studio.zone_edits import (
+    added_box,
+    changed_entry,
+    entries_of,
+    moved_box,
+    removed_entry,
+)
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 
@@ -49,13 +55,13 @@ def studio(room):
 
 def moved(studio, camera=0, by=(0.3, 0.1, 0.0, 0.2, 0.0, 0.0), action=None):
     """Move a camera."""
-    assert studio.move(camera, studio.state.poses[camera] + np.array(by), action)
+    assert studio.move_camera(camera, studio.state.poses[camera] + np.array(by), action)
 
 
 def test_the_page_shows_the_numbers_that_ocp_score_prints(studio, tmp_path, capsys):
     folder = Folder(tmp_path)
-    studio.set_rig(**with_new(studio.state.rig, 'regions', studio.scene,
-                              studio.evaluation().problem.region.floor))
+    studio.set_rig(**added_box(studio.state.rig, 'regions', studio.scene,
+                               studio.evaluation().problem.region.floor))
     entry, = entries_of(studio.state.rig)
     studio.set_rig(**changed_entry(studio.state.rig, entry, must_see=1.0, weight=2.0))
     moved(studio, by=(0.31234, -0.2, -0.7, 0.123456, 0.05, 0.0))
@@ -63,10 +69,10 @@ def test_the_page_shows_the_numbers_that_ocp_score_prints(studio, tmp_path, caps
     evaluation = studio.evaluation()
     assert main(['score', '3', str(path), '--json']) == 0
     found = json.loads(capsys.readouterr().out)
-    assert evaluation.broken and found['broken'] == evaluation.broken
+    assert evaluation.all_violations and found['broken'] == evaluation.all_violations
     assert found['scores'] == evaluation.scores
-    assert found['expected'] == evaluation.expected
-    assert found['scores']['loss'] == evaluation.worth.loss
+    assert found['expected'] == evaluation.expected_error
+    assert found['scores']['loss'] == evaluation.rig_evaluation.loss
     assert not [note for note in found['notes'] if 'objective value' in note]
     printed = as_text(show_score, found)
     for label, value in texts.figures_of(evaluation):
@@ -99,16 +105,16 @@ def test_the_evaluation_is_that_of_all_cameras_looking_anew(studio):
     evaluation = studio.evaluation()
     fresh = Studio(studio.scene, studio.room, studio.state.rig, studio.state.poses).evaluation()
     assert fresh.scores == evaluation.scores
-    assert np.array_equal(fresh.counts, evaluation.counts)
-    seen = np.sum([evaluation.seen_from(camera) for camera in range(3)], axis=0)
-    assert np.array_equal(evaluation.counts, seen)
+    assert np.array_equal(fresh.camera_counts, evaluation.camera_counts)
+    seen = np.sum([evaluation.points_seen_by(camera) for camera in range(3)], axis=0)
+    assert np.array_equal(evaluation.camera_counts, seen)
 
 
 def test_undo_and_redo(studio):
     first = studio.state
     moved(studio)
     second = studio.state
-    studio.add(D455)
+    studio.add_camera(D455)
     assert studio.history.undo() and studio.state is second
     assert studio.history.undo() and studio.state is first
     assert not studio.history.undo()
@@ -122,7 +128,7 @@ def test_the_steps_of_one_drag_are_undone_together(studio):
     for _ in range(5):
         moved(studio, by=(0.01, 0, 0, 0, 0, 0), action='drag 1')
     moved(studio, by=(0.01, 0, 0, 0, 0, 0), action='drag 2')
-    assert len(studio.history.past) == 2
+    assert len(studio.history.past_states) == 2
     assert studio.history.undo() and studio.history.undo() and studio.state is first
 
 
@@ -130,32 +136,32 @@ def test_the_history_has_an_end():
     state = State(rig_of(1), np.zeros((1, 6)))
     history = History(state)
     for _ in range(500):
-        history.change(State(state.rig, state.poses))
-    assert len(history.past) == 200
+        history.set_present(State(state.rig, state.poses))
+    assert len(history.past_states) == 200
 
 
 def test_cameras_are_added_copied_and_removed(studio):
-    camera = studio.add('kinect_v2')
+    camera = studio.add_camera('kinect_v2')
     assert camera == 3 and studio.state.names[3] == 'kinect_v2'
     assert studio.state.rig.cameras[3].sensor == 'kinect_v2'
-    assert not studio.evaluation().misplaced
-    copy = studio.add('kinect_v2', studio.state.poses[3] + 0.1)
+    assert not studio.evaluation().violations
+    copy = studio.add_camera('kinect_v2', studio.state.poses[3] + 0.1)
     assert studio.state.names[copy] == 'kinect_v2_1'
     assert studio.state.rig.cameras[copy].model == studio.state.rig.cameras[3].model
-    studio.remove(0)
+    studio.remove_camera(0)
     assert studio.state.names == [f'{D455}_2', f'{D455}_3', 'kinect_v2', 'kinect_v2_1']
     assert len(studio.evaluation().scores['cameras']) == 4
     for _ in range(3):
-        studio.remove(0)
+        studio.remove_camera(0)
     with pytest.raises(ConfigurationError, match='cameras: found one'):
-        studio.remove(0)
+        studio.remove_camera(0)
 
 
 def test_a_sensor_is_exchanged(studio):
-    before = studio.evaluation().worth.loss
+    before = studio.evaluation().rig_evaluation.loss
     studio.set_sensor(1, 'realsense_l515')
     assert studio.state.rig.cameras[1].sensor == 'realsense_l515'
-    assert studio.evaluation().worth.loss != before
+    assert studio.evaluation().rig_evaluation.loss != before
     with pytest.raises(ConfigurationError, match='sensor'):
         studio.set_sensor(1, 'no such sensor')
     assert studio.state.rig.cameras[1].sensor == 'realsense_l515'
@@ -163,46 +169,46 @@ def test_a_sensor_is_exchanged(studio):
 
 def test_a_locked_camera_stays(studio):
     studio.set_locked(1, True)
-    assert not studio.move(1, studio.state.poses[1] + 0.1)
-    assert studio.move(0, studio.state.poses[0] + 0.1)
+    assert not studio.move_camera(1, studio.state.poses[1] + 0.1)
+    assert studio.move_camera(0, studio.state.poses[0] + 0.1)
     studio.set_locked(1, False)
-    assert studio.move(1, studio.state.poses[1] + 0.1)
+    assert studio.move_camera(1, studio.state.poses[1] + 0.1)
 
 
 def test_a_dragged_camera_keeps_its_roll_while_its_direction_changes(studio):
     from ocp_ros.geometry.cameras import rotation_matrix
     pose = studio.state.poses[0]
     about_up = rotation_matrix(*pose[3:]) @ rotation_matrix(0.5, 0.0, 0.0)
-    turned = studio.pose_of(0, pose[:3], about_up)
+    turned = studio.dragged_pose(0, pose[:3], about_up)
     assert turned[5] == pose[5] and turned[3] != pose[3]
-    rolled = studio.pose_of(0, pose[:3], rotation_matrix(pose[3], pose[4], 0.4))
+    rolled = studio.dragged_pose(0, pose[:3], rotation_matrix(pose[3], pose[4], 0.4))
     assert rolled[5] == pytest.approx(0.4)
 
 
 def test_a_violated_constraint_has_a_sentence_and_a_nearest_allowed_pose(studio):
     moved(studio, by=(0.0, 0.0, 2.0, 0.0, -1.0, 0.0))
     evaluation = studio.evaluation()
-    assert any('mount.height' in line for line in evaluation.misplaced)
+    assert any('mount.height' in line for line in evaluation.violations)
     near = studio.nearest_allowed(evaluation, 0)
     assert evaluation.problem.region.allowed(near[None], evaluation.problem.models[0])[0]
     assert np.linalg.norm(near[:2] - evaluation.state.poses[0, :2]) < 0.5
-    studio.move(0, near)
-    assert not studio.evaluation().misplaced
+    studio.move_camera(0, near)
+    assert not studio.evaluation().violations
 
 
 def test_a_camera_outside_the_room_has_a_nearest_allowed_pose(studio):
-    studio.move(0, np.array([30.0, 0.0, 2.0, 0.0, 0.3, 0.0]))
+    studio.move_camera(0, np.array([30.0, 0.0, 2.0, 0.0, 0.3, 0.0]))
     evaluation = studio.evaluation()
     near = studio.nearest_allowed(evaluation, 0)
-    assert evaluation.misplaced
-    studio.move(0, near)
-    assert not studio.evaluation().misplaced
+    assert evaluation.violations
+    studio.move_camera(0, near)
+    assert not studio.evaluation().violations
 
 
 def test_zones_are_added_moved_and_removed(studio):
     floor = studio.evaluation().problem.region.floor
     for key in ('keep_out', 'regions'):
-        studio.set_rig(**with_new(studio.state.rig, key, studio.scene, floor))
+        studio.set_rig(**added_box(studio.state.rig, key, studio.scene, floor))
     region, zone = entries_of(studio.state.rig)
     assert (region.label, zone.label) == ('region region_1', 'keep-out zone 1')
     middle = zone.zone.corners(floor).mean(axis=0)
@@ -211,28 +217,28 @@ def test_zones_are_added_moved_and_removed(studio):
     assert moved_to == pytest.approx(middle + [0.0, 0.5, 0.0], abs=2e-3)
     studio.set_rig(**changed_entry(studio.state.rig, region, must_see=1.0))
     assert studio.state.rig.regions[0].must_see == 1.0
-    assert studio.evaluation().unseen_in_regions().any()
+    assert studio.evaluation().unseen_required_points().any()
     with pytest.raises(ConfigurationError, match='found no points'):
         studio.set_rig(**moved_box(studio.state.rig, region, np.array([90.0, 0.0, 0.0])))
     assert studio.state.rig.regions[0].must_see == 1.0
-    studio.set_rig(**without(studio.state.rig, zone))
+    studio.set_rig(**removed_entry(studio.state.rig, zone))
     assert not studio.state.rig.keep_out
 
 
 def test_colours_show_counts_requirements_and_the_selected_camera(studio):
     evaluation = studio.evaluation()
-    for paint in texts.PAINTS:
-        colours = texts.colours_of(evaluation, paint, 0)
+    for paint in texts.COLOURINGS:
+        colours = texts.point_colours(evaluation, paint, 0)
         legend = {texts.rgb(colour) for _, colour in texts.LEGENDS[paint]}
         assert colours.shape == (len(studio.scene), 3) and colours.dtype == np.uint8
         assert set(map(tuple, np.unique(colours, axis=0).tolist())) <= legend
-    missed = texts.colours_of(evaluation, texts.BY_COUNT, 0) == texts.rgb(texts.MISSED)
-    assert np.array_equal(missed.all(axis=1), evaluation.counts == 0)
+    missed = texts.point_colours(evaluation, texts.BY_COUNT, 0) == texts.rgb(texts.UNSEEN_COLOUR)
+    assert np.array_equal(missed.all(axis=1), evaluation.camera_counts == 0)
 
 
 def test_the_depth_image_has_the_distance_of_what_a_camera_sees(studio):
     evaluation = studio.evaluation()
-    seen = studio.order[evaluation.seen_from(0)]
+    seen = studio.point_order[evaluation.points_seen_by(0)]
     pose, model = evaluation.state.poses[0], evaluation.problem.models[0]
     points = studio.scene.points[seen]
     image = depth_image(points, studio.scene.pitch[seen], pose, model)
@@ -245,7 +251,7 @@ def test_the_depth_image_has_the_distance_of_what_a_camera_sees(studio):
     assert one[np.isfinite(one)] == pytest.approx(1.0)
     assert row == pytest.approx(one.shape[0] / 2, abs=1)
     assert column == pytest.approx(one.shape[1] / 2, abs=1)
-    assert coloured(image, model).shape == (*image.shape, 3)
+    assert depth_colours(image, model).shape == (*image.shape, 3)
 
 
 def news_of(work, seconds=2.0):
@@ -253,18 +259,18 @@ def news_of(work, seconds=2.0):
     news = []
     task = tasks.Task(work, seconds, news.append)
     task.join()
-    assert news[-1].over
+    assert news[-1].ended
     return news
 
 
 def test_planning_improves_the_placement_and_shows_each_better_one(studio):
-    before, losses = studio.evaluation().worth.loss, []
-    news = news_of(tasks.searched(studio, studio.state, False))
+    before, losses = studio.evaluation().rig_evaluation.loss, []
+    news = news_of(tasks.search_work(studio, studio.state, False))
     for one in news:
         if one.poses is not None:
-            studio.change(studio.state.rig, one.poses)
-            losses.append(studio.evaluation().worth.loss)
-            assert not studio.evaluation().misplaced
+            studio.set_placement(studio.state.rig, one.poses)
+            losses.append(studio.evaluation().rig_evaluation.loss)
+            assert not studio.evaluation().violations
     assert losses[-1] < before and losses == sorted(losses, reverse=True)
     assert [one.share for one in news] == sorted(one.share for one in news)
 
@@ -273,83 +279,86 @@ def test_a_proof_says_how_far_any_placement_of_the_rig_is_from_the_best(room):
     studio = Studio(*room, rig_of(1, mount={'on': 'plane'}))
     seconds = 1.0
     while (certificate := studio.certificate(studio.evaluation())) is None:
-        news = news_of(tasks.searched(studio, studio.state, False), seconds)
-        studio.change(studio.state.rig, [one.poses for one in news if one.poses is not None][-1])
+        news = news_of(tasks.search_work(studio, studio.state, False), seconds)
+        poses = [one.poses for one in news if one.poses is not None][-1]
+        studio.set_placement(studio.state.rig, poses)
         seconds *= 2.0
         assert seconds < HUNG
-    assert 'is better by more than' in texts.numbers(studio.evaluation(), certificate)
+    assert 'is better by more than' in texts.all_figures(studio.evaluation(), certificate)
     moved(studio, by=(0.3, 0.3, 0.0, 0.0, 0.0, 0.0))
     worse = studio.certificate(studio.evaluation())
     assert worse.gap > certificate.gap and worse.bound == certificate.bound
-    studio.add('omnidirectional')
+    studio.add_camera('omnidirectional')
     assert studio.certificate(studio.evaluation()) is None
-    assert texts.UNPROVED in texts.numbers(studio.evaluation(), None)
+    assert texts.NO_CERTIFICATE in texts.all_figures(studio.evaluation(), None)
 
 
 def test_a_search_leaves_locked_cameras_where_they_are(studio):
     studio.set_locked(1, True)
-    before = studio.evaluation().worth.loss
-    news = news_of(tasks.searched(studio, studio.state, True))
+    before = studio.evaluation().rig_evaluation.loss
+    news = news_of(tasks.search_work(studio, studio.state, True))
     poses = [one.poses for one in news if one.poses is not None][-1]
     assert np.array_equal(poses[1], studio.state.poses[1])
     assert not np.array_equal(poses[0], studio.state.poses[0])
-    studio.change(studio.state.rig, poses)
-    assert studio.evaluation().worth.loss < before
+    studio.set_placement(studio.state.rig, poses)
+    assert studio.evaluation().rig_evaluation.loss < before
     for camera in range(3):
         studio.set_locked(camera, True)
     assert 'found all of them locked' in news_of(
-        tasks.searched(studio, studio.state, True))[-1].said
+        tasks.search_work(studio, studio.state, True))[-1].message
 
 
 def test_a_search_from_a_pose_that_is_not_allowed_begins_at_the_nearest_one(studio):
     moved(studio, by=(0.0, 0.0, 3.0, 0.0, 0.0, 0.0))
-    news = news_of(tasks.searched(studio, studio.state, True))
-    studio.change(studio.state.rig, [one.poses for one in news if one.poses is not None][-1])
-    assert not studio.evaluation().misplaced
+    news = news_of(tasks.search_work(studio, studio.state, True))
+    poses = [one.poses for one in news if one.poses is not None][-1]
+    studio.set_placement(studio.state.rig, poses)
+    assert not studio.evaluation().violations
 
 
 def test_a_search_is_stopped(studio):
     news = []
-    task = tasks.Task(tasks.searched(studio, studio.state, False), HUNG, news.append)
+    task = tasks.Task(tasks.search_work(studio, studio.state, False), HUNG, news.append)
     task.stop()
     task.join()
-    assert news[-1].over
+    assert news[-1].ended
 
 
 def test_the_best_additional_camera_is_that_of_ocp_score(studio, tmp_path, capsys):
     path = Folder(tmp_path).save_placement('mine', studio.placement(True))
-    before, added = studio.evaluation().worth.depth_error, []
-    news_of(tasks.best_addition(studio.evaluation(), lambda *more: added.append(more)))
+    before, added = studio.evaluation().rig_evaluation.depth_error, []
+    news_of(tasks.addition_work(studio.evaluation(), lambda *more: added.append(more)))
     (sensor, pose), = added
     main(['score', '3', str(path), '--json'])
     more = json.loads(capsys.readouterr().out)['one_more']
     assert pose[:3].tolist() == more['position']
-    studio.add(sensor, pose)
-    assert studio.evaluation().worth.depth_error < before
-    assert studio.evaluation().worth.depth_error == pytest.approx(more['depth_error'], rel=0.01)
+    studio.add_camera(sensor, pose)
+    after = studio.evaluation().rig_evaluation.depth_error
+    assert after < before and after == pytest.approx(more['depth_error'], rel=0.01)
 
 
 def test_the_camera_to_leave_out_costs_least(studio):
     evaluation = studio.evaluation()
-    camera, loss = tasks.least_useful(evaluation)
+    camera, loss = tasks.find_least_useful(evaluation)
     for other in range(3):
         left = Studio(studio.scene, studio.room, studio.state.rig, studio.state.poses)
-        left.remove(other)
-        assert left.evaluation().worth.loss >= loss - 1e-12
-        assert other != camera or left.evaluation().worth.loss == loss
+        left.remove_camera(other)
+        assert left.evaluation().rig_evaluation.loss >= loss - 1e-12
+        assert other != camera or left.evaluation().rig_evaluation.loss == loss
 
 
 def test_files_are_saved_loaded_and_exported(studio, tmp_path):
     folder = Folder(tmp_path)
     studio.set_sensor(0, 'kinect_v2')
     moved(studio)
-    loss, poses = studio.evaluation().worth.loss, studio.state.poses
+    loss, poses = studio.evaluation().rig_evaluation.loss, studio.state.poses
     folder.save_placement('mine', studio.placement(True))
     folder.save_rig('my_rig', studio.state.rig)
-    studio.load(*folder.load('my_rig.yaml', studio.scene))
+    studio.replace_rig(*folder.load('my_rig.yaml', studio.scene))
     assert not np.array_equal(studio.state.poses, poses)
-    studio.load(*folder.load('mine.yaml', studio.scene))
-    assert np.array_equal(studio.state.poses, poses) and studio.evaluation().worth.loss == loss
+    studio.replace_rig(*folder.load('mine.yaml', studio.scene))
+    assert np.array_equal(studio.state.poses, poses)
+    assert studio.evaluation().rig_evaluation.loss == loss
     (tmp_path / 'bad.yaml').write_text('cameras: 3\n')
     with pytest.raises(ConfigurationError, match='bad.yaml'):
         folder.load('bad.yaml', studio.scene)

@@ -116,7 +116,7 @@ def test_a_camera_is_dragged_by_its_handle(opened, page):
     client, = page.server.get_clients().values()
     pose, before = page.studio.state.poses[0], depth_error(tab)
     left = rotation_matrix(*pose[3:])[:, 1]
-    wait_until(lambda: page._detailed)
+    wait_until(lambda: page._details_shown)
     # The handles have to be drawn before a person can take them.
     tab.wait_for_timeout(1000)
     start, end = (pixel_of(client, pose[:3] + away * left) for away in (0.4, 1.0))
@@ -130,8 +130,8 @@ def test_a_camera_is_dragged_by_its_handle(opened, page):
     moved = page.studio.state.poses[0] - pose
     assert moved[:3] @ left > 0.2 and np.abs(moved[3:]).max() < 1e-3
     assert all(address.startswith((url, f'blob:{url}', 'data:')) for address in REQUESTS)
-    wait_until(lambda: page._detailed)
-    assert depth_error(tab).startswith(metres(page.evaluation.worth.depth_error))
+    wait_until(lambda: page._details_shown)
+    assert depth_error(tab).startswith(metres(page.evaluation.rig_evaluation.depth_error))
     pictured(tab, 'dragged')
 
 
@@ -139,26 +139,26 @@ def test_a_camera_is_dragged_by_its_handle(opened, page):
 def test_a_placement_is_planned_saved_and_loaded_and_survives_a_reload(opened, page):
     page, _ = page
     tab = opened()
-    before = page.evaluation.worth.loss
+    before = page.evaluation.rig_evaluation.loss
     show_tab(tab, 'Plan')
     tab.get_by_label('Seconds').fill('3')
     tab.get_by_role('button', name='Plan all').click()
     wait_until(lambda: page.task is not None)
     wait_until(lambda: page.task is None)
     tab.get_by_text('found the objective value').wait_for()
-    assert page.evaluation.worth.loss < before
+    assert page.evaluation.rig_evaluation.loss < before
     pictured(tab, 'planned')
     show_tab(tab, 'Files')
     tab.get_by_role('textbox').fill('best')
     tab.get_by_role('button', name='Placement', exact=True).click()
     tab.get_by_text('wrote best.yaml').wait_for()
     poses = page.studio.state.poses
-    page.do(lambda: page.studio.move(0, poses[0] + 0.1))
+    page.enqueue(lambda: page.studio.move_camera(0, poses[0] + 0.1))
     wait_until(lambda: not np.array_equal(page.studio.state.poses, poses))
     tab.get_by_role('button', name='Load').click()
     wait_until(lambda: np.array_equal(page.studio.state.poses, poses))
     pictured(tab, 'files')
-    shown = metres(page.evaluation.worth.depth_error)
+    shown = metres(page.evaluation.rig_evaluation.depth_error)
     wait_until(lambda: depth_error(tab).startswith(shown))
     tab.reload()
     wait_until(lambda: depth_error(tab).startswith(shown))
@@ -168,7 +168,7 @@ def test_a_placement_is_planned_saved_and_loaded_and_survives_a_reload(opened, p
 def test_numbers_are_typed_and_steps_taken_back_by_keyboard(opened, page):
     page, _ = page
     tab = opened()
-    wait_until(lambda: page._detailed)
+    wait_until(lambda: page._details_shown)
     poses = page.studio.state.poses
     yaw = tab.get_by_role('textbox').nth(3)
     yaw.fill('77')
@@ -185,7 +185,7 @@ def test_numbers_are_typed_and_steps_taken_back_by_keyboard(opened, page):
 def test_every_part_of_the_panel_fits(opened, page, size):
     page, _ = page
     tab = opened(size)
-    page.do(lambda: page.panel._add_zone('region'))
+    page.enqueue(lambda: page.panel._add_zone('region'))
     for name in ('Cameras', 'View', 'Zones', 'Plan', 'Files', 'Numbers'):
         show_tab(tab, name)
         tab.wait_for_timeout(500)
@@ -240,7 +240,7 @@ def test_the_guide_fits_a_phone(browser):
     guide.set_cloud(room_named('3', 3000)[0].points)
     guide.poses = [Pose.of(np.array([2.0, 3.0, 1.5, 0.5 * k, 0.1, 0.0])) for k in range(4)]
     guide.targets = [Pose.of(np.array([2.0 + k, 4.0, 1.8, 1.0, 0.2, 0.0])) for k in range(4)]
-    guide.expected, guide.status = 'expected: less error', 'not final: turn 1 of 5'
+    guide.expectation, guide.status = 'expected: less error', 'not final: turn 1 of 5'
     guide.show()
     with closing(browser.new_context()) as context:
         tab = context.new_page()
@@ -261,7 +261,7 @@ def test_names_of_files_and_typed_names_are_text(opened, page, tmp_path):
     page, _ = page
     name = '<img src=x onerror=document.harmed=1>'
     (tmp_path / f'{name}.yaml').write_text('cameras: 3')
-    page.do(page.panel._list_files)
+    page.enqueue(page.panel._list_files)
     tab = opened()
     show_tab(tab, 'Files')
     tab.get_by_role('button', name='Load').click()
@@ -276,8 +276,8 @@ def test_names_of_files_and_typed_names_are_text(opened, page, tmp_path):
 def test_a_violation_shows_the_nearest_allowed_pose(opened, page):
     page, _ = page
     tab = opened()
-    page.do(lambda: page.studio.move(0, page.studio.state.poses[0] + np.array(
+    page.enqueue(lambda: page.studio.move_camera(0, page.studio.state.poses[0] + np.array(
         [0.0, 0.0, 1.5, 0.0, 0.0, 0.0])))
     tab.get_by_text('mount.height').first.wait_for()
     tab.get_by_role('button', name='Move to the nearest allowed pose').click()
-    wait_until(lambda: not page.evaluation.misplaced)
+    wait_until(lambda: not page.evaluation.violations)

@@ -33,7 +33,7 @@ from ocp_ros.studio import texts  # noqa: E402
 from ocp_ros.studio.folder import Folder  # noqa: E402
 from ocp_ros.studio.model import Studio  # noqa: E402
 from ocp_ros.studio.page import Page  # noqa: E402
-from ocp_ros.studio.scene_nodes import below  # noqa: E402
+from ocp_ros.studio.scene_nodes import mesh_below  # noqa: E402
 from ocp_ros.studio.server import is_local, LocalServer, start_server  # noqa: E402
 from websockets.exceptions import InvalidStatus  # noqa: E402
 
@@ -195,9 +195,9 @@ def test_numbers_that_are_none_change_nothing(page):
         for position, wxyz in (((np.nan, 0, 0), (1, 0, 0, 0)), ((1e30, 0, 0), (1, 0, 0, 0)),
                                ((0, 0, 0), (0, 0, 0, 0)), ((0, 0, 0), (np.inf, 0, 0, 0))):
             client.drag('/cameras/realsense_d455_1', position, wxyz)
-        client.send('GuiUpdateMessage', uuid=page.panel.camera._impl.uuid,
+        client.send('GuiUpdateMessage', uuid=page.panel.camera_list._impl.uuid,
                     updates={'value': 'no such camera'})
-        client.send('GuiUpdateMessage', uuid=page.panel.sensor._impl.uuid,
+        client.send('GuiUpdateMessage', uuid=page.panel.sensor_list._impl.uuid,
                     updates={'value': 'no such sensor'})
         client.until(lambda message: 'no such sensor' in str(message.get('updates', '')))
     assert np.array_equal(page.studio.state.poses, before.poses)
@@ -213,7 +213,7 @@ def test_no_typed_name_leaves_the_folder(tmp_path, name):
     (inside / 'link').symlink_to(tmp_path)
     for suffix in ('.yaml', ''):
         with pytest.raises(ConfigurationError, match='name: found'):
-            folder.new(name, suffix)
+            folder.claim_path(name, suffix)
     for file in ('../outside.yaml', '/etc/passwd', 'link.yaml', 'link', 'none.yaml'):
         with pytest.raises(ConfigurationError, match='load: found'):
             folder.load(file, None)
@@ -224,10 +224,10 @@ def test_files_of_others_are_not_replaced(tmp_path):
     Path(tmp_path / 'mine.yaml').write_text('kept')
     folder = Folder(tmp_path)
     with pytest.raises(ConfigurationError, match='exists already'):
-        folder.new('mine')
+        folder.claim_path('mine')
     folder.save_rig('rig', rig_of(1))
     folder.save_rig('rig', rig_of(2))
-    assert folder.names() == ['mine.yaml', 'rig.yaml']
+    assert folder.file_names() == ['mine.yaml', 'rig.yaml']
 
 
 def test_names_are_escaped():
@@ -245,9 +245,9 @@ def area_of(vertices, triangles):
 
 def test_a_mesh_is_cut_at_a_height(room):
     mesh, height = room[0].mesh, 1.1
-    low, turned = below(mesh, height), replace(mesh, vertices=mesh.vertices * [1, 1, -1])
+    low, turned = mesh_below(mesh, height), replace(mesh, vertices=mesh.vertices * [1, 1, -1])
     assert low[0][low[1]][..., 2].max() == pytest.approx(height, abs=1e-6)
-    assert area_of(*low) + area_of(*below(turned, -height)) == pytest.approx(
+    assert area_of(*low) + area_of(*mesh_below(turned, -height)) == pytest.approx(
         area_of(mesh.vertices, mesh.triangles), rel=1e-5)
     assert 0.2 < area_of(*low) / area_of(mesh.vertices, mesh.triangles) < 0.8
 
@@ -257,7 +257,7 @@ def test_the_room_is_shown_as_a_mesh(page):
     with PageClient(url) as client:
         client.look()
         client.until(shows('realsense_d455_1'))
-        client.send('GuiUpdateMessage', uuid=page.panel.room._impl.uuid,
+        client.send('GuiUpdateMessage', uuid=page.panel.room_list._impl.uuid,
                     updates={'value': texts.MESH})
         found = set()
         client.until(lambda message: found.add((message['type'], message.get('visible')))
@@ -275,26 +275,28 @@ def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):
             client.send('GuiUpdateMessage', uuid=handle._impl.uuid, updates={'value': value})
             wait_until(holds)
 
-        press(panel.edit, 'Add', lambda: len(studio.state.poses) == 3)
-        press(panel.edit, 'Copy', lambda: len(studio.state.poses) == 4)
-        press(panel.edit, 'Remove', lambda: len(studio.state.poses) == 3)
-        press(panel.steps, 'Undo', lambda: len(studio.state.poses) == 4)
-        press(panel.steps, 'Redo', lambda: len(studio.state.poses) == 3)
-        press(panel.new_zone, 'region', lambda: len(studio.state.rig.regions) == 1)
+        press(panel.edit_buttons, 'Add', lambda: len(studio.state.poses) == 3)
+        press(panel.edit_buttons, 'Copy', lambda: len(studio.state.poses) == 4)
+        press(panel.edit_buttons, 'Remove', lambda: len(studio.state.poses) == 3)
+        press(panel.step_buttons, 'Undo', lambda: len(studio.state.poses) == 4)
+        press(panel.step_buttons, 'Redo', lambda: len(studio.state.poses) == 3)
+        press(panel.new_zone_buttons, 'region', lambda: len(studio.state.rig.regions) == 1)
         press(panel.must_see, 0.9, lambda: studio.state.rig.regions[0].must_see == 0.9)
-        press(panel.new_zone, 'keep-out zone', lambda: len(studio.state.rig.keep_out) == 1)
-        press(panel.no_zone, True, lambda: not studio.state.rig.keep_out)
-        press(panel.colours, texts.BY_NEED, lambda: 'too few' in panel.legend.content)
-        press(panel.compare, 'Keep as A', lambda: page.kept is not None)
-        press(panel.locked, True, lambda: len(studio.state.locked) == 1)
-        press(panel.compare, 'Go to A', lambda: not studio.state.locked)
-        press(panel.compare, 'Stop', lambda: page.kept is None)
-        press(panel.save, 'Placement', (tmp_path / 'placement.yaml').exists)
-        press(panel.name, 'my_rig', lambda: panel.name.value == 'my_rig')
-        press(panel.save, 'Rig', (tmp_path / 'my_rig.yaml').exists)
-        press(panel.export, True, lambda: 'wrote 10 files to my_rig' in panel.file_said.content)
-        press(panel.name, '../up', lambda: panel.name.value == '../up')
-        press(panel.save, 'Placement', lambda: 'name: found' in panel.said.content)
-        press(panel.planners['Which camera to leave out'], True,
-              lambda: 'the objective value is' in panel.task_said.content)
+        press(panel.new_zone_buttons, 'keep-out zone', lambda: len(studio.state.rig.keep_out) == 1)
+        press(panel.remove_zone_button, True, lambda: not studio.state.rig.keep_out)
+        press(panel.colouring_list, texts.BY_REQUIREMENT,
+              lambda: 'too few' in panel.legend.content)
+        press(panel.compare_buttons, 'Keep as A', lambda: page.kept_evaluation is not None)
+        press(panel.locked_box, True, lambda: len(studio.state.locked) == 1)
+        press(panel.compare_buttons, 'Go to A', lambda: not studio.state.locked)
+        press(panel.compare_buttons, 'Stop', lambda: page.kept_evaluation is None)
+        press(panel.save_buttons, 'Placement', (tmp_path / 'placement.yaml').exists)
+        press(panel.file_name, 'my_rig', lambda: panel.file_name.value == 'my_rig')
+        press(panel.save_buttons, 'Rig', (tmp_path / 'my_rig.yaml').exists)
+        press(panel.export_button, True,
+              lambda: 'wrote 10 files to my_rig' in panel.file_message.content)
+        press(panel.file_name, '../up', lambda: panel.file_name.value == '../up')
+        press(panel.save_buttons, 'Placement', lambda: 'name: found' in panel.message.content)
+        press(panel.plan_buttons['Which camera to leave out'], True,
+              lambda: 'the objective value is' in panel.search_message.content)
     assert not (tmp_path.parent / 'up.yaml').exists()

@@ -30,7 +30,7 @@ from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Studio
 from ocp_ros.studio.page import Page
 from ocp_ros.studio.server import start_server
-from ocp_ros.studio.tasks import Progress, searched, Task
+from ocp_ros.studio.tasks import Progress, search_work, Task
 from playwright.sync_api import Page as Tab
 from playwright.sync_api import sync_playwright
 
@@ -69,16 +69,16 @@ def main() -> None:
             print(f'wrote {path}')
 
         take('studio', DESK, lambda tab: None)
-        page.do(lambda: page.compare(page.evaluation))
+        page.enqueue(lambda: page.compare(page.evaluation))
 
         def take_over(news: Progress) -> None:
             if news.poses is not None:
                 poses = news.poses
-                page.do(lambda: studio.change(studio.state.rig, poses))
+                page.enqueue(lambda: studio.set_placement(studio.state.rig, poses))
 
-        Task(searched(studio, studio.state, False), SECONDS, take_over).join()
+        Task(search_work(studio, studio.state, False), SECONDS, take_over).join()
         take('studio_compared', DESK, lambda tab: tab.get_by_role('tab', name='Numbers').click())
-        page.do(lambda: page.compare(None))
+        page.enqueue(lambda: page.compare(None))
         take('studio_phone', PHONE, lambda tab: None)
         page.close()
 

@@ -19,12 +19,14 @@ from pathlib import Path
 
 from ocp_ros.cli.arguments import add_points, add_reading, room_and_placement, room_asked, whole
 from ocp_ros.cli.common import command_of, Commands, Found, LOOK
-from ocp_ros.studio import LOCAL, PORT
+from ocp_ros.studio import FIRST_PORT, LOCAL_ADDRESS
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
 
-#: Rig without a file: number of cameras, sensor and mount.
-CAMERAS, SENSOR, MOUNT = 4, 'realsense_d455', 'walls'
+#: Number of cameras of the rig that is used without a rig file.
+DEFAULT_CAMERAS = 4
+#: Sensor and mount of these cameras.
+DEFAULT_SENSOR, DEFAULT_MOUNT = 'realsense_d455', 'walls'
 
 
 def add_arguments(commands: Commands) -> None:
@@ -34,24 +36,24 @@ def add_arguments(commands: Commands) -> None:
     studio.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     studio.add_argument('--rig', type=find_config,
                         help='rig file with cameras and constraints: docs/reference/rig.md; '
-                             f'default: {CAMERAS} {SENSOR} on the {MOUNT}')
+                             f'default: {DEFAULT_CAMERAS} {DEFAULT_SENSOR} on the {DEFAULT_MOUNT}')
     studio.add_argument('--placement', type=Path,
                         help='placement file to begin with: docs/reference/placement.md')
     studio.add_argument('--out', type=Path, default=Path('out/studio'), metavar='DIR',
                         help='folder for files; the page reads and writes no others')
-    studio.add_argument('--host', default=LOCAL,
-                        help=f'address to listen on; default: {LOCAL}, which only this machine '
-                             'reaches; any other gets a random token in the URL')
-    studio.add_argument('--port', type=whole(0, 65535, 'a number'), default=PORT,
+    studio.add_argument('--host', default=LOCAL_ADDRESS,
+                        help=f'address to listen on; default: {LOCAL_ADDRESS}, which only this '
+                             'machine reaches; any other gets a random token in the URL')
+    studio.add_argument('--port', type=whole(0, 65535, 'a number'), default=FIRST_PORT,
                         help='port, or the first one to try; 0: any free one; default: '
-                             f'{PORT}')
+                             f'{FIRST_PORT}')
     add_points(studio)
     add_reading(studio)
     studio.set_defaults(run=run, show=lambda found: None)
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Serve the page until Ctrl-C."""
+    """Serve the page until Ctrl-C; return an empty result."""
     from ocp_ros.rig.rig_file import load_rig, rig_of
     try:
         from ocp_ros.studio.page import Page
@@ -63,15 +65,15 @@ def run(arguments: argparse.Namespace) -> Found:
                                  'pip install "ocp_ros[studio]"') from error
     from ocp_ros.studio.folder import Folder
     from ocp_ros.studio.model import Studio
-    poses = engine = None
     if arguments.placement:
         scene, placement, room = room_and_placement(arguments)
-        rig, poses, engine = placement.rig_in(scene), placement.poses, placement.engine
+        studio = Studio(scene, room, placement.rig_in(scene), placement.poses, placement.engine,
+                        command_of(arguments.argv))
     else:
         rig = load_rig(arguments.rig) if arguments.rig else rig_of(
-            CAMERAS, SENSOR, mount={'on': MOUNT})
+            DEFAULT_CAMERAS, DEFAULT_SENSOR, mount={'on': DEFAULT_MOUNT})
         scene, room = room_asked(arguments, {})
-    studio = Studio(scene, room, rig, poses, engine, command_of(arguments.argv))
+        studio = Studio(scene, room, rig, command=command_of(arguments.argv))
     folder = Folder(arguments.out)
     server, url = start_server(arguments.host, arguments.port)
     page = Page(server, studio, folder)

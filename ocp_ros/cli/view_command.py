@@ -50,11 +50,11 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Write the page, and open it with ``--open``; with ``--ros`` show the room in RViz."""
+    """Write the page, and open it with ``--open``; with ``--ros`` show RViz instead."""
     from ocp_ros.report.assessment import judge
     from ocp_ros.report.viewer import write_view
     if arguments.ros:
-        return _shown_in_rviz(arguments)
+        return _show_in_rviz(arguments)
     claim_file(arguments, arguments.out, 'a page')
     if arguments.rig and not arguments.placement:
         raise ConfigurationError(f'--rig: found {arguments.rig} and no placement; expected a '
@@ -72,16 +72,16 @@ def run(arguments: argparse.Namespace) -> Found:
     return {'room': room, 'written': [str(arguments.out)]}
 
 
-def _shown_in_rviz(arguments: argparse.Namespace) -> Found:
-    """Publish the room and the placement for RViz until Ctrl-C."""
+def _show_in_rviz(arguments: argparse.Namespace) -> Found:
+    """Show the room and the placement in RViz until Ctrl-C; return the record of the room."""
     from ocp_ros.report.assessment import judge
     if arguments.placement is None:
         raise ConfigurationError('--ros: found no placement; expected one; name it after the room')
     try:
-        from ocp_ros.ros.view_node import show
+        from ocp_ros.ros.view_node import show_placement
     except ImportError as error:
         raise no_ros('ocp view --ros', error) from error
     scene, placement, room = room_and_placement(arguments)
-    assessed = judge(scene, placement, room, command_of(arguments.argv))
-    show(assessed.objective, assessed.placement.poses)
+    assessment = judge(scene, placement, room, command_of(arguments.argv))
+    show_placement(assessment.objective, assessment.placement.poses)
     return {'room': room, 'written': []}

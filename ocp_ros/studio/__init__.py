@@ -14,5 +14,7 @@
 
 """An interactive page: move cameras in a room and see at once what they see."""
 
-#: Address of this machine alone, and the port at which the search for a free one begins.
-LOCAL, PORT = '127.0.0.1', 8080
+#: Address that only this machine can reach.
+LOCAL_ADDRESS = '127.0.0.1'
+#: First port that is tried.
+FIRST_PORT = 8080

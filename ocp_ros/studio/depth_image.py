@@ -17,59 +17,70 @@
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, PINHOLE, rotation_matrix
 
-#: Width of an image and the largest half width of a drawn point, pixels.
-WIDTH, WIDEST = 256, 10
-#: Half the edge of the square that is drawn for a point, in multiples of its pitch.
-HALF = 0.6
-#: Colours of depths from near to far, of equal steps of lightness for any colour vision, and of
-#: pixels without depth.
-COLOURS = np.array([(255, 234, 70), (188, 175, 111), (125, 124, 120), (67, 78, 108), (0, 32, 76)])
-NOTHING = np.array([235, 235, 235], dtype=np.uint8)
+#: Width of a depth image, pixels.
+IMAGE_WIDTH = 256
+#: Colours of depths, from near to far: equal steps of lightness, for any colour vision.
+DEPTH_COLOURS = np.array(
+    [(255, 234, 70), (188, 175, 111), (125, 124, 120), (67, 78, 108), (0, 32, 76)])
+#: Colour of pixels without depth.
+NO_DEPTH_COLOUR = np.array([235, 235, 235], dtype=np.uint8)
 
 
 def depth_image(points: np.ndarray, pitch: np.ndarray, pose: np.ndarray, model: CameraModel
                 ) -> np.ndarray:
     """
-    Return the depth image of a camera; azimuth and elevation where it has no image plane.
+    Return the depth image of a camera.
 
-    :param points: (N, 3) metres, map frame, that it sees.
-    :param pitch: (N,) metres, edge of the square that each point stands for.
+    A pinhole camera has an image plane. The image of any other camera has the azimuth as columns
+    and the elevation as rows.
+
+    :param points: (N, 3) points that the camera sees, metres, map frame.
+    :param pitch: (N,) edge of the square that each point stands for, metres.
     :param pose: (6,) metres, map frame, and radians.
-    :returns: (H, W) metres: along the optical axis, or the distance without an image plane; inf
-        where there is no measurement.
+    :param model: of the camera.
+    :returns: (H, W) metres: depth along the optical axis of a pinhole camera, distance from any
+        other camera; inf where there is no measurement.
     """
     lens = model.lens
     x, y, z = ((points - pose[:3]) @ rotation_matrix(*pose[3:])).T
+    # Positions in the image are from -1 to 1; left and up are positive.
     if lens.kind == PINHOLE:
         depth = np.maximum(x, 1e-6)
-        across, up = y / depth / lens.half_horizontal, z / depth / lens.half_vertical
-        aspect, wide = lens.half_vertical / lens.half_horizontal, lens.half_horizontal
+        half_width, half_height = lens.half_horizontal, lens.half_vertical
+        horizontal, vertical = y / depth / half_width, z / depth / half_height
     else:
         depth = np.maximum(np.sqrt(x * x + y * y + z * z), 1e-6)
-        across, up = (np.arctan2(y, x) / (0.5 * model.horizontal_fov),
-                      np.arctan2(z, np.hypot(x, y)) / (0.5 * model.vertical_fov))
-        aspect, wide = model.vertical_fov / model.horizontal_fov, 0.5 * model.horizontal_fov
-    height = max(int(WIDTH * aspect), 1)
-    column = ((1.0 - across) * 0.5 * WIDTH).astype(int)
-    row = ((1.0 - up) * 0.5 * height).astype(int)
-    half = np.clip(HALF * pitch / depth / wide * 0.5 * WIDTH, 0, WIDEST).astype(int) + 1
-    image = np.full((height, WIDTH), np.inf)
-    for size in np.unique(half):
-        some = half == size
-        for down in range(-size + 1, size):
-            for right in range(-size + 1, size):
-                rows, columns = row[some] + down, column[some] + right
-                inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < WIDTH)
-                np.minimum.at(image, (rows[inside], columns[inside]), depth[some][inside])
+        half_width, half_height = 0.5 * model.horizontal_fov, 0.5 * model.vertical_fov
+        horizontal = np.arctan2(y, x) / half_width
+        vertical = np.arctan2(z, np.hypot(x, y)) / half_height
+    height = max(int(IMAGE_WIDTH * (half_height / half_width)), 1)
+    centre_row = ((1.0 - vertical) * 0.5 * height).astype(int)
+    centre_column = ((1.0 - horizontal) * 0.5 * IMAGE_WIDTH).astype(int)
+    # A square is drawn for each point: 1.2 times its pitch, and at most 21 pixels wide.
+    half_edge = np.clip(0.6 * pitch / depth / half_width * 0.5 * IMAGE_WIDTH, 0, 10).astype(int)
+    image = np.full((height, IMAGE_WIDTH), np.inf)
+    for pixels in np.unique(half_edge):
+        chosen = half_edge == pixels
+        for row_offset in range(-pixels, pixels + 1):
+            for column_offset in range(-pixels, pixels + 1):
+                rows = centre_row[chosen] + row_offset
+                columns = centre_column[chosen] + column_offset
+                inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < IMAGE_WIDTH)
+                np.minimum.at(image, (rows[inside], columns[inside]), depth[chosen][inside])
     return image
 
 
-def coloured(image: np.ndarray, model: CameraModel) -> np.ndarray:
-    """Return a depth image as colours: (H, W, 3) uint8, from the least to the largest range."""
+def depth_colours(image: np.ndarray, model: CameraModel) -> np.ndarray:
+    """
+    Return the colours of a depth image: (H, W, 3) uint8.
+
+    :param image: (H, W) metres; inf where there is no measurement.
+    :param model: of the camera; the colours range from its least to its largest range.
+    """
     share = (image - model.min_range) / (model.max_range - model.min_range)
-    known = np.isfinite(image)
-    steps = np.linspace(0.0, 1.0, len(COLOURS))
-    picture = np.stack([np.interp(np.where(known, share, 0.0), steps, channel)
-                        for channel in COLOURS.T], axis=-1).astype(np.uint8)
-    picture[~known] = NOTHING
-    return picture
+    measured = np.isfinite(image)
+    colour_shares = np.linspace(0.0, 1.0, len(DEPTH_COLOURS))
+    colours = np.stack([np.interp(np.where(measured, share, 0.0), colour_shares, channel)
+                        for channel in DEPTH_COLOURS.T], axis=-1).astype(np.uint8)
+    colours[~measured] = NO_DEPTH_COLOUR
+    return colours

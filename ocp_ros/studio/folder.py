@@ -28,56 +28,58 @@ from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import written
 
-#: Names that a person may give: no folder, no hidden file, nothing that is read in another way.
-NAME = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,59}', re.ASCII)
+#: Names that a person may give to files: no path, no hidden file, no special character.
+NAME_PATTERN = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,59}', re.ASCII)
 #: Suffixes of the files that can be loaded.
-SUFFIXES = ('.yaml', '.yml', '.json')
+LOADABLE_SUFFIXES = ('.yaml', '.yml', '.json')
 
 
 class Folder:
     """
-    The folder for files of the studio; no name leads out of it.
+    The folder for files of the studio; no file name leads out of this folder.
 
-    :param path: of the folder; it is created.
+    :param path: of the folder, which is created.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = folder_to_write(path).resolve()
         #: Files and folders that this studio has read or written, which it may replace.
-        self._known: set[Path] = set()
+        self._replaceable_paths: set[Path] = set()
 
-    def names(self) -> list[str]:
+    def file_names(self) -> list[str]:
         """Return the names of the files that can be loaded."""
         return sorted(path.name for path in self.path.iterdir()
-                      if path.suffix in SUFFIXES and path.is_file() and not path.is_symlink()
-                      and not path.name.startswith('.'))
+                      if path.suffix in LOADABLE_SUFFIXES and path.is_file()
+                      and not path.is_symlink() and not path.name.startswith('.'))
 
-    def new(self, name: str, suffix: str = '.yaml') -> Path:
+    def claim_path(self, name: str, suffix: str = '.yaml') -> Path:
         """
-        Return the path of a file or folder to write.
+        Return the path of a file or folder to write; this studio may replace it from now on.
 
-        :raises ConfigurationError: if the name is none that a person may give, or is that of
-            something that this studio neither wrote nor read.
+        :param name: without suffix.
+        :param suffix: of a file; empty for a folder.
+        :raises ConfigurationError: if the name does not match :data:`NAME_PATTERN`, or if the path
+            exists and this studio has neither written nor read it.
         """
-        if not NAME.fullmatch(name):
+        if not NAME_PATTERN.fullmatch(name):
             raise ConfigurationError(f'name: found {name[:80]!r}; expected 1 to 60 letters, '
                                      'digits, _ and -; correct it')
         path = self.path / f'{name}{suffix}'
-        if path.is_symlink() or (path.exists() and path not in self._known):
+        if path.is_symlink() or (path.exists() and path not in self._replaceable_paths):
             raise ConfigurationError(f'name: found {path.name}, which exists already; expected a '
                                      'new name; choose another, or load it first')
-        self._known.add(path)
+        self._replaceable_paths.add(path)
         return path
 
     def save_placement(self, name: str, placement: Placement) -> Path:
-        """Write a placement."""
-        path = self.new(name)
+        """Write the placement file with this name, and return its path."""
+        path = self.claim_path(name)
         save_placement(path, placement)
         return path
 
     def save_rig(self, name: str, rig: Rig) -> Path:
-        """Write the rig file of a rig."""
-        path = self.new(name)
+        """Write the rig file with this name, and return its path."""
+        path = self.claim_path(name)
         write_atomically(path, written(rig.document.data, '.yaml'))
         return path
 
@@ -85,15 +87,17 @@ class Folder:
         """
         Read a placement or a rig of this folder.
 
-        :param name: one of :meth:`names`.
-        :returns: the rig, and the poses (K, 6) if it is a placement.
-        :raises ConfigurationError: if it is neither.
+        :param name: one of :meth:`file_names`.
+        :param scene: the room of the studio.
+        :returns: the rig, and the poses of its K cameras: (K, 6) metres, map frame, and radians;
+            None in place of the poses if the file is a rig file.
+        :raises ConfigurationError: if the file is neither a placement nor a rig file.
         """
-        if name not in self.names():
+        if name not in self.file_names():
             raise ConfigurationError('load: found a name that is no file of this folder; expected '
                                      'one of the list; choose one')
         path = self.path / name
-        self._known.add(path)
+        self._replaceable_paths.add(path)
         try:
             placement = load_placement(path)
         except ConfigurationError as error:
@@ -105,12 +109,15 @@ class Folder:
 
     def export(self, name: str, scene: Scene, placement: Placement, command: str) -> list[str]:
         """
-        Write a placement and its reports as ``ocp plan`` does, to a folder with this name.
+        Write a placement and its reports, as ``ocp plan`` does, to a new folder.
 
+        :param name: of the folder.
+        :param scene: the room of the studio.
+        :param command: the command line, for the record in the placement file.
         :returns: the names of the files.
         """
-        judged = judge(scene, placement, placement.room, command)
-        folder = folder_to_write(self.new(name, ''))
+        assessment = judge(scene, placement, placement.room, command)
+        folder = folder_to_write(self.claim_path(name, ''))
         with FileSet(folder, WRITTEN, MARK) as files:
-            return [path.name for path in chain(export(files.aside, judged),
-                                                reports(files.aside, judged))]
+            return [path.name for path in chain(export(files.aside, assessment),
+                                                reports(files.aside, assessment))]

@@ -22,19 +22,12 @@ import numpy as np
 from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.rig.motion import wrapped
 from ocp_ros.studio.scene_nodes import wxyz_of
-from ocp_ros.studio.texts import camera_rgb, message, RULES, STYLE
+from ocp_ros.studio.texts import camera_rgb, message, STYLE, STYLE_RULES
 import viser
 
-#: Number of points of the cloud that a phone shows, cells of the plan along its longer edge, and
-#: width of the plan, pixels.
-SHOWN, CELLS, WIDTH = 20_000, 90, 320
-#: Metres and degrees below which a camera is where it shall be; they are not written.
-NEAR, STRAIGHT = 0.05, 3.0
-#: Percentile of the heights that counts as the floor.
-FLOOR = 1.0
-#: Size of a point and of a camera, metres.
-POINT, CAMERA = 0.03, 0.12
-#: Buttons and what they mean.
+#: Percentile of the heights of a cloud that counts as the height of the floor.
+FLOOR_PERCENTILE = 1.0
+#: Labels of the buttons.
 ARRIVED, HOLD, GO_ON, RESET, ACCEPT = BUTTONS = (
     'Arrived: as near as I can', 'Hold', 'Go on', 'Reset', 'Accept this placement')
 
@@ -43,147 +36,176 @@ class GuidePage:
     """
     Show the observed cloud, the cameras and their targets, on a phone too.
 
-    Each setter may be called from any thread. The page changes when :meth:`show` is called.
+    The attributes may be set, and :meth:`set_cloud` called, from any thread. The page changes when
+    :meth:`show` is called.
 
     :param server: of the page.
-    :param pressed: is called with one of :data:`BUTTONS` when a person presses it.
+    :param on_press: is called with the label of a button, one of :data:`BUTTONS`, when a person
+        presses the button.
+    :ivar points: (N, 3) float32, some points of the observed cloud, metres, map frame.
+    :ivar poses: measured poses of the cameras.
+    :ivar targets: pose to which each camera shall go.
+    :ivar expectation: sentence on what the next time step is expected to bring; may be empty.
+    :ivar status: sentence on the progress towards a final placement; may be empty.
     """
 
-    def __init__(self, server: viser.ViserServer, pressed: Callable[[str], None]) -> None:
+    def __init__(self, server: viser.ViserServer, on_press: Callable[[str], None]) -> None:
         self.server, self._lock = server, Lock()
         self.points = np.empty((0, 3), dtype=np.float32)
         self.poses: Sequence[Pose] = ()
         self.targets: Sequence[Pose] = ()
-        self.expected = self.status = ''
-        self._cloud_news = False
+        self.expectation = self.status = ''
+        self._cloud_changed = False
         self._nodes: dict[str, viser.SceneNodeHandle] = {}
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
-        gui.add_html(RULES)
-        self.text = gui.add_html('')
+        gui.add_html(STYLE_RULES)
+        self.instructions = gui.add_html('')
         for label in BUTTONS:
-            gui.add_button(label).on_click(lambda _, label=label: pressed(label))
+            gui.add_button(label).on_click(lambda _, label=label: on_press(label))
         self.answer = gui.add_html('')
         self.plan = gui.add_html('')
-        server.initial_camera.position, server.initial_camera.look_at = (-4, -6, 8), (0, 0, 1)
+        server.initial_camera.position = (-4, -6, 8)
+        server.initial_camera.look_at = (0, 0, 1)
 
     def set_cloud(self, points: np.ndarray) -> None:
-        """Take the points observed so far: (N, 3) metres."""
+        """Set the points observed so far: (N, 3) metres, map frame."""
         with self._lock:
-            self.points, self._cloud_news = points[::max(len(points) // SHOWN, 1)], True
+            # A phone draws 20,000 to 40,000 points without delay.
+            self.points = points[::max(len(points) // 20_000, 1)]
+            self._cloud_changed = True
 
-    def say(self, text: str) -> None:
-        """Show the answer to a button."""
+    def show_message(self, text: str) -> None:
+        """Show a message, such as the answer to a button."""
         self.answer.content = message(text)
 
     def show(self) -> None:
-        """Show what has been set."""
+        """Show the values that have been set since the last call."""
         with self._lock:
-            points, news, self._cloud_news = self.points, self._cloud_news, False
-        if news and len(points):
+            points, cloud_changed = self.points, self._cloud_changed
+            self._cloud_changed = False
+        if cloud_changed and len(points):
             self._show_cloud(points)
-        floor = float(np.percentile(points[:, 2], FLOOR)) if len(points) else 0.0
-        lines = [sentence(number, pose, target, floor)
-                 for number, (pose, target) in enumerate(zip(self.poses, self.targets))]
-        head = lines or ['waiting for the poses of the cameras and the first target']
-        parts = [f'<p><b>{escape(line)}</b></p>' for line in head]
-        parts += [f'<p>{escape(line)}</p>' for line in (self.expected, self.status) if line]
-        self._set(self.text, f'<div style="{STYLE}">{"".join(parts)}</div>')
-        self._set(self.plan, plan_of(points, self.poses, self.targets))
+        floor = float(np.percentile(points[:, 2], FLOOR_PERCENTILE)) if len(points) else 0.0
+        sentences = [instruction(number, pose, target, floor)
+                     for number, (pose, target) in enumerate(zip(self.poses, self.targets))
+                     ] or ['waiting for the poses of the cameras and the first target']
+        paragraphs = [f'<p><b>{escape(sentence)}</b></p>' for sentence in sentences]
+        paragraphs += [f'<p>{escape(sentence)}</p>'
+                       for sentence in (self.expectation, self.status) if sentence]
+        self._set_html(self.instructions, f'<div style="{STYLE}">{"".join(paragraphs)}</div>')
+        self._set_html(self.plan, plan_svg(points, self.poses, self.targets))
         for number, pose in enumerate(self.poses):
-            self._place(f'/cameras/{number}', number, pose, 1.0)
+            self._show_pose(f'/cameras/{number}', f'{number}', number, pose, opacity=1.0)
         for number, target in enumerate(self.targets):
-            self._place(f'/targets/{number}', number, target, 0.4)
+            self._show_pose(f'/targets/{number}', f'to {number}', number, target, opacity=0.4)
 
     @staticmethod
-    def _set(handle: viser.GuiHtmlHandle, content: str) -> None:
-        """Send content only if it has changed."""
-        if handle.content != content:
-            handle.content = content
+    def _set_html(handle: viser.GuiHtmlHandle, html: str) -> None:
+        """Send a text to the page only if it has changed."""
+        if handle.content != html:
+            handle.content = html
 
     def _show_cloud(self, points: np.ndarray) -> None:
         """Show the observed points, coloured by their height."""
-        low, high = np.percentile(points[:, 2], [FLOOR, 100.0 - FLOOR])
+        low, high = np.percentile(points[:, 2], [FLOOR_PERCENTILE, 100.0 - FLOOR_PERCENTILE])
         share = np.clip((points[:, 2] - low) / max(high - low, 1e-3), 0.0, 1.0)[:, None]
         colours = (np.array([23, 79, 143]) * (1.0 - share) + np.array([230, 220, 170]) * share)
         self.server.scene.add_point_cloud('/cloud', points, colours.astype(np.uint8),
-                                          point_size=POINT, precision='float32')
-        middle = points.mean(axis=0)
-        self.server.initial_camera.look_at = middle
-        self.server.initial_camera.position = middle + np.array([-4.0, -6.0, 8.0])
+                                          point_size=0.03, precision='float32')
+        centre = points.mean(axis=0)
+        self.server.initial_camera.look_at = centre
+        self.server.initial_camera.position = centre + np.array([-4.0, -6.0, 8.0])
 
-    def _place(self, name: str, number: int, pose: Pose, opacity: float) -> None:
-        """Show a camera or a target at its pose."""
+    def _show_pose(self, name: str, label: str, number: int, pose: Pose, opacity: float) -> None:
+        """Show the pose of a camera or its target as a ball with axes, or move the ball there."""
+        radius = 0.12
         node = self._nodes.get(name)
         if node is None:
             node = self._nodes[name] = self.server.scene.add_frame(
-                name, axes_length=2.0 * CAMERA, axes_radius=0.1 * CAMERA)
-            self.server.scene.add_icosphere(f'{name}/ball', CAMERA, camera_rgb(number),
+                name, axes_length=2.0 * radius, axes_radius=0.1 * radius)
+            self.server.scene.add_icosphere(f'{name}/ball', radius, camera_rgb(number),
                                             opacity=opacity)
-            self.server.scene.add_label(
-                f'{name}/label', f'{"to " if opacity < 1.0 else ""}{number}')
-        node.position, node.wxyz = pose.position, wxyz_of(pose.rotation)
+            self.server.scene.add_label(f'{name}/label', label)
+        node.position = pose.position
+        node.wxyz = wxyz_of(pose.rotation)
 
 
-def sentence(number: int, pose: Pose, target: Pose, floor: float) -> str:
+def instruction(number: int, pose: Pose, target: Pose, floor: float) -> str:
     """
-    Return in words where a camera shall go, and how far off it still is.
+    Return a sentence that says how a person shall move a camera, and its distance from the target.
 
-    Right and left, up and down are those of the plan; the camera turns as a person sees it who
-    looks in its direction.
+    Right, left, up and down are directions in the plan. Left and right turns are those of a person
+    who looks in the direction of the camera.
 
     :param number: of the camera, from 0.
-    :param pose: where it is.
-    :param target: where it shall be.
+    :param pose: of the camera.
+    :param target: pose to which the camera shall go.
     :param floor: height of the floor, metres.
     """
-    way = target.position - pose.position
-    parts = [f'{abs(length):.2f} m {words[int(length < 0.0)]}' for length, words in zip(
-        way, (('to the right', 'to the left'), ('up in the plan', 'down in the plan')))
-        if abs(length) >= NEAR]
-    if abs(way[2]) >= NEAR:
-        parts.append(f'{abs(way[2]):.2f} m {"higher" if way[2] > 0 else "lower"}, to '
+    # Smaller moves are not mentioned.
+    min_metres, min_degrees = 0.05, 3.0
+    move = target.position - pose.position
+    steps = [f'{abs(length):.2f} m {directions[int(length < 0.0)]}'
+             for length, directions in zip(move, (('to the right', 'to the left'),
+                                                  ('up in the plan', 'down in the plan')))
+             if abs(length) >= min_metres]
+    if abs(move[2]) >= min_metres:
+        steps.append(f'{abs(move[2]):.2f} m {"higher" if move[2] > 0 else "lower"}, to '
                      f'{target.position[2] - floor:.2f} m above the floor')
     angles = np.rad2deg(wrapped(heading_of(target.rotation) - heading_of(pose.rotation)))
-    turns = [f'{abs(angle):.0f} degrees {words[int(angle < 0.0)]}' for angle, words in zip(
-        angles[:2], (('to the left', 'to the right'), ('down', 'up'))) if abs(angle) >= STRAIGHT]
+    turns = [f'{abs(angle):.0f} degrees {directions[int(angle < 0.0)]}'
+             for angle, directions in zip(angles[:2], (('to the left', 'to the right'),
+                                                       ('down', 'up')))
+             if abs(angle) >= min_degrees]
     if turns:
-        parts.append(f'turn {" and ".join(turns)}')
-    if not parts:
+        steps.append(f'turn {" and ".join(turns)}')
+    if not steps:
         return f'camera {number}: is where it shall be'
-    return f'camera {number}: {"; ".join(parts)} ({np.linalg.norm(way):.2f} m off)'
+    return f'camera {number}: {"; ".join(steps)} ({np.linalg.norm(move):.2f} m off)'
 
 
-def plan_of(points: np.ndarray, poses: Sequence[Pose], targets: Sequence[Pose]) -> str:
+def plan_svg(points: np.ndarray, poses: Sequence[Pose], targets: Sequence[Pose]) -> str:
     """
-    Return a plan as SVG: the points from above, the cameras and the ways to their targets.
+    Return a plan as SVG: the points from above, the cameras, and lines to their targets.
 
     :param points: (N, 3) metres.
+    :param poses: of the cameras.
+    :param targets: pose to which each camera shall go; may be empty.
+    :returns: an empty string if there is nothing to draw.
     """
-    flat = np.array([*points[:, :2], *(pose.position[:2] for pose in (*poses, *targets))])
-    if len(flat) == 0:
+    positions = np.array([*points[:, :2], *(pose.position[:2] for pose in (*poses, *targets))])
+    if len(positions) == 0:
         return ''
-    low, high = flat.min(axis=0) - 0.3, flat.max(axis=0) + 0.3
-    edge = float((high - low).max()) / CELLS
+    low, high = positions.min(axis=0) - 0.3, positions.max(axis=0) + 0.3
+    # The longer side of the plan has 90 cells.
+    edge = float((high - low).max()) / 90
     cells = np.unique(np.floor((points[:, :2] - low) / edge).astype(int), axis=0)
-    across, up = (high - low).tolist()
-    marks = ''.join(f'M{x * edge:.2f} {up - y * edge:.2f}h{edge:.2f}' for x, y in cells.tolist())
-    shapes = [f'<path d="{marks}" stroke="#a3aeb6" stroke-width="{edge:.3f}"/>']
+    width, height = (high - low).tolist()
+
+    def svg_point(offset: np.ndarray) -> tuple[float, float]:
+        # The y axis of an SVG points down.
+        x, y = offset.tolist()
+        return x, height - y
+
+    cell_path = ''.join(f'M{x * edge:.2f} {height - y * edge:.2f}h{edge:.2f}'
+                        for x, y in cells.tolist())
+    shapes = [f'<path d="{cell_path}" stroke="#a3aeb6" stroke-width="{edge:.3f}"/>']
     for number, pose in enumerate(poses):
         colour = '#{:02x}{:02x}{:02x}'.format(*camera_rgb(number))
-        x, y = (pose.position[:2] - low).tolist()
-        end_x, end_y = (pose.position[:2] - low + 4 * edge * pose.rotation[:2, 0]).tolist()
-        shapes.append(f'<line x1="{x:.2f}" y1="{up - y:.2f}" x2="{end_x:.2f}" '
-                      f'y2="{up - end_y:.2f}" stroke="{colour}" stroke-width="{edge:.3f}"/>')
+        x, y = svg_point(pose.position[:2] - low)
+        end_x, end_y = svg_point(pose.position[:2] - low + 4 * edge * pose.rotation[:2, 0])
+        shapes.append(f'<line x1="{x:.2f}" y1="{y:.2f}" x2="{end_x:.2f}" y2="{end_y:.2f}" '
+                      f'stroke="{colour}" stroke-width="{edge:.3f}"/>')
         if number < len(targets):
-            to_x, to_y = (targets[number].position[:2] - low).tolist()
+            target_x, target_y = svg_point(targets[number].position[:2] - low)
             shapes.append(
-                f'<line x1="{x:.2f}" y1="{up - y:.2f}" x2="{to_x:.2f}" y2="{up - to_y:.2f}" '
+                f'<line x1="{x:.2f}" y1="{y:.2f}" x2="{target_x:.2f}" y2="{target_y:.2f}" '
                 f'stroke="black" stroke-width="{0.5 * edge:.3f}" stroke-dasharray="{edge:.2f}"/>'
-                f'<circle cx="{to_x:.2f}" cy="{up - to_y:.2f}" r="{2 * edge:.2f}" fill="none" '
+                f'<circle cx="{target_x:.2f}" cy="{target_y:.2f}" r="{2 * edge:.2f}" fill="none" '
                 f'stroke="{colour}" stroke-width="{0.7 * edge:.3f}"/>')
-        shapes.append(f'<circle cx="{x:.2f}" cy="{up - y:.2f}" r="{1.6 * edge:.2f}" '
-                      f'fill="{colour}"/><text x="{x + 2 * edge:.2f}" y="{up - y - edge:.2f}" '
+        shapes.append(f'<circle cx="{x:.2f}" cy="{y:.2f}" r="{1.6 * edge:.2f}" fill="{colour}"/>'
+                      f'<text x="{x + 2 * edge:.2f}" y="{y - edge:.2f}" '
                       f'font-size="{6 * edge:.2f}">{number}</text>')
-    return (f'<svg viewBox="0 0 {across:.2f} {up:.2f}" width="100%" '
-            f'style="max-width:{WIDTH}px;background:white">{"".join(shapes)}</svg>')
+    return (f'<svg viewBox="0 0 {width:.2f} {height:.2f}" width="100%" '
+            f'style="max-width:320px;background:white">{"".join(shapes)}</svg>')

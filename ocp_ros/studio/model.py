@@ -16,7 +16,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 from threading import RLock
 from typing import Any
 
@@ -37,27 +37,23 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
-from ocp_ros.studio.state import changed, entry_of, History, new_name, separated, State
+from ocp_ros.studio.state import camera_entry, changed_rig, History, new_name, split_groups, State
 from ocp_ros.util.settings import ConfigurationError
 
-#: Number of views that are kept for undo and for comparisons.
-VIEWS = 64
-#: Metres around a pose in which the nearest allowed position is searched for first, and the
-#: number of positions spread over the room among which it is searched for then.
-AROUND, SPREAD = 1.0, 400
-#: Radians: a smaller change of the viewing direction counts as a rotation about it.
-SAME_WAY = 1e-3
-#: Radians: pitch of the cameras of a new placement, where the rig allows it.
-PITCH = np.deg2rad(20.0)
+#: Largest number of positions that are spread over the mount of a camera.
+MAX_POSITIONS = 400
 
 
 class Evaluation:
     """
-    The evaluation of one state; each part is computed when it is first used.
+    The evaluation of one state; each property is computed when it is first used.
+
+    N is the number of points of the room. Their order is that of the engine, which
+    :attr:`Studio.point_order` describes.
 
     :ivar problem: the rig in the room.
     :ivar state: the placement.
-    :ivar views: of the cameras to be placed.
+    :ivar views: what each camera to be placed sees.
     """
 
     def __init__(self, problem: Problem, state: State, views: Sequence[View]) -> None:
@@ -69,13 +65,13 @@ class Evaluation:
         return self.problem.objective
 
     @cached_property
-    def worth(self) -> RigEvaluation:
+    def rig_evaluation(self) -> RigEvaluation:
         """Return the objective value and its parts."""
         return self.objective.judge(self.views)
 
     @cached_property
-    def counts(self) -> np.ndarray:
-        """Return the number of cameras that see each point: (N,) uint8, in the engine's order."""
+    def camera_counts(self) -> np.ndarray:
+        """Return the number of cameras that see each point: (N,) uint8."""
         counts = np.zeros(len(self.problem.simulator.scene), dtype=np.uint8)
         for view in (*self.views, *self.objective.fixed):
             counts += unpack(view.seen, len(counts))
@@ -83,48 +79,53 @@ class Evaluation:
 
     @cached_property
     def rig_scores(self) -> dict[str, Any]:
-        """Return the scores of the cameras together."""
-        return rig_scores(self.objective, self.views, self.worth)
+        """Return the scores of all cameras together, by name."""
+        return rig_scores(self.objective, self.views, self.rig_evaluation)
 
     @cached_property
     def scores(self) -> dict[str, Any]:
-        """Return the scores as ``ocp score`` prints them."""
+        """Return the scores that ``ocp score`` prints: of all cameras together, and of each."""
         return {**self.rig_scores, **camera_scores(self.objective, self.views)}
 
     @cached_property
-    def misplaced(self) -> list[str]:
+    def violations(self) -> list[str]:
         """Return a sentence for each constraint that the pose of a camera violates."""
         return self.problem.region.broken(self.state.poses)
 
-    def is_misplaced(self, name: str) -> bool:
+    def violates_constraint(self, name: str) -> bool:
         """Return whether the pose of a camera violates a constraint."""
-        return any(line.startswith(f'{name}: ') for line in self.misplaced)
+        return any(line.startswith(f'{name}: ') for line in self.violations)
 
     @cached_property
-    def broken(self) -> list[str]:
-        """Return a sentence for each violated constraint, regions included."""
+    def all_violations(self) -> list[str]:
+        """Return a sentence for each constraint that a pose or the placement violates."""
         return broken_by(self.problem.region, self.state.poses, self.scores)
 
     @cached_property
-    def expected(self) -> dict[str, float]:
-        """Return the depth error that is expected in the room itself, and its interval."""
+    def expected_error(self) -> dict[str, float]:
+        """Return the depth error to expect in the real room, and its interval, metres."""
         simulator = self.problem.simulator
-        return expected(self.worth.depth_error, simulator.depth_error.worst,
+        return expected(self.rig_evaluation.depth_error, simulator.depth_error.worst,
                         missing_surfaces(simulator.scene))
 
-    def seen_from(self, camera: int) -> np.ndarray:
-        """Return which points a camera sees: (N,) bool, in the engine's order."""
+    def points_seen_by(self, camera: int) -> np.ndarray:
+        """Return whether a camera sees each point: (N,) bool."""
         return unpack(self.views[camera].seen, len(self.problem.simulator.scene))
 
-    def unseen_in_regions(self) -> np.ndarray:
-        """Return the points of regions of points whose ``must_see`` is not met: (N,) bool."""
-        scene, region = self.problem.simulator.scene, self.problem.region
-        found = np.zeros(len(scene), dtype=bool)
-        for part, share in zip(self.problem.rig.regions, self.worth.regions):
-            if share < part.must_see and part.air is None:
-                found |= part.zone.contains(scene.points, region.floor)
+    def unseen_required_points(self) -> np.ndarray:
+        """
+        Return whether each point lacks cameras and belongs to a region that fails: (N,) bool.
+
+        A region fails if the seen share of its points is less than its ``must_see``. Regions of
+        air have no points.
+        """
+        scene = self.problem.simulator.scene
+        required = np.zeros(len(scene), dtype=bool)
+        for region, seen_share in zip(self.problem.rig.regions, self.rig_evaluation.regions):
+            if seen_share < region.must_see and region.air is None:
+                required |= region.zone.contains(scene.points, self.problem.region.floor)
         order = self.problem.simulator.visibility.order
-        return found[order] & (self.counts < self.problem.rig.seen_by)
+        return required[order] & (self.camera_counts < self.problem.rig.seen_by)
 
 
 class Studio:
@@ -132,143 +133,165 @@ class Studio:
     A placement in a room that is edited step by step; threads may share it.
 
     :param scene: the room.
-    :param room: its description, as in placement files.
+    :param room: description of the room, as in placement files.
     :param rig: the rig at the start.
-    :param poses: (K, 6) metres, map frame, and radians; None to spread the cameras over the room.
+    :param poses: (K, 6) poses of the K cameras to be placed, metres, map frame, and radians; None
+        to spread the cameras over the room.
     :param engine: settings of the engine; None for those of ``ocp plan``.
-    :param command: for the record in files.
-    :ivar lock: for several steps that belong together.
+    :param command: the command line, for the record in files.
+    :ivar history: the present placement, and those that undo and redo bring back.
+    :ivar lock: held while a thread reads or changes the placement in several steps.
     :raises ConfigurationError: if the rig cannot be used in the room.
     """
 
     def __init__(self, scene: Scene, room: dict[str, Any], rig: Rig,
                  poses: np.ndarray | None = None, engine: EngineConfig | None = None,
                  command: str = 'ocp studio') -> None:
-        self.scene, self.room, self.command, self.lock = scene, room, command, RLock()
-        exact = scene.mesh is not None and scene.mesh.exact
-        self.engine = engine or (with_rays(PROMISING, scene) if exact else PROMISING)
-        rig = separated(rig)
+        self.scene, self.room, self.command = scene, room, command
+        self.lock = RLock()
+        has_exact_mesh = scene.mesh is not None and scene.mesh.exact
+        self.engine = engine or (with_rays(PROMISING, scene) if has_exact_mesh else PROMISING)
+        rig = split_groups(rig)
         self._simulator = Simulator(scene, SimulationConfig(engine=self.engine), rig.models)
+        #: Views by camera model and pose; those that were used last come last.
         self._views: dict[tuple[CameraModel, bytes], View] = {}
         self._evaluation: Evaluation | None = None
         self._problem = self.problem_of(rig)
-        self._places: dict[CameraModel, np.ndarray] = {}
-        self._proved: tuple[dict[str, Any], Certificate] | None = None
-        self.history = History(State(rig, self._spread(rig) if poses is None else
+        self._positions_by_model: dict[CameraModel, np.ndarray] = {}
+        self._certificate: tuple[dict[str, Any], Certificate] | None = None
+        self.history = History(State(rig, self._spread_cameras(rig) if poses is None else
                                      as_written(poses)))
 
     @property
     def state(self) -> State:
         """Return the present state."""
-        return self.history.now
+        return self.history.present
 
     @property
-    def order(self) -> np.ndarray:
-        """Return the index of each point of the engine's order among the room's points: (N,)."""
+    def point_order(self) -> np.ndarray:
+        """Return the index in ``scene.points`` of each point in the engine's order: (N,) int."""
         return self._simulator.visibility.order
 
     def problem_of(self, rig: Rig) -> Problem:
-        """Return the problem of a rig in the room; it shares the engine of the studio."""
+        """Return the problem of a rig in the room; all problems share the studio's engine."""
         simulator = self._simulator.with_models(rig.models)
         return Problem(Objective(simulator, rig), FeasibleRegion(self.scene, rig))
 
     def evaluation(self) -> Evaluation:
-        """Evaluate the present state; only cameras that have moved look again."""
+        """Return the evaluation of the present state; only cameras that have moved look again."""
         with self.lock:
             state = self.state
             if self._evaluation is None or self._evaluation.state is not state:
                 if self._problem.rig is not state.rig:
-                    self._use(self.problem_of(state.rig))
-                self._evaluation = self.evaluated(self._problem, state)
+                    self._set_problem(self.problem_of(state.rig))
+                self._evaluation = self.evaluate(self._problem, state)
             return self._evaluation
 
-    def evaluated(self, problem: Problem, state: State) -> Evaluation:
-        """Evaluate a state, given the problem of its rig."""
+    def evaluate(self, problem: Problem, state: State) -> Evaluation:
+        """
+        Evaluate a state, given the problem of its rig.
+
+        The last 64 views are kept, so that undo and comparisons need not compute them again.
+        """
         views = []
         for camera, (model, pose) in enumerate(zip(problem.models, state.poses)):
             key = model, pose.tobytes()
-            if key not in self._views:
-                self._views[key] = problem.simulator.look(pose, camera)
-            # The last views stay.
-            self._views[key] = view = self._views.pop(key)
+            view = self._views.pop(key, None)
+            if view is None:
+                view = problem.simulator.look(pose, camera)
+            # The view moves to the end, which holds the views that were used last.
+            self._views[key] = view
             views.append(view)
-        for key in list(self._views)[:-VIEWS]:
+        for key in list(self._views)[:-64]:
             del self._views[key]
         return Evaluation(problem, state, views)
 
-    def _use(self, problem: Problem) -> None:
-        """Use the problem of another rig."""
+    def _set_problem(self, problem: Problem) -> None:
+        """Set the problem of another rig, and forget the positions of the old one."""
         self._problem = problem
-        self._places.clear()
+        self._positions_by_model.clear()
 
-    def change(self, rig: Rig, poses: np.ndarray, locked: frozenset[str] | None = None,
-               action: object = None) -> None:
+    def set_placement(self, rig: Rig, poses: np.ndarray, locked: frozenset[str] | None = None,
+                      action: object = None) -> None:
         """
-        Set the present state.
+        Set the present placement.
 
-        :param poses: (K, 6) metres, map frame, and radians.
-        :param action: see :meth:`History.change`.
-        :raises ConfigurationError: if the rig cannot be used in the room; the state stays.
+        :param poses: (K, 6) poses of the K cameras to be placed, metres, map frame, and radians.
+        :param locked: names of the locked cameras; None if the same ones stay locked.
+        :param action: see :meth:`History.set_present`.
+        :raises ConfigurationError: if the rig cannot be used in the room; the placement stays.
         """
         with self.lock:
             if rig is not self._problem.rig:
-                self._use(self.problem_of(rig))
+                self._set_problem(self.problem_of(rig))
             locked = self.state.locked if locked is None else locked
             names = {camera.name for camera in rig.cameras}
-            self.history.change(State(rig, as_written(poses), locked & names), action)
+            self.history.set_present(State(rig, as_written(poses), locked & names), action)
 
-    def move(self, camera: int, pose: np.ndarray, action: object = None) -> bool:
+    def move_camera(self, camera: int, pose: np.ndarray, action: object = None) -> bool:
         """
         Move a camera.
 
+        :param camera: number of the camera.
         :param pose: (6,) metres, map frame, and radians.
-        :returns: whether it was moved; False if it is locked, or the pose is not finite.
+        :param action: see :meth:`History.set_present`.
+        :returns: whether the camera was moved; False if there is no such camera, if the camera is
+            locked, or if the pose is not finite or 10 km away.
         """
         with self.lock:
             state = self.state
-            # A vanished or hostile page may send anything.
-            if not 0 <= camera < len(state.poses) or state.names[camera] in state.locked or not (
-                    np.isfinite(pose).all() and np.abs(pose[:3]).max() < 1e4):
+            # A browser may send any number.
+            is_usable = np.isfinite(pose).all() and np.abs(pose[:3]).max() < 1e4
+            if not (0 <= camera < len(state.poses) and is_usable) or (
+                    state.names[camera] in state.locked):
                 return False
             poses = state.poses.copy()
             poses[camera] = pose
-            self.change(state.rig, poses, action=action)
+            self.set_placement(state.rig, poses, action=action)
             return True
 
-    def pose_of(self, camera: int, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    def dragged_pose(self, camera: int, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """
-        Return the pose of a camera that was dragged: its roll stays while its direction changes.
+        Return the pose of a dragged camera; a new viewing direction does not change the roll.
 
-        :param position: (3,) metres.
-        :param rotation: (3, 3) body frame to map frame.
+        :param camera: number of the camera.
+        :param position: (3,) position to which the camera was dragged, metres, map frame.
+        :param rotation: (3, 3) rotation to which it was dragged, from body frame to map frame.
+        :returns: (6,) metres, map frame, and radians.
         """
-        before = self.state.poses[camera]
+        previous = self.state.poses[camera]
         pose = np.concatenate([position, heading_of(rotation)])
-        if np.abs(rotation[:, 0] - rotation_matrix(*before[3:])[:, 0]).max() > SAME_WAY:
-            pose[5] = before[5]
+        # The first column is the viewing direction, a unit vector.
+        if np.abs(rotation[:, 0] - rotation_matrix(*previous[3:])[:, 0]).max() > 1e-3:
+            pose[5] = previous[5]
         return pose
 
-    def add(self, sensor: str, pose: np.ndarray | None = None) -> int:
+    def add_camera(self, sensor: str, pose: np.ndarray | None = None) -> int:
         """
         Add a camera, and return its number.
 
-        :param sensor: a preset, or the name of a camera of the rig whose model it gets.
-        :param pose: (6,) metres, map frame, and radians; by default where the room has most space.
+        :param sensor: name of a camera of the rig, which is copied, or name of a preset.
+        :param pose: (6,) metres, map frame, and radians; None for the position on the mount that
+            is farthest from all other cameras.
         """
         with self.lock:
             state = self.state
             entries = state.rig.document.data['cameras']
-            like = next((entry for entry in entries if entry['name'] == sensor),
-                        {'sensor': sensor})
+            template = next((entry for entry in entries if entry['name'] == sensor),
+                            {'sensor': sensor})
             name = new_name(sensor, state.rig.all_cameras)
-            rig = changed(state.rig, cameras=[*entries, entry_of(like, name)])
+            rig = changed_rig(state.rig, cameras=[*entries, camera_entry(template, name)])
             if pose is None:
-                pose = self._spread(rig, state.poses)[-1]
-            self.change(rig, np.vstack([state.poses, pose]))
+                pose = self._spread_cameras(rig, state.poses)[-1]
+            self.set_placement(rig, np.vstack([state.poses, pose]))
             return len(state.poses)
 
-    def remove(self, camera: int) -> None:
-        """Remove a camera; the last one stays."""
+    def remove_camera(self, camera: int) -> None:
+        """
+        Remove a camera.
+
+        :raises ConfigurationError: if there is no other camera.
+        """
         with self.lock:
             state = self.state
             if len(state.poses) < 2:
@@ -276,8 +299,8 @@ class Studio:
                                          'of them; add another first')
             entries = list(state.rig.document.data['cameras'])
             del entries[camera]
-            self.change(changed(state.rig, cameras=entries),
-                        np.delete(state.poses, camera, axis=0))
+            self.set_placement(changed_rig(state.rig, cameras=entries),
+                               np.delete(state.poses, camera, axis=0))
 
     def set_sensor(self, camera: int, sensor: str) -> None:
         """Give a camera the model of a preset."""
@@ -285,115 +308,127 @@ class Studio:
             state = self.state
             entries = list(state.rig.document.data['cameras'])
             entries[camera] = {'name': entries[camera]['name'], 'sensor': sensor}
-            self.change(changed(state.rig, cameras=entries), state.poses)
+            self.set_placement(changed_rig(state.rig, cameras=entries), state.poses)
 
     def set_locked(self, camera: int, locked: bool) -> None:
-        """Lock a camera, or release it."""
+        """Lock a camera, or unlock it."""
         with self.lock:
             state = self.state
-            name = frozenset([state.names[camera]])
-            self.change(state.rig, state.poses,
-                        state.locked | name if locked else state.locked - name)
+            names = frozenset([state.names[camera]])
+            self.set_placement(state.rig, state.poses,
+                               state.locked | names if locked else state.locked - names)
 
-    def set_rig(self, **parts: Any) -> None:
-        """Change keys of the rig, such as zones; the poses stay."""
+    def set_rig(self, **new_values: Any) -> None:
+        """Change values of the rig by their keys, such as zones; the poses stay."""
         with self.lock:
-            self.change(changed(self.state.rig, **parts), self.state.poses)
+            self.set_placement(changed_rig(self.state.rig, **new_values), self.state.poses)
 
-    def load(self, rig: Rig, poses: np.ndarray | None = None) -> None:
-        """Begin to edit another rig; without poses its cameras are spread over the room."""
+    def replace_rig(self, rig: Rig, poses: np.ndarray | None = None) -> None:
+        """
+        Begin to edit another rig; no camera is locked.
+
+        :param poses: (K, 6) poses of the K cameras to be placed, metres, map frame, and radians;
+            None to spread the cameras over the room.
+        :raises ConfigurationError: if the rig cannot be used in the room; the placement stays.
+        """
         with self.lock:
-            rig = separated(rig)
-            before = self._problem
-            self._use(self.problem_of(rig))
+            rig = split_groups(rig)
+            previous = self._problem
+            self._set_problem(self.problem_of(rig))
             try:
-                poses = self._spread(rig) if poses is None else poses
+                poses = self._spread_cameras(rig) if poses is None else poses
             except ConfigurationError:
-                self._use(before)
+                self._set_problem(previous)
                 raise
-            self.change(rig, poses, frozenset())
+            self.set_placement(rig, poses, frozenset())
 
-    def _spread(self, rig: Rig, taken: np.ndarray | None = None) -> np.ndarray:
+    def _spread_cameras(self, rig: Rig, first_poses: Sequence | np.ndarray = ()) -> np.ndarray:
         """
-        Spread cameras over the places of their mount.
+        Put each camera on its mount, as far as possible from the cameras before.
 
-        :param taken: (C, 6) poses of the first cameras, which stay.
-        :returns: (K, 6) metres, map frame, and radians.
+        :param first_poses: (6,) each, poses of the first cameras, which stay.
+        :returns: (K, 6) poses of all K cameras, metres, map frame, and radians.
         """
-        poses = np.empty((0, 6)) if taken is None else taken
+        poses = np.reshape(first_poses, (-1, 6))
         region = self.problem_of(rig).region
+        pitch = np.clip(np.deg2rad(20.0), *rig.pitch)
         for camera in rig.cameras[len(poses):]:
-            found, _ = region.places(camera.model, SPREAD)
+            places, _ = region.places(camera.model, MAX_POSITIONS)
             others = np.vstack([poses, rig.fixed_poses])[:, :3]
-            away = (np.linalg.norm(found.positions[:, None] - others[None], axis=2).min(axis=1)
-                    if len(others) else np.zeros(len(found.positions)))
-            place = int(np.argmax(away))
-            middle = self.scene.bounds.mean(axis=0)[:2] - found.positions[place, :2]
-            yaw = float(found.inwards[place]) if rig.mount.on == 'walls' else float(
-                np.arctan2(*middle[::-1]))
-            poses = np.vstack([poses, [*found.positions[place], yaw,
-                                       np.clip(PITCH, *rig.pitch), rig.rolls[0]]])
+            distances = (np.linalg.norm(places.positions[:, None] - others[None], axis=2)
+                         .min(axis=1) if len(others) else np.zeros(len(places.positions)))
+            farthest = int(np.argmax(distances))
+            position = places.positions[farthest]
+            x, y = self.scene.bounds.mean(axis=0)[:2] - position[:2]
+            # Away from the wall, or towards the centre of the room.
+            yaw = places.inwards[farthest] if rig.mount.on == 'walls' else np.arctan2(y, x)
+            poses = np.vstack([poses, [*position, yaw, pitch, rig.rolls[0]]])
         return as_written(poses)
 
     def nearest_allowed(self, evaluation: Evaluation, camera: int) -> np.ndarray | None:
         """
         Find the allowed pose of a camera that is nearest to its pose.
 
-        :returns: (6,) metres, map frame, and radians; None if there is none.
+        :param evaluation: of the placement.
+        :param camera: number of the camera.
+        :returns: (6,) metres, map frame, and radians; None if no pose is allowed.
         """
-        state, problem = evaluation.state, evaluation.problem
-        rig, region, model = state.rig, problem.region, state.rig.cameras[camera].model
+        state, region = evaluation.state, evaluation.problem.region
+        rig, model = state.rig, state.rig.cameras[camera].model
         pose = state.poses[camera].copy()
         pose[4] = np.clip(pose[4], *rig.pitch)
         if 'roll' in rig.document.data:
             rolls = np.array(rig.rolls)
-            away = np.abs((rolls - pose[5] + np.pi) % (2.0 * np.pi) - np.pi)
-            pose[5] = rolls[np.argmin(away)]
+            differences = np.abs((rolls - pose[5] + np.pi) % (2.0 * np.pi) - np.pi)
+            pose[5] = rolls[np.argmin(differences)]
         others = np.vstack([np.delete(state.poses, camera, axis=0), rig.fixed_poses])[:, :3]
 
-        def allowed(places: np.ndarray) -> np.ndarray:
-            full = np.hstack([places, np.broadcast_to(pose[3:], places.shape)])
-            written = as_written(full)
-            return (satisfies_spacing(written[:, :3], others, rig.spacing)
-                    & region.allowed(written, model))
+        def are_allowed(positions: np.ndarray) -> np.ndarray:
+            poses = as_written(np.hstack([positions, np.broadcast_to(pose[3:], positions.shape)]))
+            return (satisfies_spacing(poses[:, :3], others, rig.spacing)
+                    & region.allowed(poses, model))
 
-        place = nearest_place(pose[:3], pose[:3], AROUND, region.onto_mount, allowed)
-        if place is None:
-            offered = self._places_of(region, model)
-            offered = offered[allowed(offered)] if len(offered) else offered
-            if len(offered) == 0:
+        # Searches up to 1 m around a position for the one that is nearest to the pose.
+        nearest_around = partial(nearest_place, target=pose[:3], reach=1.0,
+                                 move_onto_mount=region.onto_mount, are_allowed=are_allowed)
+        nearest = nearest_around(pose[:3])
+        if nearest is None:
+            positions = self._allowed_positions(region, model)
+            if len(positions):
+                positions = positions[are_allowed(positions)]
+            if len(positions) == 0:
                 return None
-            first = offered[np.argmin(np.linalg.norm(offered - pose[:3], axis=1))]
-            place = nearest_place(first, pose[:3], AROUND, region.onto_mount, allowed)
-            place = first if place is None else place
-        return as_written(np.concatenate([place, pose[3:]])[None])[0]
+            start = positions[np.argmin(np.linalg.norm(positions - pose[:3], axis=1))]
+            nearest = nearest_around(start)
+            nearest = start if nearest is None else nearest
+        return as_written(np.concatenate([nearest, pose[3:]])[None])[0]
 
-    def _places_of(self, region: FeasibleRegion, model: CameraModel) -> np.ndarray:
-        """Return positions that are allowed for a camera model, spread over the room: (P, 3)."""
-        if model not in self._places:
+    def _allowed_positions(self, region: FeasibleRegion, model: CameraModel) -> np.ndarray:
+        """Return P feasible positions of a camera, spread over the room: (P, 3) metres."""
+        if model not in self._positions_by_model:
             try:
-                self._places[model] = region.places(model, SPREAD)[0].positions
+                self._positions_by_model[model] = region.places(model, MAX_POSITIONS)[0].positions
             except ConfigurationError:
-                self._places[model] = np.empty((0, 3))
-        return self._places[model]
+                self._positions_by_model[model] = np.empty((0, 3))
+        return self._positions_by_model[model]
 
     def placement(self, scored: bool = False) -> Placement:
         """
-        Return the present placement for its file.
+        Return the present placement as placement files record it.
 
-        :param scored: whether it has its scores.
+        :param scored: whether to add the scores.
         """
         state = self.state
         placement = placement_of(state.rig, state.poses, room=self.room, engine=self.engine,
                                  created=created_by(self.command))
         return replace(placement, scores=self.evaluation().scores) if scored else placement
 
-    def prove(self, rig: Rig, certificate: Certificate) -> None:
-        """Keep the lower bound of a search for all placements of this rig."""
-        self._proved = rig.document.data, certificate
+    def set_certificate(self, rig: Rig, certificate: Certificate) -> None:
+        """Set the lower bound that a search has found for all placements of a rig."""
+        self._certificate = rig.document.data, certificate
 
     def certificate(self, evaluation: Evaluation) -> Certificate | None:
-        """Return the last lower bound with the loss of a placement, if it holds for its rig."""
-        if self._proved is None or self._proved[0] != evaluation.state.rig.document.data:
+        """Return the last lower bound and the loss of a placement; None for any other rig."""
+        if self._certificate is None or self._certificate[0] != evaluation.state.rig.document.data:
             return None
-        return replace(self._proved[1], found=evaluation.worth.loss)
+        return replace(self._certificate[1], found=evaluation.rig_evaluation.loss)

@@ -14,88 +14,79 @@
 
 """The page: one thread applies what people do, evaluates the placement and shows the result."""
 
-from collections import deque
 from collections.abc import Callable
+from functools import partial
 import logging
 from threading import Condition, Thread
 from typing import Any
 
 import numpy as np
-from ocp_ros.studio.depth_image import coloured, depth_image
+from ocp_ros.studio import texts
+from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Evaluation, Studio
 from ocp_ros.studio.panel import Panel
 from ocp_ros.studio.scene_nodes import CameraNode, Cloud, Surfaces, ZoneNode
-from ocp_ros.studio.state import State
 from ocp_ros.studio.tasks import Progress, Task
-from ocp_ros.studio.texts import (
-    BOTH,
-    camera_rgb,
-    camera_title,
-    colours_of,
-    HELP,
-    MESH,
-    MISSED,
-    PLAIN,
-    rgb,
-)
 from ocp_ros.studio.zone_edits import entries_of, Entry, moved_box
 from ocp_ros.util.settings import UserError
 import viser
 
-#: Seconds without an event after which everything is shown that takes longer.
-QUIET = 0.15
-#: From the middle of the room to where the view is at first, and to a place that is below the
-#: middle in the picture, in diagonals of the room.
-AWAY, BELOW = np.array([-0.35, -0.5, 0.6]), np.array([-0.2, -0.28, -0.35])
-#: Share of the room's height up to which it is shown at first.
-CUT = 0.8
-#: Seconds for which the help is shown.
-HELPED = 20.0
-#: Metres between two placements that are shown side by side.
-APART = 1.0
+#: Offset of the view at first from the centre of the room, in diagonals of the room.
+VIEW_OFFSET = np.array([-0.35, -0.5, 0.6])
 
 _log = logging.getLogger(__name__)
 
 
 class Page:
     """
-    A page on which a placement is edited, for any number of clients.
+    A page on which people edit a placement; all clients (open browsers) show the same.
+
+    One thread of the page runs all actions of people.
 
     :param server: of the page.
-    :param studio: the placement.
-    :param folder: for its files.
+    :param studio: the room and the placement.
+    :param folder: for the files of the studio.
+    :ivar task: the task in the background; None if there is none.
+    :ivar kept_evaluation: of the kept placement, which is shown for comparison; None if there is
+        none.
+    :ivar cloud: the points of the room.
+    :ivar surfaces: the mesh of the room; None if the room has no mesh.
     """
 
     def __init__(self, server: viser.ViserServer, studio: Studio, folder: Folder) -> None:
         self.server, self.studio, self.folder = server, studio, folder
         self.task: Task | None = None
-        self.kept: Evaluation | None = None
-        self._shown: Evaluation | None = None
-        self._news = Condition()
-        #: Actions of people, and the newest pose of each dragged camera.
-        self._actions: deque[Callable[[], None]] = deque()
+        self.kept_evaluation: Evaluation | None = None
+        self._shown_evaluation: Evaluation | None = None
+        #: Is notified of new actions and drags, and of the end; its lock guards them.
+        self._changed = Condition()
+        self._actions: list[Callable[[], None]] = []
+        #: Newest position (3,), rotation (3, 3) and gesture of each dragged camera, by its name.
         self._drags: dict[str, tuple[np.ndarray, np.ndarray, object]] = {}
-        self._gestures = 0
-        self._over = self._detailed = False
+        self._gesture_count = 0
+        self._closed = self._details_shown = False
         scene = studio.scene
-        self._points = scene.points[studio.order]
+        self._points = scene.points[studio.point_order]
         self._spacing = float(np.median(scene.spacing))
-        self._normals = scene.normals_or_estimate[studio.order]
+        self._normals = scene.normals_or_estimate[studio.point_order]
         self.cloud = Cloud(server.scene, '/room', self._points, self._normals, self._spacing)
         self.surfaces = Surfaces(server.scene, scene.mesh) if scene.mesh is not None else None
-        self._other: list[Cloud | CameraNode] = []
-        self._cameras: dict[str, tuple[tuple[Any, ...], CameraNode]] = {}
-        self._zones: dict[str, tuple[tuple[Any, ...], ZoneNode]] = {}
-        self._ghost: CameraNode | None = None
+        self._comparison_nodes: list[Cloud | CameraNode] = []
+        #: Nodes with the values that they show: see :func:`_update_nodes`.
+        self._camera_nodes: dict[str, tuple[Any, CameraNode]] = {}
+        self._zone_nodes: dict[str, tuple[Any, ZoneNode]] = {}
+        self._nearest_node: CameraNode | None = None
         low, high = scene.bounds
-        self.panel = Panel(self, low[2] + CUT * (high[2] - low[2]))
-        self.cut(self.panel.cut.value)
-        self._middle, self._size = 0.5 * (low + high), float(np.linalg.norm(high - low))
-        server.initial_camera.position = self._middle + self._size * AWAY
-        server.initial_camera.look_at = self._middle
-        server.on_client_connect(self._welcome)
-        self._thread = Thread(target=self._run, daemon=True)
+        # At first the room is shown without its upper fifth.
+        self.panel = Panel(self, low[2] + 0.8 * (high[2] - low[2]))
+        self.cut_room(self.panel.height_slider.value)
+        self._centre = 0.5 * (low + high)
+        self._diagonal = float(np.linalg.norm(high - low))
+        server.initial_camera.position = self._centre + self._diagonal * VIEW_OFFSET
+        server.initial_camera.look_at = self._centre
+        server.on_client_connect(self._greet_client)
+        self._thread = Thread(target=self._run_actions, daemon=True)
         self._thread.start()
 
     def wait(self) -> None:
@@ -103,32 +94,32 @@ class Page:
         self._thread.join()
 
     def close(self) -> None:
-        """End the search, the thread and the server."""
+        """End the task, the thread and the server."""
         if self.task is not None:
             self.task.stop()
-        with self._news:
-            self._over = True
-            self._news.notify()
+        with self._changed:
+            self._closed = True
+            self._changed.notify()
         self._thread.join()
         self.server.stop()
 
-    def do(self, action: Callable[[], None]) -> None:
-        """Apply an action soon, in the thread of the page."""
-        with self._news:
+    def enqueue(self, action: Callable[[], None]) -> None:
+        """Let the thread of the page run an action soon, and show its result."""
+        with self._changed:
             self._actions.append(action)
-            self._news.notify()
+            self._changed.notify()
 
-    def drag(self, name: str, position: np.ndarray, rotation: np.ndarray, phase: str, client: int
-             ) -> None:
-        """Take the newest pose of a camera that a person drags."""
-        with self._news:
+    def take_drag(self, name: str, position: np.ndarray, rotation: np.ndarray, phase: str,
+                  client: int) -> None:
+        """Let the thread of the page move a dragged camera; see :data:`.DragCallback`."""
+        with self._changed:
             if phase == 'start':
-                self._gestures += 1
+                self._gesture_count += 1
             elif phase == 'end':
                 self._actions.append(self._place_cameras)
             else:
-                self._drags[name] = position, rotation, (name, client, self._gestures)
-            self._news.notify()
+                self._drags[name] = position, rotation, (name, client, self._gesture_count)
+            self._changed.notify()
 
     @property
     def evaluation(self) -> Evaluation:
@@ -136,229 +127,238 @@ class Page:
         return self.studio.evaluation()
 
     @property
-    def selected(self) -> int:
-        """Return the number of the selected camera."""
+    def selected_camera(self) -> int:
+        """Return the number of the selected camera; the first camera if none is selected."""
         names = self.studio.state.names
-        chosen = self.panel.camera.value
-        return names.index(chosen) if chosen in names else 0
+        name = self.panel.camera_list.value
+        return names.index(name) if name in names else 0
 
-    def _welcome(self, client: viser.ClientHandle) -> None:
-        """Show the room on a phone too, and three lines of help until something is edited."""
+    def _greet_client(self, client: viser.ClientHandle) -> None:
+        """Move the view of a phone, and show three lines of help until something is edited."""
         if client.camera.aspect < 1.0:
-            # The panel covers the lower part.
-            below = self._middle + self._size * BELOW
-            client.camera.position = below + 1.5 * self._size * AWAY
-            client.camera.look_at = below
-        if not self.studio.history.past:
-            client.add_notification('ocp studio', '\n'.join(HELP), auto_close_seconds=HELPED)
+            # The panel covers the lower part of a phone, so the view looks at a point below.
+            target = self._centre + self._diagonal * np.array([-0.2, -0.28, -0.35])
+            client.camera.position = target + 1.5 * self._diagonal * VIEW_OFFSET
+            client.camera.look_at = target
+        if not self.studio.history.past_states:
+            client.add_notification('ocp studio', '\n'.join(texts.HELP_LINES),
+                                    auto_close_seconds=20.0)
 
-    def _run(self) -> None:
-        """Apply what people do, and show the result, until the page is closed."""
-        self._guarded(self._show)
+    def _run_actions(self) -> None:
+        """Run actions and show their results; show details after 0.15 s without an action."""
+        self._run_action(self._show)
         while True:
-            with self._news:
-                waits = not (self._actions or self._drags or self._over)
-                if waits and not self._news.wait(None if self._detailed else QUIET):
-                    actions, drags = None, {}
-                elif self._over:
+            with self._changed:
+                is_idle = not (self._actions or self._drags or self._closed)
+                is_quiet = is_idle and not self._changed.wait(
+                    timeout=None if self._details_shown else 0.15)
+                if self._closed and not is_quiet:
                     return
-                else:
-                    actions, drags = list(self._actions), self._drags
-                    self._drags = {}
-                    self._actions.clear()
-            if actions is None:
-                self._guarded(self._show_details)
-                continue
-            for action in (*(self._dragged(name, *drag) for name, drag in drags.items()),
-                           *actions):
-                self._guarded(action)
-            self._guarded(self._show)
+            if is_quiet:
+                actions = [self._show_details]
+            else:
+                actions = [*self._take_actions(), self._show]
+            for action in actions:
+                self._run_action(action)
 
-    def _guarded(self, action: Callable[[], None]) -> None:
+    def _take_actions(self) -> list[Callable[[], None]]:
+        """Return the waiting actions, drags first, and empty their lists."""
+        with self._changed:
+            drags, self._drags = self._drags, {}
+            actions, self._actions = self._actions, []
+        return [*(partial(self._move_dragged_camera, name, *drag)
+                  for name, drag in drags.items()), *actions]
+
+    def _run_action(self, action: Callable[[], None]) -> None:
         """Run an action; show an error instead of ending the thread."""
         try:
             action()
         except (UserError, OSError) as error:
-            self.panel.say(str(error))
+            self.panel.show_message(str(error))
         except Exception as error:  # The page goes on for all other clients.
             _log.exception('an action of the studio failed')
-            self.panel.say(f'found an error ({type(error).__name__}); the placement is unchanged')
+            self.panel.show_message(
+                f'found an error ({type(error).__name__}); the placement is unchanged')
 
-    def _dragged(self, name: str, position: np.ndarray, rotation: np.ndarray, gesture: object
-                 ) -> Callable[[], None]:
-        """Return the action that moves a dragged camera."""
-        def move() -> None:
-            names = self.studio.state.names
-            if name in names and np.isfinite(position).all() and np.isfinite(rotation).all():
-                camera = names.index(name)
-                self.stop_task()
-                self.studio.move(camera, self.studio.pose_of(camera, position, rotation), gesture)
-        return move
+    def _move_dragged_camera(self, name: str, position: np.ndarray, rotation: np.ndarray,
+                             gesture: object) -> None:
+        """Move a camera to the position (3,) and rotation (3, 3) to which it was dragged."""
+        names = self.studio.state.names
+        if name in names and np.isfinite(position).all() and np.isfinite(rotation).all():
+            camera = names.index(name)
+            self.stop_task()
+            pose = self.studio.dragged_pose(camera, position, rotation)
+            self.studio.move_camera(camera, pose, action=gesture)
 
     def _show(self) -> None:
-        """Show the present placement and its figures: colours first, people wait for them."""
-        self._detailed = False
-        evaluation = self.evaluation
-        if evaluation is not self._shown:
-            fresh = self._shown is None or evaluation.state.rig is not self._shown.state.rig or (
-                evaluation.state.locked != self._shown.state.locked)
-            self._shown = evaluation
-            self.paint()
+        """Show the present placement and its figures; colours first, as people wait for them."""
+        self._details_shown = False
+        previous, evaluation = self._shown_evaluation, self.evaluation
+        if evaluation is not previous:
+            rig_changed = previous is None or evaluation.state.rig is not previous.state.rig or (
+                evaluation.state.locked != previous.state.locked)
+            self._shown_evaluation = evaluation
+            self.colour_points()
             self.server.flush()
             self.panel.show_summary(evaluation)
-            self._mark(evaluation)
-            if fresh:
-                self._show_rig(evaluation.state)
-        self.panel.show_numbers(evaluation, self.studio.certificate(evaluation), self.kept)
+            self._colour_cameras(evaluation)
+            if rig_changed:
+                self._show_rig(evaluation)
+        self.panel.show_figures(evaluation, self.studio.certificate(evaluation),
+                                self.kept_evaluation)
 
-    def paint(self) -> None:
-        """Colour the points."""
-        self.cloud.paint(colours_of(self.evaluation, self.panel.paint, self.selected))
+    def colour_points(self) -> None:
+        """Colour the points of the room as the panel asks for."""
+        self.cloud.set_colours(
+            texts.point_colours(self.evaluation, self.panel.colouring, self.selected_camera))
 
     def _show_details(self) -> None:
         """Show what takes longer or would disturb a person who drags a camera."""
-        self._detailed = True
-        evaluation, camera = self.evaluation, self.selected
+        self._details_shown = True
+        evaluation, camera = self.evaluation, self.selected_camera
         self._place_cameras()
         self.panel.show_details(evaluation.state, camera)
         self._show_nearest(evaluation, camera)
-        scene, order = self.studio.scene, self.studio.order
-        seen = order[evaluation.seen_from(camera)]
+        scene = self.studio.scene
+        seen = self.studio.point_order[evaluation.points_seen_by(camera)]
         model = evaluation.problem.models[camera]
-        self.panel.picture.image = coloured(depth_image(
+        self.panel.depth_picture.image = depth_colours(depth_image(
             scene.points[seen], scene.pitch[seen], evaluation.state.poses[camera], model), model)
 
-    def _show_rig(self, state: State) -> None:
-        """Add and remove nodes, so that those of the page are the cameras and zones of the rig."""
-        cameras, scene = {}, self.server.scene
-        for number, camera in enumerate(state.rig.all_cameras):
-            fixed = number >= len(state.poses)
-            locked = fixed or camera.name in state.locked
-            poses = state.rig.fixed_poses[number - len(state.poses)] if fixed else (
-                state.poses[number])
-            title = camera_title(camera.name, locked)
-            cameras[camera.name] = (title, camera.model, locked), (
-                title, camera.model, poses, rgb('#777777') if fixed else camera_rgb(number),
-                None if locked else self._drag_of(camera.name),
-                None if fixed else self._select(camera.name))
-        _exchange(self._cameras, cameras, lambda name, *parts: CameraNode(
-            scene, f'/cameras/{name}', *parts))
+    def _show_rig(self, evaluation: Evaluation) -> None:
+        """Show a node for each camera and zone of the rig, and all of them in the panel."""
+        state, scene = evaluation.state, self.server.scene
+        cameras: dict[str, tuple[Any, Callable[[], CameraNode]]] = {}
+        poses = np.vstack([state.poses, state.rig.fixed_poses])
+        for number, (camera, pose) in enumerate(zip(state.rig.all_cameras, poses)):
+            is_fixed = number >= len(state.poses)
+            is_locked = is_fixed or camera.name in state.locked
+            title = f'{camera.name} (locked)' if is_locked else camera.name
+            cameras[camera.name] = (title, camera.model, is_locked), partial(
+                CameraNode, scene, f'/cameras/{camera.name}', title, camera.model, pose,
+                texts.rgb('#777777') if is_fixed else texts.camera_rgb(number),
+                None if is_locked else partial(self.take_drag, camera.name),
+                None if is_fixed else partial(self.enqueue,
+                                              partial(self.panel.select_camera, camera.name)))
+        _update_nodes(self._camera_nodes, cameras)
         self._place_cameras()
-        floor, zones = self._shown.problem.region.floor, {}
-        for entry in entries_of(state.rig):
-            zones[entry.label] = (str(entry.data),), (entry, )
-        _exchange(self._zones, zones, lambda label, entry: ZoneNode(
-            scene, f'/zones/{entry.key}_{entry.number}', entry.zone, self.studio.scene.bounds,
-            floor, rgb(entry.colour), self._drag_of_zone(entry) if entry.is_box else None))
+        floor = evaluation.problem.region.floor
+        _update_nodes(self._zone_nodes, {entry.label: (str(entry.data), partial(
+            ZoneNode, scene, f'/zones/{entry.key}_{entry.number}', entry.zone,
+            self.studio.scene.bounds, floor, texts.rgb(entry.colour),
+            partial(self._take_zone_drag, entry) if entry.is_box else None))
+            for entry in entries_of(state.rig)})
         self.panel.show_rig(state)
 
-    def _drag_of(self, name: str) -> Callable[[np.ndarray, np.ndarray, str, int], None]:
-        """Return the function that takes the poses of a dragged camera."""
-        return lambda *drag: self.drag(name, *drag)
-
-    def _drag_of_zone(self, entry: Entry) -> Callable[[np.ndarray, np.ndarray, str, int], None]:
-        """Return the function that moves a zone when its drag ends."""
-        def dragged(position: np.ndarray, _: np.ndarray, phase: str, __: int) -> None:
-            if phase == 'end' and np.isfinite(position).all():
-                self.do(lambda: self.edit_rig(**moved_box(self.studio.state.rig, entry, position)))
-        return dragged
-
-    def _select(self, name: str) -> Callable[[], None]:
-        """Return the function that selects a camera."""
-        return lambda: self.do(lambda: self.panel.select(name))
+    def _take_zone_drag(self, entry: Entry, position: np.ndarray, _: np.ndarray, phase: str,
+                        __: int) -> None:
+        """Move a box when its drag ends; see :data:`.DragCallback`."""
+        if phase == 'end' and np.isfinite(position).all():
+            self.enqueue(lambda: self.edit_rig(
+                **moved_box(self.studio.state.rig, entry, position)))
 
     def _place_cameras(self) -> None:
-        """Move the nodes of the cameras to their poses, which dragging may have left."""
+        """Move the nodes of the cameras to their poses, since drags move nodes elsewhere."""
         state = self.studio.state
         for name, pose in zip(state.names, state.poses):
-            if name in self._cameras:
-                self._cameras[name][1].place(pose)
+            if name in self._camera_nodes:
+                self._camera_nodes[name][1].set_pose(pose)
 
-    def _mark(self, evaluation: Evaluation) -> None:
-        """Draw cameras that violate a constraint in another colour."""
+    def _colour_cameras(self, evaluation: Evaluation) -> None:
+        """Colour each camera; one that violates a constraint gets the colour of unseen points."""
         for number, name in enumerate(self.studio.state.names):
-            if name in self._cameras:
-                self._cameras[name][1].colour(
-                    rgb(MISSED) if evaluation.is_misplaced(name) else camera_rgb(number))
+            if name in self._camera_nodes:
+                self._camera_nodes[name][1].set_colour(
+                    texts.rgb(texts.UNSEEN_COLOUR) if evaluation.violates_constraint(name)
+                    else texts.camera_rgb(number))
 
     def _show_nearest(self, evaluation: Evaluation, camera: int) -> None:
-        """Show the nearest allowed pose of the selected camera if its own is not allowed."""
-        if self._ghost is not None:
-            self._ghost.remove()
-            self._ghost = None
-        broken = evaluation.is_misplaced(evaluation.state.names[camera])
-        near = self.studio.nearest_allowed(evaluation, camera) if broken else None
-        self.panel.show_nearest(near, broken)
-        if near is not None:
-            self._ghost = CameraNode(self.server.scene, '/nearest', 'nearest allowed pose',
-                                     evaluation.problem.models[camera], near, rgb(PLAIN))
+        """Show the nearest allowed pose of a camera whose own pose is not allowed."""
+        if self._nearest_node is not None:
+            self._nearest_node.remove()
+            self._nearest_node = None
+        is_violating = evaluation.violates_constraint(evaluation.state.names[camera])
+        pose = self.studio.nearest_allowed(evaluation, camera) if is_violating else None
+        self.panel.show_nearest(pose, is_violating)
+        if pose is not None:
+            self._nearest_node = CameraNode(
+                self.server.scene, '/nearest', 'nearest allowed pose',
+                evaluation.problem.models[camera], pose, texts.rgb(texts.PLAIN_COLOUR))
 
-    def edit_rig(self, **parts: Any) -> None:
-        """Change keys of the rig, such as zones."""
+    def edit_rig(self, **new_values: Any) -> None:
+        """Change values of the rig by their keys, such as zones; this stops the task."""
         self.stop_task()
-        self.studio.set_rig(**parts)
+        self.studio.set_rig(**new_values)
 
     def start_task(self, work: Callable[[Task], Any], seconds: float) -> None:
-        """Start a task in the background; the one before is stopped."""
+        """Stop the present task, and start another one in the background; see :class:`.Task`."""
         self.stop_task()
         gesture = object()
-        self.task = Task(work, seconds, lambda news: self.do(lambda: self._take(news, gesture)))
+        self.task = Task(work, seconds, lambda progress: self.enqueue(
+            lambda: self._show_progress(progress, gesture)))
         self._task_gesture, self._task_state = gesture, self.studio.state
 
     def stop_task(self) -> None:
-        """Stop the task in the background."""
+        """Stop the task in the background, if there is one."""
         if self.task is not None:
             self.task.stop()
             self.task = None
 
-    def _take(self, news: Progress, gesture: object) -> None:
-        """Show the news of a task, unless it has been replaced or the placement was edited."""
+    def _show_progress(self, progress: Progress, gesture: object) -> None:
+        """Show a report of the present task; use its poses if nobody has edited the placement."""
         if self.task is None or gesture is not self._task_gesture:
             return
-        self.panel.show_progress(news)
-        if news.poses is not None and self.studio.state is self._task_state:
-            self.studio.change(self.studio.state.rig, news.poses, action=gesture)
+        self.panel.show_progress(progress)
+        if progress.poses is not None and self.studio.state is self._task_state:
+            self.studio.set_placement(self.studio.state.rig, progress.poses, action=gesture)
             self._task_state = self.studio.state
-        if news.over:
+        if progress.ended:
             self.task = None
 
     def compare(self, kept: Evaluation | None) -> None:
-        """Show another placement beside the present one; None to show it no more."""
-        for node in self._other:
+        """Show the evaluation of another placement beside the present one; None to end this."""
+        for node in self._comparison_nodes:
             node.remove()
-        self._other, self.kept = [], kept
+        self._comparison_nodes = []
+        self.kept_evaluation = kept
         if kept is None:
             return
-        shift = np.array([-self.studio.scene.size[0] - APART, 0.0, 0.0])
+        gap_m = 1.0
+        offset = np.array([-self.studio.scene.size[0] - gap_m, 0.0, 0.0])
         cloud = Cloud(self.server.scene, '/kept/room', self._points, self._normals,
-                      self._spacing, shift)
-        cloud.cut(self.panel.cut.value)
-        cloud.paint(colours_of(kept, self.panel.paint, 0))
-        self._other = [cloud]
+                      self._spacing, offset)
+        cloud.cut(self.panel.height_slider.value)
+        cloud.set_colours(texts.point_colours(kept, self.panel.colouring, 0))
+        self._comparison_nodes = [cloud]
         for number, (camera, pose) in enumerate(zip(kept.state.rig.cameras, kept.state.poses)):
-            self._other.append(CameraNode(
+            self._comparison_nodes.append(CameraNode(
                 self.server.scene, f'/kept/{camera.name}', f'A: {number + 1}', camera.model,
-                pose + np.concatenate([shift, np.zeros(3)]), camera_rgb(number)))
+                pose + np.concatenate([offset, np.zeros(3)]), texts.camera_rgb(number)))
 
-    def cut(self, height: float) -> None:
+    def cut_room(self, height: float) -> None:
         """Show the room up to a height, metres."""
-        for node in (self.cloud, self.surfaces, *self._other):
+        for node in (self.cloud, self.surfaces, *self._comparison_nodes):
             if isinstance(node, (Cloud, Surfaces)):
                 node.cut(height)
 
-    def show_room(self, shown: str) -> None:
-        """Show the room in one of the ways of :data:`ocp_ros.studio.texts.ROOMS`."""
-        self.cloud.show(shown != MESH)
+    def show_room(self, room_view: str) -> None:
+        """Show the points or the mesh of the room, or both; one of :data:`.texts.ROOM_VIEWS`."""
+        self.cloud.show(room_view != texts.MESH)
         if self.surfaces is not None:
-            self.surfaces.show(shown in (BOTH, MESH))
+            self.surfaces.show(room_view in (texts.POINTS_AND_MESH, texts.MESH))
 
 
-def _exchange(shown: dict[str, tuple[tuple[Any, ...], Any]], wanted: dict[str, Any],
-              make: Callable[..., Any]) -> None:
-    """Remove nodes that are not wanted or have changed, and make those that are missing."""
-    for name in list(shown):
-        if name not in wanted or wanted[name][0] != shown[name][0]:
-            shown.pop(name)[1].remove()
-    for name, (key, parts) in wanted.items():
-        if name not in shown:
-            shown[name] = key, make(name, *parts)
+def _update_nodes(nodes: dict[str, tuple[Any, Any]],
+                  wanted: dict[str, tuple[Any, Callable[[], Any]]]) -> None:
+    """
+    Remove nodes that are not wanted or show old values, and make those that are missing.
+
+    :param nodes: shown values and node, by the name of the node; this function changes it.
+    :param wanted: values to show and a function that makes the node, by the name of the node.
+    """
+    for name in list(nodes):
+        if name not in wanted or wanted[name][0] != nodes[name][0]:
+            nodes.pop(name)[1].remove()
+    for name, (values, make_node) in wanted.items():
+        if name not in nodes:
+            nodes[name] = values, make_node()

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The panel beside the room: numbers, and what people click and type."""
+"""The panel beside the room: figures, and fields and buttons for people."""
 
 from collections.abc import Callable
 from functools import partial
@@ -21,430 +21,441 @@ from typing import Any, TYPE_CHECKING
 import numpy as np
 from ocp_ros.rig.rig_config import KINDS as SENSORS
 from ocp_ros.search.proof.certificate import Certificate
-from ocp_ros.studio import texts
-from ocp_ros.studio.depth_image import NOTHING
+from ocp_ros.studio import texts, zone_edits
+from ocp_ros.studio.depth_image import NO_DEPTH_COLOUR
 from ocp_ros.studio.model import Evaluation
 from ocp_ros.studio.state import State
-from ocp_ros.studio.tasks import best_addition, least_useful, Progress, searched, Task, Work
-from ocp_ros.studio.zone_edits import (
-    box_of,
-    changed_entry,
-    entries_of,
-    Entry,
-    KEYS,
-    with_new,
-    without,
-)
+from ocp_ros.studio.tasks import addition_work, find_least_useful, Progress, search_work, Work
 from ocp_ros.util.settings import ConfigurationError
 import viser
 
 if TYPE_CHECKING:
     from ocp_ros.studio.page import Page
 
-#: Seconds of a search: default, least and largest.
-SECONDS = 20.0, 1.0, 3600.0
-#: Metres and degrees of one step of the number fields.
-METRES, DEGREES = 0.05, 1.0
+#: Least and largest duration of a task, seconds.
+MIN_SECONDS, MAX_SECONDS = 1.0, 3600.0
+#: Step of the number fields for lengths, metres.
+STEP_M = 0.05
 #: Choice of a list without entries.
-NONE = '-'
-MODIFIER = 'cmd/ctrl+alt'
+NO_CHOICE = '-'
 
 
 class Panel:
     """
-    The panel of the page; all clients share it.
+    The panel of the page; all clients (open browsers) share it.
 
-    :param page: applies what people do.
-    :param cut: height at which the room is cut off at first, metres, map frame.
-    :ivar camera: list of the cameras, whose value is the selected one.
-    :ivar cut: slider of that height.
-    :ivar picture: depth image of the selected camera.
+    :param page: runs the actions of people.
+    :param height: height up to which the room is shown at first, metres, map frame.
+    :ivar camera_list: list of the cameras, whose value is the name of the selected camera.
+    :ivar height_slider: slider of the height up to which the room is shown.
+    :ivar depth_picture: depth image of the selected camera.
     """
 
-    def __init__(self, page: 'Page', cut: float) -> None:
-        self.page, gui = page, page.server.gui
+    def __init__(self, page: 'Page', height: float) -> None:
+        self.page, self.studio = page, page.studio
+        #: Nearest allowed pose (6,) of the selected camera; None if it is not needed or unknown.
+        self._nearest_pose: np.ndarray | None = None
+        gui = page.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
-        gui.add_html(texts.RULES)
+        gui.add_html(texts.STYLE_RULES)
         self.summary = gui.add_html('')
-        self.said = gui.add_html('')
+        self.message = gui.add_html('')
         tabs = gui.add_tab_group()
-        with tabs.add_tab('Cameras'):
-            self._add_cameras(gui)
-        with tabs.add_tab('View'):
-            self._add_view(gui, cut)
-        with tabs.add_tab('Zones'):
-            self._add_zones(gui)
-        with tabs.add_tab('Plan'):
-            self._add_plan(gui)
-        with tabs.add_tab('Files'):
-            self._add_files(gui)
-        with tabs.add_tab('Numbers'):
-            self.numbers = gui.add_html('')
+        for label, add_fields in (
+                ('Cameras', self._add_camera_fields),
+                ('View', partial(self._add_view_fields, height=height)),
+                ('Zones', self._add_zone_fields), ('Plan', self._add_plan_fields),
+                ('Files', self._add_file_fields), ('Numbers', self._add_figures)):
+            with tabs.add_tab(label):
+                add_fields(gui)
         for label, key, action in (('Undo', 'z', self._undo), ('Redo', 'y', self._redo),
-                                   ('Lock or unlock the selected camera', 'l', self._turn_lock)):
-            command = gui.add_command(label, hotkey=key, modifier=MODIFIER)
-            command.on_trigger(lambda _, action=action: page.do(action))
+                                   ('Lock or unlock the selected camera', 'l', self._toggle_lock)):
+            command = gui.add_command(label, hotkey=key, modifier='cmd/ctrl+alt')
+            command.on_trigger(lambda _, action=action: page.enqueue(action))
 
-    def _add_cameras(self, gui: viser.GuiApi) -> None:
+    def _add_camera_fields(self, gui: viser.GuiApi) -> None:
         """Add the fields of the selected camera."""
-        self.camera = gui.add_dropdown('Camera', (NONE,))
-        self.sensor = gui.add_dropdown('Sensor', SENSORS)
-        self.position = gui.add_vector3('x, y, z (m)', (0.0, 0.0, 0.0), step=METRES)
-        self.heading = gui.add_vector3('yaw, pitch, roll (degrees)', (0.0, 0.0, 0.0),
-                                       step=DEGREES)
-        self.locked = gui.add_checkbox('Locked', False)
-        self.edit = gui.add_button_group('Edit', ('Add', 'Copy', 'Remove'))
-        self.steps = gui.add_button_group('Steps', ('Undo', 'Redo'))
-        self.nearest = gui.add_button('Move to the nearest allowed pose', visible=False)
-        self.picture = gui.add_image(np.full((2, 2, 3), NOTHING), label='What it sees (depth)')
-        self._on(self.camera, lambda _: None)
-        self._on(self.sensor, self._set_sensor)
-        self._on(self.position, lambda _: self._type_pose())
-        self._on(self.heading, lambda _: self._type_pose())
-        self._on(self.locked, lambda value: self._camera_edit(
-            lambda camera: self.page.studio.set_locked(camera, bool(value))))
-        edits = {'Add': self._add, 'Copy': self._copy,
-                 'Remove': lambda: self._camera_edit(self.page.studio.remove)}
-        self._on(self.edit, lambda value: edits[value]())
-        self._on(self.steps, lambda value: {'Undo': self._undo, 'Redo': self._redo}[value]())
-        self._on(self.nearest, lambda _: self._go_nearest())
+        self.camera_list = gui.add_dropdown('Camera', (NO_CHOICE,))
+        self.sensor_list = gui.add_dropdown('Sensor', SENSORS)
+        self.position = gui.add_vector3('x, y, z (m)', (0.0, 0.0, 0.0), step=STEP_M)
+        self.angles = gui.add_vector3('yaw, pitch, roll (degrees)', (0.0, 0.0, 0.0), step=1.0)
+        self.locked_box = gui.add_checkbox('Locked', initial_value=False)
+        self.edit_buttons = self._add_buttons(gui, 'Edit', {
+            'Add': self._add_camera, 'Copy': self._copy_camera, 'Remove': self._remove_camera})
+        self.step_buttons = self._add_buttons(
+            gui, 'Steps', {'Undo': self._undo, 'Redo': self._redo})
+        self.nearest_button = gui.add_button('Move to the nearest allowed pose', visible=False)
+        self.depth_picture = gui.add_image(np.full((2, 2, 3), NO_DEPTH_COLOUR),
+                                           label='What it sees (depth)')
+        self._connect(self.camera_list, lambda _: None)
+        self._connect(self.sensor_list, self._set_sensor)
+        self._connect(self.position, self._set_typed_pose)
+        self._connect(self.angles, self._set_typed_pose)
+        self._connect(self.locked_box, self._set_locked)
+        self._connect(self.nearest_button, self._move_to_nearest)
 
-    def _add_view(self, gui: viser.GuiApi, cut: float) -> None:
-        """Add the colours, the cut-away height and the comparison."""
-        page, (low, high) = self.page, self.page.studio.scene.bounds[:, 2].tolist()
-        self.colours = gui.add_dropdown('Colours', texts.PAINTS)
+    def _add_view_fields(self, gui: viser.GuiApi, height: float) -> None:
+        """Add the colours, the height up to which the room is shown, and the comparison."""
+        scene = self.studio.scene
+        low, high = scene.bounds[:, 2].tolist()
+        self.colouring_list = gui.add_dropdown('Colours', texts.COLOURINGS)
         self.legend = gui.add_html(texts.legend(texts.BY_COUNT))
-        self.room = gui.add_dropdown('Room', texts.ROOMS, visible=page.surfaces is not None)
-        self.cut = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1), 0.05,
-                                  round(cut, 1))
-        self.compare = gui.add_button_group('Compare', ('Keep as A', 'Go to A', 'Stop'))
-        self._on(self.colours, lambda _: self._set_colours())
-        self._on(self.room, page.show_room)
-        self._on(self.cut, lambda value: page.cut(float(value)))
-        actions: dict[str, Callable[[], None]] = {
-            'Keep as A': lambda: page.compare(page.evaluation), 'Go to A': self._go_to_kept,
-            'Stop': lambda: page.compare(None)}
-        self._on(self.compare, lambda value: actions[value]())
+        self.room_list = gui.add_dropdown('Room', texts.ROOM_VIEWS, visible=scene.mesh is not None)
+        self.height_slider = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1),
+                                            STEP_M, round(height, 1))
+        self.compare_buttons = self._add_buttons(gui, 'Compare', {
+            'Keep as A': lambda: self.page.compare(self.page.evaluation),
+            'Go to A': self._restore_kept, 'Stop': lambda: self.page.compare(None)})
+        self._connect(self.colouring_list, self._set_colours)
+        self._connect(self.room_list, self.page.show_room)
+        self._connect(self.height_slider, lambda value: self.page.cut_room(float(value)))
 
-    def _add_zones(self, gui: viser.GuiApi) -> None:
-        """Add the list of zones and the fields of the selected one."""
-        self.zone = gui.add_dropdown('Zone', (NONE,))
-        self.low = gui.add_vector3('Lowest corner (m)', (0.0, 0.0, 0.0), step=METRES)
-        self.high = gui.add_vector3('Highest corner (m)', (0.0, 0.0, 0.0), step=METRES)
+    def _add_zone_fields(self, gui: viser.GuiApi) -> None:
+        """Add the list of zones and the fields of the selected zone."""
+        self.zone_list = gui.add_dropdown('Zone', (NO_CHOICE,))
+        self.low_corner = gui.add_vector3('Lowest corner (m)', (0.0, 0.0, 0.0), step=STEP_M)
+        self.high_corner = gui.add_vector3('Highest corner (m)', (0.0, 0.0, 0.0), step=STEP_M)
         self.zone_name = gui.add_text('Name', '')
         self.weight = gui.add_number('Weight', 1.0, min=0.0, max=1000.0, step=0.5)
-        self.must_see = gui.add_number('Share that must be seen', 0.0, min=0.0, max=1.0,
-                                       step=0.05)
-        self.new_zone = gui.add_button_group('Add', tuple(KEYS))
-        self.no_zone = gui.add_button('Remove this zone')
-        self._on(self.zone, lambda _: self._show_zone())
-        for field in (self.low, self.high):
-            self._on(field, lambda _: self._edit_zone(box=box_of(self.low.value,
-                                                                 self.high.value)))
-        self._on(self.zone_name, lambda value: self._edit_region(name=value))
-        self._on(self.weight, lambda value: self._edit_region(weight=float(value)))
-        self._on(self.must_see, lambda value: self._edit_region(
+        self.must_see = gui.add_number('Share that must be seen', 0.0, min=0.0, max=1.0, step=0.05)
+        self.new_zone_buttons = gui.add_button_group('Add', tuple(zone_edits.KEYS))
+        self.remove_zone_button = gui.add_button('Remove this zone')
+        self._connect(self.zone_list, lambda _: self._show_zone())
+        for corner in (self.low_corner, self.high_corner):
+            self._connect(corner, lambda _: self._edit_zone(
+                box=zone_edits.box_data(self.low_corner.value, self.high_corner.value)))
+        self._connect(self.zone_name, lambda value: self._edit_region(name=value))
+        self._connect(self.weight, lambda value: self._edit_region(weight=float(value)))
+        self._connect(self.must_see, lambda value: self._edit_region(
             must_see=float(value) if value else None))
-        self._on(self.new_zone, self._add_zone)
-        self._on(self.no_zone, lambda _: self._remove_zone())
+        self._connect(self.new_zone_buttons, self._add_zone)
+        self._connect(self.remove_zone_button, self._remove_zone)
 
-    def _add_plan(self, gui: viser.GuiApi) -> None:
-        """Add the buttons of the planners."""
-        default, least, most = SECONDS
-        self.seconds = gui.add_number('Seconds', default, min=least, max=most, step=1.0)
-        actions = {'Plan all': lambda: self._search(False),
-                   'Improve from here': lambda: self._search(True),
-                   'Best additional camera': self._search_addition,
-                   'Which camera to leave out': self._leave_out}
-        self.planners = {}
-        for label, action in actions.items():
-            self.planners[label] = gui.add_button(label)
-            self._on(self.planners[label], lambda _, action=action: action())
-        self.progress = gui.add_progress_bar(0.0, visible=False)
-        self.stop = gui.add_button('Stop', visible=False)
-        self.stop.on_click(lambda _: self._stop())
-        self._told = self.task_said = gui.add_html('')
+    def _add_plan_fields(self, gui: viser.GuiApi) -> None:
+        """Add the buttons that start and stop searches, and their progress."""
+        self.seconds = gui.add_number('Seconds', 20.0, min=MIN_SECONDS, max=MAX_SECONDS, step=1.0)
+        actions: dict[str, Callable[[Any], None]] = {
+            'Plan all': lambda _: self._search(from_here=False),
+            'Improve from here': lambda _: self._search(from_here=True),
+            'Best additional camera': self._search_addition,
+            'Which camera to leave out': self._select_least_useful}
+        self.plan_buttons = {label: gui.add_button(label) for label in actions}
+        for label, button in self.plan_buttons.items():
+            self._connect(button, actions[label])
+        self.progress_bar = gui.add_progress_bar(0.0, visible=False)
+        self.stop_button = gui.add_button('Stop', visible=False)
+        self.stop_button.on_click(lambda _: self._stop_search())
+        self.search_message = gui.add_html('')
+        #: Where the messages of the present task are shown.
+        self._task_message = self.search_message
 
-    def _add_files(self, gui: viser.GuiApi) -> None:
-        """Add what saves, loads and exports."""
-        self.name = gui.add_text('Name', 'placement')
-        self.save = gui.add_button_group('Save', ('Placement', 'Rig'))
-        self.export = gui.add_button('Export as ocp plan does')
-        self.file = gui.add_dropdown('File', (NONE,))
-        self.load = gui.add_button('Load')
-        self.file_said = gui.add_html('')
+    def _add_file_fields(self, gui: viser.GuiApi) -> None:
+        """Add the fields and buttons that save, export and load."""
+        self.file_name = gui.add_text('Name', 'placement')
+        self.save_buttons = gui.add_button_group('Save', ('Placement', 'Rig'))
+        self.export_button = gui.add_button('Export as ocp plan does')
+        self.file_list = gui.add_dropdown('File', (NO_CHOICE,))
+        self.load_button = gui.add_button('Load')
+        self.file_message = gui.add_html('')
         self._list_files()
-        self._on(self.save, self._save)
-        self._on(self.export, lambda _: self._export())
-        self._on(self.load, lambda _: self._load())
+        self._connect(self.save_buttons, self._save)
+        self._connect(self.export_button, self._export)
+        self._connect(self.load_button, self._load)
 
-    def _on(self, handle: Any, action: Callable[[Any], None]) -> None:
-        """Apply an action with the value of a field when a person changes it."""
-        def changed(event: viser.GuiEvent) -> None:
+    def _add_figures(self, gui: viser.GuiApi) -> None:
+        """Add all figures of the placement."""
+        self.figures = gui.add_html('')
+
+    def _add_buttons(self, gui: viser.GuiApi, label: str, actions: dict[str, Callable[[], None]]
+                     ) -> viser.GuiButtonGroupHandle:
+        """Add a button for each action, and return the group of these buttons."""
+        group = gui.add_button_group(label, tuple(actions))
+        self._connect(group, lambda button: actions[button]())
+        return group
+
+    def _connect(self, field: Any, action: Callable[[Any], None]) -> None:
+        """Call an action with the value of a field or button when a person changes or clicks."""
+        def run(value: Any) -> None:
+            self.show_message('')
+            action(value)
+
+        def enqueue_action(event: viser.GuiEvent) -> None:
             # Without a client, the program itself has changed the value.
             if event.client is not None:
-                value = event.target.value
-                self.page.do(lambda: self._acted(action, value))
-        (handle.on_click if hasattr(handle, 'on_click') else handle.on_update)(changed)
+                self.page.enqueue(partial(run, event.target.value))
+        (field.on_click if hasattr(field, 'on_click') else field.on_update)(enqueue_action)
 
-    def _acted(self, action: Callable[[Any], None], value: Any) -> None:
-        """Apply an action, and forget the last message and the details that it has changed."""
-        self.say('')
-        action(value)
-
-    def say(self, text: str) -> None:
-        """Show a message at the top of the panel."""
-        self.said.content = texts.message(text)
+    def show_message(self, text: str) -> None:
+        """Show a message at the top of the panel; an empty one removes the last message."""
+        self.message.content = texts.message(text)
 
     @property
-    def paint(self) -> str:
-        """Return the chosen way to colour the points."""
-        value = self.colours.value
-        return value if value in texts.PAINTS else texts.BY_COUNT
+    def colouring(self) -> str:
+        """Return the chosen colouring of the points, one of :data:`.texts.COLOURINGS`."""
+        value = self.colouring_list.value
+        return value if value in texts.COLOURINGS else texts.BY_COUNT
 
-    def select(self, name: str) -> None:
-        """Select a camera."""
-        if name in self.camera.options:
-            self.camera.value = name
-        self.page.paint()
+    def select_camera(self, name: str) -> None:
+        """Select the camera with this name."""
+        if name in self.camera_list.options:
+            self.camera_list.value = name
+        self.page.colour_points()
 
     def show_summary(self, evaluation: Evaluation) -> None:
-        """Show the most important figures."""
+        """Show the most important figures of a placement."""
         self.summary.content = texts.summary(evaluation)
 
-    def show_numbers(self, evaluation: Evaluation, certificate: Certificate | None,
+    def show_figures(self, evaluation: Evaluation, certificate: Certificate | None,
                      kept: Evaluation | None) -> None:
-        """Show all figures; see :func:`ocp_ros.studio.texts.numbers`."""
-        self.numbers.content = texts.numbers(evaluation, certificate, kept)
+        """Show all figures of a placement; see :func:`.texts.all_figures`."""
+        self.figures.content = texts.all_figures(evaluation, certificate, kept)
 
     def show_details(self, state: State, camera: int) -> None:
-        """Show the pose of the selected camera in its fields."""
-        pose, chosen = state.poses[camera], state.rig.cameras[camera]
+        """Show the values of a camera in its fields."""
+        pose, rig_camera = state.poses[camera], state.rig.cameras[camera]
         self.position.value = tuple(pose[:3].round(4).tolist())
-        self.heading.value = tuple(np.rad2deg(pose[3:]).round(3).tolist())
-        self.locked.value = chosen.name in state.locked
-        if chosen.sensor in SENSORS:
-            self.sensor.value = chosen.sensor
-        if self.paint == texts.BY_CAMERA:
-            self.page.paint()
+        self.angles.value = tuple(np.rad2deg(pose[3:]).round(3).tolist())
+        self.locked_box.value = rig_camera.name in state.locked
+        if rig_camera.sensor in SENSORS:
+            self.sensor_list.value = rig_camera.sensor
+        if self.colouring == texts.BY_CAMERA:
+            self.page.colour_points()
 
-    def show_nearest(self, pose: np.ndarray | None, broken: bool) -> None:
-        """Offer the nearest allowed pose of the selected camera; None if there is none."""
-        self.nearest.visible = pose is not None
-        self._near = pose
-        if broken and pose is None:
-            self.say('found no allowed pose of this camera in the room; expected one at least; '
-                     'change the mount, keep_clear or the zones of the rig')
+    def show_nearest(self, pose: np.ndarray | None, is_violating: bool) -> None:
+        """
+        Offer the nearest allowed pose of the selected camera.
+
+        :param pose: (6,) metres, map frame, and radians; None if there is none to offer.
+        :param is_violating: whether the present pose of the camera violates a constraint.
+        """
+        self.nearest_button.visible = pose is not None
+        self._nearest_pose = pose
+        if is_violating and pose is None:
+            self.show_message(
+                'found no allowed pose of this camera in the room; expected one at least; '
+                'change the mount, keep_clear or the zones of the rig')
 
     def show_rig(self, state: State) -> None:
         """Show the cameras and zones of the rig in the lists."""
-        _choose_from(self.camera, state.names)
-        _choose_from(self.zone, [entry.label for entry in entries_of(state.rig)] or [NONE])
+        _set_choices(self.camera_list, state.names)
+        _set_choices(self.zone_list, [entry.label for entry in zone_edits.entries_of(state.rig)]
+                     or [NO_CHOICE])
         self._show_zone()
 
-    def show_progress(self, news: Progress) -> None:
-        """Show the news of a task."""
-        self.progress.value = 100.0 * min(news.share, 1.0)
-        self.progress.visible = self.stop.visible = not news.over
-        if news.said:
-            self._told.content = texts.message(news.said)
+    def show_progress(self, progress: Progress) -> None:
+        """Show a report of the present task."""
+        self.progress_bar.value = 100.0 * min(progress.share, 1.0)
+        self.progress_bar.visible = self.stop_button.visible = not progress.ended
+        if progress.message:
+            self._task_message.content = texts.message(progress.message)
 
-    def _start(self, work: Work, seconds: float, said: str, told: viser.GuiHtmlHandle) -> None:
-        """Start a task whose news are told in a part of the panel."""
+    def _start_task(self, work: Work, seconds: float, message: str, field: viser.GuiHtmlHandle
+                    ) -> None:
+        """Start a task; show a message, and all later ones of this task, in a field."""
         self.page.start_task(work, seconds)
-        self._told = told
-        self.show_progress(Progress(0.0, said))
+        self._task_message = field
+        self.show_progress(Progress(0.0, message))
 
-    def _camera_edit(self, edit: Callable[[int], Any]) -> None:
-        """Edit the selected camera."""
+    def _edit_camera(self, edit: Callable[..., Any], *values: Any) -> None:
+        """Stop the task; call a function with the number of the selected camera and the values."""
         self.page.stop_task()
-        edit(self.page.selected)
+        edit(self.page.selected_camera, *values)
 
     def _set_sensor(self, sensor: str) -> None:
         """Give the selected camera another sensor."""
-        self._camera_edit(lambda camera: self.page.studio.set_sensor(camera, sensor))
+        self._edit_camera(self.studio.set_sensor, sensor)
 
-    def _type_pose(self) -> None:
+    def _set_locked(self, locked: Any) -> None:
+        """Lock the selected camera, or unlock it."""
+        self._edit_camera(self.studio.set_locked, bool(locked))
+
+    def _toggle_lock(self) -> None:
+        """Lock the selected camera if it is not locked, otherwise unlock it."""
+        state = self.studio.state
+        self._set_locked(state.names[self.page.selected_camera] not in state.locked)
+
+    def _set_typed_pose(self, _: Any) -> None:
         """Move the selected camera to the pose in the fields."""
-        pose = np.concatenate([self.position.value, np.deg2rad(self.heading.value)])
-        camera = self.page.selected
-        if not np.allclose(pose, self.page.studio.state.poses[camera], atol=1e-9):
-            self._camera_edit(lambda camera: self.page.studio.move(camera, pose))
+        pose = np.concatenate([self.position.value, np.deg2rad(self.angles.value)])
+        if not np.allclose(pose, self.studio.state.poses[self.page.selected_camera], atol=1e-9):
+            self._edit_camera(self.studio.move_camera, pose)
 
-    def _add(self) -> None:
+    def _move_to_nearest(self, _: Any) -> None:
+        """Move the selected camera to the nearest allowed pose."""
+        if self._nearest_pose is not None:
+            self._edit_camera(self.studio.move_camera, self._nearest_pose)
+
+    def _add_camera(self) -> None:
         """Add a camera with the sensor of the field, and select it."""
-        self._new_camera(self.sensor.value)
+        self._add_and_select(self.sensor_list.value)
 
-    def _copy(self) -> None:
-        """Add a camera like the selected one beside it, and select the new one."""
-        state, camera = self.page.studio.state, self.page.selected
+    def _copy_camera(self) -> None:
+        """Add a camera like the selected one, half a metre beside it, and select the new one."""
+        state, camera = self.studio.state, self.page.selected_camera
         pose = state.poses[camera] + np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
-        self._new_camera(state.names[camera], pose)
+        self._add_and_select(state.names[camera], pose)
 
-    def _new_camera(self, sensor: str, pose: np.ndarray | None = None) -> None:
-        """Add a camera, and select it."""
+    def _add_and_select(self, sensor: str, pose: np.ndarray | None = None) -> None:
+        """Add a camera, and select it; see :meth:`.Studio.add_camera`."""
         self.page.stop_task()
-        camera = self.page.studio.add(sensor, pose)
-        names = self.page.studio.state.names
-        _choose_from(self.camera, names)
-        self.camera.value = names[camera]
+        camera = self.studio.add_camera(sensor, pose)
+        names = self.studio.state.names
+        _set_choices(self.camera_list, names)
+        self.camera_list.value = names[camera]
+
+    def _remove_camera(self) -> None:
+        """Remove the selected camera."""
+        self._edit_camera(self.studio.remove_camera)
 
     def _undo(self) -> None:
-        """Go one step back."""
+        """Go back to the previous placement."""
         self.page.stop_task()
-        if not self.page.studio.history.undo():
-            self.say('nothing to undo')
+        if not self.studio.history.undo():
+            self.show_message('nothing to undo')
 
     def _redo(self) -> None:
-        """Go one step forward."""
+        """Go to the placement that was undone last."""
         self.page.stop_task()
-        if not self.page.studio.history.redo():
-            self.say('nothing to redo')
+        if not self.studio.history.redo():
+            self.show_message('nothing to redo')
 
-    def _turn_lock(self) -> None:
-        """Lock the selected camera, or unlock it."""
-        state = self.page.studio.state
-        self._camera_edit(lambda camera: self.page.studio.set_locked(
-            camera, state.names[camera] not in state.locked))
+    def _set_colours(self, _: Any) -> None:
+        """Colour the points as chosen, and show the legend."""
+        self.legend.content = texts.legend(self.colouring)
+        self.page.colour_points()
+        if self.page.kept_evaluation is not None:
+            self.page.compare(self.page.kept_evaluation)
 
-    def _go_nearest(self) -> None:
-        """Move the selected camera to the nearest allowed pose."""
-        if (pose := self._near) is not None:
-            self._camera_edit(lambda camera: self.page.studio.move(camera, pose))
-
-    def _set_colours(self) -> None:
-        """Colour the points in another way."""
-        self.legend.content = texts.legend(self.paint)
-        self.page.paint()
-        if self.page.kept is not None:
-            self.page.compare(self.page.kept)
-
-    def _go_to_kept(self) -> None:
-        """Continue with the kept placement."""
-        if self.page.kept is not None:
-            state = self.page.kept.state
+    def _restore_kept(self) -> None:
+        """Make the kept placement the present one."""
+        if self.page.kept_evaluation is not None:
+            state = self.page.kept_evaluation.state
             self.page.stop_task()
-            self.page.studio.change(state.rig, state.poses, state.locked)
+            self.studio.set_placement(state.rig, state.poses, state.locked)
 
     @property
-    def _entry(self) -> Entry | None:
+    def _selected_entry(self) -> zone_edits.Entry | None:
         """Return the selected zone."""
-        return next((entry for entry in entries_of(self.page.studio.state.rig)
-                     if entry.label == self.zone.value), None)
+        return next((entry for entry in zone_edits.entries_of(self.studio.state.rig)
+                     if entry.label == self.zone_list.value), None)
 
     def _show_zone(self) -> None:
-        """Show the numbers of the selected zone in the fields."""
-        entry = self._entry
-        region = entry is not None and entry.key == 'regions'
-        self.low.visible = self.high.visible = entry is not None and entry.is_box
-        self.zone_name.visible = self.weight.visible = self.must_see.visible = region
-        self.no_zone.visible = entry is not None
-        if entry is not None and entry.is_box:
-            self.low.value, self.high.value = map(tuple, box_of(*entry.data['box']))
-        if region:
-            chosen = self.page.studio.state.rig.regions[entry.number]
+        """Show the values of the selected zone in the fields, and hide all other fields."""
+        entry = self._selected_entry
+        is_box = entry is not None and entry.is_box
+        is_region = entry is not None and entry.key == 'regions'
+        self.low_corner.visible = self.high_corner.visible = is_box
+        self.zone_name.visible = self.weight.visible = self.must_see.visible = is_region
+        self.remove_zone_button.visible = entry is not None
+        if is_box:
+            low, high = zone_edits.box_data(*entry.data['box'])
+            self.low_corner.value, self.high_corner.value = tuple(low), tuple(high)
+        if is_region:
+            region = self.studio.state.rig.regions[entry.number]
             self.zone_name.value = entry.data['name']
-            self.weight.value, self.must_see.value = chosen.weight, chosen.must_see
+            self.weight.value, self.must_see.value = region.weight, region.must_see
 
-    def _edit_zone(self, **parts: Any) -> None:
-        """Change values of the selected zone, and select it again under its new name."""
-        if (entry := self._entry) is not None:
-            rig = self.page.studio.state.rig
-            self.page.edit_rig(**changed_entry(rig, entry, **parts))
+    def _edit_zone(self, **new_values: Any) -> None:
+        """Change values of the selected zone, and select it again, since its name may be new."""
+        if (entry := self._selected_entry) is not None:
+            self.page.edit_rig(
+                **zone_edits.changed_entry(self.studio.state.rig, entry, **new_values))
             self._select_zone(entry.key, entry.number)
 
-    def _edit_region(self, **parts: Any) -> None:
+    def _edit_region(self, **new_values: Any) -> None:
         """Change values of the selected zone if it is a region."""
-        if self._entry is not None and self._entry.key == 'regions':
-            self._edit_zone(**parts)
+        entry = self._selected_entry
+        if entry is not None and entry.key == 'regions':
+            self._edit_zone(**new_values)
 
     def _add_zone(self, kind: str) -> None:
-        """Add a box in the middle of the room, and select it."""
-        key, studio = KEYS[kind], self.page.studio
+        """Add a box in the middle of the room, and select it; one of :data:`.zone_edits.KEYS`."""
+        key, studio = zone_edits.KEYS[kind], self.studio
         floor = self.page.evaluation.problem.region.floor
-        self.page.edit_rig(**with_new(studio.state.rig, key, studio.scene, floor))
+        self.page.edit_rig(**zone_edits.added_box(studio.state.rig, key, studio.scene, floor))
         self._select_zone(key, len(studio.state.rig.document.data[key]) - 1)
 
-    def _remove_zone(self) -> None:
+    def _remove_zone(self, _: Any) -> None:
         """Remove the selected zone."""
-        if (entry := self._entry) is not None:
-            self.page.edit_rig(**without(self.page.studio.state.rig, entry))
+        if (entry := self._selected_entry) is not None:
+            self.page.edit_rig(**zone_edits.removed_entry(self.studio.state.rig, entry))
 
     def _select_zone(self, key: str, number: int) -> None:
-        """Select a zone."""
-        entries = list(entries_of(self.page.studio.state.rig))
-        _choose_from(self.zone, [entry.label for entry in entries])
-        self.zone.value = next(entry.label for entry in entries
-                               if (entry.key, entry.number) == (key, number))
+        """Select the zone with this key of a list and this index in the list."""
+        entries = list(zone_edits.entries_of(self.studio.state.rig))
+        _set_choices(self.zone_list, [entry.label for entry in entries])
+        self.zone_list.value = next(entry.label for entry in entries
+                                    if (entry.key, entry.number) == (key, number))
         self._show_zone()
 
     def _search(self, from_here: bool) -> None:
-        """Search for better poses."""
-        seconds = float(np.clip(float(self.seconds.value), *SECONDS[1:]))
-        studio = self.page.studio
-        self._start(searched(studio, studio.state, from_here), seconds, 'searching',
-                    self.task_said)
+        """Search for better poses; ``from_here``: begin from the present placement."""
+        seconds = float(np.clip(float(self.seconds.value), MIN_SECONDS, MAX_SECONDS))
+        self._start_task(search_work(self.studio, self.studio.state, from_here), seconds,
+                         'searching', self.search_message)
 
-    def _stop(self) -> None:
+    def _stop_search(self) -> None:
         """Stop the task at its next step; what it has found stays."""
         task = self.page.task
         if task is not None:
             task.stop()
 
-    def _search_addition(self) -> None:
-        """Search for the best pose of one more camera, and add it."""
-        page = self.page
-        self._start(best_addition(page.evaluation, lambda sensor, pose: page.do(
-            partial(page.studio.add, sensor, pose))), SECONDS[2], 'searching', self.task_said)
+    def _search_addition(self, _: Any) -> None:
+        """Search for the best pose of one more camera, and add this camera."""
+        def add(name: str, pose: np.ndarray) -> None:
+            self.page.enqueue(partial(self.studio.add_camera, name, pose))
+        self._start_task(addition_work(self.page.evaluation, add), MAX_SECONDS, 'searching',
+                         self.search_message)
 
-    def _leave_out(self) -> None:
-        """Select the camera that can be left out best."""
+    def _select_least_useful(self, _: Any) -> None:
+        """Select the camera whose removal leaves the least objective value."""
         evaluation = self.page.evaluation
-        camera, loss = least_useful(evaluation)
+        camera, loss = find_least_useful(evaluation)
         name = evaluation.state.names[camera]
-        self.select(name)
-        self.task_said.content = texts.message(
+        self.select_camera(name)
+        self.search_message.content = texts.message(
             f'without {name} the objective value is {loss:.4f} in place of '
-            f'{evaluation.worth.loss:.4f}: the least loss of all cameras; it is selected')
+            f'{evaluation.rig_evaluation.loss:.4f}: the least loss of all cameras; it is selected')
 
     def _save(self, kind: str) -> None:
-        """Save the placement or the rig."""
-        studio, folder = self.page.studio, self.page.folder
-        path = (folder.save_placement(self.name.value, studio.placement(True))
-                if kind == 'Placement' else folder.save_rig(self.name.value, studio.state.rig))
+        """Save the placement or the rig: ``Placement`` or ``Rig``."""
+        folder, name = self.page.folder, self.file_name.value
+        path = (folder.save_placement(name, self.studio.placement(scored=True))
+                if kind == 'Placement' else folder.save_rig(name, self.studio.state.rig))
         self._list_files(path.name)
-        self.file_said.content = texts.message(f'wrote {path.name}')
+        self.file_message.content = texts.message(f'wrote {path.name}')
 
-    def _load(self) -> None:
+    def _load(self, _: Any) -> None:
         """Load the selected file."""
-        studio, name = self.page.studio, self.file.value
-        rig, poses = self.page.folder.load(name, studio.scene)
+        name = self.file_list.value
+        rig, poses = self.page.folder.load(name, self.studio.scene)
         self.page.stop_task()
-        studio.load(rig, poses)
-        self.name.value = name.rpartition('.')[0]
-        self.file_said.content = texts.message(f'loaded {name}')
+        self.studio.replace_rig(rig, poses)
+        self.file_name.value = name.rpartition('.')[0]
+        self.file_message.content = texts.message(f'loaded {name}')
 
-    def _export(self) -> None:
+    def _export(self, _: Any) -> None:
         """Write all files of the placement in the background."""
-        page, name, placement = self.page, self.name.value, self.page.studio.placement(True)
+        name, placement = self.file_name.value, self.studio.placement(scored=True)
 
-        def work(_: Task) -> Any:
-            files = page.folder.export(name, page.studio.scene, placement, page.studio.command)
+        def work(_: Any) -> Any:
+            files = self.page.folder.export(name, self.studio.scene, placement,
+                                            self.studio.command)
             yield Progress(1.0, f'wrote {len(files)} files to {name}: {", ".join(files)}')
-        self._start(work, SECONDS[2], 'writing all files', self.file_said)
+        self._start_task(work, MAX_SECONDS, 'writing all files', self.file_message)
 
-    def _list_files(self, chosen: str = '') -> None:
-        """Show the files of the folder in the list."""
-        _choose_from(self.file, self.page.folder.names() or [NONE])
-        if chosen:
-            self.file.value = chosen
+    def _list_files(self, selected_name: str = '') -> None:
+        """List the files of the folder, and select one by its name; empty to keep the choice."""
+        _set_choices(self.file_list, self.page.folder.file_names() or [NO_CHOICE])
+        if selected_name:
+            self.file_list.value = selected_name
 
 
-def _choose_from(dropdown: Any, options: list[str]) -> None:
-    """Offer other choices in a list; the chosen one stays if it is still there."""
-    if not options:
+def _set_choices(dropdown: Any, choices: list[str]) -> None:
+    """Set the choices of a list; the value stays if it is still a choice."""
+    if not choices:
         raise ConfigurationError('list: found no choice; expected one at least; add one')
-    if tuple(options) != tuple(dropdown.options):
-        before = dropdown.value
-        dropdown.options = options
-        dropdown.value = before if before in options else options[0]
+    if tuple(choices) != tuple(dropdown.options):
+        value = dropdown.value
+        dropdown.options = choices
+        dropdown.value = value if value in choices else choices[0]

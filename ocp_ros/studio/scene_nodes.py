@@ -23,18 +23,13 @@ from ocp_ros.scenes.scene import Mesh
 from scipy.spatial.transform import Rotation
 import viser
 
-#: Length of a drawn frustum and of its handles, and radius of a camera without an image plane,
-#: metres.
-FRUSTUM, HANDLE, BALL = 0.35, 0.6, 0.09
-#: Width of lines, metres, and size of a point in multiples of the median spacing.
-LINE, POINT = 0.012, 0.9
-#: Colour of the mesh: lighter than all colours of points.
-SURFACE = (236, 236, 230)
-#: Direction of the light that shades the points, and the darkest shade of 255.
-LIGHT, DARKEST = np.array([0.36, 0.48, 0.8]), 150
-#: Handles of cameras and zones: is called with the position (3,), metres, the rotation (3, 3), the
-#: phase ``start``, ``update`` or ``end``, and the number of the client.
-Dragged = Callable[[np.ndarray, np.ndarray, str, int], None]
+#: Width of lines, metres.
+LINE_WIDTH_M = 0.012
+#: Unit vector towards the light that shades the points.
+LIGHT_DIRECTION = np.array([0.36, 0.48, 0.8])
+#: Is called when a person drags the handles of a camera or a zone: with the position (3,), metres,
+#: the rotation (3, 3), the phase ``start``, ``update`` or ``end``, and the number of the client.
+DragCallback = Callable[[np.ndarray, np.ndarray, str, int], None]
 
 
 def wxyz_of(rotation: np.ndarray) -> np.ndarray:
@@ -43,36 +38,33 @@ def wxyz_of(rotation: np.ndarray) -> np.ndarray:
 
 
 def rotation_of(wxyz: np.ndarray) -> np.ndarray:
-    """Return a quaternion w, x, y, z as a rotation (3, 3); NaN if it is none."""
-    length = np.linalg.norm(wxyz)
-    if not 1e-6 < length < 1e6:
+    """Return the rotation (3, 3) of a quaternion w, x, y, z; NaN if its length cannot be used."""
+    if not 1e-6 < np.linalg.norm(wxyz) < 1e6:
         return np.full((3, 3), np.nan)
     return Rotation.from_quat(np.roll(wxyz, -1)).as_matrix()
 
 
-OPTICAL = wxyz_of(OPTICAL_TO_BODY)
-
-
 class Cloud:
     """
-    The points of the room, cut off at a height.
+    The points of the room up to a height.
 
     :param scene: of the page.
     :param name: of the node.
-    :param points: (N, 3) float32, metres.
+    :param points: (N, 3) float32, metres, map frame.
     :param normals: (N, 3) unit vectors, which shade the points.
     :param spacing: median distance of neighbouring points, metres.
-    :param shift: (3,) metres, by which the cloud is shown elsewhere.
+    :param offset: (3,) of the shown points from their positions, metres; None for no offset.
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, points: np.ndarray, normals: np.ndarray,
-                 spacing: float, shift: np.ndarray | None = None) -> None:
+                 spacing: float, offset: np.ndarray | None = None) -> None:
         self._scene, self._name, self._points = scene, name, points
-        self._size = POINT * spacing
-        # The normals have no sign.
-        self._shade = (DARKEST + (255 - DARKEST) * np.abs(normals @ LIGHT)).astype(np.uint16)
-        self._shift = np.zeros(3) if shift is None else shift
-        self._colours, self._visible = np.full(points.shape, 200, dtype=np.uint8), True
+        self._point_size = 0.9 * spacing
+        # From 150, dark, to 255; a normal may point to either side of its surface.
+        self._shades = (150 + 105 * np.abs(normals @ LIGHT_DIRECTION)).astype(np.uint16)
+        self._offset = np.zeros(3) if offset is None else offset
+        self._colours = np.full(points.shape, 200, dtype=np.uint8)
+        self._visible = True
         self.cut(np.inf)
 
     def show(self, visible: bool) -> None:
@@ -81,17 +73,17 @@ class Cloud:
 
     def cut(self, height: float) -> None:
         """Show only the points up to a height, metres."""
-        self._shown = np.flatnonzero(self._points[:, 2] <= height)
+        self._shown_indices = np.flatnonzero(self._points[:, 2] <= height)
         self._node = self._scene.add_point_cloud(
-            self._name, self._points[self._shown], self._colours[self._shown],
-            point_size=self._size, point_shape='circle', precision='float32',
-            point_shading='flat', position=self._shift, visible=self._visible)
+            self._name, self._points[self._shown_indices], self._colours[self._shown_indices],
+            point_size=self._point_size, point_shape='circle', precision='float32',
+            point_shading='flat', position=self._offset, visible=self._visible)
 
-    def paint(self, colours: np.ndarray) -> None:
-        """Colour the points: (N, 3) uint8; positions are not sent again."""
-        # In whole numbers, since people wait for it.
-        self._colours = (colours * self._shade[:, None] >> 8).astype(np.uint8)
-        self._node.colors = self._colours[self._shown]
+    def set_colours(self, colours: np.ndarray) -> None:
+        """Set the colours of all points, (N, 3) uint8; their positions are not sent again."""
+        # Integers are faster here, and people wait for the colours.
+        self._colours = (colours * self._shades[:, None] >> 8).astype(np.uint8)
+        self._node.colors = self._colours[self._shown_indices]
 
     def remove(self) -> None:
         """Remove the cloud from the page."""
@@ -100,14 +92,15 @@ class Cloud:
 
 class Surfaces:
     """
-    The mesh of the room, cut off at a height; hidden at first.
+    The mesh of the room up to a height; hidden at first.
 
     :param scene: of the page.
     :param mesh: of the room.
     """
 
     def __init__(self, scene: viser.SceneApi, mesh: Mesh) -> None:
-        self._scene, self._mesh, self._height = scene, mesh, np.inf
+        self._scene, self._mesh = scene, mesh
+        self._height = np.inf
         self._node: viser.MeshHandle | None = None
 
     def show(self, visible: bool) -> None:
@@ -115,8 +108,9 @@ class Surfaces:
         if self._node is not None:
             self._node.remove()
         self._node = self._scene.add_mesh_simple(
-            '/surfaces', *below(self._mesh, self._height), color=SURFACE, flat_shading=True,
-            side='double', cast_shadow=False, receive_shadow=False) if visible else None
+            '/surfaces', *mesh_below(self._mesh, self._height), color=(236, 236, 230),
+            flat_shading=True, side='double', cast_shadow=False, receive_shadow=False,
+        ) if visible else None
 
     def cut(self, height: float) -> None:
         """Show only the parts up to a height, metres."""
@@ -124,120 +118,141 @@ class Surfaces:
         self.show(self._node is not None)
 
 
-def below(mesh: Mesh, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the vertices (V, 3) and triangles (T, 3) of the parts of a mesh up to a height."""
+def mesh_below(mesh: Mesh, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Return the parts of a mesh up to a height; triangles at this height are cut.
+
+    :param height: metres, map frame.
+    :returns: V vertices (V, 3), metres, and the indices of the vertices of T triangles (T, 3).
+    """
     corners = mesh.corners
-    under = corners[:, :, 2] <= height
-    count, parts = under.sum(axis=1), []
-    for number, alone in ((1, under), (2, ~under)):
-        some = count == number
-        # The corner that is alone on its side comes first; the order around the triangle stays.
-        order = (np.argmax(alone[some], axis=1)[:, None] + np.arange(3)) % 3
-        a, b, c = np.take_along_axis(corners[some], order[..., None], axis=1).swapaxes(0, 1)
+    is_below = corners[:, :, 2] <= height
+    count_below = is_below.sum(axis=1)
+    triangles = []
+    for count, is_single in ((1, is_below), (2, ~is_below)):
+        chosen = count_below == count
+        # Corner a is the single one on its side of the cut; the order around the triangle stays.
+        order = (np.argmax(is_single[chosen], axis=1)[:, None] + np.arange(3)) % 3
+        a, b, c = np.take_along_axis(corners[chosen], order[..., None], axis=1).swapaxes(0, 1)
+        # The points at which the edges from a to b and from a to c are cut.
         ab, ac = (a + (height - a[:, 2:]) / (end - a)[:, 2:] * (end - a) for end in (b, c))
-        parts += [(a, ab, ac)] if number == 1 else [(ab, b, c), (ab, c, ac)]
-    cut = np.concatenate([np.stack(part, axis=1) for part in parts]).reshape(-1, 3)
-    new = len(mesh.vertices) + np.arange(len(cut)).reshape(-1, 3)
-    return (np.concatenate([mesh.vertices, cut]),
-            np.concatenate([mesh.triangles[count == 3], new]))
+        triangles += [(a, ab, ac)] if count == 1 else [(ab, b, c), (ab, c, ac)]
+    new_vertices = np.concatenate([np.stack(each, axis=1) for each in triangles]).reshape(-1, 3)
+    new_triangles = len(mesh.vertices) + np.arange(len(new_vertices)).reshape(-1, 3)
+    return (np.concatenate([mesh.vertices, new_vertices]),
+            np.concatenate([mesh.triangles[count_below == 3], new_triangles]))
 
 
 class CameraNode:
     """
-    A camera with handles to drag it, or without if it is locked.
+    A camera: the frustum of a pinhole camera, or a ball for any other camera.
 
     :param scene: of the page.
     :param name: of the node.
-    :param title: label.
-    :param model: its camera model.
+    :param title: label beside the camera.
+    :param model: of the camera.
     :param pose: (6,) metres, map frame, and radians.
-    :param colour: of its lines.
-    :param dragged: is called when a person drags it; None for a camera without handles.
-    :param clicked: is called when a person clicks on it.
+    :param colour: red, green and blue of its lines, from 0 to 255.
+    :param on_drag: is called when a person drags the camera; None for a camera without handles.
+    :param on_click: is called when a person clicks on the camera; None for no reaction.
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, title: str, model: CameraModel,
-                 pose: np.ndarray, colour: tuple[int, int, int], dragged: Dragged | None = None,
-                 clicked: Callable[[], None] | None = None) -> None:
-        if dragged is None:
-            self.node = scene.add_frame(name, show_axes=False)
-        else:
-            self.node = with_handles(scene, name, dragged)
+                 pose: np.ndarray, colour: tuple[int, int, int],
+                 on_drag: DragCallback | None = None,
+                 on_click: Callable[[], None] | None = None) -> None:
+        self.node = add_node(scene, name, on_drag)
         lens = model.lens
         if lens.kind == PINHOLE:
             self.body = scene.add_camera_frustum(
                 f'{name}/body', 2.0 * float(np.arctan(lens.half_vertical)),
-                lens.half_horizontal / lens.half_vertical, scale=FRUSTUM, thickness=LINE,
-                color=colour, wxyz=OPTICAL)
+                lens.half_horizontal / lens.half_vertical, scale=0.35, thickness=LINE_WIDTH_M,
+                color=colour, wxyz=wxyz_of(OPTICAL_TO_BODY))
         else:
-            self.body = scene.add_icosphere(f'{name}/body', BALL, colour)
-        self.label = scene.add_label(f'{name}/label', title, position=(0.0, 0.0, 0.12),
-                                     anchor='bottom-center')
-        if clicked is not None:
-            self.body.on_click(lambda _: clicked())
-        self.place(pose)
+            self.body = scene.add_icosphere(f'{name}/body', radius=0.09, color=colour)
+        scene.add_label(f'{name}/label', title, position=(0.0, 0.0, 0.12), anchor='bottom-center')
+        if on_click is not None:
+            self.body.on_click(lambda _: on_click())
+        self.set_pose(pose)
 
-    def place(self, pose: np.ndarray) -> None:
-        """Move it to a pose (6,), metres and radians."""
-        self.node.position, self.node.wxyz = pose[:3], wxyz_of(rotation_matrix(*pose[3:]))
+    def set_pose(self, pose: np.ndarray) -> None:
+        """Move the camera to a pose (6,), metres and radians."""
+        self.node.position = pose[:3]
+        self.node.wxyz = wxyz_of(rotation_matrix(*pose[3:]))
 
-    def colour(self, colour: tuple[int, int, int]) -> None:
-        """Change the colour of its lines."""
+    def set_colour(self, colour: tuple[int, int, int]) -> None:
+        """Set the red, green and blue of the camera's lines, from 0 to 255."""
         self.body.color = colour
 
     def remove(self) -> None:
-        """Remove it from the page."""
+        """Remove the camera from the page."""
         self.node.remove()
 
 
 class ZoneNode:
     """
-    The edges of a zone, with handles to drag a box.
+    The edges of a zone.
 
     :param scene: of the page.
     :param name: of the node.
     :param zone: the zone.
-    :param bounds: (2, 3) metres, lowest and highest corner that are shown.
+    :param bounds: (2, 3) metres, lowest and highest corner of the room. A zone without bounds is
+        shown up to 1 m outside the room.
     :param floor: height of the floor, metres.
-    :param colour: of its lines.
-    :param dragged: is called when a person drags it; None for a zone without handles.
+    :param colour: red, green and blue of its lines, from 0 to 255.
+    :param on_drag: is called when a person drags the zone; None for a zone without handles.
     """
 
     def __init__(self, scene: viser.SceneApi, name: str, zone: Zone, bounds: np.ndarray,
-                 floor: float, colour: tuple[int, int, int], dragged: Dragged | None) -> None:
+                 floor: float, colour: tuple[int, int, int], on_drag: DragCallback | None) -> None:
         low, high = zone.corners(floor)
         low, high = np.maximum(low, bounds[0] - 1.0), np.minimum(high, bounds[1] + 1.0)
-        middle = 0.5 * (low + high)
-        if dragged is None:
-            self.node = scene.add_frame(name, show_axes=False, position=middle)
-        else:
-            self.node = with_handles(scene, name, dragged, disable_rotations=True)
-            self.node.position = middle
-        corners = zone.polygon if zone.polygon is not None else np.array(
+        centre = 0.5 * (low + high)
+        self.node = add_node(scene, name, on_drag, disable_rotations=True)
+        self.node.position = centre
+        polygon = zone.polygon if zone.polygon is not None else np.array(
             [low[:2], [high[0], low[1]], high[:2], [low[0], high[1]]])
-        scene.add_line_segments(f'{name}/edges', edges_between(corners, low[2], high[2]) - middle,
-                                colour, thickness=LINE)
+        scene.add_line_segments(f'{name}/edges', prism_edges(polygon, low[2], high[2]) - centre,
+                                colour, thickness=LINE_WIDTH_M)
 
     def remove(self) -> None:
-        """Remove it from the page."""
+        """Remove the zone from the page."""
         self.node.remove()
 
 
-def edges_between(corners: np.ndarray, bottom: float, top: float) -> np.ndarray:
-    """Return the edges of a prism over a polygon (P, 2): (3 P, 2, 3) metres."""
-    rings = [np.column_stack([corners, np.full(len(corners), z)]) for z in (bottom, top)]
-    sides = [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in rings]
-    return np.concatenate([*sides, np.stack(rings, axis=1)])
+def prism_edges(polygon: np.ndarray, bottom: float, top: float) -> np.ndarray:
+    """
+    Return the edges of an upright prism.
+
+    :param polygon: (P, 2) x and y of the P corners of its base, metres.
+    :param bottom: height of its base, metres.
+    :param top: height of its top, metres.
+    :returns: (3 P, 2, 3) metres, both ends of each edge.
+    """
+    rings = [np.column_stack([polygon, np.full(len(polygon), z)]) for z in (bottom, top)]
+    ring_edges = [np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in rings]
+    return np.concatenate([*ring_edges, np.stack(rings, axis=1)])
 
 
-def with_handles(scene: viser.SceneApi, name: str, dragged: Dragged, **options: bool
-                 ) -> viser.TransformControlsHandle:
-    """Return a node with arrows and rings that a person can drag."""
-    node = scene.add_transform_controls(name, HANDLE, line_width=2.0, depth_test=False, **options)
+def add_node(scene: viser.SceneApi, name: str, on_drag: DragCallback | None,
+             disable_rotations: bool = False) -> viser.SceneNodeHandle:
+    """
+    Add a node, and return it.
+
+    :param scene: of the page.
+    :param name: of the node.
+    :param on_drag: is called when a person drags the arrows and rings of the node; None for a node
+        without them.
+    :param disable_rotations: whether to leave out the rings.
+    """
+    if on_drag is None:
+        return scene.add_frame(name, show_axes=False)
+    node = scene.add_transform_controls(name, scale=0.6, line_width=2.0, depth_test=False,
+                                        disable_rotations=disable_rotations)
 
     @node.on_update
     async def _(event: viser.TransformControlsEvent) -> None:
-        # Coroutines keep the order of the events.
-        dragged(np.array(event.target.position), rotation_of(event.target.wxyz), event.phase,
+        # A coroutine, since threads would not keep the order of the events.
+        on_drag(np.array(event.target.position), rotation_of(event.target.wxyz), event.phase,
                 event.client_id)
     return node

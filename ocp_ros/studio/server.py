@@ -16,8 +16,8 @@
 A viser server that only its own page can reach.
 
 viser listens on all interfaces, accepts websockets from pages of any origin, and can open a public
-tunnel. This server listens on one address, refuses other origins and host names, expects a token
-in the path of the URL unless the address is of this machine alone, and never opens the tunnel.
+tunnel. This server listens on one address, refuses other origins and host names, and never opens
+the tunnel. It expects a token in the path of the URL if other machines can reach its address.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,29 +31,25 @@ from threading import Lock
 from typing import Any
 from urllib.parse import urlsplit
 
-from ocp_ros.studio import LOCAL, PORT
+from ocp_ros.studio import FIRST_PORT, LOCAL_ADDRESS
 from ocp_ros.util.settings import ConfigurationError
 import viser
 import websockets.asyncio.server
 from websockets.http11 import Request, Response
 
-#: Names of this machine in URLs; another name may be of a page that rebinds its address.
-NAMES = (LOCAL, 'localhost', '[::1]')
-#: Other pages must neither show this one inside them nor learn its URL.
-HEADERS = {'X-Frame-Options': 'DENY', 'Referrer-Policy': 'no-referrer'}
-#: Bytes of a token.
-TOKEN = 24
-#: Number of ports that are tried.
-TRIED = 100
+#: Names of this machine in URLs. A web page under another name could point that name at this
+#: machine ("DNS rebinding") and reach the server so.
+LOCAL_HOST_NAMES = (LOCAL_ADDRESS, 'localhost', '[::1]')
 
-_starting = Lock()
+#: Held while viser starts a server, since ``serve`` is replaced during the start.
+_start_lock = Lock()
 
 
 class Gate:
     """
     Decide which requests reach the server.
 
-    :param token: first part of the path of every URL; empty for none.
+    :param token: first folder in the path of every URL; empty if none is expected.
     """
 
     def __init__(self, token: str) -> None:
@@ -61,39 +57,46 @@ class Gate:
 
     def refusal(self, request: Request) -> str:
         """
-        Return why a request is refused; empty if it is not.
+        Return why a request is refused; an empty string if it is not refused.
 
-        The token is removed from the path of a request that is not refused.
+        This also removes the token from the path of a request that has the right one.
         """
         host = request.headers.get('Host', '')
         if self.token:
             path, _, query = request.path.partition('?')
-            first, _, rest = path.lstrip('/').partition('/')
-            if not secrets.compare_digest(first.encode(), self.token.encode()):
+            token, _, inner_path = path.lstrip('/').partition('/')
+            if not secrets.compare_digest(token.encode(), self.token.encode()):
                 return 'found no token, or a wrong one; expected the URL that ocp has printed'
-            request.path = f'/{rest}' + (f'?{query}' if query else '')
-        elif host.rpartition(':')[0] not in NAMES:
-            return f'found the host {host!r}; expected one of {", ".join(NAMES)}'
+            request.path = f'/{inner_path}' + (f'?{query}' if query else '')
+        elif host.rpartition(':')[0] not in LOCAL_HOST_NAMES:
+            return f'found the host {host!r}; expected one of {", ".join(LOCAL_HOST_NAMES)}'
         if request.headers.get('Upgrade', '').lower() == 'websocket':
             origin = urlsplit(request.headers.get('Origin', ''))
             if origin.scheme not in ('http', 'https') or origin.netloc != host:
                 return 'found another origin; expected the page of this server'
         return ''
 
-    def guarded(self, process: Callable[..., Any]) -> Callable[..., Any]:
-        """Return a function for ``process_request`` that refuses requests before ``process``."""
-        def first(connection: Any, request: Request) -> Response | None:
+    def guarded(self, process_request: Callable[..., Any]) -> Callable[..., Any]:
+        """
+        Return a function that refuses requests, and passes all others to another function.
+
+        :param process_request: see :func:`websockets.asyncio.server.serve`. It returns a response,
+            or None to let a websocket open; so does the returned function.
+        """
+        def process_allowed(connection: Any, request: Request) -> Response | None:
             reason = self.refusal(request)
-            answer = (connection.respond(HTTPStatus.FORBIDDEN, f'ocp: {reason}\n') if reason
-                      else process(connection, request))
-            if answer is not None:
-                answer.headers.update(HEADERS)
-            return answer
-        return first
+            response = (connection.respond(HTTPStatus.FORBIDDEN, f'ocp: {reason}\n') if reason
+                        else process_request(connection, request))
+            if response is not None:
+                # Other pages must neither show this one inside them nor learn its URL.
+                response.headers.update({'X-Frame-Options': 'DENY',
+                                         'Referrer-Policy': 'no-referrer'})
+            return response
+        return process_allowed
 
 
 class LocalServer(viser.ViserServer):
-    """A viser server without the public tunnel, and silent."""
+    """A viser server that opens no public tunnel and prints nothing."""
 
     def stop(self) -> None:
         """End the server."""
@@ -101,7 +104,7 @@ class LocalServer(viser.ViserServer):
             super().stop()
 
     def request_share_url(self, verbose: bool = True) -> None:
-        """Refuse to open a tunnel, whoever asks."""
+        """Do nothing in place of opening a public tunnel."""
 
 
 def is_local(host: str) -> bool:
@@ -112,66 +115,69 @@ def is_local(host: str) -> bool:
         return host == 'localhost'
 
 
-def start_server(host: str = LOCAL, port: int = PORT, label: str = 'ocp studio'
+def start_server(host: str = LOCAL_ADDRESS, port: int = FIRST_PORT, label: str = 'ocp studio'
                  ) -> tuple[viser.ViserServer, str]:
     """
-    Start a server.
+    Start a server of a page.
 
     :param host: address of an interface of this machine.
-    :param port: first port to try; 0 for any free one.
+    :param port: first port to try; 0 for any free port.
     :param label: title of the page.
     :returns: the server, and the URL of its page.
-    :raises ConfigurationError: if it cannot listen there.
+    :raises ConfigurationError: if no server can listen at this address, or if the installed viser
+        does not start as expected.
     """
     port = _free_port(host, port)
-    gate = Gate('' if is_local(host) else secrets.token_urlsafe(TOKEN))
-    with _starting, _serving_behind(gate) as used, redirect_stdout(io.StringIO()):
+    gate = Gate('' if is_local(host) else secrets.token_urlsafe(nbytes=24))
+    with _start_lock, _serving_behind(gate) as guarded_calls, redirect_stdout(io.StringIO()):
         server = LocalServer(host, port, label=label, verbose=False)
-    if not used:
+    if not guarded_calls:
         server.stop()
         raise ConfigurationError('viser: found a version that starts another way; expected the '
                                  "one of ocp_ros's requirements; install ocp_ros[studio]")
-    shown = f'[{host}]' if ':' in host else host
+    url_host = f'[{host}]' if ':' in host else host
     if host in ('0.0.0.0', '::'):
-        shown = socket.gethostname()
+        url_host = socket.gethostname()
     path = f'{gate.token}/' if gate.token else ''
-    return server, f'http://{shown}:{server.get_port()}/{path}'
+    return server, f'http://{url_host}:{server.get_port()}/{path}'
 
 
 @contextmanager
 def _serving_behind(gate: Gate) -> Iterator[list[bool]]:
     """
-    Put a gate before the servers that start now; yield a list that is empty until one does.
+    Put a gate before the servers that start in this context.
 
-    viser has no option for this, so its call of ``serve`` is replaced.
+    viser has no option for this, so the function ``serve`` that it calls is replaced. The context
+    is a list, which has an item for each server that has started behind the gate.
     """
-    original, used = websockets.asyncio.server.serve, []
+    original_serve = websockets.asyncio.server.serve
+    guarded_calls: list[bool] = []
 
     def serve(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
-        used.append(True)
-        return original(*args, process_request=gate.guarded(process_request), **options)
+        guarded_calls.append(True)
+        return original_serve(*args, process_request=gate.guarded(process_request), **options)
 
     websockets.asyncio.server.serve = serve
     try:
-        yield used
+        yield guarded_calls
     finally:
-        websockets.asyncio.server.serve = original
+        websockets.asyncio.server.serve = original_serve
 
 
 def _free_port(host: str, port: int) -> int:
-    """Return the first free port; refuse an address that this machine does not have."""
+    """Return the first free port of 100 from ``port`` on; refuse an address of other machines."""
     error: OSError | None = None
-    for attempt in range(port, port + TRIED if port else 1):
+    for tried_port in range(port, port + 100 if port else 1):
         try:
             family, kind, protocol, _, address = socket.getaddrinfo(
-                host, attempt, type=socket.SOCK_STREAM)[0]
-            with socket.socket(family, kind, protocol) as trial:
-                trial.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-                trial.bind(address)
-                return trial.getsockname()[1]
+                host, tried_port, type=socket.SOCK_STREAM)[0]
+            with socket.socket(family, kind, protocol) as test_socket:
+                test_socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+                test_socket.bind(address)
+                return test_socket.getsockname()[1]
         except (OSError, OverflowError, UnicodeError) as failure:
             error = failure if isinstance(failure, OSError) else OSError(0, str(failure))
     raise ConfigurationError(
         f'--host: found {host}, port {port}, where nothing can listen ({error.strerror}); '
-        f'expected an address of this machine and a free port; name others, or leave --host out '
-        f'for {LOCAL}')
+        'expected an address of this machine and a free port; name others, or leave --host out '
+        f'for {LOCAL_ADDRESS}')

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""States of the studio, which undo and redo exchange, and changes of a rig."""
+"""States of the studio, between which undo and redo go, and changes of a rig."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -25,15 +25,16 @@ from ocp_ros.rig.schemas import MAX_NAME_LENGTH, RIG
 from ocp_ros.util.yaml_files import check, Document
 
 #: Number of states that can be undone.
-MOST = 200
+MAX_PAST_STATES = 200
 
 
 @dataclass(frozen=True, eq=False)
 class State:
     """
-    A placement that is being edited; it never changes.
+    The placement at one moment of the editing; a state never changes.
 
-    :ivar rig: cameras, constraints and tasks; its document has one entry for each camera.
+    :ivar rig: cameras, constraints and tasks; its document has one entry for each of the K cameras
+        to be placed.
     :ivar poses: (K, 6) metres, map frame, and radians, rounded as in placement files.
     :ivar locked: names of the cameras that neither a person nor a planner may move.
     """
@@ -50,70 +51,79 @@ class State:
 
 @dataclass
 class History:
-    """The present state and those before and after it."""
+    """The present state, and the states that undo and redo bring back."""
 
-    now: State
-    past: list[State] = field(default_factory=list)
-    future: list[State] = field(default_factory=list)
+    present: State
+    past_states: list[State] = field(default_factory=list)
+    undone_states: list[State] = field(default_factory=list)
     #: The action that led to the present state.
     _action: object = None
 
-    def change(self, state: State, action: object = None) -> None:
+    def set_present(self, state: State, action: object = None) -> None:
         """
-        Set the present state.
+        Make a state the present one.
 
-        :param action: steps of one action, such as a drag, are undone together; None for an action
-            of a single step.
+        :param action: identifies an action of several changes, such as a drag, which are undone
+            together; None if this change is the whole action.
         """
         if action is None or action != self._action:
-            self.past = [*self.past, self.now][-MOST:]
-        self.now, self.future, self._action = state, [], action
+            self.past_states = [*self.past_states, self.present][-MAX_PAST_STATES:]
+        self.present = state
+        self.undone_states = []
+        self._action = action
 
     def undo(self) -> bool:
-        """Go back to the state before; return whether there is one."""
-        return self._step(self.past, self.future)
+        """Go back to the previous state; return whether there was one."""
+        return self._move_state(self.past_states, self.undone_states)
 
     def redo(self) -> bool:
-        """Go to the state that was undone last; return whether there is one."""
-        return self._step(self.future, self.past)
+        """Go to the state that was undone last; return whether there was one."""
+        return self._move_state(self.undone_states, self.past_states)
 
-    def _step(self, source: list[State], target: list[State]) -> bool:
-        """Take the present state from the end of a list, and put the old one on another."""
+    def _move_state(self, source: list[State], target: list[State]) -> bool:
+        """Append the present state to ``target``, and take the new one from ``source``."""
         if not source:
             return False
-        target.append(self.now)
-        self.now, self._action = source.pop(), None
+        target.append(self.present)
+        self.present = source.pop()
+        self._action = None
         return True
 
 
-def changed(rig: Rig, **parts: Any) -> Rig:
+def changed_rig(rig: Rig, **new_values: Any) -> Rig:
     """
     Return a rig with other values of some keys of its document.
 
+    :param new_values: by the keys of the document.
     :raises ConfigurationError: if a value cannot be used.
     """
-    document = Document(rig.document.name, {**rig.document.data, **parts})
+    document = Document(rig.document.name, {**rig.document.data, **new_values})
     check(document, RIG)
     return rig_from(document)
 
 
-def separated(rig: Rig) -> Rig:
-    """Return the same rig; its document has one entry with a name for each camera."""
+def split_groups(rig: Rig) -> Rig:
+    """Return the same rig with one named entry in its document for each camera to be placed."""
     groups = [group for group in rig.document.data['cameras']
               for _ in range(group.get('count', 1))]
-    return changed(rig, cameras=[entry_of(group, camera.name)
-                                 for group, camera in zip(groups, rig.cameras)])
+    return changed_rig(rig, cameras=[camera_entry(group, camera.name)
+                                     for group, camera in zip(groups, rig.cameras)])
 
 
-def entry_of(entry: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return the entry of a single camera with a name."""
-    return {'name': name, **{key: value for key, value in entry.items()
+def camera_entry(group: dict[str, Any], name: str) -> dict[str, Any]:
+    """
+    Return the entry of a single camera with a name.
+
+    :param group: the entry of one or more cameras of the same kind.
+    """
+    return {'name': name, **{key: value for key, value in group.items()
                              if key not in ('name', 'count')}}
 
 
 def new_name(stem: str, cameras: Sequence[Camera]) -> str:
-    """Return a name that no camera has: a stem, followed by a number if necessary."""
-    taken = {camera.name for camera in cameras}
-    stem = re.sub(r'_\d+$', '', stem)[:MAX_NAME_LENGTH - 4] if stem in taken else stem
-    names = (stem, *(f'{stem}_{k}' for k in range(1, len(taken) + 2)))
-    return next(name for name in names if name not in taken)
+    """Return a name that no camera has: the stem, followed by a number if necessary."""
+    used_names = {camera.name for camera in cameras}
+    if stem in used_names:
+        stem = re.sub(r'_\d+$', '', stem)[:MAX_NAME_LENGTH - 4]
+    names = (stem, *(f'{stem}_{k}' for k in range(1, len(used_names) + 2)))
+    return next(name for name in names if name not in used_names)

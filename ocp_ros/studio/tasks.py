@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Searches that the page starts: they run in a thread and hand over each better placement."""
+"""Tasks that the page starts, such as searches: they run in a thread and report progress."""
 
 from collections.abc import Callable, Iterator
 import logging
@@ -27,174 +27,175 @@ from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import check_regions, MountedCamera, pool_of
 from ocp_ros.search.plan import plan
-from ocp_ros.search.pose_annealing import SearchResult
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.studio.model import Evaluation, Studio
-from ocp_ros.studio.state import changed, State
+from ocp_ros.studio.state import changed_rig, State
 from ocp_ros.util.settings import ConfigurationError, UserError
-
-#: Shares of the time of the searches that follow one another; each begins from the best so far,
-#: and the page shows what it has found.
-ROUNDS = (0.15, 0.3, 0.55)
 
 _log = logging.getLogger(__name__)
 
 
 class Progress(NamedTuple):
     """
-    News of a task.
+    A report of a task about its progress.
 
-    :ivar share: done, from 0 to 1.
-    :ivar said: a sentence for a person; empty for none.
-    :ivar poses: (K, 6) a better placement, metres, map frame, and radians; None if there is none.
-    :ivar over: whether the task has ended.
+    :ivar share: share of the task that is done, from 0 to 1.
+    :ivar message: a sentence for a person; empty if the last one stays.
+    :ivar poses: (K, 6) poses of the K cameras in a better placement, metres, map frame, and
+        radians; None if there is no better one since the last report.
+    :ivar ended: whether the task has ended.
     """
 
     share: float
-    said: str = ''
+    message: str = ''
     poses: np.ndarray | None = None
-    over: bool = False
+    ended: bool = False
 
 
 class Task:
     """
-    A task in a thread of its own.
+    A task that runs in its own thread.
 
-    :param work: is called with the budget, and yields news.
+    :param work: is called with this task, and yields reports.
     :param seconds: largest duration; the work may need less.
-    :param report: is called with all news.
+    :param report: is called with each report, in the thread of the task.
+    :ivar budget: the time that is left.
     """
 
-    def __init__(self, work: 'Work', seconds: float,
-                 report: Callable[[Progress], None]) -> None:
-        self.budget, self.report = Budget(seconds), report
-        self._work = work
+    def __init__(self, work: 'Work', seconds: float, report: Callable[[Progress], None]) -> None:
+        self.budget = Budget(seconds)
+        self.report, self._work = report, work
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """End the work at its next step; it keeps what it has found."""
+        """Ask the work to end at its next step, and to report what it has found."""
         self.budget.stop()
 
     def join(self) -> None:
-        """Wait for the end."""
+        """Wait for the end of the task."""
         self._thread.join()
 
     def _run(self) -> None:
-        """Do the work, and report its news and its errors."""
-        said = ''
+        """Do the work; report its progress, its errors and its end."""
+        message = ''
         try:
-            for news in self._work(self):
-                self.report(news)
-                said = news.said or said
+            for progress in self._work(self):
+                self.report(progress)
+                message = progress.message or message
         except (UserError, OSError) as error:
-            said = str(error)
+            message = str(error)
         except Exception as error:  # The page goes on.
             _log.exception('a task of the studio failed')
-            said = f'found an error in this task ({type(error).__name__}: {error}); do it again'
-        self.report(Progress(1.0, said, over=True))
+            message = f'found an error in this task ({type(error).__name__}: {error}); do it again'
+        self.report(Progress(1.0, message, ended=True))
 
 
-#: The work of a task: is called with it, and yields news.
+#: The work of a task: is called with the task, and yields reports.
 Work = Callable[[Task], Iterator[Progress]]
 
 
-def searched(studio: Studio, state: State, from_here: bool) -> Work:
+def search_work(studio: Studio, state: State, from_here: bool) -> Work:
     """
-    Return a task that searches for better poses; locked cameras stay.
+    Return the work of searching for better poses; locked cameras stay.
 
+    :param studio: gets the certificate, a lower bound, that the search finds.
     :param state: the placement at the start.
     :param from_here: whether the search begins from this placement.
     """
     def work(task: Task) -> Iterator[Progress]:
-        free = [k for k, name in enumerate(state.names) if name not in state.locked]
-        problem = studio.problem_of(_rig_of_free(state, free))
+        unlocked = [k for k, name in enumerate(state.names) if name not in state.locked]
+        problem = studio.problem_of(_rig_of_unlocked(state, unlocked))
         pool = pool_of(problem, task.budget)
         check_regions(problem.objective, pool)
-        best = _start(studio, problem, state, free) if from_here else ()
-        found: SearchResult | None = None
-        proved: Certificate | None = None
-        done, seconds = 0.0, task.budget.seconds
-        for number, part in enumerate(ROUNDS):
-            def progress(share: float, loss: float, done: float = done, part: float = part
-                         ) -> None:
-                task.report(Progress(done + part * min(share, 1.0),
+        best_sites = _start_sites(studio, problem, state, unlocked) if from_here else ()
+        certificate: Certificate | None = None
+        done_share = 0.0
+        # Each search begins from the best placement so far, which the page shows meanwhile.
+        for seed, time_share in enumerate((0.15, 0.3, 0.55)):
+            def report(share: float, loss: float, done_share: float = done_share,
+                       time_share: float = time_share) -> None:
+                task.report(Progress(done_share + time_share * min(share, 1.0),
                                      f'searching: objective value {loss:.4f}'
                                      if np.isfinite(loss) else ''))
-            found = plan(problem, task.budget.restarted(part * seconds), RIG_SEARCH, pool, number,
-                         best, progress)
-            best, done = found.sites, done + part
-            proved = max(filter(None, (proved, found.certificate)),
-                         key=lambda known: known.bound, default=None)
+            result = plan(problem, task.budget.restarted(time_share * task.budget.seconds),
+                          RIG_SEARCH, pool, seed, best_sites, report)
+            best_sites = result.sites
+            done_share += time_share
+            certificate = max(filter(None, (certificate, result.certificate)),
+                              key=lambda each: each.bound, default=None)
             poses = state.poses.copy()
-            poses[free] = found.poses
-            yield Progress(done, f'found the objective value {found.loss:.4f}', poses)
+            poses[unlocked] = result.poses
+            yield Progress(done_share, f'found the objective value {result.loss:.4f}', poses)
             if task.budget.stopped:
                 break
-        if proved is not None and len(free) == len(state.names):
-            studio.prove(state.rig, proved)
-        elif proved is None:
-            yield Progress(1.0, f'found the objective value {found.loss:.4f}; how far from the '
-                                f'best is not known: {found.uncertain}')
+        if certificate is not None and len(unlocked) == len(state.names):
+            studio.set_certificate(state.rig, certificate)
+        elif certificate is None:
+            yield Progress(1.0, f'found the objective value {result.loss:.4f}; how far from the '
+                                f'best is not known: {result.uncertain}')
     return work
 
 
-def _rig_of_free(state: State, free: list[int]) -> Rig:
-    """Return the rig in which the locked cameras are in place."""
-    if not free:
+def _rig_of_unlocked(state: State, unlocked: list[int]) -> Rig:
+    """Return a rig in which only the unlocked cameras are to be placed; the others are fixed."""
+    if not unlocked:
         raise ConfigurationError('cameras: found all of them locked; expected one at least that '
                                  'may move; unlock one')
     data = state.rig.document.data
     locked = [{**entry, 'position': pose[:3].tolist(),
                **dict(zip(ANGLES, np.rad2deg(pose[3:]).tolist()))}
               for k, (entry, pose) in enumerate(zip(data['cameras'], state.poses))
-              if k not in free]
-    return changed(state.rig, cameras=[data['cameras'][k] for k in free],
-                   fixed=[*data.get('fixed', []), *locked])
+              if k not in unlocked]
+    return changed_rig(state.rig, cameras=[data['cameras'][k] for k in unlocked],
+                       fixed=[*data.get('fixed', []), *locked])
 
 
-def _start(studio: Studio, problem: Problem, state: State, free: list[int]
-           ) -> tuple[MountedCamera, ...]:
-    """Return the free cameras at their poses, or at the nearest allowed ones; () if none is."""
-    placed = State(problem.rig, state.poses[free])
-    for camera, pose in enumerate(placed.poses.copy()):
+def _start_sites(studio: Studio, problem: Problem, state: State, unlocked: list[int]
+                 ) -> tuple[MountedCamera, ...]:
+    """Return the unlocked cameras at the nearest allowed poses; () if there are none."""
+    start = State(problem.rig, state.poses[unlocked])
+    for camera, pose in enumerate(start.poses.copy()):
         if not problem.region.allowed(pose[None], problem.rig.models[camera])[0]:
-            evaluation = Evaluation(problem, placed, ())
-            if (near := studio.nearest_allowed(evaluation, camera)) is None:
+            nearest_pose = studio.nearest_allowed(Evaluation(problem, start, ()), camera)
+            if nearest_pose is None:
                 return ()
-            placed.poses[camera] = near
-    if problem.region.broken(placed.poses):
+            start.poses[camera] = nearest_pose
+    if problem.region.broken(start.poses):
         return ()
     return tuple(MountedCamera(pose, view)
-                 for pose, view in zip(placed.poses, problem.look(placed.poses)))
+                 for pose, view in zip(start.poses, problem.look(start.poses)))
 
 
-def best_addition(evaluation: Evaluation, add: Callable[[str, np.ndarray], None]
-                  ) -> Work:
+def addition_work(evaluation: Evaluation, add: Callable[[str, np.ndarray], None]) -> Work:
     """
-    Return a task that finds the best pose of one more camera.
+    Return the work of finding the best pose of one more camera.
 
-    :param add: is called with the name of a camera of the same model and the pose.
+    :param evaluation: of the present placement.
+    :param add: adds the camera; is called with the name of a camera that has the same model, and
+        the pose (6,), metres, map frame, and radians.
     """
     def work(_: Task) -> Iterator[Progress]:
         yield Progress(0.1, 'comparing poses of one more camera')
-        found = improvements(evaluation.problem, evaluation.state.poses, evaluation.views)
-        if (more := found['one_more']) is not None:
-            like = next(camera.name for camera in evaluation.state.rig.cameras
-                        if (camera.sensor or camera.name) == more['sensor'])
-            add(like, np.array([*more['position'],
-                                *np.deg2rad([more[angle] for angle in ANGLES])]))
-        yield Progress(1.0, one_more_line(more))
+        addition = improvements(evaluation.problem, evaluation.state.poses,
+                                evaluation.views)['one_more']
+        if addition is not None:
+            model_name = next(camera.name for camera in evaluation.state.rig.cameras
+                              if (camera.sensor or camera.name) == addition['sensor'])
+            add(model_name, np.array([*addition['position'],
+                                      *np.deg2rad([addition[angle] for angle in ANGLES])]))
+        yield Progress(1.0, one_more_line(addition))
     return work
 
 
-def least_useful(evaluation: Evaluation) -> tuple[int, float]:
+def find_least_useful(evaluation: Evaluation) -> tuple[int, float]:
     """
-    Return the camera without which the objective value is the least, and that value.
+    Find the camera whose removal leaves the least objective value.
 
-    :raises ConfigurationError: if there is one camera only.
+    :returns: the number of the camera, and the objective value without it.
+    :raises ConfigurationError: if there is only one camera.
     """
     views = evaluation.views
     if len(views) < 2:

@@ -12,163 +12,161 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Texts and tables of the page as HTML; everything that comes from files is escaped."""
+"""Texts and tables of the page as HTML; all text that comes from files is escaped."""
 
 from collections.abc import Sequence
 from html import escape
 
 import numpy as np
+from ocp_ros.report import facts
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES
 from ocp_ros.report.drawing.plan_marks import camera_colour
-from ocp_ros.report.facts import (
-    links_line,
-    percent,
-    REGION_COLUMNS,
-    region_rows,
-    score_figures,
-)
 from ocp_ros.report.rig_planning import certificate_data
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.studio.model import Evaluation
 
-#: Colours of points without a finding, of points that too few cameras see, of unseen points in a
-#: region that must be seen, and of points that the selected camera alone sees.
-PLAIN, MISSED, REQUIRED, ALONE = '#dcdcd6', COUNT_COLOURS[0], '#332288', COUNT_COLOURS[3]
-#: The ways to colour the points, and the legend of each.
-BY_COUNT, BY_NEED, BY_CAMERA = PAINTS = (
+#: Colours of points that need no attention, and of points that too few cameras see.
+PLAIN_COLOUR, UNSEEN_COLOUR = '#dcdcd6', COUNT_COLOURS[0]
+#: The colourings of the points: what a colour stands for. LEGENDS has the colours of each.
+BY_COUNT, BY_REQUIREMENT, BY_CAMERA = COLOURINGS = (
     'seen by how many cameras', 'requirements that fail', 'what the selected camera adds')
 LEGENDS = {
     BY_COUNT: tuple(zip(COUNT_NAMES, COUNT_COLOURS)),
-    BY_NEED: (('seen by enough cameras', PLAIN), ('seen by too few', MISSED),
-              ('unseen part of a region that must be seen', REQUIRED)),
-    BY_CAMERA: (('others see it', PLAIN), ('seen by no camera', MISSED),
-                ('seen by it and others', COUNT_COLOURS[1]), ('seen by it alone', ALONE))}
-#: The ways to show the room.
-POINTS, BOTH, MESH = ROOMS = 'points', 'points and mesh', 'mesh'
-HELP = ('Drag a camera: the colours show what is seen.',
-        'Cameras: type exact poses. Ctrl+Alt+Z: undo.',
-        'Plan finds better poses, Files saves them.')
-#: Sentence in place of a certificate.
-UNPROVED = 'How far from the best is not known for this rig: Plan all finds out.'
-#: Rules for all pages: lines of a message stay lines, and on a phone the panel has its full width.
-RULES = ('<style>.mantine-Notification-description{white-space:pre-line}'
-         '@media(max-width:36em){div[style*="width: 20em"]{width:100vw!important}}</style>')
+    BY_REQUIREMENT: (('seen by enough cameras', PLAIN_COLOUR), ('seen by too few', UNSEEN_COLOUR),
+                     ('unseen part of a region that must be seen', '#332288')),
+    BY_CAMERA: (('others see it', PLAIN_COLOUR), ('seen by no camera', UNSEEN_COLOUR),
+                ('seen by it and others', COUNT_COLOURS[1]),
+                ('seen by it alone', COUNT_COLOURS[3]))}
+#: What is shown of the room.
+POINTS, POINTS_AND_MESH, MESH = ROOM_VIEWS = 'points', 'points and mesh', 'mesh'
+HELP_LINES = ('Drag a camera: the colours show what is seen.',
+              'Cameras: type exact poses. Ctrl+Alt+Z: undo.',
+              'Plan finds better poses, Files saves them.')
+#: Sentence in place of that of a certificate.
+NO_CERTIFICATE = 'How far from the best is not known for this rig: Plan all finds out.'
+#: CSS of the page: lines of a message stay lines, and on a phone the panel has its full width.
+STYLE_RULES = (
+    '<style>.mantine-Notification-description{white-space:pre-line}'
+    '@media(max-width:36em){div[style*="width: 20em"]{width:100vw!important}}</style>')
+#: CSS of each text.
 STYLE = 'font-size:0.85em;line-height:1.35;padding:0.2em 0.6em;overflow-wrap:anywhere'
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
-    """Return a colour such as ``#d55e00`` as three numbers from 0 to 255."""
+    """Return the red, green and blue of a colour such as ``#d55e00``, each from 0 to 255."""
     return tuple(int(colour[k:k + 2], 16) for k in (1, 3, 5))  # type: ignore[return-value]
 
 
-def colours_of(evaluation: Evaluation, paint: str, camera: int) -> np.ndarray:
+def point_colours(evaluation: Evaluation, colouring: str, camera: int) -> np.ndarray:
     """
-    Return the colour of each point in the engine's order: (N, 3) uint8.
+    Return the colour of each of the N points of the room, in the engine's order: (N, 3) uint8.
 
-    :param paint: one of :data:`PAINTS`.
+    :param colouring: one of :data:`COLOURINGS`.
     :param camera: number of the selected camera.
     """
-    counts = evaluation.counts
-    kinds = np.minimum(counts, len(COUNT_COLOURS) - 1)
-    if paint == BY_NEED:
-        kinds = (counts < evaluation.problem.rig.seen_by).astype(np.uint8)
-        kinds[evaluation.unseen_in_regions()] = 2
-    elif paint == BY_CAMERA:
-        mine = evaluation.seen_from(camera)
-        kinds = np.where(mine, np.where(counts > 1, 2, 3), np.where(counts > 0, 0, 1))
-    palette = np.array([rgb(colour) for _, colour in LEGENDS[paint]], dtype=np.uint8)
-    return palette[kinds]
+    counts = evaluation.camera_counts
+    # Each point's index in the legend.
+    indices = np.minimum(counts, len(COUNT_COLOURS) - 1)
+    if colouring == BY_REQUIREMENT:
+        indices = (counts < evaluation.problem.rig.seen_by).astype(np.uint8)
+        indices[evaluation.unseen_required_points()] = 2
+    elif colouring == BY_CAMERA:
+        seen_by_camera = evaluation.points_seen_by(camera)
+        indices = np.where(seen_by_camera, np.where(counts > 1, 2, 3), np.where(counts > 0, 0, 1))
+    colours = np.array([rgb(colour) for _, colour in LEGENDS[colouring]], dtype=np.uint8)
+    return colours[indices]
 
 
-def legend(paint: str) -> str:
-    """Return the legend of a way to colour the points."""
-    return _boxed(''.join(
+def legend(colouring: str) -> str:
+    """Return the legend of a colouring of the points, one of :data:`COLOURINGS`."""
+    return _styled(''.join(
         f'<div><span style="display:inline-block;width:1em;height:1em;background:{colour};'
         f'border:1px solid #777;vertical-align:middle"></span> {escape(name)}</div>'
-        for name, colour in LEGENDS[paint]))
+        for name, colour in LEGENDS[colouring]))
 
 
 def figures_of(evaluation: Evaluation) -> list[tuple[str, str]]:
     """Return the labels and values of the key figures, written as ``ocp score`` does."""
     scores = evaluation.rig_scores
     return [*((figure.label, f'{figure.value} ({figure.remark})')
-              for figure in score_figures(scores, evaluation.expected)),
+              for figure in facts.score_figures(scores, evaluation.expected_error)),
             ('objective value', f'{scores["loss"]:.4f}')]
 
 
-def regions_of(evaluation: Evaluation) -> str:
-    """Return the table of the regions; '' without regions."""
-    rows = region_rows(evaluation.rig_scores)
-    return table(rows, REGION_COLUMNS) if rows else ''
+def region_table(evaluation: Evaluation) -> str:
+    """Return the table of the regions as HTML; empty without regions."""
+    rows = facts.region_rows(evaluation.rig_scores)
+    return table(rows, facts.REGION_COLUMNS) if rows else ''
 
 
 def summary(evaluation: Evaluation) -> str:
-    """Return the most important figures, and the constraints that poses violate."""
-    error, _, seen, *_ = figures_of(evaluation)
-    return _boxed(table([error, seen]) + regions_of(evaluation)
-                  + _sentences(evaluation.misplaced))
+    """Return the most important figures, and the constraints that poses violate, as HTML."""
+    depth_error, _, seen_share, *_ = figures_of(evaluation)
+    return _styled(table([depth_error, seen_share]) + region_table(evaluation)
+                   + _sentence_list(evaluation.violations))
 
 
-def numbers(evaluation: Evaluation, certificate: Certificate | None,
-            other: Evaluation | None = None) -> str:
+def all_figures(evaluation: Evaluation, certificate: Certificate | None,
+                kept: Evaluation | None = None) -> str:
     """
-    Return all figures of a placement.
+    Return all figures of a placement as HTML.
 
-    :param certificate: lower bound that holds for it; None if there is none.
-    :param other: a placement to compare with.
+    :param evaluation: of the placement.
+    :param certificate: lower bound that holds for its rig; None if no lower bound is known.
+    :param kept: another placement to compare with; None for no comparison.
     """
-    rows: list[Sequence[str]] = [*figures_of(evaluation)]
-    scores = evaluation.scores
-    rows += [(f'seen by {count}', percent(points / scores['points']))
-             for count, points in scores['overlap'].items()]
+    rows = _figure_rows(evaluation)
     head: Sequence[str] = ()
-    if other is not None:
-        before = dict(figures_of(other)) | {
-            f'seen by {count}': percent(points / other.scores['points'])
-            for count, points in other.scores['overlap'].items()}
-        rows = [(*row, before.get(row[0], '-')) for row in rows]
+    if kept is not None:
+        kept_values = dict(_figure_rows(kept))
+        rows = [(*row, kept_values.get(row[0], '-')) for row in rows]
         head = ('', 'now', 'A')
-    known = UNPROVED if certificate is None else certificate_data(certificate)['sentence']
-    links = scores.get('calibratable')
-    cameras = [(added['name'], f'{added["depth_error"]:.2f} m', percent(added['only']))
-               for added in scores['cameras']]
-    return _boxed(
-        table(rows, head) + regions_of(evaluation) + f'<p>{escape(known)}</p>'
-        + (f'<p>{escape(links_line(links))}</p>' if links else '')
+    optimality = (NO_CERTIFICATE if certificate is None
+                  else certificate_data(certificate)['sentence'])
+    links = evaluation.scores.get('calibratable')
+    cameras = [(camera['name'], f'{camera["depth_error"]:.2f} m', facts.percent(camera['only']))
+               for camera in evaluation.scores['cameras']]
+    return _styled(
+        table(rows, head) + region_table(evaluation) + f'<p>{escape(optimality)}</p>'
+        + (f'<p>{escape(facts.links_line(links))}</p>' if links else '')
         + table(cameras, ('camera', 'error reduction', 'seen by it only'))
-        + (_sentences(evaluation.broken) or '<p>All constraints are satisfied.</p>'))
+        + (_sentence_list(evaluation.all_violations) or '<p>All constraints are satisfied.</p>'))
+
+
+def _figure_rows(evaluation: Evaluation) -> list[Sequence[str]]:
+    """Return labels and values: the key figures, and the shares of points by camera count."""
+    scores = evaluation.scores
+    return [*figures_of(evaluation),
+            *((f'seen by {count}', facts.percent(points / scores['points']))
+              for count, points in scores['overlap'].items())]
 
 
 def message(text: str) -> str:
-    """Return a sentence for a person."""
-    return _boxed(f'<p>{escape(text)}</p>') if text else ''
+    """Return a sentence for a person as HTML; empty if the text is."""
+    return _styled(f'<p>{escape(text)}</p>') if text else ''
 
 
 def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
-    """Return a table."""
-    rows_of = [f'<tr>{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>' for row in rows]
-    # Long names may be broken anywhere; heads are words.
-    top = ''.join(f'<th style="overflow-wrap:normal">{escape(cell)}</th>' for cell in head)
-    return (f'<table style="width:100%;text-align:left;border-spacing:0 0.15em">'
-            f'<tr>{top}</tr>{"".join(rows_of)}</table>')
-
-
-def camera_title(name: str, locked: bool) -> str:
-    """Return the label of a camera in the room."""
-    return f'{name} (locked)' if locked else name
+    """Return a table as HTML; all cells are escaped."""
+    body = ''.join(f'<tr>{"".join(f"<td>{escape(cell)}</td>" for cell in row)}</tr>'
+                   for row in rows)
+    # Names may be broken anywhere, the words of the head may not.
+    head_cells = ''.join(f'<th style="overflow-wrap:normal">{escape(cell)}</th>' for cell in head)
+    return ('<table style="width:100%;text-align:left;border-spacing:0 0.15em">'
+            f'<tr>{head_cells}</tr>{body}</table>')
 
 
 def camera_rgb(number: int) -> tuple[int, int, int]:
-    """Return the colour of a camera, counted from 0."""
+    """Return the red, green and blue of a camera: each from 0 to 255. Numbers begin at 0."""
     return rgb(camera_colour(number))
 
 
-def _sentences(lines: Sequence[str]) -> str:
-    """Return sentences on violated constraints as a list; empty without any."""
-    items = ''.join(f'<li>{escape(line)}</li>' for line in lines)
-    return f'<ul style="color:#a33f00;padding-left:1.2em">{items}</ul>' if lines else ''
+def _sentence_list(sentences: Sequence[str]) -> str:
+    """Return sentences on violated constraints as an HTML list; empty if there are none."""
+    items = ''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)
+    return f'<ul style="color:#a33f00;padding-left:1.2em">{items}</ul>' if sentences else ''
 
 
-def _boxed(content: str) -> str:
-    """Return content in the style of the page."""
-    return f'<div style="{STYLE}">{content}</div>'
+def _styled(html: str) -> str:
+    """Return HTML in the style of the page."""
+    return f'<div style="{STYLE}">{html}</div>'

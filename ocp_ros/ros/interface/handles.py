@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Handles in RViz by which a person moves cameras; none if interactive_markers is not there."""
+"""Handles in RViz by which a person moves cameras, if interactive_markers is installed."""
 
 from collections.abc import Callable
 from functools import partial
@@ -27,45 +27,50 @@ from visualization_msgs.msg import (
     InteractiveMarkerFeedback,
 )
 
-#: Size of a handle, metres, and the half of the square root of 2.
-SIZE, HALF = 0.6, 0.5 ** 0.5
-
 
 class CameraHandles:
     """
-    Offer arrows and rings at each camera, as the topics ``handles/*``.
+    Offer arrows and rings at each camera, on the topics ``handles/*``.
 
     :param node: gets the topics and the service.
-    :param moved: is called with the number of a camera and its pose when a person lets go of it.
+    :param on_move: is called with the number of a camera and its new pose when a person lets go of
+        the handle of this camera.
     """
 
-    def __init__(self, node: Node, moved: Callable[[int, Pose], None]) -> None:
-        self._server, self._moved, self._cameras = None, moved, 0
+    def __init__(self, node: Node, on_move: Callable[[int, Pose], None]) -> None:
+        self._server = None
+        self._on_move = on_move
+        self._handle_count = 0
         try:
             from interactive_markers import InteractiveMarkerServer
         except ImportError:
             return
         self._server = InteractiveMarkerServer(node, topics.HANDLES)
 
-    def show(self, poses: PoseArray, cameras: int) -> None:
-        """Put the handles of the first cameras at their poses."""
+    def show(self, poses: PoseArray, count: int) -> None:
+        """
+        Show handles at the first poses, and remove all other handles.
+
+        :param poses: of the cameras.
+        :param count: number of cameras that get a handle, from the first one.
+        """
         if self._server is None:
             return
-        for number, pose in enumerate(poses.poses[:cameras]):
-            if number >= self._cameras:
+        for number, pose in enumerate(poses.poses[:count]):
+            if number >= self._handle_count:
                 self._server.insert(handle_of(number, pose, poses.header.frame_id),
                                     feedback_callback=partial(self._on_feedback, number))
             else:
                 self._server.setPose(name_of(number), pose)
-        for number in range(cameras, self._cameras):
+        for number in range(count, self._handle_count):
             self._server.erase(name_of(number))
-        self._cameras = cameras
+        self._handle_count = count
         self._server.applyChanges()
 
     def _on_feedback(self, number: int, feedback: InteractiveMarkerFeedback) -> None:
-        """Take the pose at which a person lets go of a handle."""
+        """Pass on the pose at which a person lets go of a handle."""
         if feedback.event_type == InteractiveMarkerFeedback.MOUSE_UP:
-            self._moved(number, feedback.pose)
+            self._on_move(number, feedback.pose)
 
     def close(self) -> None:
         """Remove the handles, their topics and their service."""
@@ -83,11 +88,15 @@ def handle_of(number: int, pose: Pose, frame: str) -> InteractiveMarker:
     """
     Return the handle of a camera: an arrow and a ring for each axis of its body.
 
-    :param frame: of the pose. With the stamp 0, RViz sends poses in this frame too.
+    :param number: of the camera, from 0.
+    :param pose: of the camera.
+    :param frame: frame of the pose. RViz returns poses in this frame too, since the stamp is 0.
     """
+    # Rotations of 90 degrees about x, y and z make the axis of a control parallel to x, z and y.
+    half_root = 0.5 ** 0.5
     controls = [InteractiveMarkerControl(name=f'{axis}_{mode}', interaction_mode=mode,
-                                         orientation=Quaternion(w=HALF, **{axis: HALF}))
+                                         orientation=Quaternion(w=half_root, **{axis: half_root}))
                 for axis in 'xyz' for mode in (InteractiveMarkerControl.MOVE_AXIS,
                                                InteractiveMarkerControl.ROTATE_AXIS)]
     return InteractiveMarker(header=Header(frame_id=frame), pose=pose, name=name_of(number),
-                             description=name_of(number), scale=SIZE, controls=controls)
+                             description=name_of(number), scale=0.6, controls=controls)
