@@ -27,7 +27,7 @@ from ocp_ros.rig.rig_file import Calibratable, rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_plan import RigPlanner
-from ocp_ros.simulation.covisibility import covisibility, air_share
+from ocp_ros.simulation.covisibility import air_share, covisibility
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
