@@ -157,7 +157,7 @@ def test_labels_of_headings_are_what_the_true_room_loses(room):
     assert np.ptp(values.reshape(-1, 8), axis=1).max() > 0.01
     pose = true.poses[[37, 5]]
     turned = pose[:, 3:] + [[0.2, 0.3, 0.0]]
-    assert true.nearest(pose[:, :2], turned).tolist() == [37, 5]
+    assert true.nearest_poses(pose[:, :2], turned).tolist() == [37, 5]
 
 
 def test_states_of_headings_are_played_alike_and_of_their_shape(small):

@@ -70,8 +70,7 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     _check_name(folder)
     if not rooms.exists() and not path.exists():
         _refuse_unknown_files(folder)
-    room_sets = {part: [Path(name).name for name in room_names(config.rooms, part)]
-                 for part in PARTS}
+    sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
     asked = _flat_settings(to_nested(config))
     saved = _flat_settings(to_nested(_saved_config(path))) if path.exists() else asked
     may_change = ('interactions', 'workers', 'evaluate_every')
@@ -79,7 +78,7 @@ def claim(folder: Path, config: TrainingConfig) -> None:
              if name not in may_change and asked[name] != saved[name]
              # A rig file replaces these.
              and not (config.simulation.rig_file and name.startswith('simulation.rig.'))]
-    if rooms.exists() and _saved_room_sets(rooms) != room_sets:
+    if rooms.exists() and _saved_room_sets(rooms) != sets:
         wrong.append('other rooms')
     if wrong:
         raise ConfigurationError(
@@ -87,7 +86,7 @@ def claim(folder: Path, config: TrainingConfig) -> None:
             f'asked for, but for {", ".join(may_change)}; name another folder, or remove '
             'this one to begin anew')
     if not rooms.exists():
-        write_atomically(rooms, json.dumps(room_sets) + '\n')
+        write_atomically(rooms, json.dumps(sets) + '\n')
     if not path.exists() or asked != saved:
         write_atomically(path, yaml.safe_dump(to_nested(config), sort_keys=False))
 

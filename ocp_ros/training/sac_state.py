@@ -121,8 +121,7 @@ def load_state(model: AgentSac, path: Path) -> str:
     return run
 
 
-def _expected_slots(model: AgentSac, tensors: dict[str, torch.Tensor]
-                    ) -> dict[str, torch.Tensor]:
+def _expected_slots(model: AgentSac, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Return tensors shaped like Adam's state of each weight that has a state in the file."""
     slots = {}
     for name, optimizer in _optimizers(model).items():
@@ -141,8 +140,7 @@ def _check_names(found: Mapping[str, object], expected: Mapping[str, object]) ->
         raise ValueError(f'{wrong[0]} is {"unknown" if wrong[0] in found else "missing"}')
 
 
-def _check_tensors(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]
-                   ) -> None:
+def _check_tensors(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
     """
     Refuse tensors of other names, shapes or types than expected, and values out of range.
 
