@@ -49,7 +49,7 @@ class Covisibility(NamedTuple):
 
     @property
     def missing(self) -> float:
-        """Return by what part the links of the tree miss the required share: mean, 0 to 1."""
+        """Return the mean relative shortfall of the tree's links below ``required``: 0 to 1."""
         shortfalls = [1.0 - min(self.shares[link] / self.required, 1.0) for link in self.tree]
         return float(np.mean(shortfalls)) if shortfalls else 0.0
 

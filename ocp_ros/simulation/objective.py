@@ -182,18 +182,16 @@ class Objective:
         """
         Return the mean of the losses if 1, 2, ... n cameras have to see a point or cell of air.
 
-        n is the largest number of cameras that the rig or a region of air requires. The mean
-        distinguishes placements with fewer than n cameras too; these all have the same loss.
+        n is the largest number of cameras that the rig or a region of air requires. Placements
+        with fewer than n cameras may all have the same loss; this mean distinguishes them.
 
         :param views: as for :meth:`judge`.
         """
         all_views = self._with_fixed(views)
-        seen_by_count = self._seen_by_count(all_views)
-        rig_count = len(seen_by_count)
-        max_count = max([rig_count, *(region.air.seen_by for region in self.rig.regions
-                                        if region.air)])
-        losses = [self._loss_of(seen_by_count[min(count, rig_count) - 1], all_views, count)[0]
-                  for count in range(1, max_count + 1)]
+        seen = self._seen_by_count(all_views)
+        counts = [len(seen), *(region.air.seen_by for region in self.rig.regions if region.air)]
+        losses = [self._loss_of(seen[min(count, len(seen)) - 1], all_views, count)[0]
+                  for count in range(1, max(counts) + 1)]
         return float(np.mean(losses)) + self._link_cost(views)
 
     def _loss_of(self, seen: np.ndarray, views: Sequence[View], max_seen_by: int = MAX_CAMERAS
@@ -251,7 +249,7 @@ class Objective:
 
     def contributions(self, views: Sequence[View]) -> list[Contribution]:
         """
-        Compute what each camera contributes in addition to the others.
+        Compute the contribution of each camera in addition to the others.
 
         :param views: as for :meth:`judge`.
         :returns: the contribution of each view, then of each camera in place.
@@ -276,10 +274,10 @@ class Objective:
         :param more: the views of the further cameras.
         :returns: (M,) metres.
         """
-        by_count = self._seen_by_count(self._with_fixed(views))
-        # The points that one further camera makes count as seen, if it sees them.
-        one_missing = by_count[-2] if len(by_count) > 1 else ~np.zeros_like(by_count[0])
-        return np.array([self.simulator.depth_error(by_count[-1] | one_missing & view.seen)
+        seen = self._seen_by_count(self._with_fixed(views))
+        # The points that count as seen if one further camera sees them.
+        almost_seen = seen[-2] if len(seen) > 1 else ~np.zeros_like(seen[0])
+        return np.array([self.simulator.depth_error(seen[-1] | almost_seen & view.seen)
                          for view in more])
 
     def _with_fixed(self, views: Sequence[View]) -> list[View]:

@@ -60,7 +60,7 @@ class AgentSac(SAC):
         super().__init__(*args, **kwargs)
 
     def _setup_model(self) -> None:
-        """Build the networks, and the moving average of the actor if there shall be one."""
+        """Build the networks, and the moving average of the actor if the settings want one."""
         super()._setup_model()
         if self.config.averaging:
             self.averaged = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(

@@ -52,7 +52,8 @@ class CloudFeatures(BaseFeaturesExtractor):
     def __init__(self, observation_space: spaces.Dict, agent: AgentConfig, bfloat16: bool) -> None:
         extractor = Extractor(agent)
         super().__init__(observation_space, extractor.width)
-        self.extractor, self.bfloat16 = extractor, bfloat16
+        self.extractor = extractor
+        self.bfloat16 = bfloat16
         #: The batch whose features were computed last with gradients.
         self._batch: Any = None
         #: Its features.

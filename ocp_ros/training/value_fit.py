@@ -50,12 +50,12 @@ class ValueSet:
     """
 
     def __init__(self, states: Sequence[dict[str, np.ndarray]]) -> None:
-        first_maps = np.cumsum([0] + [len(room['room']) for room in states])
-        self._joined = {name: torch.from_numpy(np.concatenate([room[name] for room in states]))
+        first_maps = np.cumsum([0] + [len(arrays['room']) for arrays in states])
+        self._joined = {name: torch.from_numpy(np.concatenate([arrays[name] for arrays in states]))
                         for name in ('room', 'others', 'numbers', 'lens', 'places', 'values')}
         #: The number of the map of each choice.
         self._map_numbers = torch.from_numpy(np.concatenate(
-            [room['of'] + first for room, first in zip(states, first_maps)])).long()
+            [arrays['of'] + first for arrays, first in zip(states, first_maps)])).long()
         #: (M, 2) first used row and column of each of M maps.
         self._corners = np.array([[part.start for part in used_part(room)]
                                   for room in self._joined['room'].numpy()])
@@ -67,8 +67,8 @@ class ValueSet:
     @classmethod
     def joined(cls, sets: Sequence['ValueSet']) -> 'ValueSet':
         """Return one set with the maps and choices of several sets."""
-        return cls([{name: value.numpy() for name, value in values._joined.items()}
-                    | {'of': values._map_numbers.numpy()} for values in sets])
+        return cls([{name: value.numpy() for name, value in value_set._joined.items()}
+                    | {'of': value_set._map_numbers.numpy()} for value_set in sets])
 
     def __len__(self) -> int:
         """Return the number of choices."""

@@ -220,7 +220,10 @@ class _StateRecorder:
         self._headings = task.headings
         self._lens = room.engine.models[0].lens if task.headings else None
         self._maps: list[np.ndarray] = []
+        #: Of each map: the labelled positions (P, 2) in cells.
         self._places: list[np.ndarray] = []
+        #: Of each choice: the number of its map, the channels and the scalar inputs of the other
+        #: cameras, and the labels.
         self._choices: list[tuple[int, np.ndarray, np.ndarray, np.ndarray]] = []
         #: Numbers of the poses that the cameras chose last.
         self._last_choices: list[int] = []
@@ -277,7 +280,9 @@ class _StateRecorder:
 
         :param cloud: (M, 3) metres, the observed points.
         :param positions: (K, 3) metres, of K cameras.
+        :param history: the poses from which cameras have looked so far.
         :param chosen: (K,) numbers of the poses that the cameras chose last.
+        :param max_range: the largest range of a camera, metres.
         :returns: (K,) numbers of the poses that they choose now.
         """
         rng, poses, cameras = self._rng, self._room.poses, len(positions)
