@@ -220,10 +220,10 @@ class PlaneProblem(Problem):
         :param cameras: the number of cameras, K.
         :returns: (K, 6) metres, map frame, and radians.
         """
-        simulator, poses = self.simulator, np.empty((cameras, 6))
+        simulator = self.simulator
         bounds = simulator.scene.bounds
-        poses[:, :2] = bounds.mean(axis=0)[:2]
-        poses[:, :2] += drawn_near(rng, cameras, config.start_radius)
+        poses = np.empty((cameras, 6))
+        poses[:, :2] = bounds.mean(axis=0)[:2] + drawn_near(rng, cameras, config.start_radius)
         poses[:, 2] = simulator.height
         poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
         if config.clearance:

@@ -35,30 +35,30 @@ from ocp_ros.simulation.reward import NO_REWARD, RewardTerms
 
 def encoded_space(agent: AgentConfig) -> spaces.Dict:
     """Return the space of one input of the agent's network."""
-    def real(*shape):
+    def real_box(*shape):
         limit = 1000.0
         return spaces.Box(-limit, limit, shape, np.float32)
 
-    def index(count, *shape):
+    def index_box(count, *shape):
         return spaces.Box(0, count - 1, shape, np.int16)
 
-    def maps(*shape):
+    def map_box(*shape):
         return spaces.Box(0, 255, shape, np.uint8)
 
     if agent.map:
-        return spaces.Dict({'room': maps(OF_ROOM, CELLS, CELLS),
-                            'others': maps(MAPS_OF_OTHERS, CELLS, CELLS),
-                            'numbers': real(NUMBERS), 'choices': maps(CELLS, CELLS)})
+        return spaces.Dict({'room': map_box(OF_ROOM, CELLS, CELLS),
+                            'others': map_box(MAPS_OF_OTHERS, CELLS, CELLS),
+                            'numbers': real_box(NUMBERS), 'choices': map_box(CELLS, CELLS)})
     space = {
-        'points': real(agent.points, 3), 'half_size': real(3),
-        'cameras': real(cameras_of(agent), 3),
-        'keys_1': index(agent.points, agent.keys_1),
-        'groups_1': index(agent.points, agent.keys_1, agent.group_1),
-        'keys_2': index(agent.keys_1, agent.keys_2),
-        'groups_2': index(agent.keys_1, agent.keys_2, agent.group_2)}
+        'points': real_box(agent.points, 3), 'half_size': real_box(3),
+        'cameras': real_box(cameras_of(agent), 3),
+        'keys_1': index_box(agent.points, agent.keys_1),
+        'groups_1': index_box(agent.points, agent.keys_1, agent.group_1),
+        'keys_2': index_box(agent.keys_1, agent.keys_2),
+        'groups_2': index_box(agent.keys_1, agent.keys_2, agent.group_2)}
     if agent.one_by_one:
-        space |= {'others': real(MAX_OTHERS, OF_OTHERS), 'turn': real(OF_TURN),
-                  'marks': maps(agent.points, MARKS)}
+        space |= {'others': real_box(MAX_OTHERS, OF_OTHERS), 'turn': real_box(OF_TURN),
+                  'marks': map_box(agent.points, MARKS)}
     return spaces.Dict(space)
 
 

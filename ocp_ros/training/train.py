@@ -325,7 +325,8 @@ def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> Ag
 
 def report(run: TrainingRun, command: str) -> Checkpoint:
     """Play the test rooms with the best weights and random moves; write both into the card."""
-    config, best = run.config, Checkpoint.load(run.folder / BEST)
+    config = run.config
+    best = Checkpoint.load(run.folder / BEST)
     # The results are computed with the finest engine, even if the run learned on another.
     fine_engine = EngineConfig(preset='fine')
     trials = [replace(trial, simulation=replace(trial.simulation, engine=fine_engine))

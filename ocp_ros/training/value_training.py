@@ -235,7 +235,8 @@ def learn_values(run: ValueRun) -> Checkpoint:
 
     :returns: the checkpoint of the trained network.
     """
-    values, rooms = run.config.values, room_names(run.config.rooms, 'training')
+    values = run.config.values
+    rooms = room_names(run.config.rooms, 'training')
     total = values.steps + values.own_steps
     if run.fit.step >= total:
         return run.checkpoint()
