@@ -83,7 +83,7 @@ class Episode:
 
     def move(self, moves: np.ndarray, headings: np.ndarray | None = None) -> Turn:
         """
-        Play one turn.
+        Move the cameras in one time step (turn), and evaluate the new placement.
 
         :param moves: (K, 2) metres on the plane, or (K, 3), where a plane ignores the height;
             moves longer than ``max_step`` are shortened.

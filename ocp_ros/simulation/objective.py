@@ -215,7 +215,7 @@ class Objective:
 
     def covisibility(self, views: Sequence[View]) -> Covisibility | None:
         """
-        Compute the points that pairs of cameras share, if the rig requires links.
+        Compute the shares of points that pairs of cameras see, if the rig requires links.
 
         :param views: as for :meth:`judge`.
         :returns: the covisibility of these cameras and those in place; None if the rig does not

@@ -42,8 +42,8 @@ def maps_of(simulator: Simulator, poses: Sequence[Pose]) -> PointMaps:
     """
     Compute the maps of a placement.
 
-    :param simulator: the engine for the room; row k of its camera models belongs to camera k, or
-        its only model to all cameras.
+    :param simulator: the engine for the room; its model k belongs to camera k, or its only model
+        to all cameras.
     :param poses: the poses of K cameras, K >= 1.
     """
     return maps_of_views(simulator, [simulator.look(pose, camera)

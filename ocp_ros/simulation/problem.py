@@ -50,7 +50,7 @@ def make_problem(scene: Scene, config: SimulationConfig) -> 'Problem':
 def space_of(simulator: Simulator, cameras: int | None = None,
              config: EpisodeConfig | None = None) -> FreePlane:
     """
-    Return the space of cameras that move freely on a plane in a room.
+    Return the feasible region of cameras that move freely on a plane in a room.
 
     :param cameras: the number of cameras; that of the simulator's settings by default.
     :param config: has the distances to walls and surfaces; the simulator's settings by default.

@@ -54,7 +54,7 @@ NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0)
 
 def potential(space_coverage: float, depth_error: float, volume: float, worst: float) -> float:
     """
-    Return the potential of a placement.
+    Return the potential of a placement; its change is the reward ``potential``.
 
     :param space_coverage: cubic metres.
     :param depth_error: metres.

@@ -194,7 +194,7 @@ class Simulator:
     def look_around(self, position: np.ndarray, headings: np.ndarray, camera: int = 0
                     ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Compute the views of one camera at one position with many headings, in a single look.
+        Compute what one camera sees from one position with H headings, all from one view.
 
         :param position: (3,) metres, map frame.
         :param headings: (H, 3) yaw, pitch and roll in radians.

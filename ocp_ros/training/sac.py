@@ -164,7 +164,7 @@ def _modules_of(actor: Any, agent: AgentConfig) -> dict[str, torch.nn.Module]:
             'mu.': actor.mu, 'log_std.': actor.log_std}
 
 
-def named_below(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+def select_by_prefix(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
     """Return the tensors whose names begin with a prefix, by their names without the prefix."""
     return {name.removeprefix(prefix): tensor for name, tensor in tensors.items()
             if name.startswith(prefix)}
@@ -204,4 +204,4 @@ def load_actor(model: AgentSac, checkpoint: Checkpoint) -> None:
             model.actor, model.replay_buffer.sample(size).observations)
         return
     for prefix, module in _modules_of(model.actor, model.agent).items():
-        module.load_state_dict(named_below(checkpoint.weights, prefix))
+        module.load_state_dict(select_by_prefix(checkpoint.weights, prefix))

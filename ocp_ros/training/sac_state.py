@@ -24,7 +24,7 @@ import uuid
 
 import numpy as np
 from ocp_ros.policy.checkpoint import CheckpointError, MAX_WEIGHT, read_metadata
-from ocp_ros.training.sac import AgentSac, named_below
+from ocp_ros.training.sac import AgentSac, select_by_prefix
 from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
 from safetensors import SafetensorError
 import safetensors.numpy
@@ -110,14 +110,14 @@ def load_state(model: AgentSac, path: Path) -> str:
             f'{path}: found no training state for this network ({error}); expected a whole one, '
             'saved with the same settings; put it back from a copy, or begin in another folder '
             'with model set to the weights beside it: these are kept, the rest is lost') from error
-    model.policy.load_state_dict(named_below(tensors, 'policy.'))
+    model.policy.load_state_dict(select_by_prefix(tensors, 'policy.'))
     if model.averaged is not None:
-        model.averaged.load_state_dict(named_below(tensors, 'averaged.'))
+        model.averaged.load_state_dict(select_by_prefix(tensors, 'averaged.'))
     model.log_ent_coef.data.copy_(tensors['log_ent_coef'])
     for name in COUNTERS:
         setattr(model, name, int(tensors[f'counter.{name}']))
     for name, optimizer in _optimizers(model).items():
-        load_slots(optimizer, named_below(tensors, f'optimizer.{name}.'))
+        load_slots(optimizer, select_by_prefix(tensors, f'optimizer.{name}.'))
     return run
 
 

@@ -62,7 +62,7 @@ def room_names(config: RoomsConfig, part: str) -> list[str]:
     return names
 
 
-def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
+def make_scene(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
     """
     Make a room, or read a scan.
 
@@ -95,7 +95,7 @@ class Rooms(Sequence):
         """Return a room; others use the same object, so do not change it."""
         if index in self._kept:
             return self._kept[index]
-        scene = make(self._config, self._names[index])
+        scene = make_scene(self._config, self._names[index])
         if (len(self._kept) + 1) * self._config.points <= MAX_CACHED_POINTS:
             self._kept[index] = scene
         return scene

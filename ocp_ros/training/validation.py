@@ -30,7 +30,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
-from ocp_ros.training.training_rooms import make, room_names
+from ocp_ros.training.training_rooms import make_scene, room_names
 from ocp_ros.util.worker_pool import WorkerPool
 
 #: Name of the baseline that moves the cameras at random.
@@ -70,7 +70,7 @@ class RandomMoves(Online):
 
 def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     """
-    Run one episode.
+    Run one episode, and return its results.
 
     :returns: depth errors at start and end, metres, and space coverage at the end, cubic metres.
     """
@@ -92,7 +92,7 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
 def _cached_problem(rooms: RoomsConfig, room: str, rotation: float, config: SimulationConfig
                     ) -> Problem:
     """Return the problem of a room, rotated by degrees; the latest 32 problems are cached."""
-    return make_problem(make(rooms, room, rotation), config)
+    return make_problem(make_scene(rooms, room, rotation), config)
 
 
 @lru_cache(maxsize=1)
@@ -103,7 +103,7 @@ def policy_of(weights: bytes) -> Policy | ValuePolicy:
 
 def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
     """
-    Return one trial for each room of a set, with at most 4 cameras that move freely on a plane.
+    Return one trial for each room of a set; without a rig file, with at most 4 cameras.
 
     The rotations of the settings alternate between rooms.
 
@@ -122,7 +122,7 @@ def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
 def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial], weights: bytes = b''
              ) -> dict[str, float]:
     """
-    Run some episodes in parallel.
+    Run episodes in parallel, and return their mean results.
 
     :param pool: the worker pool that runs the episodes.
     :param trials: the settings of the episodes.

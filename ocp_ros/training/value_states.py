@@ -59,7 +59,7 @@ from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.training.training_config import RoomsConfig
-from ocp_ros.training.training_rooms import make
+from ocp_ros.training.training_rooms import make_scene
 from ocp_ros.training.validation import policy_of
 
 #: Number of labelled positions for omnidirectional cameras.
@@ -188,9 +188,9 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
         lacks.
     """
     rng = np.random.default_rng(task.seed)
-    rotation = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
-    true_scan = make(replace(task.rooms, points=TRUE_POINTS), task.room, rotation)
-    scan = make(replace(task.rooms, points=int(rng.choice(SCAN_POINTS))), task.room, rotation)
+    degrees = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
+    true_scan = make_scene(replace(task.rooms, points=TRUE_POINTS), task.room, degrees)
+    scan = make_scene(replace(task.rooms, points=int(rng.choice(SCAN_POINTS))), task.room, degrees)
     heights_m = (1.0, 2.3)
     # Half of the rooms have the range and the height of the default rig, low rooms always.
     is_default = rng.random() < 0.5 or true_scan.size[2] < heights_m[1]

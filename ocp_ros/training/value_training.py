@@ -56,7 +56,7 @@ STATE_KINDS = ('walked', 'own', 'validation')
 
 class TrainingRun(ABC):
     """
-    A training run.
+    A training run: its folder, clock, progress and validation. Subclasses train.
 
     :param config: settings of the run.
     :param folder: folder of the run.
