@@ -361,7 +361,7 @@ def small():
     from ocp_ros.training import value_states
     with pytest.MonkeyPatch.context() as patch:
         for name, value in (('TRUE_POINTS', 3000), ('SCAN_POINTS', (2000,)),
-                            ('EPISODES', 1), ('MAPS', 2), ('CHOICES', 3), ('TURNS', 3)):
+                            ('EPISODES', 1), ('MAPS', 2), ('CHOICES', 3), ('MAP_TURNS', 3)):
             patch.setattr(value_states, name, value)
         yield
 

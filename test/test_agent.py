@@ -31,7 +31,7 @@ from ocp_ros.policy.policy import Policy
 from ocp_ros.policy.sampling import ball_query, farthest_points
 from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.rooms.scene_source import make_room
-from ocp_ros.training.augmentation import SYMMETRIES, turn_observation
+from ocp_ros.training.augmentation import SYMMETRIES, turned_observation
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.util.settings import ConfigurationError
@@ -179,7 +179,7 @@ def test_nearly_every_point_reaches_a_group(seed):
 def test_symmetries_turn_the_ways_to_other_cameras(cloud):
     seen = turn_of(cloud, corners(cloud)).inputs(0)
     for matrix in SYMMETRIES:
-        turned = turn_observation(batch(seen), matrix[None])
+        turned = turned_observation(batch(seen), matrix[None])
         expected = seen['others'].copy()
         expected[:, :2] = expected[:, :2] @ matrix.numpy().T
         np.testing.assert_allclose(turned['others'][0], expected, atol=1e-6)

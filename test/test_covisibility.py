@@ -27,7 +27,7 @@ from ocp_ros.rig.rig_file import Calibratable, rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_plan import RigPlanner
-from ocp_ros.simulation.covisibility import covisibility, watched
+from ocp_ros.simulation.covisibility import air_share, covisibility
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
@@ -78,7 +78,7 @@ def test_a_chain_connects_and_a_gap_says_how_much_is_missing():
     # Two cameras in place are linked, and a single camera needs no other.
     views = [view(1.0, 0, 40), view(2.0, 20, 40), view(5.0, 60, 100)]
     assert covisibility(POINTS, views, asked).groups == [[0, 1], [2]]
-    assert covisibility(POINTS, views, asked, fixed=2).missing == 0.0
+    assert covisibility(POINTS, views, asked, fixed_count=2).missing == 0.0
     assert covisibility(POINTS, views[:1], asked).missing == 0.0
 
 
@@ -152,11 +152,11 @@ def test_air_counts_where_enough_cameras_look_from_enough_directions(
     between = np.rad2deg(np.arccos(np.clip(np.einsum('ank,bnk->abn', ways, ways), -1, 1)))
     found = [any(all(between[one, other, n] >= angle for one, other in combinations(some, 2))
                  for some in combinations(np.flatnonzero(seen[:, n]), seen_by)) for n in numbers]
-    assert watched(cells, numbers, views, seen_by, np.deg2rad(angle)) == np.mean(found)
+    assert air_share(cells, numbers, views, seen_by, np.deg2rad(angle)) == np.mean(found)
     # Cameras that are everywhere at once see from all directions.
     everywhere = [view._replace(position=None) for view in views]
     enough = (seen[:, numbers].sum(axis=0) >= seen_by).mean()
-    assert watched(cells, numbers, everywhere, seen_by, np.deg2rad(angle)) == enough
+    assert air_share(cells, numbers, everywhere, seen_by, np.deg2rad(angle)) == enough
 
 
 def test_a_volume_that_two_cameras_watch_from_two_sides_is_planned_for():

@@ -38,7 +38,7 @@ from ocp_ros.training.encoded_environment import encoded_space, playable
 from ocp_ros.training.experience import Choice, Experience, ExperienceError, from_bytes, to_bytes
 from ocp_ros.training.run_folder import records
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
-from ocp_ros.training.sac_networks import NearValueMap, REWARD_PER_VALUE
+from ocp_ros.training.sac_networks import ImitationLoss, REWARD_PER_VALUE
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import SacConfig, TrainingConfig
 from ocp_ros.training.transitions import Assembler, Reward
@@ -211,13 +211,13 @@ def test_what_is_rewarded_is_learned(model):
 
 def test_a_policy_is_drawn_back_to_the_value_map_it_began_with():
     first = network()
-    near = NearValueMap(AGENT, first.state_dict(), torch.device('cpu'))
+    imitation = ImitationLoss(AGENT, first.state_dict(), torch.device('cpu'))
     model = make_sac(SAC, AGENT, seed=0)
     load_actor(model, Checkpoint(AGENT, first.state_dict()))
     seen = batch(made_up(3))
-    assert near.loss_of(model.actor, seen).item() == pytest.approx(0.0, abs=1e-6)
+    assert imitation.loss_of(model.actor, seen).item() == pytest.approx(0.0, abs=1e-6)
     load_actor(model, Checkpoint(AGENT, network(1).state_dict()))
-    before = near.loss_of(model.actor, seen)
+    before = imitation.loss_of(model.actor, seen)
     # The divergence by its definition.
     shares = [CellChoices(valued(one, seen), seen['choices']).shares.clamp(min=1e-30)
               for one in (first, model.actor.network)]
@@ -225,10 +225,10 @@ def test_a_policy_is_drawn_back_to_the_value_map_it_began_with():
     assert before.item() == pytest.approx(expected.item(), rel=1e-4) and before > 0.01
     for _ in range(20):
         model.actor.optimizer.zero_grad()
-        near.loss_of(model.actor, seen).backward()
+        imitation.loss_of(model.actor, seen).backward()
         model.actor.optimizer.step()
-    assert near.loss_of(model.actor, seen) < 0.5 * before
-    assert all(torch.equal(value, near.network.state_dict()[name])
+    assert imitation.loss_of(model.actor, seen) < 0.5 * before
+    assert all(torch.equal(value, imitation.network.state_dict()[name])
                for name, value in first.state_dict().items())
 
 

@@ -27,7 +27,7 @@ from ocp_ros.policy.policy import Policy
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
-from ocp_ros.training.augmentation import CloudReplayBuffer, SYMMETRIES, turn_observation
+from ocp_ros.training.augmentation import CloudReplayBuffer, SYMMETRIES, turned_observation
 from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import CameraByCamera, encoded_space, playable
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
@@ -82,7 +82,7 @@ def test_the_replay_gives_back_what_was_stored_but_for_a_symmetry(room, small_ag
     assert (drawn.rewards == np.float32(reward)).all()
 
     def is_turned(found, encoded, matrix, index):
-        expected = turn_observation(batch(encoded), matrix[None])
+        expected = turned_observation(batch(encoded), matrix[None])
         # Points are moved by 2 cm (standard deviation), and some of a group are left out.
         return all(set(found[name][index].flatten().tolist()) <= set(value.flatten().tolist())
                    if moved and name.startswith('groups') else torch.allclose(

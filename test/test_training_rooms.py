@@ -33,7 +33,7 @@ from ocp_ros.training import training_rooms
 from ocp_ros.training.train import trials_of
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import PARTS, room_names, Rooms
-from ocp_ros.training.validation import _prepared
+from ocp_ros.training.validation import _cached_problem
 from ocp_ros.util.files import cache_folder
 from ocp_ros.util.settings import ConfigurationError, from_nested
 from plyfile import PlyData, PlyElement
@@ -120,7 +120,7 @@ def test_scans_in_other_units_are_read_alike_by_all_who_play_in_them(tmp_path):
         source='folder', folder=str(tmp_path), scale=0.001, up='y', rotations='0'))
     (name,) = room_names(config.rooms, 'training')
     (trial,) = trials_of(config, 'validation')
-    scene = _prepared(
+    scene = _cached_problem(
         trial.rooms, trial.room, trial.rotation, trial.simulation).simulator.scene
     for points in (Rooms([name], config.rooms)[0].points, scene.points):
         np.testing.assert_allclose(np.ptp(points, axis=0), expected.size, atol=1e-3)

@@ -42,7 +42,7 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training import value_states
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
-from ocp_ros.training.value_fit import at_places, turned_at_random, turned_headings
+from ocp_ros.training.value_fit import turned_headings, turned_inputs, values_at
 from ocp_ros.training.value_states import AIMED_PITCH, play_states, shapes_of, StateTask, TrueRoom
 from ocp_ros.util.settings import ConfigurationError, from_nested
 import pytest
@@ -98,7 +98,7 @@ def test_a_mark_ahead_of_a_place_stays_ahead_of_it(number):
     yaw = heading * 0.25 * math.pi
     mark = [round(20 + 10 * math.cos(yaw)), round(40 + 10 * math.sin(yaw))]
     room[0, 0, mark[0], mark[1]] = 255
-    turned, places = turned_at_random({'room': room}, place, number)
+    turned, places = turned_inputs({'room': room}, place, number)
     found = torch.nonzero(turned['room'][0, 0])[0] + 0.5 - places[0, 0]
     seen = torch.atan2(found[1], found[0]) / (0.25 * math.pi)
     assert round(float(seen)) % 8 == int(turned_headings(8, number)[heading])
@@ -108,7 +108,7 @@ def test_maps_of_headings_are_read_at_places():
     values = torch.arange(2.0 * 3 * 8 * 8).reshape(2, 3, 8, 8)
     places = torch.tensor([[[2.5, 4.5], [0.5, 7.5]]] * 2)
     expected = torch.stack([values[:, :, 2, 4], values[:, :, 0, 7]], dim=1)
-    torch.testing.assert_close(at_places(values, places), expected)
+    torch.testing.assert_close(values_at(values, places), expected)
 
 
 def test_a_value_map_begins_as_that_of_cameras_that_see_all_around():
@@ -157,7 +157,7 @@ def test_labels_of_headings_are_what_the_true_room_loses(room):
     assert np.ptp(values.reshape(-1, 8), axis=1).max() > 0.01
     pose = true.poses[[37, 5]]
     turned = pose[:, 3:] + [[0.2, 0.3, 0.0]]
-    assert true.nearest(pose[:, :2], turned).tolist() == [37, 5]
+    assert true.nearest_poses(pose[:, :2], turned).tolist() == [37, 5]
 
 
 def test_states_of_headings_are_played_alike_and_of_their_shape(small):

@@ -41,7 +41,7 @@ from ocp_ros.scenes.scene import turned
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig, ValuesConfig
-from ocp_ros.training.value_fit import at_places, loss_of, turned_at_random, ValueFit, ValueSet
+from ocp_ros.training.value_fit import loss_of, turned_inputs, ValueFit, values_at, ValueSet
 from ocp_ros.training.value_states import play_states, StateTask, TrueRoom
 from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
 import pytest
@@ -112,8 +112,8 @@ def test_maps_and_places_turn_together(number):
     maps = torch.rand(2, 1, 24, 40)
     places = 1.0 + torch.rand(2, 50, 2) * torch.tensor([22.0, 38.0])
     observation = {'room': maps, 'others': maps}
-    changed, moved = turned_at_random(observation, places, number)
-    assert torch.allclose(at_places(changed['room'], moved), at_places(maps, places),
+    changed, moved = turned_inputs(observation, places, number)
+    assert torch.allclose(values_at(changed['room'], moved), values_at(maps, places),
                           atol=1e-4)
 
 

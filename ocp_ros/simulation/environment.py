@@ -116,7 +116,7 @@ class CameraPlacementEnv(gym.Env):
             for name, shape in shapes.items()})
 
     def _check_rig(self) -> None:
-        """Refuse too few cameras for a rig file, and rotations that its map coordinates forbid."""
+        """Refuse too few cameras for a rig file, and rotations if it has map coordinates."""
         rig, cameras = self.rig, len(self.rig.cameras)
         if self.fewest < cameras and not rig.free:
             raise ConfigurationError(f'fewest: found {self.fewest} with a rig file; expected '
@@ -124,12 +124,12 @@ class CameraPlacementEnv(gym.Env):
         rig.check_rotations(self.rotations, f'rotations: found {self.rotations}', '0 alone')
 
     def _make_problem(self, index: int, rotation: float) -> Problem:
-        """Prepare a rotated scene."""
+        """Build the problem of scene ``index``, rotated by ``rotation`` degrees."""
         scene = self.scenes[index]
         return make_problem(turned(scene, rotation) if rotation else scene, self.config)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Begin an episode; ``options`` may choose the scene, its rotation and the cameras."""
+        """Begin an episode; ``options`` may set scene, rotation and number of cameras."""
         super().reset(seed=seed)
         drawn = {'rotation': self.rotations[int(self.np_random.integers(len(self.rotations)))],
                  'scene': int(self.np_random.integers(len(self.scenes))),
@@ -140,22 +140,22 @@ class CameraPlacementEnv(gym.Env):
         return self._observation(), self._info()
 
     def step(self, action):
-        """Move every camera by its action and compute the new views."""
+        """Move every camera by its row of the action, and evaluate the new placement."""
         now, limits = self.episode.turn, self.config.episode
-        axes = np.asarray(action, dtype=np.float64).reshape(-1, len(self.axes))
-        axes = axes[:len(now.positions)]
-        level = 3 if 'z' in self.axes else 2
+        axes = np.asarray(action, float).reshape(-1, len(self.axes))[:len(now.positions)]
+        move_columns = 3 if 'z' in self.axes else 2
         headings = None
         if 'yaw' in self.axes:
             headings = now.headings.copy()
-            headings[:, :2] += bounded_moves(axes[:, level:], limits.max_turn)
+            headings[:, :2] += bounded_moves(axes[:, move_columns:], limits.max_turn)
             headings[:, 0] = wrapped(headings[:, 0])
-        turn = self.episode.move(bounded_moves(axes[:, :level], limits.max_step), headings)
+        moves = bounded_moves(axes[:, :move_columns], limits.max_step)
+        turn = self.episode.move(moves, headings)
         return self._observation(), turn.terms.reward, False, turn.truncated, self._info()
 
     def _observation(self) -> dict[str, np.ndarray]:
-        """Return the observation of the agent."""
-        # Until a camera has seen a point, the camera positions stand for the cloud.
+        """Return the observation of the agent; see the class."""
+        # Until a camera has seen a point, the camera positions replace the cloud.
         cloud = self.episode.observed_cloud
         if len(cloud) == 0:
             cloud = self.episode.turn.positions.astype(np.float32)
@@ -163,14 +163,14 @@ class CameraPlacementEnv(gym.Env):
         present = np.zeros(len(positions), dtype=np.float32)
         count = len(self.episode.turn.positions)
         positions[:count], present[:count] = self.episode.turn.positions, 1.0
-        found = {'cloud': fixed_size(cloud, self.observation_points),
-                 'camera_positions': positions, 'present': present, 'bounds': corners_of(cloud)}
+        inputs = {'cloud': fixed_size(cloud, self.observation_points),
+                  'camera_positions': positions, 'present': present, 'bounds': corners_of(cloud)}
         if 'yaw' in self.axes:
-            found['camera_headings'] = self.episode.turn.headings.astype(np.float32)
-        return found
+            inputs['camera_headings'] = self.episode.turn.headings.astype(np.float32)
+        return inputs
 
     def _info(self) -> dict[str, Any]:
-        """Return the true state of the placement and the terms of the reward."""
+        """Return the exact coverage and error of the placement, and the terms of the reward."""
         turn = self.episode.turn
         return {'scene': self.episode.scene.name, 'step': turn.step,
                 'space_coverage': turn.space_coverage, 'depth_error': turn.depth_error,
@@ -180,7 +180,7 @@ class CameraPlacementEnv(gym.Env):
 
 class RoomsByName(Sequence[Scene]):
     """
-    Rooms that are made each time they are accessed.
+    Scenes of rooms, made each time they are accessed.
 
     :param names: seeds of generated rooms, or paths of scans.
     :param points: the number of points of a generated room; larger scans are thinned to it.
@@ -191,11 +191,11 @@ class RoomsByName(Sequence[Scene]):
         self._points = points
 
     def __len__(self) -> int:
-        """Return how many rooms there are."""
+        """Return the number of rooms."""
         return len(self._names)
 
     def __getitem__(self, index):
-        """Make a room."""
+        """Make the scene of one room."""
         return make_room(self._names[index], 0.0, self._points)
 
 

@@ -56,6 +56,8 @@ class Episode:
     :param cameras: the number of cameras; all cameras of the problem by default.
     :ivar simulator: the engine.
     :ivar scene: the room.
+    :ivar observed: the points seen since the episode began.
+    :ivar turn: the state after the last time step.
     :ivar views: the current view of each camera that is to be placed.
     :ivar value: the current space coverage, cubic metres, and the error of rewards, metres; see
         :meth:`value_of`.
@@ -66,22 +68,22 @@ class Episode:
         self.problem = problem
         self.simulator = problem.simulator
         self.scene, self.config = self.simulator.scene, self.simulator.config.episode
-        self.observed = problem.nothing()
+        self.observed = problem.seen_by_fixed()
         start = problem.start(
             rng, self.config, len(problem.rig.cameras) if cameras is None else cameras)
         self.turn = self._look(0, start)
-        #: The value and the views before the turn.
-        self._before = self.value, self.views
+        #: The value and the views before the last turn.
+        self._previous = self.value, self.views
 
     @property
     def placement(self) -> np.ndarray:
-        """Return all cameras, then those in place: (K + F, 6) metres, map frame, and radians."""
-        moved = np.hstack([self.turn.positions, self.turn.headings])
-        return np.vstack([moved, self.problem.fixed_poses])
+        """Return the poses (K + F, 6), metres and radians, of K cameras, then of F in place."""
+        poses = np.hstack([self.turn.positions, self.turn.headings])
+        return np.vstack([poses, self.problem.fixed_poses])
 
     def move(self, moves: np.ndarray, headings: np.ndarray | None = None) -> Turn:
         """
-        Play one turn.
+        Move the cameras in one time step (turn), and evaluate the new placement.
 
         :param moves: (K, 2) metres on the plane, or (K, 3), where a plane ignores the height;
             moves longer than ``max_step`` are shortened.
@@ -90,47 +92,53 @@ class Episode:
         """
         moves = np.asarray(moves, dtype=np.float64)[:, :self.problem.dimensions]
         poses = np.hstack([self.turn.positions, self.turn.headings])
-        target = poses.copy()
-        target[:, :moves.shape[1]] += shortened(moves, self.config.max_step)
+        targets = poses.copy()
+        targets[:, :moves.shape[1]] += shortened(moves, self.config.max_step)
         if headings is not None:
-            target[:, 3:] = headings
-        target, outside = self.problem.reached(poses, target, self.config)
-        self._before = before, _ = self.value, self.views
-        turn = self._look(self.turn.step + 1, target)
-        self.turn = replace(turn, terms=self.reward(before, self.value, outside))
+            targets[:, 3:] = headings
+        reached, outside = self.problem.reached_poses(poses, targets, self.config)
+        self._previous = self.value, self.views
+        turn = self._look(self.turn.step + 1, reached)
+        self.turn = replace(turn, terms=self.reward(self._previous[0], self.value, outside))
         return self.turn
 
     def shares(self, order: Sequence[int]) -> list[RewardTerms]:
         """
-        Return the reward of each camera's last move, as if they had moved one after the other.
+        Return the reward of each camera's last move, as if one camera moved after the other.
 
-        For a telescoping reward, the shares add up to the reward of the turn.
+        For the ``potential`` reward, they add up to the reward of the turn without the penalty.
 
-        :param order: the order in which the cameras are taken to have moved.
+        :param order: the indices of the cameras, in the assumed order of their moves.
         :returns: one entry per camera, in this order.
         """
-        before, views = self._before
-        views, found = list(views), []
+        before, views = self._previous[0], list(self._previous[1])
+        shares = []
         for camera in order:
             views[camera] = self.views[camera]
             after = self.value_of(views)
-            found.append(self.reward(before, after))
+            shares.append(self.reward(before, after))
             before = after
-        return found
+        return shares
 
     def value_of(self, views: Sequence[View]) -> tuple[float, float]:
-        """Return space coverage, cubic metres, and the error of rewards, metres, of views."""
+        """Return the space coverage, cubic metres, and the error of rewards, metres, of views."""
         result = self.problem.judge(views)
         return result.space_coverage, self.problem.error(result)
 
     def reward(self, before: tuple[float, float], after: tuple[float, float],
                outside: bool = False) -> RewardTerms:
-        """Return the reward for a change of the value (see :meth:`value_of`)."""
+        """
+        Return the reward for a change of the value.
+
+        :param before: the value before the change; see :meth:`value_of`.
+        :param after: the value after it.
+        :param outside: whether a target was not allowed.
+        """
         return reward(before, after, outside, self.simulator.volume,
                       self.simulator.depth_error.worst, self.simulator.config.reward)
 
     def _look(self, step: int, poses: np.ndarray) -> Turn:
-        """Evaluate the placement (K, 6) and add its visible points to the observed ones."""
+        """Set views and value to those of poses (K, 6); add the points seen to ``observed``."""
         self.views = self.problem.look(poses)
         result = self.problem.judge(self.views)
         self.value = result.space_coverage, self.problem.error(result)

@@ -24,7 +24,7 @@ from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Sub
 from ocp_ros.rig.feasible_region import floor_space
 from ocp_ros.rig.rig_file import Region, Rig
 from ocp_ros.rig.structure import Air, floor_height
-from ocp_ros.simulation.covisibility import Covisibility, covisibility, SHARE_TOLERANCE, watched
+from ocp_ros.simulation.covisibility import air_share, Covisibility, covisibility, SHARE_TOLERANCE
 from ocp_ros.simulation.simulator import Simulator, View
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
 
@@ -38,12 +38,13 @@ class RigEvaluation(NamedTuple):
 
     :ivar loss: the value to minimise: depth error / depth error of seeing nothing + sum of weight
         x unseen share + 10 x shortfall of each share that must be seen + 10 x shortfall of the
-        overlaps that link all cameras, if the rig requires it.
+        shared points that link all cameras, if the rig requires links.
     :ivar depth_error: metres.
     :ivar space_coverage: cubic metres.
-    :ivar regions: (R,) the share of each region's points, or of its cells of air, that are seen.
+    :ivar regions: (R,) of each of R regions, the share of its points, or of its cells of air,
+        that is seen.
     :ivar seen: the points that enough cameras see.
-    :ivar connected: whether all cameras are linked, or the rig does not require it.
+    :ivar connected: whether links connect all cameras, or the rig requires no links.
     """
 
     loss: float
@@ -82,22 +83,22 @@ class Objective:
         self.simulator, self.rig = simulator, rig
         count = len(rig.cameras)
         self.fixed = [simulator.look(pose, count + k) for k, pose in enumerate(rig.fixed_poses)]
-        self._nothing = View(no_bits(len(simulator.scene)), no_bits(len(simulator.grid)))
+        self._empty_view = View(no_bits(len(simulator.scene)), no_bits(len(simulator.grid)))
         self._order = simulator.visibility.order
-        self._regions = [self._points_of(region) if region.air is None else self._air_of(region)
-                         for region in rig.regions]
+        self._contents = [self._points_of(region) if region.air is None else self._air_of(region)
+                          for region in rig.regions]
         self._weights = np.array([region.weight for region in rig.regions])
-        self._must = np.array([region.must_see for region in rig.regions])
+        self._required_shares = np.array([region.must_see for region in rig.regions])
 
     def _points_of(self, region: Region) -> np.ndarray:
-        """Return the points in a region: (W,) packed bits."""
+        """Return the points in a region as packed bits: (W,) uint64 words."""
         scene = self.simulator.scene
         inside = region.zone.contains(scene.points, floor_height(scene))
         self._check_inside(region, inside)
         return pack(inside[self._order])
 
     def _air_of(self, region: Region) -> np.ndarray:
-        """Return the cells of the coverage grid that are air in a region: (S,) in its order."""
+        """Return the indices (S,) in ``_cells`` of the cells that are air in a region."""
         scene, cells = self.simulator.scene, self._cells
         numbers = np.flatnonzero(region.zone.contains(cells, floor_height(scene)))
         # Cells inside furniture are not air.
@@ -112,7 +113,7 @@ class Objective:
         return Air(scene, floor_space(scene, self.rig, floor_height(scene), scene.bounds[1, 2]))
 
     def _check_inside(self, region: Region, inside: np.ndarray) -> None:
-        """Refuse a region that contains none of the points or cells that must be seen."""
+        """Refuse a region without points, or without cells of air; ``inside`` marks them."""
         if not inside.any():
             scene = self.simulator.scene
             low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)
@@ -135,19 +136,19 @@ class Objective:
 
     def point_costs(self) -> Iterator[tuple[np.ndarray, float]]:
         """
-        Yield the cost of unseen points, without the depth error.
+        Yield the costs of not seeing each of the N points, without the depth error.
 
-        :returns: (N,) loss of each point in the engine's order, and the part of their sum that
-            costs nothing: first for the weights of all regions, then for each region that must be
-            seen.
+        :returns: pairs: (N,) the cost of each unseen point in the engine's order, and the total
+            cost below which nothing is lost. The first pair is for the weights of all regions,
+            each further pair for one region that must be seen.
         """
         shares = [unpack(bits, len(self.simulator.scene)) / count_bits(bits)
-                  for bits in self._regions]
+                  for bits in self._contents]
         if self._weights.any():
             yield self._weights @ shares, 0.0
-        for share, must in zip(shares, self._must):
-            if must > 0.0:
-                yield MUST_SEE_COST * share, MUST_SEE_COST * (1.0 - must)
+        for share, required in zip(shares, self._required_shares):
+            if required > 0.0:
+                yield MUST_SEE_COST * share, MUST_SEE_COST * (1.0 - required)
 
     def look(self, poses: np.ndarray) -> list[View]:
         """
@@ -164,70 +165,71 @@ class Objective:
         :param views: the views of some of the cameras to be placed, from :meth:`look` or
             :meth:`~ocp_ros.simulation.simulator.Simulator.look`.
         """
-        everyone, missing = self._with_fixed(views), self._missing(views)
-        seen = self._seen(everyone)
-        covered = seen_by([view.covered for view in everyone], self.rig.seen_by)[-1]
-        loss, error, shares = self._loss_of(seen, everyone)
+        all_views, link_cost = self._with_fixed(views), self._link_cost(views)
+        seen = self._seen(all_views)
+        covered = seen_by([view.covered for view in all_views], self.rig.seen_by)[-1]
+        loss, error, shares = self._loss_of(seen, all_views)
         return RigEvaluation(
-            loss + missing, error, space_coverage(covered, self.simulator.cell_volume), shares,
-            Subset(seen, self._order), missing <= SHARE_TOLERANCE)
+            loss + link_cost, error, space_coverage(covered, self.simulator.cell_volume), shares,
+            Subset(seen, self._order), link_cost <= SHARE_TOLERANCE)
 
     def loss(self, views: Sequence[View]) -> float:
-        """Return only the loss of views, which are as for :meth:`judge`."""
-        everyone = self._with_fixed(views)
-        return self._loss_of(self._seen(everyone), everyone)[0] + self._missing(views)
+        """Return the loss of views without the rest of the evaluation; see :meth:`judge`."""
+        all_views = self._with_fixed(views)
+        return self._loss_of(self._seen(all_views), all_views)[0] + self._link_cost(views)
 
     def promise(self, views: Sequence[View]) -> float:
         """
-        Return the mean of the losses if 1, 2, ... cameras have to see a point or cell of air.
+        Return the mean of the losses if 1, 2, ... n cameras have to see a point or cell of air.
 
-        The last number is the largest that the rig or a region of air requires. This value also
-        distinguishes placements with too few cameras, which all have the same loss.
+        n is the largest number of cameras that the rig or a region of air requires. Placements
+        with fewer than n cameras may all have the same loss; this mean distinguishes them.
 
         :param views: as for :meth:`judge`.
         """
-        everyone = self._with_fixed(views)
-        seen = self._levels(everyone)
-        most = max([len(seen), *(region.air.seen_by for region in self.rig.regions if region.air)])
-        levels = [self._loss_of(seen[min(count, len(seen)) - 1], everyone, count)[0]
-                  for count in range(1, most + 1)]
-        return float(np.mean(levels)) + self._missing(views)
+        all_views = self._with_fixed(views)
+        seen = self._seen_by_count(all_views)
+        counts = [len(seen), *(region.air.seen_by for region in self.rig.regions if region.air)]
+        losses = [self._loss_of(seen[min(count, len(seen)) - 1], all_views, count)[0]
+                  for count in range(1, max(counts) + 1)]
+        return float(np.mean(losses)) + self._link_cost(views)
 
-    def _loss_of(self, seen: np.ndarray, views: Sequence[View], most: int = MAX_CAMERAS
+    def _loss_of(self, seen: np.ndarray, views: Sequence[View], max_seen_by: int = MAX_CAMERAS
                  ) -> tuple[float, float, np.ndarray]:
         """
-        Return loss, depth error and shares of the regions.
+        Return the loss without the cost of links, the depth error and the shares of the regions.
 
         :param seen: packed bits of the points that count as seen.
         :param views: the views of all cameras, for regions of air.
-        :param most: upper limit of the number of cameras that have to see a cell of air.
+        :param max_seen_by: a region of air requires at most this number of cameras for a cell.
         """
         error = self.simulator.depth_error(seen)
         shares = np.array([
-            count_bits(seen & part) / count_bits(part) if region.air is None else
-            watched(self._cells, part, views, min(region.air.seen_by, most), region.air.angle)
-            for region, part in zip(self.rig.regions, self._regions)])
+            count_bits(seen & content) / count_bits(content) if region.air is None else
+            air_share(self._cells, content, views, min(region.air.seen_by, max_seen_by),
+                      region.air.angle)
+            for region, content in zip(self.rig.regions, self._contents)])
         loss = (error / self.simulator.depth_error.worst + self._weights @ (1.0 - shares)
-                + MUST_SEE_COST * np.maximum(self._must - shares, 0.0).sum())
+                + MUST_SEE_COST * np.maximum(self._required_shares - shares, 0.0).sum())
         return float(loss), error, shares
 
     def covisibility(self, views: Sequence[View]) -> Covisibility | None:
         """
-        Compute the covisibility of cameras if the rig requires that they can be calibrated.
+        Compute the shares of points that pairs of cameras see, if the rig requires links.
 
         :param views: as for :meth:`judge`.
         :returns: the covisibility of these cameras and those in place; None if the rig does not
-            require it, or if a view has several positions.
+            require links between cameras, or if a view has several positions.
         """
-        views, asked = self._with_fixed(views), self.rig.calibratable
-        if asked is None or any(view.position is None for view in views):
+        views, condition = self._with_fixed(views), self.rig.calibratable
+        if condition is None or any(view.position is None for view in views):
             return None
-        return covisibility(self._points, views, asked, len(self.fixed))
+        return covisibility(self._points, views, condition, len(self.fixed))
 
-    def _missing(self, views: Sequence[View]) -> float:
-        """Return the cost of cameras that are not linked."""
-        found = self.covisibility(views)
-        return 0.0 if found is None else MUST_SEE_COST * found.missing
+    def _link_cost(self, views: Sequence[View]) -> float:
+        """Return the cost of missing links between cameras."""
+        covisible = self.covisibility(views)
+        return 0.0 if covisible is None else MUST_SEE_COST * covisible.missing
 
     def evaluate(self, poses: np.ndarray) -> RigEvaluation:
         """Evaluate poses (K, 6), metres, map frame, and radians."""
@@ -235,55 +237,57 @@ class Objective:
 
     def overlap(self, views: Sequence[View]) -> list[int]:
         """
-        Count how many cameras see each point.
+        Count the points by the number of cameras that see them.
 
         :param views: as for :meth:`judge`.
         :returns: the numbers of points seen by 0, 1, 2 and by 3 or more cameras.
         """
         seen = [view.seen for view in self._with_fixed(views)]
-        # Overlap of more than three cameras is not counted.
-        levels = [count_bits(bits) for bits in seen_by(seen, 3)]
-        at_least = np.array([len(self.simulator.scene), *levels, 0])
-        return [int(count) for count in at_least[:-1] - at_least[1:]]
+        # Entry n: the number of points seen by n or more cameras.
+        counts = np.array([len(self.simulator.scene), *map(count_bits, seen_by(seen, 3)), 0])
+        return [int(count) for count in counts[:-1] - counts[1:]]
 
     def contributions(self, views: Sequence[View]) -> list[Contribution]:
         """
-        Compute what each camera contributes in addition to the others.
+        Compute the contribution of each camera in addition to the others.
 
         :param views: as for :meth:`judge`.
         :returns: the contribution of each view, then of each camera in place.
         """
-        error, everyone = self.simulator.depth_error, self._with_fixed(views)
-        once, twice = seen_by([view.seen for view in everyone], 2)
-        with_all = error(self._seen(everyone))
-        views, found = [*views, *self.fixed], []
-        for k, view in enumerate(views):
-            others = [*views[:k], *views[k + 1:]] or [self._nothing]
+        error_of = self.simulator.depth_error
+        contributions = []
+        all_views = self._with_fixed(views)
+        once, twice = seen_by([view.seen for view in all_views], 2)
+        total_error = error_of(self._seen(all_views))
+        for k, view in enumerate(all_views[:len(views) + len(self.fixed)]):
+            others = [*all_views[:k], *all_views[k + 1:]] or [self._empty_view]
             only = count_bits(view.seen & once & ~twice) / len(self.simulator.scene)
-            found.append(Contribution(error(self._seen(others)) - with_all, float(only)))
-        return found
+            reduction = error_of(self._seen(others)) - total_error
+            contributions.append(Contribution(reduction, float(only)))
+        return contributions
 
     def with_one_more(self, views: Sequence[View], more: Sequence[View]) -> np.ndarray:
         """
-        Return the depth error after adding each of some further cameras.
+        Return the depth errors after adding one of M further cameras at a time.
 
         :param views: as for :meth:`judge`.
-        :param more: the views of M cameras, of which one at a time is added.
+        :param more: the views of the further cameras.
         :returns: (M,) metres.
         """
-        levels = self._levels(self._with_fixed(views))
-        before = levels[-2] if len(levels) > 1 else ~np.zeros_like(levels[0])
-        return np.array([self.simulator.depth_error(levels[-1] | before & view.seen)
+        seen = self._seen_by_count(self._with_fixed(views))
+        # The points that count as seen if one further camera sees them.
+        almost_seen = seen[-2] if len(seen) > 1 else ~np.zeros_like(seen[0])
+        return np.array([self.simulator.depth_error(seen[-1] | almost_seen & view.seen)
                          for view in more])
 
     def _with_fixed(self, views: Sequence[View]) -> list[View]:
-        """Return the views with those of the cameras in place; an empty view if there are none."""
-        return [*views, *self.fixed] or [self._nothing]
+        """Return all views, then those of the cameras in place; one empty view if none."""
+        return [*views, *self.fixed] or [self._empty_view]
 
-    def _levels(self, views: Sequence[View]) -> list[np.ndarray]:
+    def _seen_by_count(self, views: Sequence[View]) -> list[np.ndarray]:
         """Return the points that at least 1, 2, ... ``seen_by`` views contain, as packed bits."""
         return seen_by([view.seen for view in views], self.rig.seen_by)
 
     def _seen(self, views: Sequence[View]) -> np.ndarray:
         """Return the points that ``seen_by`` or more views contain, as packed bits."""
-        return self._levels(views)[-1]
+        return self._seen_by_count(views)[-1]

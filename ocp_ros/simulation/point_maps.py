@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Maps of the seen points and of the error of a room, point by point, for display."""
+"""The number of seeing cameras and the error at each point of a room, for display."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -27,10 +27,10 @@ class PointMaps(NamedTuple):
     """
     The number of cameras and the error at each point.
 
-    :ivar points: (N, 3) float32, metres, map frame.
+    :ivar points: (N, 3) float32, metres, map frame: the N points of the scene.
     :ivar count: (N,) int64, the number of cameras that see each point.
-    :ivar error: (N,) float64, metres, the part of the depth error at each point; the sum is the
-        depth error.
+    :ivar error: (N,) float64, metres, the contribution of each point to the depth error; the sum
+        is the depth error.
     """
 
     points: np.ndarray
@@ -42,7 +42,8 @@ def maps_of(simulator: Simulator, poses: Sequence[Pose]) -> PointMaps:
     """
     Compute the maps of a placement.
 
-    :param simulator: the engine for the room; camera k has the engine's model k, or its only one.
+    :param simulator: the engine for the room; its model k belongs to camera k, or its only model
+        to all cameras.
     :param poses: the poses of K cameras, K >= 1.
     """
     return maps_of_views(simulator, [simulator.look(pose, camera)

@@ -50,10 +50,10 @@ def make_problem(scene: Scene, config: SimulationConfig) -> 'Problem':
 def space_of(simulator: Simulator, cameras: int | None = None,
              config: EpisodeConfig | None = None) -> FreePlane:
     """
-    Return the space of cameras that move freely on a plane in a room.
+    Return the feasible region of cameras that move freely on a plane in a room.
 
     :param cameras: the number of cameras; that of the simulator's settings by default.
-    :param config: the distance to surfaces; that of the simulator's settings by default.
+    :param config: has the distances to walls and surfaces; the simulator's settings by default.
     """
     config = config or simulator.config.episode
     return FreePlane.of(simulator.scene.points, simulator.height,
@@ -65,7 +65,7 @@ class Problem:
     """
     A rig in a room.
 
-    :param objective: the objective of placements; its simulator is the engine.
+    :param objective: the objective of placements; its simulator evaluates them.
     :param region: the feasible region of its cameras.
     :ivar axes: the components of an action, see :attr:`ocp_ros.rig.rig_file.Rig.axes`.
     :ivar dimensions: the number of dimensions in which cameras move.
@@ -93,7 +93,7 @@ class Problem:
         simulator = Simulator(scene, config or SimulationConfig(), rig.models)
         return cls(Objective(simulator, rig), region)
 
-    def nothing(self) -> Subset:
+    def seen_by_fixed(self) -> Subset:
         """Return the points visible to the cameras in place."""
         seen = self.simulator.nothing()
         for view in self.objective.fixed:
@@ -101,96 +101,98 @@ class Problem:
         return seen
 
     @cached_property
-    def _starts(self) -> dict[CameraModel, np.ndarray]:
-        """Return feasible positions of each camera model: (M, 3) metres."""
-        # The number of start positions to choose from.
+    def _start_positions(self) -> dict[CameraModel, np.ndarray]:
+        """Return feasible positions (P, 3), metres, for each camera model."""
         return {model: self.region.places(
-            model, 4000 if model.omnidirectional else 166)[0].positions
+            model, max_count=4000 if model.omnidirectional else 166)[0].positions
             for model in self.rig.placed_models}
 
     @cached_property
-    def _middle(self) -> np.ndarray:
-        """Return the room's middle at the mount's lowest height, else its top: (3,) metres."""
+    def _centre(self) -> np.ndarray:
+        """Return the room's centre (3,), metres, at the mount's least height, else at the top."""
         region, heights = self.region, self.rig.mount.heights
-        level = region.top if heights is None else region.floor + heights[0]
-        return np.array([*self.simulator.scene.bounds.mean(axis=0)[:2], level])
+        z = region.top if heights is None else region.floor + heights[0]
+        return np.array([*self.simulator.scene.bounds.mean(axis=0)[:2], z])
 
     def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
         """
-        Draw the start of an episode, as near to the centre of the room as the cameras may be.
+        Draw the start of an episode: feasible poses near random points around the room's centre.
 
         :param cameras: the number of cameras: all K of the rig.
         :returns: (K, 6) metres, map frame, and radians.
         :raises ConfigurationError: if there is no room for all cameras.
         """
-        wanted = self._middle[:2] + drawn_near(rng, cameras, config.start_radius)
-        taken, rig = self.fixed_poses[:, :3], self.rig
-        level = self._middle[2]
-        for camera, place in zip(rig.cameras, wanted):
-            there = self.region.onto_mount(np.array([[*place, level]]))
-            places = there if self.region.allowed(there, camera.model)[0] else np.empty((0, 3))
-            places = np.vstack([places, self._starts[camera.model]])
-            places = places[satisfies_spacing(places, taken, rig.spacing)]
-            if len(places) == 0:
+        rig, centre = self.rig, self._centre
+        targets = centre[:2] + drawn_near(rng, cameras, config.start_radius)
+        # The positions of the cameras in place, then of those that have a start.
+        occupied = self.fixed_poses[:, :3]
+        for camera, target in zip(rig.cameras, targets):
+            mounted = self.region.onto_mount(np.array([[*target, centre[2]]]))
+            candidates = np.vstack([mounted[self.region.allowed(mounted, camera.model)],
+                                    self._start_positions[camera.model]])
+            candidates = candidates[satisfies_spacing(candidates, occupied, rig.spacing)]
+            if len(candidates) == 0:
                 raise rig.document.error(
                     ('spacing',), f'{rig.spacing:g} m, at which not all of the '
                     f'{len(rig.cameras)} cameras find room in {self.simulator.scene.name}',
                     'a distance at which all do', 'lower it or use fewer cameras')
-            nearest = np.argmin(np.linalg.norm(places[:, :2] - place, axis=1))
-            taken = np.vstack([taken, places[nearest]])
-        positions = taken[len(self.fixed_poses):]
-        return np.hstack([positions, first_headings(rig, positions, self._middle[:2])])
+            nearest = np.argmin(np.linalg.norm(candidates[:, :2] - target, axis=1))
+            occupied = np.vstack([occupied, candidates[nearest]])
+        positions = occupied[len(self.fixed_poses):]
+        return np.hstack([positions, first_headings(rig, positions, centre[:2])])
 
-    def reached(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
-                ) -> tuple[np.ndarray, bool]:
+    def reached_poses(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
+                      ) -> tuple[np.ndarray, bool]:
         """
-        Return the poses that cameras reach: the feasible ones nearest to their targets.
+        Return the poses that K cameras reach: the feasible ones nearest to their targets.
 
-        :param poses: (K, 6) metres, map frame, and radians, where they are.
+        :param poses: (K, 6) metres, map frame, and radians: the present poses.
         :param targets: (K, 6), no farther than a time step reaches.
         :returns: (K, 6), and whether any target was not allowed.
         """
-        ended, refused = poses.copy(), False
-        ended[:, 3:] = targets[:, 3:]
-        ended[:, 4] = np.clip(ended[:, 4], *self.rig.pitch)
-        for k, (here, target) in enumerate(zip(poses[:, :3], targets[:, :3])):
-            if (target == here).all():
+        any_refused = False
+        reached = poses.copy()
+        reached[:, 3:] = targets[:, 3:]
+        reached[:, 4] = np.clip(reached[:, 4], *self.rig.pitch)
+        for k, (position, target) in enumerate(zip(poses[:, :3], targets[:, :3])):
+            if (target == position).all():
                 continue
-            others = np.vstack([np.delete(ended, k, axis=0), self.fixed_poses])[:, :3]
+            others = np.vstack([np.delete(reached, k, axis=0), self.fixed_poses])[:, :3]
 
-            def allowed(places: np.ndarray, k: int = k, others: np.ndarray = others
-                        ) -> np.ndarray:
-                headings = np.broadcast_to(ended[k, 3:], places.shape)
-                return (satisfies_spacing(places, others, self.rig.spacing)
-                        & self.region.allowed(np.hstack([places, headings]),
+            def are_allowed(positions: np.ndarray, k: int = k, others: np.ndarray = others
+                            ) -> np.ndarray:
+                headings = np.broadcast_to(reached[k, 3:], positions.shape)
+                return (satisfies_spacing(positions, others, self.rig.spacing)
+                        & self.region.allowed(np.hstack([positions, headings]),
                                               self.rig.cameras[k].model))
 
-            place = nearest_place(here, target, config.max_step, self.region.onto_mount, allowed)
-            if place is not None:
-                ended[k, :3] = place
-            wanted = self.region.onto_mount(target[None])[0]
-            # A camera that ends within a centimetre of its target was not stopped.
-            refused |= bool(np.linalg.norm(ended[k, :3] - wanted) > 0.01)
-        return ended, refused
+            nearest = nearest_place(position, target, config.max_step, self.region.onto_mount,
+                                    are_allowed)
+            if nearest is not None:
+                reached[k, :3] = nearest
+            mounted_target = self.region.onto_mount(target[None])[0]
+            # A camera that ends within a centimetre of its target counts as allowed.
+            any_refused |= bool(np.linalg.norm(reached[k, :3] - mounted_target) > 0.01)
+        return reached, any_refused
 
     def look(self, poses: np.ndarray) -> list[View]:
-        """Compute the views of the cameras to be placed from poses (K, 6), metres and radians."""
+        """Compute the view of each camera to be placed, given poses (K, 6), metres and radians."""
         return self.objective.look(poses)
 
     def judge(self, views: list[View]) -> RigEvaluation:
-        """Evaluate cameras, given their views; those in place are included."""
+        """Evaluate cameras, given their views; the cameras in place are added."""
         return self.objective.judge(views)
 
-    def error(self, result: RigEvaluation) -> float:
+    def error(self, evaluation: RigEvaluation) -> float:
         """
         Return the error that rewards are computed from, metres.
 
-        It is the loss in units of the depth error of seeing nothing. Without additional
-        requirements it is the depth error itself.
+        This error is the loss x the depth error of seeing nothing. If the rig has no further
+        requirements, it equals the depth error.
         """
         worst = self.simulator.depth_error.worst
-        # This form is free of rounding errors if the loss has no other terms.
-        return result.depth_error + (result.loss - result.depth_error / worst) * worst
+        # This formula has no rounding errors if the loss has no further terms.
+        return evaluation.depth_error + (evaluation.loss - evaluation.depth_error / worst) * worst
 
 
 class PlaneProblem(Problem):
@@ -205,24 +207,23 @@ class PlaneProblem(Problem):
     def __init__(self, simulator: Simulator) -> None:
         rig = Rig.plane(simulator.config.rig)
         self.objective = Objective(simulator, rig)
-        self.simulator = simulator
-        self.rig = rig
+        self.simulator, self.rig = simulator, rig
         self.axes, self.fixed_poses = rig.axes, rig.fixed_poses
         self.models = simulator.models * (len(rig.cameras) // len(simulator.models))
 
     def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
         """
-        Draw the start of an episode around the centre of the room.
+        Draw the start of an episode: random poses around the centre of the room.
 
-        A camera inside furniture is moved to the nearest position that planners allow.
+        A camera too close to a surface is moved to the nearest position that planners allow.
 
         :param cameras: the number of cameras, K.
         :returns: (K, 6) metres, map frame, and radians.
         """
-        simulator, poses = self.simulator, np.empty((cameras, 6))
+        simulator = self.simulator
         bounds = simulator.scene.bounds
-        poses[:, :2] = bounds.mean(axis=0)[:2]
-        poses[:, :2] += drawn_near(rng, cameras, config.start_radius)
+        poses = np.empty((cameras, 6))
+        poses[:, :2] = bounds.mean(axis=0)[:2] + drawn_near(rng, cameras, config.start_radius)
         poses[:, 2] = simulator.height
         poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
         if config.clearance:
@@ -230,16 +231,16 @@ class PlaneProblem(Problem):
         poses[:, 3:] = outwards(cameras, simulator.config.rig.tilt)
         return poses
 
-    def reached(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
-                ) -> tuple[np.ndarray, bool]:
+    def reached_poses(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
+                      ) -> tuple[np.ndarray, bool]:
         """
-        Return the poses that cameras reach.
+        Return the poses that K cameras reach: their targets, moved into the bounding box.
 
-        :param poses: (K, 6) metres, map frame, and radians, where they are.
-        :param targets: (K, 6), no farther than a time step reaches.
-        :returns: (K, 6), and whether any target was not allowed.
+        :param poses: (K, 6), without effect on a plane.
+        :param targets: (K, 6) metres, map frame, and radians, no farther than a time step reaches.
+        :returns: (K, 6), and whether any target was outside.
         """
-        ended = targets.copy()
-        ended[:, :3], outside = kept_inside(
+        reached = targets.copy()
+        reached[:, :3], any_outside = kept_inside(
             targets[:, :3], self.simulator.scene.bounds, config.wall_margin)
-        return ended, outside
+        return reached, any_outside

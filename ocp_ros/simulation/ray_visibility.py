@@ -30,14 +30,14 @@ class RayVisibility:
     """
     Visibility of points and of positions in the air by rays cast at a mesh.
 
-    It has the ``look`` and ``narrowed`` of
-    :class:`~ocp_ros.geometry.visibility.SurfelVisibility`, and replaces it.
+    The class replaces :class:`~ocp_ros.geometry.visibility.SurfelVisibility`, and has the same
+    methods ``look`` and ``narrowed``.
 
-    :param points: (N, 3) float32, metres, map frame.
-    :param places: (M, 3) float32, metres.
-    :param mesh: the surfaces.
-    :ivar order: (N,) int64: index of each point of the spatial order among the given points.
-    :ivar place_order: (M,) int64: the same for the positions in the air.
+    :param points: (N, 3) float32, metres, map frame: N points on surfaces.
+    :param places: (M, 3) float32, metres, map frame: M positions in the air.
+    :param mesh: the surfaces that block rays.
+    :ivar order: (N,) int64, indices that sort ``points`` in spatial order, as in packed bits.
+    :ivar place_order: (M,) int64, the same for ``places``.
     """
 
     def __init__(self, points: np.ndarray, places: np.ndarray, mesh: Mesh) -> None:
@@ -47,25 +47,25 @@ class RayVisibility:
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:
-        """Add what is visible to a camera; see ``SurfelVisibility.look``."""
+        """Set the bits of visible points and positions; see ``SurfelVisibility.look``."""
         seen |= self._visible(self._points, pose, lens)
         if len(covered):
             covered |= self._visible(self._places, pose, lens)
 
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
-        """Clip to the viewing cone; see ``SurfelVisibility.narrowed``."""
+        """Return both bit sets, clipped to a viewing cone; see ``SurfelVisibility.narrowed``."""
         return (seen & pack(in_reach(self._points, pose, lens)),
                 covered & pack(in_reach(self._places, pose, lens)))
 
     def _visible(self, points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
-        """Return the packed bits of the points that are visible, in the viewing cone and range."""
-        near = np.flatnonzero(in_reach(points, pose, lens))
+        """Return the packed bits of the points (N, 3) that a camera sees, within its range."""
+        reachable = np.flatnonzero(in_reach(points, pose, lens))
         seen = np.zeros(len(points), dtype=bool)
-        seen[near] = self._rays.visible(points[near], pose.position, lens.max_range)
+        seen[reachable] = self._rays.visible(points[reachable], pose.position, lens.max_range)
         return pack(seen)
 
 
 def with_rays(engine: EngineConfig, scene: Scene) -> EngineConfig:
-    """Return engine settings that cast rays if the scene has a mesh."""
+    """Return the engine settings, with ray casting as preset if the scene has a mesh."""
     return engine if scene.mesh is None else replace(engine, preset=MESH)

@@ -13,14 +13,15 @@
 # limitations under the License.
 
 """
-Rewards of one turn.
+Rewards of one time step (turn).
 
 ``paper``: section III-C of arXiv 2110.11106, a weighted sum of the gain of coverage and the
 reduction of depth error, or a penalty, raised to the third power. The power has a flaw: a camera
 that moves away slowly and jumps back gains reward.
 
-``potential``: the difference of a potential, -2 ln(D / D_none + 0.01) + 3 x covered share, so that
-the total reward of a path depends only on its two ends.
+``potential``: the change of -2 ln(D / D_none + 0.01) + 3 x covered share of the volume, with depth
+error D, and D_none if nothing is seen. So the total reward of an episode depends only on its first
+and last placement.
 """
 
 import math
@@ -47,12 +48,13 @@ class RewardTerms(NamedTuple):
     penalty: float
 
 
+#: The reward of a state that no turn has led to.
 NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0)
 
 
 def potential(space_coverage: float, depth_error: float, volume: float, worst: float) -> float:
     """
-    Return the potential of a placement.
+    Return the potential of a placement; its change is the reward ``potential``.
 
     :param space_coverage: cubic metres.
     :param depth_error: metres.
@@ -65,7 +67,7 @@ def potential(space_coverage: float, depth_error: float, volume: float, worst: f
 def reward(before: tuple[float, float], after: tuple[float, float], outside: bool, volume: float,
            worst: float, config: RewardConfig) -> RewardTerms:
     """
-    Reward a turn.
+    Return the reward of a turn.
 
     :param before: space coverage (cubic metres) and error of rewards (metres) before the turn.
     :param after: the same after the turn.
@@ -74,11 +76,12 @@ def reward(before: tuple[float, float], after: tuple[float, float], outside: boo
     :param worst: the depth error of seeing nothing, metres.
     :param config: the kind of reward and its weights.
     """
-    gained, lost, penalty = after[0] - before[0], before[1] - after[1], float(outside)
+    coverage_gain, error_reduction = after[0] - before[0], before[1] - after[1]
+    penalty = float(outside)
     if config.kind == 'paper':
-        value = config.coverage * gained + config.depth_error * lost
+        value = config.coverage * coverage_gain + config.depth_error * error_reduction
         value = (value * (1.0 - penalty) + config.penalty * penalty) ** 3
     else:
         value = potential(*after, volume, worst) - potential(*before, volume, worst)
         value += config.penalty * penalty
-    return RewardTerms(value, gained, lost, penalty)
+    return RewardTerms(value, coverage_gain, error_reduction, penalty)

@@ -47,8 +47,8 @@ class View(NamedTuple):
     """
     The view of one camera, as packed bits in the engine's order.
 
-    :ivar seen: (W,) uint64, points.
-    :ivar covered: (V,) uint64, cells of the coverage grid.
+    :ivar seen: (W,) uint64, bits of the points that the camera sees, 64 in each of W words.
+    :ivar covered: (V,) uint64, the same for the cells of the coverage grid, in V words.
     :ivar position: (3,) the position of the camera, metres, map frame; None for several positions
         at once.
     """
@@ -80,11 +80,12 @@ class Evaluation(NamedTuple):
 def clipped(visibility: SurfelVisibility | RayVisibility, around: View, poses: np.ndarray,
             lens: Frustum) -> list[View]:
     """
-    Clip an omnidirectional view to the viewing cones of several headings.
+    Return the views of a camera with H headings, cut out of one omnidirectional view.
 
-    :param around: the view of an omnidirectional camera at this position.
-    :param poses: (H, 6) metres, map frame, and radians.
-    :param lens: the model of the camera.
+    :param visibility: the engine part that computed the omnidirectional view.
+    :param around: the view of an omnidirectional camera at the position of all poses.
+    :param poses: (H, 6) metres, map frame, and radians: one position, H headings.
+    :param lens: the field of view and the range of the camera.
     """
     return [View(*visibility.narrowed(Pose.of(pose), lens, around.seen, around.covered), pose[:3])
             for pose in poses]
@@ -118,17 +119,17 @@ class Simulator:
             raise SceneError(
                 f'{scene.name}: found a room {scene.size[2]:.2f} m high; expected more than the '
                 f"cameras' height of {config.rig.height:.2f} m; lower rig.height")
-        wanted = config.engine.coverage_cell
-        cell = coverable_cell(scene.bounds, wanted)
-        if cell > wanted:
+        asked_cell = config.engine.coverage_cell
+        cell = coverable_cell(scene.bounds, asked_cell)
+        if cell > asked_cell:
             _log.warning('%s: found a room of %.0f x %.0f x %.0f m, too large for coverage cells '
-                         'of %g m; going on with %g m', scene.name, *scene.size, wanted, cell)
+                         'of %g m; going on with %g m', scene.name, *scene.size, asked_cell, cell)
         self.grid, self.cell_volume = coverage_grid(scene.bounds, cell)
         self.visibility = self._make_visibility()
         self.depth_error = self._make_error()
 
     def _set_models(self, models: Sequence[CameraModel]) -> None:
-        """Set the camera models."""
+        """Set the camera models, and for each the index of the first equal model."""
         self.models = tuple(models)
         self._lenses = [model.lens for model in self.models]
         self._kinds = [self.models.index(model) for model in self.models]
@@ -140,7 +141,7 @@ class Simulator:
         return other
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility | RayVisibility:
-        """Build the visibility class of the preset."""
+        """Build the visibility of points and cells by the rules of the preset."""
         scene, preset = self.scene, self.config.engine.preset
         if preset == MESH:
             if scene.mesh is None:
@@ -154,7 +155,7 @@ class Simulator:
                                 PRESETS[preset])
 
     def _make_error(self) -> DepthError:
-        """Build the depth error."""
+        """Build the function that computes the depth error of seen points."""
         scene, order, engine = self.scene, self.visibility.order, self.config.engine
         return DepthError(scene.points[order], scene.spacing[order], scene.diameter,
                           viewpoints_of(scene, engine.viewpoints), engine.error_rows,
@@ -178,7 +179,7 @@ class Simulator:
         Compute the view of one camera.
 
         :param pose: a row of a placement, or a pose.
-        :param camera: the index of the camera in the rig; without effect if the rig has one kind.
+        :param camera: the index of the camera in the rig; unused if all are of one kind.
         """
         lens = self._lenses[self.kind(camera)]
         # The heading of an omnidirectional camera has no effect.
@@ -193,13 +194,13 @@ class Simulator:
     def look_around(self, position: np.ndarray, headings: np.ndarray, camera: int = 0
                     ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Compute the views of one camera at one position with many headings, in a single look.
+        Compute what one camera sees from one position with H headings, all from one view.
 
         :param position: (3,) metres, map frame.
         :param headings: (H, 3) yaw, pitch and roll in radians.
         :param camera: the index of the camera in the rig.
-        :returns: the points (n,) int32, in the engine's order, visible with any heading, and the
-            headings of each: (n, W) uint64, bit k of word w for heading 64 w + k.
+        :returns: the n points visible with any heading, (n,) int32 indices in the engine's order,
+            and the headings of each: (n, W) uint64, bit k of word w for heading 64 w + k.
         """
         lens = self._lenses[self.kind(camera)]
         seen = no_bits(len(self.scene))
@@ -209,12 +210,12 @@ class Simulator:
         bits = np.zeros((len(found), -(-len(headings) // 64)), dtype=np.uint64)
         mark_headings(self.scene.points[self.visibility.order[found]], position,
                       np.array([rotation_matrix(*heading) for heading in headings]), lens, bits)
-        held = bits.any(axis=1)
-        return found[held], bits[held]
+        visible = bits.any(axis=1)
+        return found[visible], bits[visible]
 
     def judge(self, views: Sequence[View]) -> Evaluation:
         """
-        Evaluate cameras, given their views; after a move, only the view of that camera is new.
+        Evaluate cameras, given their views; after the move of one camera, only its view is new.
 
         :param views: from :meth:`look`, one per camera.
         """
@@ -232,7 +233,7 @@ class Simulator:
         :raises ConfigurationError: if it is not a placement, or there are more rows than cameras
             of several kinds.
         """
-        placement = self._checked(placement, 'placement', 2)
+        placement = self._checked_poses(placement, 'placement', dimensions=2)
         if len(placement) > len(self._lenses) > 1:
             raise ConfigurationError(
                 f'placement: found {len(placement)} cameras; expected at most '
@@ -240,8 +241,8 @@ class Simulator:
         return self.judge([self.look(pose, camera) for camera, pose in enumerate(placement)])
 
     @staticmethod
-    def _checked(poses: Any, name: str, dimensions: int) -> np.ndarray:
-        """Return poses as float64; refuse anything else."""
+    def _checked_poses(poses: Any, name: str, dimensions: int) -> np.ndarray:
+        """Return poses as a float64 array of 2 or 3 dimensions; refuse anything else."""
         shape = '(K, 3) or (K, 6)' if dimensions == 2 else '(M, K, 3) or (M, K, 6)'
         expected = f'expected {shape}, metres and radians, a row for each camera'
         try:
@@ -257,14 +258,14 @@ class Simulator:
 
     def evaluate_many(self, placements: np.ndarray, threads: int = 1) -> np.ndarray:
         """
-        Evaluate many placements.
+        Evaluate M placements of K cameras.
 
-        :param placements: (M, K, 3) or (M, K, 6).
+        :param placements: (M, K, 3) or (M, K, 6), rows as in the class.
         :param threads: the number of threads.
         :returns: (M, 2) float64: space coverage in cubic metres and depth error in metres.
         :raises ConfigurationError: if they are not placements.
         """
-        placements = self._checked(placements, 'placements', 3)
+        placements = self._checked_poses(placements, 'placements', dimensions=3)
         with ThreadPoolExecutor(threads) as pool:
             results = list(pool.map(lambda placement: self.evaluate(placement)[1:], placements))
         return np.array(results).reshape(-1, 2)
@@ -273,25 +274,24 @@ class Simulator:
         """
         Compute the views of a camera from many poses, such as the candidates of a search.
 
-        For poses with the same position the view is computed once and clipped, except with the
-        paper's rules.
+        For poses with the same position one view is computed and clipped to their viewing cones,
+        except with the engine's preset ``paper``.
 
-        :param poses: (M, 3) or (M, 6), rows of a placement.
+        :param poses: (M, 3) or (M, 6), M poses, as rows of a placement.
         :param camera: the index of the camera in the rig.
         :param threads: the number of threads.
         """
-        poses, views = np.asarray(poses, dtype=np.float64), {}
-        place = np.unique(poses[:, :3], axis=0, return_inverse=True)[1].ravel()
-        order = np.argsort(place, kind='stable')
-        places = np.split(order, np.flatnonzero(np.diff(place[order])) + 1)
+        poses = np.asarray(poses, dtype=np.float64)
+        position_number = np.unique(poses[:, :3], axis=0, return_inverse=True)[1].ravel()
+        order = np.argsort(position_number, kind='stable')
+        groups = np.split(order, np.flatnonzero(np.diff(position_number[order])) + 1)
         with ThreadPoolExecutor(threads) as pool:
-            for rows, found in zip(places, pool.map(
-                    lambda rows: self._by_headings(poses[rows], camera), places)):
-                views.update(zip(rows.tolist(), found))
-        return [views[row] for row in range(len(poses))]
+            views = [view for group_views in pool.map(
+                lambda rows: self._look_from(poses[rows], camera), groups) for view in group_views]
+        return [views[index] for index in np.argsort(order)]
 
-    def _by_headings(self, poses: np.ndarray, camera: int) -> list[View]:
-        """Compute the views of a camera with several headings (H, 6) from one position."""
+    def _look_from(self, poses: np.ndarray, camera: int) -> list[View]:
+        """Compute the views of a camera from poses (H, 6) that all have one position."""
         lens, visibility = self._lenses[self.kind(camera)], self.visibility
         if len(poses) < 2 or lens.kind == OMNIDIRECTIONAL or not isinstance(
                 visibility, (SurfelVisibility, RayVisibility)):

@@ -13,11 +13,11 @@
 # limitations under the License.
 
 """
-Augmentation of training samples: rotations by quarter turns, reflections and noise of points.
+Augmentation of training samples: rotations by quarter turns, reflections, noise of points.
 
 A rotated or mirrored room is as likely as the room itself. Observations are centred on the
 observed bounding box, so these eight symmetries of the plane apply to them exactly. The indices in
-an observation and the reward do not change.
+an observation and the reward do not change. In this module B is the size of a batch.
 """
 
 import numpy as np
@@ -33,37 +33,40 @@ SYMMETRIES = torch.tensor([
     dtype=torch.float32)
 
 
-def turn(vectors: torch.Tensor, maps: torch.Tensor) -> torch.Tensor:
+def turned_vectors(vectors: torch.Tensor, matrices: torch.Tensor) -> torch.Tensor:
     """
-    Apply one linear map per batch entry to the first two components of vectors.
+    Return vectors whose first two components are multiplied by one matrix per batch entry.
 
-    :param vectors: (B, ..., 2 or more).
-    :param maps: (B, 2, 2).
+    :param vectors: (B, ..., 2 or more components).
+    :param matrices: (B, 2, 2).
     """
-    flat = vectors[..., :2].reshape(len(vectors), -1, 2) @ maps.transpose(1, 2)
-    return torch.cat([flat.reshape(*vectors.shape[:-1], 2), vectors[..., 2:]], dim=-1)
+    plane = vectors[..., :2].reshape(len(vectors), -1, 2) @ matrices.transpose(1, 2)
+    return torch.cat([plane.reshape(*vectors.shape[:-1], 2), vectors[..., 2:]], dim=-1)
 
 
-def turn_observation(observation: dict[str, torch.Tensor], maps: torch.Tensor
-                     ) -> dict[str, torch.Tensor]:
+def turned_observation(observation: dict[str, torch.Tensor], matrices: torch.Tensor
+                       ) -> dict[str, torch.Tensor]:
     """
-    Apply one linear map per batch entry to an encoded observation.
+    Return an encoded observation, rotated or mirrored by one matrix per batch entry.
 
     :param observation: inputs of a network that reads clouds, batched.
-    :param maps: (B, 2, 2).
+    :param matrices: (B, 2, 2), each one of ``SYMMETRIES``.
     """
-    return {**observation, 'half_size': turn(observation['half_size'], maps.abs()),
-            **{name: turn(observation[name], maps) for name in ('points', 'cameras', 'others')}}
+    turned = {name: turned_vectors(observation[name], matrices)
+              for name in ('points', 'cameras', 'others')}
+    half_size = turned_vectors(observation['half_size'], matrices.abs())
+    return {**observation, **turned, 'half_size': half_size}
 
 
 def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, number: int
                 ) -> tuple[dict[str, torch.Tensor], torch.Tensor]:
     """
-    Rotate or mirror maps, and positions on them, by one of the eight symmetries of the square.
+    Return maps, and positions on them, rotated or mirrored by one symmetry of the square.
 
     :param observation: inputs of the map actor, batched.
-    :param places: (B, ..., 2) relative to the middle of the maps.
-    :param number: of the symmetry, 0 to 7; see ``SYMMETRIES``.
+    :param places: (B, ..., 2) positions relative to the centre of the maps, in any unit.
+    :param number: the number of the symmetry, 0 to 7, as in ``SYMMETRIES``.
+    :returns: the observation and the positions, both rotated or mirrored.
     """
     mirrored, quarters = divmod(number, 4)
     turned = dict(observation)
@@ -80,30 +83,30 @@ def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, numb
 
 
 def turned_batch(batch: DictReplayBufferSamples) -> DictReplayBufferSamples:
-    """Apply one random symmetry to all transitions of a batch of maps."""
+    """Return a batch of maps with one random symmetry applied to all its transitions."""
     number = int(np.random.randint(len(SYMMETRIES)))
     before, actions = turned_maps(batch.observations, batch.actions, number)
     after, _ = turned_maps(batch.next_observations, batch.actions, number)
     return batch._replace(observations=before, next_observations=after, actions=actions)
 
 
-def transitions(buffer: DictReplayBuffer, begin: tuple[np.ndarray, np.ndarray],
-                end: tuple[np.ndarray, np.ndarray], rewards: np.ndarray
-                ) -> DictReplayBufferSamples:
+def samples_of(buffer: DictReplayBuffer, first: tuple[np.ndarray, np.ndarray],
+               last: tuple[np.ndarray, np.ndarray], rewards: np.ndarray
+               ) -> DictReplayBufferSamples:
     """
-    Return transitions of a buffer as training samples: (B, ...) tensors.
+    Return B transitions of a buffer as training samples: (B, ...) tensors.
 
-    :param begin: rows and environments of the first step of each transition.
-    :param end: rows and environments of its last step.
+    :param first: (B,) rows and (B,) environments of the first step of each transition.
+    :param last: (B,) rows and (B,) environments of its last step.
     :param rewards: (B,) reward of each transition, summed over its steps.
     """
-    def taken(arrays: dict[str, np.ndarray], at: tuple) -> dict[str, torch.Tensor]:
-        return {name: buffer.to_torch(values[at]) for name, values in arrays.items()}
+    def tensors_at(index: tuple, arrays: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
+        return {name: buffer.to_torch(values[index]) for name, values in arrays.items()}
 
-    ended = buffer.dones[end] * (1.0 - buffer.timeouts[end])
+    terminated = buffer.dones[last] * (1.0 - buffer.timeouts[last])
     return DictReplayBufferSamples(
-        taken(buffer.observations, begin), buffer.to_torch(buffer.actions[begin]),
-        taken(buffer.next_observations, end), buffer.to_torch(ended[:, None]),
+        tensors_at(first, buffer.observations), buffer.to_torch(buffer.actions[first]),
+        tensors_at(last, buffer.next_observations), buffer.to_torch(terminated[:, None]),
         buffer.to_torch(rewards.astype(np.float32)[:, None]))
 
 
@@ -111,34 +114,35 @@ class MapReplayBuffer(DictReplayBuffer):
     """
     A replay buffer of maps; a random symmetry is applied to each batch.
 
-    All maps of a batch have the same used part: the network reads only that part.
+    All maps of a batch have the same used part, the centre that the observed room covers: the
+    network reads only that part.
     """
 
     def __init__(self, *args, **kwargs) -> None:
         super().__init__(*args, **kwargs)
-        #: Code of the used part of the map of each transition.
+        #: (rows, environments): code of the used part of the map of each transition.
         self.parts = np.zeros((self.buffer_size, self.n_envs), dtype=np.int16)
 
     def add(self, obs, next_obs, action, reward, done, infos) -> None:
         """Store a transition of each environment."""
-        self.parts[self.pos] = [_part(rooms) for rooms in next_obs['room']]
+        self.parts[self.pos] = [_part_code(room) for room in next_obs['room']]
         super().add(obs, next_obs, action, reward, done, infos)
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
-        """Draw a batch, all transitions with equal probability, and one symmetry for all."""
-        parts = self.parts[:self.size()]
-        row, column = np.random.randint(parts.shape[0]), np.random.randint(parts.shape[1])
-        alike = np.flatnonzero(parts == parts[row, column])
+        """Draw a batch in which all maps have one used part; apply one random symmetry to all."""
+        codes = self.parts[:self.size()]
+        row, column = np.random.randint(codes.shape[0]), np.random.randint(codes.shape[1])
+        alike = np.flatnonzero(codes == codes[row, column])
         return turned_batch(self._get_samples(np.random.choice(alike, batch_size), env))
 
     def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
         """Return transitions by their numbers, counted over all environments."""
-        at = np.divmod(batch_inds, self.n_envs)
-        return transitions(self, at, at, self.rewards[at])
+        index = np.divmod(batch_inds, self.n_envs)
+        return samples_of(self, index, index, self.rewards[index])
 
 
-def _part(room: np.ndarray) -> int:
-    """Return a code for the used part of a map."""
+def _part_code(room: np.ndarray) -> int:
+    """Return a code for the used part of the channels (C, 64, 64) of a map."""
     rows, columns = used_part(room)
     return rows.start * CELLS + columns.start
 
@@ -147,10 +151,10 @@ class CloudReplayBuffer(DictReplayBuffer):
     """
     A replay buffer of clouds.
 
-    The n-step sums of rewards leave out the entropy of the steps in between, as the n-step buffer
-    of stable-baselines3 for plain observations does.
+    A transition may span n steps. The sum of their rewards leaves out the entropy of the steps in
+    between, as in the n-step buffer of stable-baselines3 for plain observations.
 
-    :param n_steps: number of rewards that are summed before the value of the critics is added.
+    :param n_steps: number n of rewards that are summed before the value of the critics is added.
     :param gamma: discount of the rewards.
     :param augmentation: augmentation of each sample: ``none``, ``symmetries`` or ``jitter``.
     :param demonstrations: number of first transitions that are kept for good; half of each batch
@@ -163,55 +167,56 @@ class CloudReplayBuffer(DictReplayBuffer):
         self.n_steps = n_steps
         self.gamma = gamma
         self.augmentation = augmentation
-        #: Number of first rows that are not overwritten.
-        self.kept = min(-(-demonstrations // self.n_envs), self.buffer_size - 1)
+        #: Number of first rows, those of demonstrations, that are not overwritten.
+        self.kept_rows = min(-(-demonstrations // self.n_envs), self.buffer_size - 1)
 
     def add(self, obs, next_obs, action, reward, done, infos) -> None:
         """Store a transition of each environment."""
         super().add(obs, next_obs, action, reward, done, infos)
         if self.full:
-            self.pos = max(self.pos, self.kept)
+            self.pos = max(self.pos, self.kept_rows)
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
-        """Draw a batch, and augment it as ``augmentation`` says: one symmetry per transition."""
+        """Draw a batch; apply a random symmetry to each transition if ``augmentation`` says so."""
         batch = super().sample(batch_size, env)
         if self.augmentation == 'none':
             return batch
         numbers = np.random.randint(len(SYMMETRIES), size=len(batch.actions))
-        maps = SYMMETRIES[torch.from_numpy(numbers)].to(batch.actions.device)
-        before, after = (turn_observation(one, maps)
-                         for one in (batch.observations, batch.next_observations))
+        matrices = SYMMETRIES[torch.from_numpy(numbers)].to(batch.actions.device)
+        before = turned_observation(batch.observations, matrices)
+        after = turned_observation(batch.next_observations, matrices)
         if self.augmentation == 'jitter':
             before, after = jittered(before), jittered(after)
         return batch._replace(observations=before, next_observations=after,
-                              actions=turn(batch.actions, maps))
+                              actions=turned_vectors(batch.actions, matrices))
 
     def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
-        """Return n-step transitions, each of a random environment."""
-        if kept := min(self.kept, self.size()):
-            batch_inds[::2] = np.random.randint(kept, size=len(batch_inds[::2]))
-        column, steps = np.random.randint(self.n_envs, size=len(batch_inds)), np.arange(
-            self.n_steps)
+        """Return n-step transitions from given rows, each of a random environment."""
+        if filled := min(self.kept_rows, self.size()):
+            # Every second row is one of the demonstrations.
+            batch_inds[::2] = np.random.randint(filled, size=len(batch_inds[::2]))
+        envs = np.random.randint(self.n_envs, size=len(batch_inds))
+        steps = np.arange(self.n_steps)
         rows = (batch_inds[:, None] + steps) % self.buffer_size
         # A sum ends at the end of an episode, and at rows that no later step follows.
-        last_rows = [self.pos - 1, self.kept - 1, self.buffer_size - 1] if self.kept else [
-            (self.pos - 1) % self.buffer_size]
-        ends = (self.dones[rows, column[:, None]] > 0.0) | np.isin(rows, last_rows)
+        last_rows = ([self.pos - 1, self.kept_rows - 1, self.buffer_size - 1] if self.kept_rows
+                     else [(self.pos - 1) % self.buffer_size])
+        ends = (self.dones[rows, envs[:, None]] > 0.0) | np.isin(rows, last_rows)
         ends[:, -1] = True
-        last = ends.argmax(axis=1)
-        shares = self.gamma ** steps * (steps <= last[:, None])
-        rewards = (self.rewards[rows, column[:, None]] * shares).sum(axis=1)
-        end = rows[np.arange(len(rows)), last], column
-        return transitions(self, (batch_inds, column), end, rewards)._replace(
-            discounts=self.to_torch((self.gamma ** (last + 1.0)).astype(np.float32)[:, None]))
+        last_steps = ends.argmax(axis=1)
+        weights = self.gamma ** steps * (steps <= last_steps[:, None])
+        rewards = (self.rewards[rows, envs[:, None]] * weights).sum(axis=1)
+        last = rows[np.arange(len(rows)), last_steps], envs
+        discounts = self.to_torch((self.gamma ** (last_steps + 1.0)).astype(np.float32)[:, None])
+        return samples_of(self, (batch_inds, envs), last, rewards)._replace(discounts=discounts)
 
 
 def jittered(observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Add noise to the points of clouds, and replace some points of each group by its first."""
-    points, found = observation['points'], dict(observation)
-    found['points'] = points + 0.005 * torch.randn_like(points)
+    """Return clouds with noise, and with 10 % of each group's points replaced by its first."""
+    noise = 0.005 * torch.randn_like(observation['points'])
+    noisy = {**observation, 'points': observation['points'] + noise}
     for name in ('groups_1', 'groups_2'):
         groups = observation[name]
-        dropped = torch.rand(groups.shape, device=groups.device) < 0.1
-        found[name] = torch.where(dropped, groups[..., :1], groups)
-    return found
+        replaced = torch.rand(groups.shape, device=groups.device) < 0.1
+        noisy[name] = torch.where(replaced, groups[..., :1], groups)
+    return noisy

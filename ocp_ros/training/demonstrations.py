@@ -26,21 +26,21 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.training.encoded_environment import CameraByCamera, unwrapped
 
-#: Evaluations of the search for the placement of an episode.
-EVALUATIONS = 300
-
 
 class Demonstrator:
     """
-    Choose the actions of cameras that go straight to a good placement of their room.
+    Choose the actions of cameras that go straight to a good placement in their room.
 
-    :param envs: the environments.
-    :param seed: random seed of the searches.
+    A call returns the next action of each of E environments: (E, 1, 2) float32.
+
+    :param envs: the E environments.
+    :param seed: random seed of the searches for placements.
     """
 
     def __init__(self, envs: Sequence[CameraByCamera], seed: int) -> None:
-        self._envs, self._rng = envs, np.random.default_rng(seed)
-        #: The episode and the targets (K, 2), metres, of each environment.
+        self._envs = envs
+        self._rng = np.random.default_rng(seed)
+        #: The episode and its targets (K, 2), metres, for K cameras, of each environment.
         self._plans: list[tuple[Episode | None, np.ndarray]] = [
             (None, np.empty((0, 2)))] * len(envs)
 
@@ -49,19 +49,20 @@ class Demonstrator:
         return np.array([[self._action(number)] for number in range(len(self._envs))], np.float32)
 
     def _action(self, number: int) -> np.ndarray:
-        """Return the move (2,) of the camera that chooses next, in units of the longest step."""
+        """Return the move (2,) of the next camera of an environment, in units of ``max_step``."""
         env = self._envs[number]
         episode = unwrapped(env).episode
         if self._plans[number][0] is not episode:
             self._plans[number] = episode, self._targets(episode)
         target = self._plans[number][1][env.camera]
-        way = target - env.encoded.positions[env.camera, :2]
-        return bounded_moves(way / episode.config.max_step, 1.0)[0]
+        offset = target - env.encoded.positions[env.camera, :2]
+        return bounded_moves(offset / episode.config.max_step, 1.0)[0]
 
     def _targets(self, episode: Episode) -> np.ndarray:
-        """Return where each camera of an episode goes: (K, 2) metres."""
+        """Search for a placement; return the target of each of K cameras: (K, 2) metres."""
         positions = episode.turn.positions
         space = space_of(episode.simulator, len(positions))
-        found = solve(GreedySwap(space, self._rng, EVALUATIONS), Scorer(episode.simulator),
-                      EVALUATIONS).placement[:, :2]
-        return found[matched(positions, found)]
+        evaluations = 300
+        targets = solve(GreedySwap(space, self._rng, evaluations), Scorer(episode.simulator),
+                        evaluations).placement[:, :2]
+        return targets[matched(positions, targets)]

@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The environment with the inputs and actions of the networks; a turn is encoded once."""
+"""The environment with the inputs and actions of the networks; each turn is encoded once."""
 
 import gymnasium as gym
 from gymnasium import spaces
@@ -35,40 +35,40 @@ from ocp_ros.simulation.reward import NO_REWARD, RewardTerms
 
 def encoded_space(agent: AgentConfig) -> spaces.Dict:
     """Return the space of one input of the agent's network."""
-    def real(*shape):
+    def real_box(*shape):
         limit = 1000.0
         return spaces.Box(-limit, limit, shape, np.float32)
 
-    def index(most, *shape):
-        return spaces.Box(0, most - 1, shape, np.int16)
+    def index_box(count, *shape):
+        return spaces.Box(0, count - 1, shape, np.int16)
 
-    def maps(*shape):
+    def map_box(*shape):
         return spaces.Box(0, 255, shape, np.uint8)
 
     if agent.map:
-        return spaces.Dict({'room': maps(OF_ROOM, CELLS, CELLS),
-                            'others': maps(MAPS_OF_OTHERS, CELLS, CELLS),
-                            'numbers': real(NUMBERS), 'choices': maps(CELLS, CELLS)})
+        return spaces.Dict({'room': map_box(OF_ROOM, CELLS, CELLS),
+                            'others': map_box(MAPS_OF_OTHERS, CELLS, CELLS),
+                            'numbers': real_box(NUMBERS), 'choices': map_box(CELLS, CELLS)})
     space = {
-        'points': real(agent.points, 3), 'half_size': real(3),
-        'cameras': real(cameras_of(agent), 3),
-        'keys_1': index(agent.points, agent.keys_1),
-        'groups_1': index(agent.points, agent.keys_1, agent.group_1),
-        'keys_2': index(agent.keys_1, agent.keys_2),
-        'groups_2': index(agent.keys_1, agent.keys_2, agent.group_2)}
+        'points': real_box(agent.points, 3), 'half_size': real_box(3),
+        'cameras': real_box(cameras_of(agent), 3),
+        'keys_1': index_box(agent.points, agent.keys_1),
+        'groups_1': index_box(agent.points, agent.keys_1, agent.group_1),
+        'keys_2': index_box(agent.keys_1, agent.keys_2),
+        'groups_2': index_box(agent.keys_1, agent.keys_2, agent.group_2)}
     if agent.one_by_one:
-        space |= {'others': real(MAX_OTHERS, OF_OTHERS), 'turn': real(OF_TURN),
-                  'marks': maps(agent.points, MARKS)}
+        space |= {'others': real_box(MAX_OTHERS, OF_OTHERS), 'turn': real_box(OF_TURN),
+                  'marks': map_box(agent.points, MARKS)}
     return spaces.Dict(space)
 
 
 def cameras_of(agent: AgentConfig) -> int:
-    """Return the number of cameras in one action: one, or all."""
+    """Return the number of cameras that one action moves: one, or with ``paper`` all."""
     return 1 if agent.one_by_one else agent.cameras
 
 
 def action_space(cameras: int) -> spaces.Box:
-    """Return the space of actions for a number of cameras: two components for each."""
+    """Return the space of actions of some cameras: two components in [-1, 1] for each."""
     return spaces.Box(-1.0, 1.0, (cameras, 2), np.float32)
 
 
@@ -82,9 +82,9 @@ def unwrapped(env: gym.Env) -> CameraPlacementEnv:
 
 class PlaneMoves(gym.ActionWrapper):
     """
-    Restrict actions to moves in the plane.
+    Restrict actions to moves in the plane: (K, 2).
 
-    Heights stay, and the heading planner rotates the cameras as in ``policy_node``.
+    The heights do not change, and the heading planner rotates the cameras as in ``policy_node``.
 
     :param env: environment with a rig file.
     """
@@ -93,12 +93,12 @@ class PlaneMoves(gym.ActionWrapper):
         super().__init__(env)
         rig = env.rig
         self.action_space = action_space(len(rig.cameras))
-        self._aim = HeadingPlanner(rig.models, len(rig.cameras), rig.pitch,
-                                   env.config.episode.wall_margin)
+        self._heading_planner = HeadingPlanner(rig.models, len(rig.cameras), rig.pitch,
+                                               env.config.episode.wall_margin)
 
     def reset(self, **kwargs):
         """Begin an episode."""
-        self._aim.reset()
+        self._heading_planner.reset()
         return self.env.reset(**kwargs)
 
     def action(self, action: np.ndarray) -> np.ndarray:
@@ -111,12 +111,12 @@ class PlaneMoves(gym.ActionWrapper):
         return axes
 
     def _rotations(self, episode: Episode, action: np.ndarray) -> np.ndarray:
-        """Choose rotations at the targets: (K, 2) yaw and pitch, in units of ``max_turn``."""
+        """Return a rotation for each camera: (K, 2) yaw and pitch, in units of ``max_turn``."""
         limits, state, turn = episode.config, state_of(episode), episode.turn
         targets = state.placement[:, :3].copy()
         targets[:state.movable, :2] += bounded_moves(action, limits.max_step)
-        headings = self._aim(episode.observed_cloud, state, targets, limits.max_turn, turn.step,
-                             limits.turns)
+        headings = self._heading_planner(episode.observed_cloud, state, targets, limits.max_turn,
+                                         turn.step, limits.turns)
         return way_between(turn.headings, headings[:state.movable]) / limits.max_turn
 
 
@@ -126,7 +126,7 @@ class EncodedObservation(gym.ObservationWrapper):
 
     :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
         :class:`PlaneMoves`.
-    :param agent: with the inputs ``paper``.
+    :param agent: settings with the inputs ``paper``.
     """
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
@@ -135,7 +135,7 @@ class EncodedObservation(gym.ObservationWrapper):
         self.observation_space = encoded_space(agent)
 
     def observation(self, observation) -> dict[str, np.ndarray]:
-        """Encode the turn."""
+        """Return the encoded turn, in place of the environment's own observation."""
         episode = unwrapped(self.env).episode
         return encode(episode.observed_cloud, episode.turn.positions, self._agent)
 
@@ -150,7 +150,8 @@ class CameraByCamera(gym.Wrapper):
 
     :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
         :class:`PlaneMoves`.
-    :param agent: with the inputs ``cloud``.
+    :param agent: settings with the inputs ``cloud``.
+    :ivar encoded: the present turn, encoded for the network.
     """
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
@@ -160,8 +161,10 @@ class CameraByCamera(gym.Wrapper):
         self._encoder = Encoder(agent, max_range, max_step, *margins)
         self.observation_space, self.action_space = encoded_space(agent), action_space(1)
         self.encoded: EncodedTurn | None = None
-        #: The cameras that have not chosen yet, and the moves of all cameras (0 if not chosen).
-        self._left, self._moves = np.empty(0, dtype=np.int64), np.empty((0, 2))
+        #: The cameras that have not chosen yet.
+        self._waiting = np.empty(0, dtype=np.int64)
+        #: (K, 2) metres, the moves of all cameras; 0 if not chosen yet.
+        self._moves = np.empty((0, 2))
 
     def reset(self, **kwargs):
         """Begin an episode."""
@@ -172,14 +175,15 @@ class CameraByCamera(gym.Wrapper):
     @property
     def camera(self) -> int:
         """Return the camera that chooses next."""
-        return int(self._left[0])
+        return int(self._waiting[0])
 
     def step(self, action):
         """Take one camera's move; after the last camera play the turn."""
-        camera, self._left = self.camera, self._left[1:]
+        camera = self.camera
+        self._waiting = self._waiting[1:]
         self._moves[camera] = self.encoded.move(camera, np.asarray(action, dtype=np.float64)[0])
-        terms = self._judge(camera)
-        if len(self._left):
+        terms = self._reward_of(camera)
+        if len(self._waiting):
             return self._observation(), terms.reward, False, False, terms._asdict()
         moves = np.zeros(self.env.action_space.shape)
         moves[:len(self._moves)] = self._moves
@@ -187,13 +191,13 @@ class CameraByCamera(gym.Wrapper):
         return self._begin(), terms.reward, terminated, truncated, info | terms._asdict()
 
     def _begin(self) -> dict[str, np.ndarray]:
-        """Prepare a new turn, and return the observation of the first camera."""
+        """Encode a new turn, and return the observation of the first camera to choose."""
         episode = unwrapped(self.env).episode
         turn = episode.turn
         self._encoder.turns.rig_state = state_of(episode)
         self.encoded = self._encoder.turn(episode.observed_cloud, turn.positions, turn.step,
                                           episode.config.turns)
-        self._left = order_of(turn.step, len(turn.positions))
+        self._waiting = order_of(turn.step, len(turn.positions))
         self._moves = np.zeros((len(turn.positions), 2))
         self._views = list(episode.views)
         self._value = episode.value
@@ -203,7 +207,7 @@ class CameraByCamera(gym.Wrapper):
         """Return the observation of the camera that chooses next."""
         return self.encoded.inputs(self.camera)
 
-    def _judge(self, camera: int) -> RewardTerms:
+    def _reward_of(self, camera: int) -> RewardTerms:
         """Return the reward of one camera's move, given the moves chosen before it."""
         episode = unwrapped(self.env).episode
         pose = np.concatenate([self.encoded.positions[camera], episode.turn.headings[camera]])
@@ -216,23 +220,25 @@ class MapChoices(gym.Wrapper):
     """
     The cameras choose their targets on a map one after the other; then all cameras move.
 
-    The reward of a turn comes with its last choice. The map actor defines the observation and
-    which cameras choose in a turn: see :class:`~ocp_ros.policy.map_actor.MapActor`.
+    The last choice of a turn gets the reward of the turn, all others get 0. The map actor defines
+    the observations, and which cameras choose in a turn: see
+    :class:`~ocp_ros.policy.map_actor.MapActor`.
 
     :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
         :class:`PlaneMoves`.
-    :param agent: with the inputs ``map``.
+    :param agent: settings with the inputs ``map``.
     """
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
         self.observation_space, self.action_space = encoded_space(agent), action_space(1)
         self._actor: MapActor | None = None
-        self._known: MapTurn | None = None
-        self._left: list[int] = []
+        self._map_turn: MapTurn | None = None
+        #: The cameras that have not chosen yet in this turn.
+        self._waiting: list[int] = []
 
     def reset(self, **kwargs):
-        """Begin an episode; repeat until the first observation is enough for a map."""
+        """Begin an episode; begin others until the observed points are enough for a map."""
         _, info = self.env.reset(**kwargs)
         while not self._begin(new=True):
             _, info = self.env.reset()
@@ -240,12 +246,12 @@ class MapChoices(gym.Wrapper):
 
     def step(self, action):
         """Take the target of one camera; after the last choice of a turn move all cameras."""
-        known, camera = self._known, self._left.pop(0)
-        known.send_to(camera, np.asarray(action)[0])
-        if self._left:
+        map_turn = self._map_turn
+        map_turn.send_to(self._waiting.pop(0), np.asarray(action)[0])
+        if self._waiting:
             return self._observation(), 0.0, False, False, NO_REWARD._asdict()
         limits, moves = unwrapped(self.env).config.episode, np.zeros(self.env.action_space.shape)
-        moves[:len(known.plan)] = self._actor.end(known) / limits.max_step
+        moves[:len(map_turn.plan)] = self._actor.end(map_turn) / limits.max_step
         _, reward, terminated, truncated, info = self.env.step(moves)
         self._begin()
         return self._observation(), reward, terminated, truncated, info
@@ -257,27 +263,27 @@ class MapChoices(gym.Wrapper):
         if new:
             self._actor = MapActor(None, *settings_of(env.config.episode, env.rig, env.np_random))
         self._actor.set_rig_state(state_of(episode))
-        known = self._actor.begin(episode.observed_cloud, turn.positions, turn.step, turns)
-        if known is None:
+        map_turn = self._actor.begin(episode.observed_cloud, turn.positions, turn.step, turns)
+        if map_turn is None:
             return False
-        self._known = known
-        self._left = self._actor.asked(len(known.plan), turn.step, turns).tolist()
+        self._map_turn = map_turn
+        self._waiting = self._actor.asked(len(map_turn.plan), turn.step, turns).tolist()
         return True
 
     def _observation(self) -> dict[str, np.ndarray]:
         """Return the observation of the camera that chooses next."""
-        return self._known.experience(self._left[0])
+        return self._map_turn.experience(self._waiting[0])
 
 
 def playable(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
     """
-    Wrap an environment for the inputs and actions of an agent.
+    Return an environment with the inputs and actions of an agent.
 
     :param agent: settings of the network. An action is the target of one camera on the map
         (``map``), the move of one camera in the plane (``cloud``), or the moves of all cameras
         (``paper``).
     """
-    level = env if len(env.axes) == 2 else PlaneMoves(env)
+    plane_env = env if len(env.axes) == 2 else PlaneMoves(env)
     if agent.map:
-        return MapChoices(level, agent)
-    return (CameraByCamera if agent.one_by_one else EncodedObservation)(level, agent)
+        return MapChoices(plane_env, agent)
+    return (CameraByCamera if agent.one_by_one else EncodedObservation)(plane_env, agent)

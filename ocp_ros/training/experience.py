@@ -38,11 +38,11 @@ class ExperienceError(ValueError):
 
 class Choice(NamedTuple):
     """
-    One input of the network, and its action.
+    One input of the network, and the action that the network chose.
 
     :ivar observation: encoded, see :class:`~ocp_ros.policy.cloud_encoder.Encoder`.
-    :ivar actions: (C, 2) float32 in [-1, 1], of the cameras that choose together: one, or all. A
-        move in units of the longest step, or for the map actor a target on the map.
+    :ivar actions: (C, 2) float32 in [-1, 1], of the C cameras that choose together: one, or all. A
+        row is a move in units of the longest step, or for the map actor a target on the map.
     """
 
     observation: dict[str, np.ndarray]
@@ -51,12 +51,12 @@ class Choice(NamedTuple):
 
 class Experience(NamedTuple):
     """
-    One turn of a policy.
+    The choices of a policy in one turn.
 
-    :ivar stamp: of the turn, nanoseconds.
+    :ivar stamp: time stamp of the turn, nanoseconds.
     :ivar turn: number of turns of the episode before this one, as the policy received it.
-    :ivar targets: (K, 3) metres: commanded positions of the cameras.
-    :ivar choices: in the order of choosing.
+    :ivar targets: (K, 3) metres: commanded positions of the K cameras.
+    :ivar choices: the choices, in the order in which the cameras chose.
     """
 
     stamp: int
@@ -72,26 +72,26 @@ def to_bytes(experience: Experience) -> bytes:
               for name in choices[0].observation}
     arrays['actions'] = np.stack([choice.actions for choice in choices]).astype(np.float32)
     arrays['targets'] = np.asarray(experience.targets, dtype=np.float64)
-    card = json.dumps({'stamp': experience.stamp, 'turn': experience.turn})
+    header = json.dumps({'stamp': experience.stamp, 'turn': experience.turn})
     return safetensors.numpy.save(
         {name: np.ascontiguousarray(value) for name, value in arrays.items()},
-        metadata={KEY: card})
+        metadata={KEY: header})
 
 
 def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dtype]],
                together: int | None = 1) -> Experience:
     """
-    Read and check a blob.
+    Read an experience from a blob, and check it.
 
-    :param blob: of :func:`to_bytes`.
-    :param expected: shape and type of each array of an observation.
-    :param together: number of cameras that choose together; None for choices of single cameras
-        whose number may differ from that of the cameras.
-    :raises ExperienceError: if the blob is damaged, not finite or of another network.
+    :param blob: from :func:`to_bytes`.
+    :param expected: shape and type of each array of an observation, by name.
+    :param together: number of cameras that choose together. None: each choice is of one camera,
+        and the number of choices may differ from the number of cameras.
+    :raises ExperienceError: if the blob is damaged, has NaN or inf, or is of another network.
     """
     try:
-        card = json.loads(read_metadata(blob)[KEY])
-        stamp, turn = int(card['stamp']), int(card['turn'])
+        header = json.loads(read_metadata(blob)[KEY])
+        stamp, turn = int(header['stamp']), int(header['turn'])
         arrays = safetensors.numpy.load(blob)
         actions, targets = arrays.pop('actions'), arrays.pop('targets')
     except (SafetensorError, KeyError, TypeError, ValueError, AttributeError, ArithmeticError,
@@ -99,16 +99,16 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
         raise ExperienceError(
             f'experience: found no readable one ({type(error).__name__}: {error}); expected a '
             'whole safetensors blob of a policy that explores') from error
-    count = _choices(actions, targets, together)
-    shapes = {f'observation.{name}': ((count, *shape), np.dtype(kind))
+    count = _count_choices(actions, targets, together)
+    wanted = {f'observation.{name}': ((count, *shape), np.dtype(kind))
               for name, (shape, kind) in expected.items()}
     found = {name: (value.shape, value.dtype) for name, value in arrays.items()}
-    if found != shapes:
-        wrong = sorted(name for name in found.keys() | shapes.keys()
-                       if found.get(name) != shapes.get(name))
+    if found != wanted:
+        wrong = min(name for name in found.keys() | wanted.keys()
+                    if found.get(name) != wanted.get(name))
         raise ExperienceError(
-            f'experience: found {wrong[0]} as {found.get(wrong[0])}; expected '
-            f'{shapes.get(wrong[0])}; give policy and trainer the same agent settings')
+            f'experience: found {wrong} as {found.get(wrong)}; expected '
+            f'{wanted.get(wrong)}; give policy and trainer the same agent settings')
     if not all(np.isfinite(value).all() for value in (actions, targets, *arrays.values())):
         raise ExperienceError('experience: found NaN or inf; expected finite numbers')
     return Experience(stamp, turn, targets.astype(np.float64), [
@@ -116,17 +116,18 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
                 for name, value in arrays.items()}, actions[number]) for number in range(count)])
 
 
-def _choices(actions: np.ndarray, targets: np.ndarray, together: int | None) -> int:
-    """Check the shapes of actions and targets, and return the number of choices."""
+def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int | None) -> int:
+    """Return the number of choices; refuse actions and targets of wrong shapes."""
     max_count = 64
     if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= max_count:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
                               f'(K, 3) with at most {max_count} cameras')
-    count, each = len(actions) if actions.ndim else 0, together or 1
+    count = len(actions) if actions.ndim else 0
+    each = together or 1
     # All cameras choose: one by one, or all at once.
-    good = 1 <= count <= max_count if together is None else (
+    fits = 1 <= count <= max_count if together is None else (
         (count, each) in ((len(targets), 1), (1, len(targets))))
-    if not good or actions.shape != (count, each, 2) or actions.dtype != np.float32:
+    if not fits or actions.shape != (count, each, 2) or actions.dtype != np.float32:
         raise ExperienceError(
             f'experience: found actions as {actions.dtype} {actions.shape} of {len(targets)} '
             f'cameras; expected float32 choices of {each} at a time')

@@ -33,10 +33,11 @@ from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.settings import ConfigurationError, MAX_SEED, setting
 from stable_baselines3.common.logger import configure
 
-#: Gradient steps between two checks of the inbox: few, so that the learner stops at once.
+#: Gradient steps between two checks of the inbox: few, so that the learner can stop soon.
 BURST_STEPS = 4
 #: Largest number of transitions in the inbox; the learner stores them between two bursts.
 INBOX_SIZE = 4096
+#: File of the actor's weights.
 ACTOR = 'actor.safetensors'
 
 
@@ -67,7 +68,8 @@ class Learner:
     :param sac: settings of SAC.
     :param start: weights to start from, or None.
     :ivar dropped: number of transitions for which the inbox had no room.
-    :ivar losses: losses of the critics in the latest bursts of gradient steps.
+    :ivar losses: losses of the critics in the latest bursts, of some gradient steps each.
+    :ivar failure: the exception that ended the thread, or None.
     :raises ConfigurationError: if ``sac.n_steps`` is above 1, or ``sac.demonstrations`` above
         0.
     """
@@ -81,7 +83,6 @@ class Learner:
                     f'sac.{name}: found {found}; expected {expected}: the transitions that arrive '
                     f'are those of nodes, and some may be missing; set it to {expected}')
         self.config = config
-        self.agent = agent
         self.sac = sac
         self.folder = Path(config.folder)
         self.model = make_sac(sac, agent, seed=config.seed)
@@ -112,14 +113,15 @@ class Learner:
         if replay.exists():
             load_replay(self.model.replay_buffer, replay)
         # The replay file may have transitions that came after the state was saved: count them too.
-        known = self.model.replay_buffer.size()
-        self.model.num_timesteps = max(self.transitions, known)
-        #: Number of transitions when the replay file was written last, and of those not in memory.
+        buffered = self.model.replay_buffer.size()
+        self.model.num_timesteps = max(self.transitions, buffered)
+        #: Number of transitions when the replay file was written last.
         self._saved_transitions = self.transitions
-        self._missing = self.transitions - known
-        # Steps taken for transitions that are not in memory any more do not count for the others.
-        due = max(self._total_steps(self.transitions), 0.0)
-        self._steps_of_missing = max(self.updates - due, 0.0)
+        #: Number of transitions that are not in memory any more.
+        self._lost_transitions = self.transitions - buffered
+        # Steps taken for lost transitions do not count for the others.
+        total_steps = max(self._total_steps(self.transitions), 0.0)
+        self._steps_of_lost = max(self.updates - total_steps, 0.0)
         return run
 
     @property
@@ -134,17 +136,17 @@ class Learner:
 
     @property
     def behind(self) -> float:
-        """Return the number of gradient steps due, also for transitions still in the inbox."""
+        """Return the number of gradient steps due, counting the transitions in the inbox."""
         return self._steps_due(self.transitions + self._inbox.qsize())
 
     def _steps_due(self, transitions: int) -> float:
         """Return the number of gradient steps still due for a number of transitions."""
-        return self._total_steps(transitions) - (self.updates - self._steps_of_missing)
+        return self._total_steps(transitions) - (self.updates - self._steps_of_lost)
 
     def _total_steps(self, transitions: int) -> float:
-        """Return the number of gradient steps that a number of transitions gets in all."""
-        new = transitions - self._missing - self.sac.learning_starts
-        return new * self.config.updates_per_turn
+        """Return the total number of gradient steps for a number of transitions."""
+        counted = transitions - self._lost_transitions - self.sac.learning_starts
+        return counted * self.config.updates_per_turn
 
     def add(self, transition: Transition) -> bool:
         """
@@ -180,7 +182,7 @@ class Learner:
         # Write buffered log entries to the files.
         self.model.logger.close()
         if self.failure is None and (self.transitions, self.updates) != self._saved_counts:
-            self._save(whole=True)
+            self._save(with_replay=True)
             self._saved_counts = self.transitions, self.updates
 
     def _work(self) -> None:
@@ -197,7 +199,7 @@ class Learner:
             self.failure = error
 
     def _read_inbox(self) -> bool:
-        """Store new transitions; wait for more if no step is due. Return False to stop."""
+        """Store new transitions; wait for more if no step is due. Return False once closed."""
         while not self._inbox.empty() or not self._burst_is_due():
             transition = self._inbox.get()
             if transition is None:
@@ -219,7 +221,7 @@ class Learner:
         return self._steps_due(self.transitions) >= BURST_STEPS
 
     def _log_and_save(self, updates: int) -> None:
-        """Log, publish and save at their intervals of gradient steps."""
+        """Publish weights, log and save, each at its interval of gradient steps."""
         if updates % self.config.publish_every < BURST_STEPS:
             self._new_weights.append(self.checkpoint())
             self.model.logger.record('train/transitions', self.transitions)
@@ -233,15 +235,15 @@ class Learner:
                                       'seed': self.config.seed}
         return actor_checkpoint(self.model, self.run, provenance)
 
-    def _save(self, whole: bool = False) -> None:
+    def _save(self, with_replay: bool = False) -> None:
         """
         Write the actor and the state; each file is whole or absent.
 
-        :param whole: write the transitions as well, even if few of them are new.
+        :param with_replay: write the transitions as well, even if few of them are new.
         """
-        # Transitions first: those that the saved state does not count yet do no harm.
-        # Writing transitions is slow: they are saved again when there are 10 % more.
-        if whole or self.transitions >= 1.1 * self._saved_transitions:
+        # Transitions first: the next start counts those that the state does not count yet.
+        # Writing transitions is slow: they are written again when there are 10 % more.
+        if with_replay or self.transitions >= 1.1 * self._saved_transitions:
             save_replay(self.model.replay_buffer, self.folder / REPLAY)
             self._saved_transitions = self.transitions
         self.checkpoint().save(self.folder / ACTOR)

@@ -28,13 +28,15 @@ from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import read_plain
 import yaml
 
+#: Files of the settings, of the names of the rooms, and of the evaluations so far.
 CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
+#: Files of the best weights, and of the state of soft actor-critic.
 BEST, STATE = 'best.safetensors', 'state.safetensors'
 #: File of the transitions that soft actor-critic learns from.
 REPLAY = 'replay.safetensors'
-#: Name of this phase in lines of progress.
+#: Name, in lines of progress, of training on dense values, which comes before soft actor-critic.
 VALUES_PHASE = 'values'
-#: File of the state of training on dense values, which comes before soft actor-critic.
+#: File of the state of training on dense values.
 VALUES_STATE = 'values_state.safetensors'
 _log = logging.getLogger(__name__)
 
@@ -49,13 +51,13 @@ def read_config(path: Path) -> TrainingConfig:
 
 
 def _config_of(content: Any, path: Path) -> TrainingConfig:
-    """Return the settings in the content of a file."""
+    """Return the settings in the parsed content of a YAML file."""
     try:
         return from_nested(TrainingConfig, {} if content is None else content, str(path))
     except ConfigurationError as error:
         # The error of contradicting settings names only their keys: add the path.
-        where = '' if str(path) in str(error) else f'{path}: '
-        raise ConfigurationError(f'{where}{error}') from error
+        prefix = '' if str(path) in str(error) else f'{path}: '
+        raise ConfigurationError(f'{prefix}{error}') from error
 
 
 def claim(folder: Path, config: TrainingConfig) -> None:
@@ -67,16 +69,16 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     path, rooms = folder / CONFIG, folder / ROOMS
     _check_name(folder)
     if not rooms.exists() and not path.exists():
-        _refuse_strangers(folder)
+        _refuse_unknown_files(folder)
     sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
-    asked = _flat(to_nested(config))
-    before = _flat(to_nested(_settings(path))) if path.exists() else asked
+    asked = _flat_settings(to_nested(config))
+    saved = _flat_settings(to_nested(_saved_config(path))) if path.exists() else asked
     may_change = ('interactions', 'workers', 'evaluate_every')
-    wrong = [f'{name} {before[name]!r}' for name in asked
-             if name not in may_change and asked[name] != before[name]
+    wrong = [f'{name} {saved[name]!r}' for name in asked
+             if name not in may_change and asked[name] != saved[name]
              # A rig file replaces these.
              and not (config.simulation.rig_file and name.startswith('simulation.rig.'))]
-    if rooms.exists() and _sets(rooms) != sets:
+    if rooms.exists() and _saved_room_sets(rooms) != sets:
         wrong.append('other rooms')
     if wrong:
         raise ConfigurationError(
@@ -85,7 +87,7 @@ def claim(folder: Path, config: TrainingConfig) -> None:
             'this one to begin anew')
     if not rooms.exists():
         write_atomically(rooms, json.dumps(sets) + '\n')
-    if not path.exists() or asked != before:
+    if not path.exists() or asked != saved:
         write_atomically(path, yaml.safe_dump(to_nested(config), sort_keys=False))
 
 
@@ -99,8 +101,8 @@ def _check_name(folder: Path) -> None:
             'TensorBoard can write to; name another folder') from error
 
 
-def _refuse_strangers(folder: Path) -> None:
-    """Refuse a folder that has no run but has files that a run would replace."""
+def _refuse_unknown_files(folder: Path) -> None:
+    """Refuse a folder without a run that has files which a run would replace."""
     found = [name for name in (BEST, 'best.json', STATE, REPLAY, PROGRESS)
              if (folder / name).exists()]
     if found:
@@ -109,7 +111,7 @@ def _refuse_strangers(folder: Path) -> None:
             'expected a folder without them, or that of a run; name another folder')
 
 
-def _settings(path: Path) -> TrainingConfig:
+def _saved_config(path: Path) -> TrainingConfig:
     """Read the settings of a run; an empty file is an error."""
     try:
         content = read_plain(path).data
@@ -117,14 +119,14 @@ def _settings(path: Path) -> TrainingConfig:
             raise ConfigurationError(f'{path}: found no settings; expected those of the run')
         return _config_of(content, path)
     except ConfigurationError as error:
-        where = '' if str(path) in str(error) else f'{path.parent}: '
+        prefix = '' if str(path) in str(error) else f'{path.parent}: '
         raise ConfigurationError(
-            f'{where}{error}; nothing of the run is lost: remove the file, and the run goes on '
+            f'{prefix}{error}; nothing of the run is lost: remove the file, and the run goes on '
             'with the settings asked for') from error
 
 
-def _sets(path: Path) -> dict[str, list[str]]:
-    """Read the rooms of each set of a run."""
+def _saved_room_sets(path: Path) -> dict[str, list[str]]:
+    """Read the names of the rooms of a run: by training, validation and test set."""
     try:
         sets = json.loads(read_regular(path))
         if not isinstance(sets, dict) or sets.keys() != set(PARTS):
@@ -137,32 +139,32 @@ def _sets(path: Path) -> dict[str, list[str]]:
     return sets
 
 
-def _flat(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Return nested settings by their dotted names."""
-    found = {}
+def _flat_settings(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
+    """Return the values of nested settings by dotted name, such as ``sac.gamma``."""
+    flat = {}
     for name, value in nested.items():
-        found |= _flat(value, f'{prefix}{name}.') if isinstance(value, dict) else {
+        flat |= _flat_settings(value, f'{prefix}{name}.') if isinstance(value, dict) else {
             prefix + name: value}
-    return found
+    return flat
 
 
 def records(folder: Path) -> list[dict[str, Any]]:
-    """Read the evaluations of a run so far; leave out malformed lines, with a warning."""
+    """Read the lines of progress so far; leave out malformed lines, with a warning."""
     path = folder / PROGRESS
     if not path.exists():
         return []
     lines = read_regular(path).decode(errors='replace').splitlines()
-    found = [record for line in lines if (record := _record(line)) is not None]
-    if len(found) < len(lines):
+    readable = [record for line in lines if (record := _record_of(line)) is not None]
+    if len(readable) < len(lines):
         _log.warning(
             '%s: found %d of %d lines that cannot be read; expected an evaluation in each; going '
             'on without them, only their figures are lost', printable(str(path)),
-            len(lines) - len(found), len(lines))
-    return found
+            len(lines) - len(readable), len(lines))
+    return readable
 
 
-def _record(line: str) -> dict[str, Any] | None:
-    """Read a line of progress; return None if it is malformed."""
+def _record_of(line: str) -> dict[str, Any] | None:
+    """Return the record in a line of progress; None if the line is malformed."""
     try:
         record = json.loads(line)
     except (ValueError, RecursionError):
@@ -171,10 +173,10 @@ def _record(line: str) -> dict[str, Any] | None:
         return None
     numbers = [record.get(name) for name in ('interactions', 'updates', 'seconds')]
     numbers.append(record.get('ratio', 0.0))
-    return record if all(map(_is_figure, numbers)) else None
+    return record if all(map(_is_count, numbers)) else None
 
 
-def _is_figure(value: Any) -> bool:
+def _is_count(value: Any) -> bool:
     """Return whether a value is a finite number of 0 or more."""
     return type(value) in (int, float) and math.isfinite(value) and value >= 0
 

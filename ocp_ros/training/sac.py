@@ -24,7 +24,7 @@ from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.training.augmentation import CloudReplayBuffer, MapReplayBuffer
 from ocp_ros.training.encoded_environment import action_space, cameras_of, encoded_space
-from ocp_ros.training.sac_networks import NearValueMap, policy_of
+from ocp_ros.training.sac_networks import ImitationLoss, policy_of
 from ocp_ros.training.training_config import SacConfig
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
@@ -37,11 +37,12 @@ class AgentSac(SAC):
     stable-baselines3's SAC, which may start from a trained actor.
 
     The critics are untrained at first, so only they learn for the first ``burn_in`` gradient
-    steps. An imitation loss, whose weight falls to 0, keeps the actor near its first weights.
+    steps. Then an imitation loss, whose weight falls to 0, keeps the policy near the first one.
 
-    :param config: settings of SAC, with the lengths of both phases.
+    :param config: settings of SAC, with the number of steps of both phases.
     :param agent: inputs and sizes of the networks.
-    :param warm: whether the actor is trained already; it then plays from the first turn on.
+    :param warm: whether the actor is trained already, and chooses the actions from the first turn.
+    :ivar own_updates: number of gradient steps of SAC itself so far.
     """
 
     def __init__(self, *args, config: SacConfig, agent: AgentConfig, warm: bool = False,
@@ -49,17 +50,17 @@ class AgentSac(SAC):
         self.config = config
         self.agent = agent
         self.warm = warm
-        #: Number of gradient steps of SAC itself so far, and the function that returns the
-        #: imitation loss of a batch of a given size; None for no imitation loss.
-        self.own_updates, self.imitation_loss = 0, None
-        #: Chooses the actions of the first interactions; None for no demonstrations.
+        self.own_updates = 0
+        #: Returns the imitation loss of a batch of a given size; None for no imitation loss.
+        self.imitation_loss: Callable[[int], torch.Tensor] | None = None
+        #: Returns the actions of the first interactions; None for no demonstrations.
         self.demonstrator: Callable[[], np.ndarray] | None = None
         #: Moving average of the actor over gradient steps; None if the actor itself is evaluated.
         self.averaged: AveragedModel | None = None
         super().__init__(*args, **kwargs)
 
     def _setup_model(self) -> None:
-        """Build the networks, and the moving average of the actor if there shall be one."""
+        """Build the networks, and the moving average of the actor if the settings want one."""
         super()._setup_model()
         if self.config.averaging:
             self.averaged = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(
@@ -73,7 +74,7 @@ class AgentSac(SAC):
         return self.averaged.module
 
     def _sample_action(self, learning_starts, action_noise=None, n_envs=1):
-        """Draw actions: of a demonstrator first, of an untrained actor at random."""
+        """Draw actions: first a demonstrator's, then random ones if the actor is untrained."""
         if self.demonstrator is not None and self.num_timesteps < self.config.demonstrations:
             actions = self.demonstrator()
             return actions, actions
@@ -84,35 +85,34 @@ class AgentSac(SAC):
         super()._update_learning_rate(optimizers)
         if self.own_updates < self.config.burn_in:
             for optimizer in (self.actor.optimizer, self.ent_coef_optimizer):
-                for part in optimizer.param_groups:
-                    part['lr'] = 0.0
+                for group in optimizer.param_groups:
+                    group['lr'] = 0.0
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Take gradient steps of SAC, and one on the imitation loss."""
+        """Take gradient steps of SAC, then one on the imitation loss if it still has a weight."""
         super().train(gradient_steps, batch_size)
         self.own_updates += gradient_steps
         if self.averaged is not None:
             self.averaged.update_parameters(self.actor)
-        share = 1.0 - (self.own_updates - self.config.burn_in) / self.config.imitation_fades
-        if self.imitation_loss is None or self.own_updates < self.config.burn_in or share <= 0.0:
+        fade = 1.0 - (self.own_updates - self.config.burn_in) / self.config.imitation_fades
+        if self.imitation_loss is None or self.own_updates < self.config.burn_in or fade <= 0.0:
             return
         loss = self.imitation_loss(batch_size)
         self.actor.optimizer.zero_grad()
-        (self.config.imitation * share * loss).backward()
+        (self.config.imitation * fade * loss).backward()
         self.actor.optimizer.step()
         self.logger.record('train/imitation_loss', loss.item())
 
 
-def keep_memory() -> None:
+def keep_freed_memory() -> None:
     """
-    Keep freed memory for the next gradient step, which needs the same amount again.
+    Set up the C library to keep freed memory for the next gradient step.
 
-    The system clears returned memory before the process gets it again, which takes a quarter of
-    the time of a step. The setting applies to the whole process.
+    Otherwise the system clears the memory that each step returns and requests again; this takes a
+    quarter of the time of a step. The setting applies to the whole process.
     """
     with suppress(AttributeError, OSError):
-        # M_TRIM_THRESHOLD, M_TOP_PAD and M_MMAP_MAX of glibc: all freed memory stays with the
-        # process.
+        # glibc's M_TRIM_THRESHOLD, M_TOP_PAD and M_MMAP_MAX.
         options = {-1: (1 << 31) - 1, -2: 1 << 28, -4: 0}
         for option, value in options.items():
             ctypes.CDLL(None).mallopt(option, value)
@@ -123,30 +123,32 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
     """
     Build SAC for a network.
 
-    :param sac: its settings.
+    :param sac: settings of SAC.
     :param agent: inputs and sizes of the network.
-    :param env: encoded environment to play in; None to set it later or to add transitions.
-    :param seed: of networks and exploration.
+    :param env: encoded environment to play in; None if it is set later, or never, because others
+        add the transitions.
+    :param seed: random seed of networks and exploration.
     :param tensorboard: folder for TensorBoard, or None.
     :param environments: number of environments, used if ``env`` is None.
     :param kwargs: passed on to ``stable_baselines3.SAC``.
     """
-    keep_memory()
+    keep_freed_memory()
     cameras = cameras_of(agent)
-    policy, arguments = policy_of(agent, sac.bfloat16)
-    buffer, settings = MapReplayBuffer if agent.map else DictReplayBuffer, {}
+    policy_class, policy_kwargs = policy_of(agent, sac.bfloat16)
+    buffer_class = MapReplayBuffer if agent.map else DictReplayBuffer
+    buffer_kwargs: dict[str, Any] = {}
     if agent.one_by_one and not agent.map:
-        buffer, settings = CloudReplayBuffer, {'n_steps': sac.n_steps, 'gamma': sac.gamma,
-                                               'augmentation': sac.augmentation,
-                                               'demonstrations': sac.demonstrations}
+        buffer_class = CloudReplayBuffer
+        buffer_kwargs = {name: getattr(sac, name) for name in (
+            'n_steps', 'gamma', 'augmentation', 'demonstrations')}
     model = AgentSac(
-        policy, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
+        policy_class, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
         buffer_size=sac.buffer_size,
         learning_starts=max(sac.learning_starts, sac.demonstrations),
         batch_size=sac.batch_size, tau=sac.tau, gamma=sac.gamma, ent_coef=f'auto_{sac.entropy}',
         target_entropy=sac.target_entropy * 2 * cameras, tensorboard_log=tensorboard, seed=seed,
-        device=sac.device, _init_setup_model=False, policy_kwargs=arguments,
-        replay_buffer_class=buffer, replay_buffer_kwargs=settings, **kwargs)
+        device=sac.device, _init_setup_model=False, policy_kwargs=policy_kwargs,
+        replay_buffer_class=buffer_class, replay_buffer_kwargs=buffer_kwargs, **kwargs)
     if env is None:
         model.observation_space, model.action_space = encoded_space(agent), action_space(cameras)
         model.n_envs = environments
@@ -154,12 +156,18 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
     return model
 
 
-def _parts_of(actor: Any, agent: AgentConfig) -> dict[str, torch.nn.Module]:
-    """Return the parts of an actor of SAC by the prefix of their weights in a checkpoint."""
+def _modules_of(actor: Any, agent: AgentConfig) -> dict[str, torch.nn.Module]:
+    """Return the modules of SAC's actor, by the prefix of their weights in a checkpoint."""
     if agent.map:
         return {'': actor.network}
     return {'extractor.': actor.features_extractor.extractor, 'latent_pi.': actor.latent_pi,
             'mu.': actor.mu, 'log_std.': actor.log_std}
+
+
+def select_by_prefix(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    """Return the tensors whose names begin with a prefix, by their names without the prefix."""
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items()
+            if name.startswith(prefix)}
 
 
 def actor_checkpoint(model: AgentSac, run: str, provenance: dict[str, Any]) -> Checkpoint:
@@ -167,11 +175,11 @@ def actor_checkpoint(model: AgentSac, run: str, provenance: dict[str, Any]) -> C
     Return the actor of SAC, or its moving average if there is one, as a checkpoint.
 
     :param model: from :func:`make_sac`.
-    :param run: identity of the training run.
-    :param provenance: how it was trained.
+    :param run: name of the training run.
+    :param provenance: how the actor was trained.
     """
-    weights = {f'{part}{name}': value.detach().cpu().clone()
-               for part, module in _parts_of(model.evaluated_actor, model.agent).items()
+    weights = {f'{prefix}{name}': value.detach().cpu().clone()
+               for prefix, module in _modules_of(model.evaluated_actor, model.agent).items()
                for name, value in module.state_dict().items()}
     return Checkpoint(model.agent, weights, int(model._n_updates), run, provenance)
 
@@ -180,8 +188,8 @@ def load_actor(model: AgentSac, checkpoint: Checkpoint) -> None:
     """
     Start SAC's actor from given weights.
 
-    The critics start untrained. For the map actor they start from the same value map, and the
-    imitation loss keeps the actor near it.
+    The critics of the map actor start from the same value map, and the imitation loss keeps the
+    actor's policy near that of the value map. Other critics start untrained.
 
     :raises CheckpointError: if the weights are of another network.
     """
@@ -190,12 +198,10 @@ def load_actor(model: AgentSac, checkpoint: Checkpoint) -> None:
             f"weights: found {checkpoint.config}; expected the trainer's own agent settings, "
             f'{model.agent}')
     if model.agent.map:
-        model.policy.begin_with(checkpoint.weights)
-        near = NearValueMap(model.agent, checkpoint.weights, model.device)
-        model.imitation_loss = lambda size: near.loss_of(
+        model.policy.load_value_map(checkpoint.weights)
+        imitation = ImitationLoss(model.agent, checkpoint.weights, model.device)
+        model.imitation_loss = lambda size: imitation.loss_of(
             model.actor, model.replay_buffer.sample(size).observations)
         return
-    for part, module in _parts_of(model.actor, model.agent).items():
-        module.load_state_dict({name.removeprefix(part): value
-                                for name, value in checkpoint.weights.items()
-                                if name.startswith(part)})
+    for prefix, module in _modules_of(model.actor, model.agent).items():
+        module.load_state_dict(select_by_prefix(checkpoint.weights, prefix))

@@ -18,7 +18,7 @@ The agent's networks for the soft actor-critic of stable-baselines3.
 An action of the map actor is a cell of the map, so means over actions are not sampled but summed
 over all cells (Christodoulou, 2019). stable-baselines3 gets an action in two forms: a chosen
 action is the position of a cell, (B, 2); the action of ``action_log_prob`` is the probability of
-every cell, (B, 64 * 64).
+every cell, (B, 64 * 64). In this module B is the size of a batch.
 """
 
 from collections.abc import Callable
@@ -52,23 +52,26 @@ class CloudFeatures(BaseFeaturesExtractor):
     def __init__(self, observation_space: spaces.Dict, agent: AgentConfig, bfloat16: bool) -> None:
         extractor = Extractor(agent)
         super().__init__(observation_space, extractor.width)
-        self.extractor, self.bfloat16 = extractor, bfloat16
-        #: The batch that was read last with gradients, and its features.
+        self.extractor = extractor
+        self.bfloat16 = bfloat16
+        #: The batch whose features were computed last with gradients.
         self._batch: Any = None
+        #: Its features.
         self._features: torch.Tensor | None = None
 
     def forward(self, observation: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return the features (B, F)."""
+        """Return F features of each observation: (B, F)."""
         device = observation['points'].device.type
         with torch.autocast(device, torch.bfloat16, enabled=self.bfloat16):
             return self.extractor(observation).float()
 
-    def once(self, batch: Any, extract: Callable[[], torch.Tensor]) -> torch.Tensor:
+    def cached_features(self, batch: Any, extract: Callable[[], torch.Tensor]
+                        ) -> torch.Tensor:
         """
         Return the features (B, F) of a batch, computed once for all losses of a gradient step.
 
         :param batch: the same object in all calls of a gradient step.
-        :param extract: computes the features.
+        :param extract: computes and returns the features.
         """
         if not torch.is_grad_enabled():
             return extract()
@@ -77,12 +80,12 @@ class CloudFeatures(BaseFeaturesExtractor):
             self._batch = batch
         return self._features
 
-    def forget(self) -> None:
+    def drop_batch(self) -> None:
         """Drop the stored batch at the end of a gradient step."""
         self._batch = self._features = None
 
 
-class FollowingActor(Actor):
+class DetachedActor(Actor):
     """An actor whose loss does not train the features."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
@@ -91,12 +94,12 @@ class FollowingActor(Actor):
 
     def extract_features(self, obs, features_extractor) -> torch.Tensor:
         """Return the features (B, F) without gradients."""
-        return features_extractor.once(
-            obs, lambda: super(FollowingActor, self).extract_features(obs, features_extractor)
+        return features_extractor.cached_features(
+            obs, lambda: super(DetachedActor, self).extract_features(obs, features_extractor)
         ).detach()
 
 
-class LeadingCritic(ContinuousCritic):
+class FeatureCritic(ContinuousCritic):
     """Critics whose loss trains the features, which the actor shares."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
@@ -109,50 +112,50 @@ class LeadingCritic(ContinuousCritic):
             setattr(self, f'qf{number}', network)
 
     def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Return the values (B, 1) of each critic."""
-        features = self.features_extractor.once(
+        """Return values (B, 1), one array from each critic, of observations and actions (B, A)."""
+        features = self.features_extractor.cached_features(
             obs, lambda: self.extract_features(obs, self.features_extractor))
         if actions.requires_grad:
-            # The actor's loss must not train the features. It is the last loss of a gradient step.
+            # The actor's loss must not train the features. This is a step's last loss.
             features = features.detach()
-            self.features_extractor.forget()
-        read = torch.cat([features, actions], dim=1)
-        return tuple(network(read) for network in self.q_networks)
+            self.features_extractor.drop_batch()
+        inputs = torch.cat([features, actions], dim=1)
+        return tuple(network(inputs) for network in self.q_networks)
 
 
-class OwnPolicy(MultiInputPolicy):
+class CustomPolicy(MultiInputPolicy):
     """
     SAC's policy with other classes of actor and critics.
 
-    :cvar actor_of: makes the actor from stable-baselines3's arguments.
-    :cvar critic_of: makes the critics from stable-baselines3's arguments.
+    :ivar build_actor: returns the actor for stable-baselines3's arguments.
+    :ivar build_critic: returns the critics for stable-baselines3's arguments.
     """
 
-    actor_of: Callable[..., Actor]
-    critic_of: Callable[..., ContinuousCritic]
+    build_actor: Callable[..., Actor]
+    build_critic: Callable[..., ContinuousCritic]
 
     def make_actor(self, features_extractor=None) -> Actor:
         """Build the actor."""
         arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return self.actor_of(**arguments).to(self.device)
+        return self.build_actor(**arguments).to(self.device)
 
     def make_critic(self, features_extractor=None) -> ContinuousCritic:
         """Build the critics."""
         arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
-        return self.critic_of(**arguments).to(self.device)
+        return self.build_critic(**arguments).to(self.device)
 
 
-class CloudPolicy(OwnPolicy):
+class CloudPolicy(CustomPolicy):
     """
     SAC's policy with one feature extractor, which only the critics train.
 
-    In stable-baselines3 the actor trains a shared extractor, which then learns hardly any features
-    of the observation (Yarats et al., 2021).
+    In stable-baselines3 the actor trains a shared extractor, and the extractor then learns hardly
+    any features of the observation (Yarats et al., 2021).
     """
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
-        self.actor_of = partial(FollowingActor, agent=agent)
-        self.critic_of = partial(LeadingCritic, agent=agent)
+        self.build_actor = partial(DetachedActor, agent=agent)
+        self.build_critic = partial(FeatureCritic, agent=agent)
         super().__init__(*args, **kwargs)
 
     def _build(self, lr_schedule) -> None:
@@ -161,16 +164,17 @@ class CloudPolicy(OwnPolicy):
         self.critic.optimizer.param_groups[0]['params'] = list(self.critic.parameters())
 
 
-class NearValueMap:
+class ImitationLoss:
     """
-    Imitation loss: the divergence of a policy from the policy of the value map it began with.
+    The divergence of a policy from its first policy, that of a given value map.
 
     Critics learn only the values of cells that were chosen; their values of other cells are
-    arbitrary. A policy that follows them there loses the knowledge of the value map.
+    arbitrary. Without this loss the policy would follow these values, and lose what the value map
+    had learned.
 
     :param agent: settings of the network.
-    :param weights: of the value map.
-    :param device: of the policy.
+    :param weights: the weights of the value map.
+    :param device: the device of the policy.
     """
 
     def __init__(self, agent: AgentConfig, weights: dict[str, torch.Tensor],
@@ -185,7 +189,7 @@ class NearValueMap:
         return first.divergence(actor.choices_of(observation)).mean()
 
 
-class AsItIs(BaseFeaturesExtractor):
+class RawMaps(BaseFeaturesExtractor):
     """Return observations unchanged: the networks read maps, not features."""
 
     def __init__(self, observation_space: spaces.Dict) -> None:
@@ -205,25 +209,25 @@ class MapSacActor(Actor):
         self.network = ValueMapNetwork(agent)
 
     def choices_of(self, observation: dict[str, torch.Tensor]) -> CellChoices:
-        """Return the distribution over the cells."""
+        """Return the distribution over the cells of the maps of a batch."""
         maps: dict[str, torch.Tensor] = self.extract_features(
             observation, self.features_extractor)  # type: ignore[assignment]
         return CellChoices(valued(self.network, maps), maps['choices'])
 
     def forward(self, obs, deterministic: bool = False) -> torch.Tensor:
-        """Return chosen positions (B, 2)."""
+        """Return chosen positions (B, 2): the best ones if ``deterministic``, else drawn ones."""
         choices = self.choices_of(obs)
         return choices.best() if deterministic else choices.sample()
 
     def action_log_prob(self, obs) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the probabilities of cells (B, 64 * 64), and the mean log-density (B,)."""
         choices = self.choices_of(obs)
-        # It converts the entropy over cells to an entropy over positions.
+        # Positions are in [-1, 1]: a cell has the area (2 / CELLS) ** 2.
         log_cell_density = 2.0 * math.log(0.5 * CELLS)
         return choices.shares, log_cell_density - choices.entropy
 
 
-class _MapQ(torch.nn.Module):
+class _CellValues(torch.nn.Module):
     """A critic: the expected future reward if a camera goes to a cell."""
 
     def __init__(self, agent: AgentConfig) -> None:
@@ -231,14 +235,17 @@ class _MapQ(torch.nn.Module):
         self.network = ValueMapNetwork(agent)
 
     def forward(self, maps: dict[str, torch.Tensor], actions: torch.Tensor) -> torch.Tensor:
-        """Return (B, 1): values of positions (B, 2), or means over probabilities (B, 64 * 64)."""
-        chosen = actions.shape[1] == 2
-        # Means over probabilities are used to train the actor; only values of chosen positions
-        # train this network.
-        with torch.set_grad_enabled(chosen and torch.is_grad_enabled()):
-            found = valued(self.network, maps).nan_to_num(posinf=0.0)
-            values = -REWARD_PER_VALUE * found.flatten(1)
-        if chosen:
+        """
+        Return rewards (B, 1): of positions, or means over the probabilities of all cells.
+
+        :param actions: (B, 2) positions, or (B, 64 * 64) probabilities.
+        """
+        are_positions = actions.shape[1] == 2
+        # Only the values of positions train this network; the means train the actor.
+        with torch.set_grad_enabled(are_positions and torch.is_grad_enabled()):
+            network_values = valued(self.network, maps).nan_to_num(posinf=0.0)
+            values = -REWARD_PER_VALUE * network_values.flatten(1)
+        if are_positions:
             return values.gather(1, cell_of(actions)[:, None])
         return (values * actions).sum(dim=1, keepdim=True)
 
@@ -248,31 +255,31 @@ class MapCritic(ContinuousCritic):
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
         super().__init__(*args, **kwargs)
-        self.q_networks = [_MapQ(agent) for _ in self.q_networks]
+        self.q_networks = [_CellValues(agent) for _ in self.q_networks]
         for index, network in enumerate(self.q_networks):
             self.add_module(f'qf{index}', network)
 
     def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Return the values (B, 1) of each critic."""
+        """Return values (B, 1), one array from each critic; see :class:`_CellValues`."""
         maps = self.extract_features(obs, self.features_extractor)
         return tuple(network(maps, actions) for network in self.q_networks)
 
 
-class MapPolicy(OwnPolicy):
+class MapPolicy(CustomPolicy):
     """stable-baselines3's SAC policy on maps."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
-        self.actor_of = partial(MapSacActor, agent=agent)
-        self.critic_of = partial(MapCritic, agent=agent)
+        self.build_actor = partial(MapSacActor, agent=agent)
+        self.build_critic = partial(MapCritic, agent=agent)
         # The network divides the maps by 255 itself.
-        super().__init__(*args, features_extractor_class=AsItIs, normalize_images=False, **kwargs)
+        super().__init__(*args, features_extractor_class=RawMaps, normalize_images=False, **kwargs)
 
-    def begin_with(self, weights: dict[str, torch.Tensor]) -> None:
+    def load_value_map(self, weights: dict[str, torch.Tensor]) -> None:
         """Start the actor and the critics from the weights of a value map."""
         self.actor.load_state_dict({f'network.{name}': value for name, value in weights.items()})
         for number, critic in enumerate(self.critic.q_networks):
-            # With equal weights the same batches would keep the critics equal: add noise.
-            # The first weights of the critics differ by 1 %.
+            # Equal critics would stay equal, as they learn from the same batches: the second one
+            # gets 1 % of noise.
             critic.load_state_dict({
                 f'network.{name}': value * (1.0 + number * 0.01 * torch.randn_like(value))
                 for name, value in weights.items()})
@@ -281,9 +288,12 @@ class MapPolicy(OwnPolicy):
 
 def policy_of(agent: AgentConfig, bfloat16: bool) -> tuple[type[MultiInputPolicy], dict[str, Any]]:
     """
-    Return SAC's policy class and its arguments; for ``paper`` stable-baselines3's own class.
+    Return SAC's policy class and its arguments.
 
-    :param bfloat16: whether the network ``cloud`` computes features with 16 bits.
+    The inputs ``paper`` use the class of stable-baselines3, all others a class of this module.
+
+    :param agent: inputs and sizes of the networks.
+    :param bfloat16: whether features are computed with 16 bits; only for the inputs ``cloud``.
     """
     if agent.map:
         return MapPolicy, {'agent': agent}

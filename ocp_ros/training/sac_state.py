@@ -24,7 +24,7 @@ import uuid
 
 import numpy as np
 from ocp_ros.policy.checkpoint import CheckpointError, MAX_WEIGHT, read_metadata
-from ocp_ros.training.sac import AgentSac
+from ocp_ros.training.sac import AgentSac, select_by_prefix
 from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
 from safetensors import SafetensorError
 import safetensors.numpy
@@ -32,8 +32,9 @@ import safetensors.torch
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
 
-#: Name of the array with the slot that is written next, and whether the buffer is full.
+#: Name of the array with the row that is written next, and whether the buffer is full.
 FILLED = 'filled'
+#: Attributes of the model that are saved as numbers.
 COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
 
 
@@ -44,7 +45,7 @@ def _optimizers(model: AgentSac) -> dict[str, torch.optim.Optimizer]:
 
 
 def _networks(model: AgentSac) -> dict[str, torch.Tensor]:
-    """Return all tensors that are saved, except for those of the optimisers."""
+    """Return the tensors of networks, entropy coefficient and counters, by name in the file."""
     averaged = {} if model.averaged is None else model.averaged.state_dict()
     return {**{f'policy.{name}': value for name, value in model.policy.state_dict().items()},
             **{f'averaged.{name}': value for name, value in averaged.items()},
@@ -53,7 +54,7 @@ def _networks(model: AgentSac) -> dict[str, torch.Tensor]:
 
 
 def saved_slots(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, torch.Tensor]:
-    """Return the tensors of an optimiser by number of the parameter and key."""
+    """Return the tensors of an optimiser, named by prefix, number of the parameter and key."""
     return {f'{prefix}{index}.{key}': value
             for index, slot in optimizer.state_dict()['state'].items()
             for key, value in slot.items()}
@@ -77,11 +78,11 @@ def save_state(model: AgentSac, path: Path, run: str) -> None:
     """
     Write networks, optimisers, entropy coefficient and counters; the file is whole or absent.
 
-    The replay buffer is not part of it; see :func:`save_replay`.
+    The file does not contain the replay buffer; see :func:`save_replay`.
 
     :param model: from :func:`ocp_ros.training.sac.make_sac`.
     :param path: file to write.
-    :param run: identity of the training run.
+    :param run: name of the training run.
     """
     tensors = _networks(model)
     for name, optimizer in _optimizers(model).items():
@@ -94,7 +95,7 @@ def load_state(model: AgentSac, path: Path) -> str:
     """
     Load a saved state into a model that was built with the same settings.
 
-    :returns: identity of the training run.
+    :returns: name of the training run.
     :raises CheckpointError: if the file is damaged or belongs to another network; the model stays
         unchanged.
     """
@@ -103,52 +104,43 @@ def load_state(model: AgentSac, path: Path) -> str:
         tensors, run = safetensors.torch.load(blob), read_metadata(blob)['run']
         if not isinstance(run, str):
             raise ValueError(f'its run is {run!r}')
-        slots = _slots(model, tensors)
-        _check(tensors, _networks(model) | slots)
-    except (OSError, SafetensorError, KeyError, TypeError, ValueError,
-            RuntimeError) as error:
-        reason = f'{path}: found no training state for this network ({error}); '
+        _check_tensors(tensors, _networks(model) | _expected_slots(model, tensors))
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise CheckpointError(
-            f'{reason}expected a whole one, saved with the same settings; put it back from a '
-            'copy, or begin in another folder with model set to the weights beside it: these are '
-            'kept, the rest is lost') from error
-    model.policy.load_state_dict(
-        {name.removeprefix('policy.'): value for name, value in tensors.items()
-         if name.startswith('policy.')})
+            f'{path}: found no training state for this network ({error}); expected a whole one, '
+            'saved with the same settings; put it back from a copy, or begin in another folder '
+            'with model set to the weights beside it: these are kept, the rest is lost') from error
+    model.policy.load_state_dict(select_by_prefix(tensors, 'policy.'))
     if model.averaged is not None:
-        model.averaged.load_state_dict(
-            {name.removeprefix('averaged.'): value for name, value in tensors.items()
-             if name.startswith('averaged.')})
+        model.averaged.load_state_dict(select_by_prefix(tensors, 'averaged.'))
     model.log_ent_coef.data.copy_(tensors['log_ent_coef'])
     for name in COUNTERS:
         setattr(model, name, int(tensors[f'counter.{name}']))
     for name, optimizer in _optimizers(model).items():
-        prefix = f'optimizer.{name}.'
-        load_slots(optimizer, {key.removeprefix(prefix): tensors[key]
-                               for key in slots if key.startswith(prefix)})
+        load_slots(optimizer, select_by_prefix(tensors, f'optimizer.{name}.'))
     return run
 
 
-def _slots(model: AgentSac, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Return tensors with the expected shapes of Adam's state, for parameters that have one."""
+def _expected_slots(model: AgentSac, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return tensors shaped like Adam's state of each weight that has a state in the file."""
     slots = {}
     for name, optimizer in _optimizers(model).items():
-        parameters = [one for group in optimizer.param_groups for one in group['params']]
-        for index, parameter in enumerate(parameters):
+        weights = [weight for group in optimizer.param_groups for weight in group['params']]
+        for index, weight in enumerate(weights):
             prefix = f'optimizer.{name}.{index}.'
             if any(key.startswith(prefix) for key in tensors):
-                slots |= {f'{prefix}step': torch.zeros(()), f'{prefix}exp_avg': parameter,
-                          f'{prefix}exp_avg_sq': parameter}
+                slots |= {f'{prefix}step': torch.zeros(()), f'{prefix}exp_avg': weight,
+                          f'{prefix}exp_avg_sq': weight}
     return slots
 
 
 def _check_names(found: Mapping[str, object], expected: Mapping[str, object]) -> None:
     """Raise a ``ValueError`` if the names differ from the expected names."""
-    if odd := sorted(found.keys() ^ expected.keys()):
-        raise ValueError(f'{odd[0]} is {"unknown" if odd[0] in found else "missing"}')
+    if wrong := sorted(found.keys() ^ expected.keys()):
+        raise ValueError(f'{wrong[0]} is {"unknown" if wrong[0] in found else "missing"}')
 
 
-def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
+def _check_tensors(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) -> None:
     """
     Refuse tensors of other names, shapes or types than expected, and values out of range.
 
@@ -160,9 +152,8 @@ def _check(tensors: dict[str, torch.Tensor], expected: dict[str, torch.Tensor]) 
             raise ValueError(f'{name} is {tensor.dtype} {tuple(tensor.shape)}, not '
                              f'{expected[name].dtype} {tuple(expected[name].shape)}')
         low = 0.0 if name.endswith(('.exp_avg_sq', '.step')) or 'counter.' in name else -torch.inf
-        # Counters and numbers of an optimiser are smaller.
-        most = MAX_WEIGHT if name.startswith(('policy.', 'averaged.module.')) else (1 << 40)
-        if not ((tensor >= low) & (tensor.abs() <= most)).all():
+        high = MAX_WEIGHT if name.startswith(('policy.', 'averaged.module.')) else (1 << 40)
+        if not ((tensor >= low) & (tensor.abs() <= high)).all():
             raise ValueError(f'{name} has numbers that no training ends with')
 
 
@@ -172,15 +163,15 @@ def save_replay(buffer: DictReplayBuffer, path: Path) -> None:
 
     :param buffer: of stable-baselines3.
     :param path: file to write or replace.
-    :raises OSError: if it cannot be written; an older file stays.
+    :raises OSError: if the file cannot be written; an older file stays.
     """
     arrays = {name: np.ascontiguousarray(rows[:buffer.size()])
               for name, rows in _rows(buffer).items()}
     arrays[FILLED] = np.array([buffer.pos, buffer.full], dtype=np.int64)
     try:
-        with whole_or_absent(path) as beside:
+        with whole_or_absent(path) as temporary_path:
             # Write to the file directly: a second copy of the buffer may not fit into memory.
-            safetensors.numpy.save_file(arrays, beside)
+            safetensors.numpy.save_file(arrays, temporary_path)
     except SafetensorError as error:
         raise OSError(f'{path}: found no room to write it ({error})') from error
 
@@ -194,8 +185,8 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
         unchanged.
     """
     try:
-        # A replay file has little beside its arrays.
-        check_regular(path, sum(row.nbytes for row in _rows(buffer).values()) + 1_000_000)
+        # The header of a replay file has less than a megabyte.
+        check_regular(path, sum(array.nbytes for array in _rows(buffer).values()) + 1_000_000)
         arrays = safetensors.numpy.load_file(path)
         position, full = arrays.pop(FILLED).tolist()
         rows = _rows(buffer)
@@ -209,21 +200,21 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
         rows[name][:len(values)] = values
     buffer.pos = position
     buffer.full = bool(full)
-    # The next transition belongs to another episode: end the present one here.
-    newest = position - 1
-    buffer.timeouts[newest] = np.maximum(buffer.timeouts[newest], 1.0 - buffer.dones[newest])
-    buffer.dones[newest] = 1.0
+    # The next transition belongs to another episode: the last stored one ends its episode.
+    last_row = position - 1
+    buffer.timeouts[last_row] = np.maximum(buffer.timeouts[last_row], 1.0 - buffer.dones[last_row])
+    buffer.dones[last_row] = 1.0
 
 
 def _rows(buffer: DictReplayBuffer) -> dict[str, np.ndarray]:
-    """Return by name the arrays with a row for each slot and environment: (S, E, ...)."""
-    found = {}
+    """Return by name the arrays (S, E, ...) with an entry for each of S rows, E environments."""
+    rows = {}
     for name, value in vars(buffer).items():
-        parts = value if isinstance(value, dict) else {'': value}
-        found |= {f'{name}.{part}' if part else name: array for part, array in parts.items()
-                  if isinstance(array, np.ndarray)
-                  and array.shape[:2] == (buffer.buffer_size, buffer.n_envs)}
-    return found
+        arrays = value if isinstance(value, dict) else {'': value}
+        rows |= {f'{name}.{key}' if key else name: array for key, array in arrays.items()
+                 if isinstance(array, np.ndarray)
+                 and array.shape[:2] == (buffer.buffer_size, buffer.n_envs)}
+    return rows
 
 
 def _check_rows(arrays: dict[str, np.ndarray], rows: dict[str, np.ndarray], count: int) -> None:

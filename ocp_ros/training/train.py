@@ -15,8 +15,8 @@
 """
 Train a policy: this module is the whole run, from top to bottom.
 
-The map actor learns dense values first, see :mod:`ocp_ros.training.value_training`. Soft
-actor-critic then plays and learns; other agents begin with it. The folder of a run has
+The map actor first learns dense values, see :mod:`ocp_ros.training.value_training`. Then soft
+actor-critic learns from its own episodes; other agents begin with this. The folder of a run has
 ``config.yaml`` (the effective settings), ``rooms.json`` (the rooms of each set),
 ``progress.jsonl`` (one line per evaluation), ``best.safetensors`` with its card,
 ``state.safetensors`` and ``replay.safetensors`` to resume from, and TensorBoard's files.
@@ -66,6 +66,8 @@ class Run(TrainingRun):
     A run in which soft actor-critic plays and learns; see :class:`TrainingRun`.
 
     :param model: SAC with the actor to train.
+    :param settings: the arguments of :class:`TrainingRun`.
+    :ivar best: least error ratio so far: depth error at the end of an episode / at its start.
     """
 
     def __init__(self, model: AgentSac, *settings) -> None:
@@ -95,7 +97,11 @@ class Run(TrainingRun):
         super().note(phase, **losses | figures)
 
     def evaluate(self) -> float:
-        """Play the validation rooms; write the progress, the state and, if best, the weights."""
+        """
+        Play the validation rooms; write the progress, the state and, if best, the weights.
+
+        :returns: the error ratio.
+        """
         checkpoint = self.checkpoint()
         result = self.judge(checkpoint)
         for name, value in result.items():
@@ -129,7 +135,7 @@ class Run(TrainingRun):
         self._find_best()
 
     def _find_best(self) -> None:
-        """Set ``best`` to the error ratio of the best weights so far, if there are any."""
+        """Set ``best`` to the error ratio of the best weights so far, if there is a file."""
         path = self.folder / BEST
         ratios = {line['updates']: line['ratio'] for line in self.past if 'ratio' in line}
         if not path.exists():
@@ -147,20 +153,25 @@ class Run(TrainingRun):
             raise CheckpointError(
                 f'{error}; the best weights so far are lost: put them back from a copy, or remove '
                 'the file, and the run goes on from its last state') from error
-        # If no line has their ratio, as after a kill, evaluate them again.
+        # After a kill, no line may have the ratio of these weights: then evaluate them again.
         self.best = (ratios[best.updates] if best.updates in ratios
                      else self.judge(best)['ratio'])
 
     def save(self) -> None:
         """Write the files that are needed to resume."""
-        # Transitions first: those that the saved state does not count yet do no harm.
+        # Transitions first: the state may count fewer transitions than there are, but not more.
         if self.model.replay_buffer.size():
             save_replay(self.model.replay_buffer, self.folder / REPLAY)
         save_state(self.model, self.folder / STATE, self.name)
 
 
 class TrainingWatch(BaseCallback):
-    """Log the terms of the reward, and evaluate at intervals, while SAC learns."""
+    """
+    Log the terms of the reward, and evaluate at intervals, while SAC learns.
+
+    :ivar due: number of interactions of the next evaluation.
+    :ivar evaluated: number of interactions at the last evaluation.
+    """
 
     def __init__(self, run: Run) -> None:
         super().__init__()
@@ -176,7 +187,7 @@ class TrainingWatch(BaseCallback):
             completed=self.num_timesteps, error='')
 
     def _on_step(self) -> bool:
-        """Update the progress bar, and evaluate if it is due."""
+        """Update the progress bar, and evaluate if this is due; True: go on learning."""
         for name in ('delta_space_coverage', 'delta_depth_error', 'penalty'):
             self.logger.record_mean(
                 f'reward/{name}', float(np.mean([info[name] for info in self.locals['infos']])))
@@ -198,67 +209,67 @@ class TrainingWatch(BaseCallback):
         self.run.progress.update(self.task, error=f'validation {ratio:.4f}')
 
 
-class SideBySide(DummyVecEnv):
+class ThreadedEnvironments(DummyVecEnv):
     """Environments in threads of this process: their slow parts release the interpreter's lock."""
 
-    def __init__(self, made: list[Callable[[], gym.Env]]) -> None:
-        super().__init__(made)
-        self._players = ThreadPoolExecutor(cores(), 'environment')
+    def __init__(self, builders: list[Callable[[], gym.Env]]) -> None:
+        super().__init__(builders)
+        self._threads = ThreadPoolExecutor(cores(), 'environment')
 
     def step_wait(self) -> VecEnvStepReturn:
         """Play a step in each environment, and begin a new episode where one has ended."""
-        list(self._players.map(self._play, range(self.num_envs)))
+        list(self._threads.map(self._play, range(self.num_envs)))
         return (self._obs_from_buf(), self.buf_rews.copy(), self.buf_dones.copy(),
                 [info.copy() for info in self.buf_infos])
 
     def _play(self, number: int) -> None:
-        """Play a step of one environment."""
-        env, action = self.envs[number], self.actions[number]
-        seen, reward, terminated, truncated, info = env.step(action)
+        """Play a step of one environment, and store its results in the buffers."""
+        env = self.envs[number]
+        observation, reward, terminated, truncated, info = env.step(self.actions[number])
         info['TimeLimit.truncated'] = truncated and not terminated
         if terminated or truncated:
-            info['terminal_observation'] = seen
-            seen, self.reset_infos[number] = env.reset()
+            info['terminal_observation'] = observation
+            observation, self.reset_infos[number] = env.reset()
         self.buf_rews[number], self.buf_infos[number] = reward, info
         self.buf_dones[number] = terminated or truncated
-        self._save_obs(number, seen)
+        self._save_obs(number, observation)
 
     def close(self) -> None:
         """End the threads."""
-        self._players.shutdown()
+        self._threads.shutdown()
         super().close()
 
 
 def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     """Return the environments of a run; they share their rooms and engines."""
-    made = [CameraPlacementEnv(shared, config.simulation, fewest=config.fewest_cameras,
-                               rotations=config.rooms.angles)
-            for shared in [Rooms(rooms, config.rooms)] * config.environments]
-    problem = lru_cache(MAX_PROBLEMS * len(made))(made[0].problem.__wrapped__)
-    for env in made:
+    scenes = Rooms(rooms, config.rooms)
+    envs = [CameraPlacementEnv(scenes, config.simulation, fewest=config.fewest_cameras,
+                               rotations=config.rooms.angles) for _ in range(config.environments)]
+    problem = lru_cache(MAX_PROBLEMS * len(envs))(envs[0].problem.__wrapped__)
+    for env in envs:
         env.problem = problem
-    return VecMonitor(SideBySide([partial(playable, env, config.agent) for env in made]))
+    return VecMonitor(ThreadedEnvironments([partial(playable, env, config.agent) for env in envs]))
 
 
 def learn(run: Run) -> None:
     """Let SAC play and learn up to the number of interactions in the settings."""
-    config, model, last = run.config, run.model, run.config.interactions
-    if model.num_timesteps >= last:
+    config, model = run.config, run.model
+    if model.num_timesteps >= config.interactions:
         return
     model.warm = bool(config.model) or config.agent.map or model.num_timesteps > 0
-    # If the transitions so far are lost, collect some before the first gradient step.
+    # If the replay buffer was lost, collect transitions before the first gradient step.
     if not model.replay_buffer.size():
         model.learning_starts += model.num_timesteps
-    played = environments(config, room_names(config.rooms, 'training'))
-    model.set_env(played)
+    vec_env = environments(config, room_names(config.rooms, 'training'))
+    model.set_env(vec_env)
     if config.sac.demonstrations:
-        envs = played.venv.envs  # type: ignore[attr-defined]
+        envs = vec_env.venv.envs  # type: ignore[attr-defined]
         model.demonstrator = Demonstrator(envs, config.seed)
     # The seed depends on the number of interactions: a resumed run plays other episodes.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
     try:
-        model.learn(last - model.num_timesteps, callback=TrainingWatch(run),
+        model.learn(config.interactions - model.num_timesteps, callback=TrainingWatch(run),
                     reset_num_timesteps=False, tb_log_name=SAC_PHASE)
     finally:
         model.env.close()
@@ -269,8 +280,8 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     Train, or resume the run in the folder, and evaluate in the test rooms.
 
     :param config: settings of the run.
-    :param folder: of the run.
-    :param command: command line of the run, for the card.
+    :param folder: folder of the run.
+    :param command: command line of the run, for the card (metadata) of the weights.
     :returns: the best checkpoint; its provenance has the learning curve and the test results,
         together with those of random moves.
     """
@@ -297,8 +308,9 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
 
 
 def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> AgentSac:
-    """Build SAC; its actor starts from given weights if there are any."""
-    # Gradient steps per step of all environments; with less than 1, train after several steps.
+    """Build SAC, whose actor starts from the weights ``start`` if there are any."""
+    # Gradient steps per step of all environments. If less than 1, there are several steps of the
+    # environments per gradient step.
     steps = config.updates_per_turn * config.environments
     model = make_sac(config.sac, config.agent, seed=config.seed,
                      environments=config.environments,
@@ -313,10 +325,11 @@ def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> Ag
 
 def report(run: TrainingRun, command: str) -> Checkpoint:
     """Play the test rooms with the best weights and random moves; write both into the card."""
-    config, best = run.config, Checkpoint.load(run.folder / BEST)
+    config = run.config
+    best = Checkpoint.load(run.folder / BEST)
     # The results are computed with the finest engine, even if the run learned on another.
-    fine = EngineConfig(preset='fine')
-    trials = [replace(trial, simulation=replace(trial.simulation, engine=fine))
+    fine_engine = EngineConfig(preset='fine')
+    trials = [replace(trial, simulation=replace(trial.simulation, engine=fine_engine))
               for trial in trials_of(config, 'test')]
     on_gpu = run.device.type == 'cuda'
     cpu = f'CPU, {config.workers or cores()} processes, {torch.get_num_threads()} threads'

@@ -113,12 +113,12 @@ class RoomsConfig:
 class ValuesConfig:
     """Settings of learning dense values; see :mod:`ocp_ros.training.value_states`."""
 
-    rooms: int = setting(320, 'rooms to walk through', 1, 100000)
+    rooms: int = setting(320, 'rooms in which cameras go to random poses', 1, 100000)
     own_rooms: int = setting(
-        100, 'rooms in which the network itself then plays, to learn from where it goes', 0,
-        100000)
-    steps: int = setting(7000, 'gradient steps on the walks; 0 for no dense values', 0, 1 << 31)
-    own_steps: int = setting(3000, 'gradient steps on all of it', 0, 1 << 31)
+        100, 'rooms in which the network itself then moves the cameras', 0, 100000)
+    steps: int = setting(7000, 'gradient steps on the states of rooms with random poses; 0 for no '
+                               'dense values', 0, 1 << 31)
+    own_steps: int = setting(3000, 'further gradient steps, on all states', 0, 1 << 31)
     batch_size: int = setting(32, 'choices per gradient step', 1, 65536)
     learning_rate: float = setting(1.5e-3, 'first step size of AdamW', 1e-7, 1.0)
     last_learning_rate: float = setting(1e-4, 'last step size of AdamW', 1e-7, 1.0)

@@ -32,9 +32,10 @@ from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import ConfigurationError
 
+#: The three sets of rooms.
 PARTS = ('training', 'validation', 'test')
-#: Largest number of points, over all rooms, that are kept in memory: making a room takes as long
-#: as playing a hundred turns in it.
+#: Largest number of points, over all rooms, that are kept in memory: making a room again takes as
+#: long as a hundred turns in it.
 MAX_CACHED_POINTS = 4_000_000
 
 
@@ -44,13 +45,13 @@ def room_names(config: RoomsConfig, part: str) -> list[str]:
 
     :param config: source and number of the rooms.
     :param part: ``training``, ``validation`` or ``test``.
-    :raises ConfigurationError: if there are none, or scans are in two sets.
+    :raises ConfigurationError: if the set has no rooms.
     :raises SceneError: if S3DIS or a folder cannot be read.
     """
     if config.source == 's3dis':
-        names = _of_s3dis(part)
+        names = _s3dis_paths(part)
     elif config.source == 'folder':
-        names = _of_folder(config.folder, part)
+        names = _scan_paths(config.folder, part)
     else:
         seeds = {'training': (*TRAINING, *MORE_TRAINING), 'validation': VALIDATION, 'test': TEST}
         names = [str(seed) for seed in seeds[part]]
@@ -61,9 +62,9 @@ def room_names(config: RoomsConfig, part: str) -> list[str]:
     return names
 
 
-def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
+def make_scene(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
     """
-    Make a room.
+    Make a room, or read a scan.
 
     :param config: number of points, and options for reading a scan.
     :param name: from :func:`room_names`.
@@ -75,10 +76,10 @@ def make(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
 
 class Rooms(Sequence):
     """
-    Rooms that are made at first use, and kept up to ``MAX_CACHED_POINTS`` points.
+    Rooms that are made at first use, and kept up to ``MAX_CACHED_POINTS`` points in all.
 
-    :param names: of the rooms.
-    :param config: options for making them.
+    :param names: names of the rooms, from :func:`room_names`.
+    :param config: options for making the rooms.
     """
 
     def __init__(self, names: Sequence[str], config: RoomsConfig) -> None:
@@ -91,48 +92,45 @@ class Rooms(Sequence):
         return len(self._names)
 
     def __getitem__(self, index: int) -> Scene:
-        """Return a room, which is shared: do not change it."""
+        """Return a room; others use the same object, so do not change it."""
         if index in self._kept:
             return self._kept[index]
-        scene = make(self._config, self._names[index])
+        scene = make_scene(self._config, self._names[index])
         if (len(self._kept) + 1) * self._config.points <= MAX_CACHED_POINTS:
             self._kept[index] = scene
         return scene
 
 
-def _of_s3dis(part: str) -> list[str]:
+def _s3dis_paths(part: str) -> list[str]:
     """Return the paths of the S3DIS rooms of a set."""
     folder = s3dis_folder()
     if folder is None:
         raise SceneError('rooms.source: found s3dis but no S3DIS_DIR; expected the folder that '
                          'it was unpacked to; set S3DIS_DIR to Stanford3dDataset_v1.2')
-    validation_area = 5
-    areas = {'training': [area for area in (1, 2, 3, 4, 5) if area != validation_area],
-             'validation': [validation_area], 'test': list(TEST_AREAS)}[part]
+    areas = {'training': (1, 2, 3, 4), 'validation': (5,), 'test': TEST_AREAS}[part]
     return [str(path.resolve()) for area in areas for path in chosen_rooms(folder, area)]
 
 
-def _of_folder(folder: str, part: str) -> list[str]:
+def _scan_paths(folder: str, part: str) -> list[str]:
     """
-    Return the scans of a set: a tenth each for validation and test, the rest for training.
+    Return the paths of the scans of a set, sorted by the hashes of their contents.
 
-    If a set would be empty, one scan each goes to test and validation, in the order of their
-    hashes.
+    About a tenth each is for validation and for test, the rest for training. If a set would be
+    empty, the first scan goes to test, the second to validation, and the rest to training.
     """
     scans = scans_in(folder)
     if len(scans) < len(PARTS):
         raise SceneError(f'{folder}: found {len(scans)} scans; expected at least {len(PARTS)}, '
                          f'one for each set, of {", ".join(READERS)}')
-    content = {sha256_of_file(path): path for path in scans}
-    order = sorted(content)
-    parts = {one: _part_of(one) for one in order}
-    if set(parts.values()) != set(PARTS):
-        parts = {one: PARTS[-1 - index] if index < 2 else PARTS[0]
-                 for index, one in enumerate(order)}
-    return [str(content[one].resolve()) for one in order if parts[one] == part]
+    paths = dict(sorted({sha256_of_file(path): path for path in scans}.items()))
+    parts = [_part_of(digest) for digest in paths]
+    if set(parts) != set(PARTS):
+        parts = ['test', 'validation', *['training'] * (len(paths) - 2)]
+    return [str(path.resolve()) for path, path_part in zip(paths.values(), parts)
+            if path_part == part]
 
 
 def _part_of(digest: str) -> str:
-    """Return the set of a scan by the hash of its content."""
+    """Return the set of a scan, given the hexadecimal hash of its content."""
     share = int(digest[:8], 16) / 16 ** 8
     return 'test' if share < 0.1 else 'validation' if share < 0.2 else 'training'

@@ -26,11 +26,11 @@ class Reward(NamedTuple):
     """
     The reward of a turn.
 
-    :ivar previous: stamp of the turn before, whose command led to this one, nanoseconds.
-    :ivar stamp: of the turn, nanoseconds.
+    :ivar previous: time stamp of the turn before, whose command led to this turn, nanoseconds.
+    :ivar stamp: time stamp of the turn, nanoseconds.
     :ivar step: number of turns of the episode so far, including this one.
-    :ivar reward: of the whole turn.
-    :ivar shares: (K,) reward share of each camera's move, in the order in which they chose.
+    :ivar reward: reward of the whole turn.
+    :ivar shares: (K,) part of the reward for each of K moves, in the order in which cameras chose.
     :ivar terminated: whether the episode has ended in a terminal state; False at a turn limit.
     """
 
@@ -47,8 +47,8 @@ class Transition(NamedTuple):
     One step of experience: the move of one camera, or of all cameras that choose together.
 
     :ivar observation: encoded observation before the move.
-    :ivar actions: (C, 2) float32 in [-1, 1], in units of the longest step.
-    :ivar reward: of the move.
+    :ivar actions: (C, 2) float32 in [-1, 1], moves of C cameras in units of the longest step.
+    :ivar reward: reward of the move.
     :ivar next_observation: encoded observation of the next choice.
     :ivar terminated: whether the next state is terminal.
     """
@@ -60,7 +60,7 @@ class Transition(NamedTuple):
     terminated: bool
 
 
-class Bounded(OrderedDict):
+class BoundedDict(OrderedDict):
     """A dictionary that drops its oldest entries beyond its capacity."""
 
     def __init__(self, capacity: int) -> None:
@@ -76,18 +76,18 @@ class Bounded(OrderedDict):
 
 class Assembler:
     """
-    Assemble the transitions of one rig by the stamps of turns.
+    Assemble the transitions of one rig by the time stamps of turns.
 
-    A turn is complete when these data are here: the choices of the policy, the resulting camera
-    positions, the reward, and the next observation of the policy.
+    A turn is complete when these data have arrived: the choices of the policy, the resulting
+    camera positions, the reward, and the next observation of the policy.
 
     :param patience: number of turns after which an incomplete turn is dropped and counted.
-    :param last: whether the last choice of a turn gets the whole reward and the others get 0: for
+    :param last: whether the last choice of a turn gets the whole reward, and the others get 0; for
         the map actor, whose cameras need several turns to reach a chosen target.
     :ivar assembled: number of complete turns.
     :ivar incomplete: number of turns that were dropped incomplete.
-    :ivar inconsistent: number of turns that ended at other positions than the policy commanded, or
-        whose number in the episode differs from that of the policy.
+    :ivar inconsistent: number of turns that do not follow from the policy's choices: the cameras
+        are not where they were sent, or the number of the turn in the episode differs.
     """
 
     def __init__(self, patience: int = 32, last: bool = False) -> None:
@@ -96,68 +96,70 @@ class Assembler:
         self.clear()
 
     def clear(self) -> None:
-        """Drop all turns, for example when the stamps begin again; count incomplete ones."""
+        """Drop all turns, for example when the stamps begin again; count the incomplete ones."""
         self.incomplete += len(getattr(self, '_rewards', ()))
         capacity = 2 * self.patience
-        self._experiences: Bounded = Bounded(capacity)
-        self._positions: Bounded = Bounded(capacity)
-        self._rewarded: Bounded = Bounded(2 * capacity)
-        #: Rewards of incomplete turns, each with its number of arrival.
+        #: The data of turns, by stamp.
+        self._experiences: BoundedDict = BoundedDict(capacity)
+        self._positions: BoundedDict = BoundedDict(capacity)
+        #: The stamps of all turns whose reward has arrived, as keys.
+        self._rewarded: BoundedDict = BoundedDict(2 * capacity)
+        #: By stamp, the rewards of incomplete turns, each with the number of its arrival.
         self._rewards: dict[int, tuple[int, Reward]] = {}
-        self._count = 0
+        self._reward_count = 0
 
     def add_experience(self, experience: Experience) -> list[Transition]:
-        """Take the choices of a policy in a turn; return the transitions complete now."""
+        """Store the choices of a policy in a turn; return the transitions of complete turns."""
         self._experiences[experience.stamp] = experience
-        return self._complete()
+        return self._take_complete()
 
     def add_positions(self, stamp: int, positions: np.ndarray) -> list[Transition]:
-        """Take the camera positions of a turn, (K, 3) metres; return as above."""
+        """Store the positions (K, 3), metres, after a turn; return as ``add_experience``."""
         self._positions[stamp] = positions
-        return self._complete()
+        return self._take_complete()
 
     def add_reward(self, reward: Reward) -> list[Transition]:
-        """Take the reward of a turn, once; return the transitions complete now."""
+        """Store the first reward of a turn; return as ``add_experience``."""
         if reward.stamp in self._rewarded:
             return []
         self._rewarded[reward.stamp] = True
-        self._count += 1
-        self._rewards[reward.stamp] = (self._count, reward)
+        self._reward_count += 1
+        self._rewards[reward.stamp] = (self._reward_count, reward)
         for stamp, (number, _) in list(self._rewards.items()):
-            if number <= self._count - self.patience:
+            if number <= self._reward_count - self.patience:
                 del self._rewards[stamp]
                 self.incomplete += 1
-        return self._complete()
+        return self._take_complete()
 
-    def _complete(self) -> list[Transition]:
+    def _take_complete(self) -> list[Transition]:
         """Remove the complete turns, and return their transitions."""
-        found = []
+        transitions = []
         for stamp, (_, reward) in list(self._rewards.items()):
             if stamp in self._positions and all(
-                    end in self._experiences for end in (reward.previous, stamp)):
+                    known in self._experiences for known in (reward.previous, stamp)):
                 del self._rewards[stamp]
-                found += self._turn(reward)
-        return found
+                transitions += self._transitions_of(reward)
+        return transitions
 
-    def _turn(self, reward: Reward) -> list[Transition]:
-        """Return the transitions of a turn; none if it does not follow from the choices."""
-        before, after = (self._experiences[at] for at in (reward.previous, reward.stamp))
+    def _transitions_of(self, reward: Reward) -> list[Transition]:
+        """Return the transitions of a complete turn; none, and count it, if inconsistent."""
+        before, after = self._experiences[reward.previous], self._experiences[reward.stamp]
         choices, positions = before.choices, self._positions[reward.stamp]
         if len(reward.shares) == len(before.targets):
-            # Cameras that move have a share each; fixed cameras come after them.
+            # The positions of fixed cameras, which have no share, come last.
             positions = positions[:len(reward.shares)]
         shares: Sequence[float] = reward.shares
         if self.last or len(choices) == 1:
             shares = (len(choices) - 1) * [0.0] + [reward.reward]
-        # The camera did not reach its target, to 5 cm.
+        # The last condition: a camera is more than 5 cm from its target.
         if (before.targets.shape != positions.shape or before.turn != reward.step - 1
                 or len(shares) != len(choices)
                 or np.abs(before.targets - positions)[:, :2].max() > 0.05):
             self.inconsistent += 1
             return []
         self.assembled += 1
-        following = [*choices[1:], after.choices[0]]
-        last = len(choices) - 1
-        return [Transition(choice.observation, choice.actions, share, then.observation,
-                           reward.terminated and number == last)
-                for number, (choice, share, then) in enumerate(zip(choices, shares, following))]
+        next_choices = [*choices[1:], after.choices[0]]
+        terminated = (len(choices) - 1) * [False] + [reward.terminated]
+        return [Transition(choice.observation, choice.actions, share, next_choice.observation, end)
+                for choice, share, next_choice, end in zip(
+                    choices, shares, next_choices, terminated)]

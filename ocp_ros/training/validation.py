@@ -30,7 +30,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
-from ocp_ros.training.training_rooms import make, room_names
+from ocp_ros.training.training_rooms import make_scene, room_names
 from ocp_ros.util.worker_pool import WorkerPool
 
 #: Name of the baseline that moves the cameras at random.
@@ -40,15 +40,15 @@ RANDOM_MOVES = 'random_moves'
 @dataclass(frozen=True)
 class ValidationTrial:
     """
-    One episode to evaluate.
+    The settings of one episode, in which a policy or planner is evaluated.
 
     :ivar room: name of the room; see :mod:`ocp_ros.training.training_rooms`.
     :ivar rooms: options for making the room.
-    :ivar rotation: of the room, degrees.
+    :ivar rotation: rotation of the room about the vertical axis, degrees.
     :ivar simulation: the rig, and the engine that computes the depth error.
-    :ivar seed: of the start positions and of random choices; the start depends only on it.
+    :ivar seed: random seed of the start positions and of random choices.
     :ivar planner: name of an online planner, or ``random_moves``; unused if there are weights.
-    :ivar weights: of the policy to evaluate, as one blob; empty for none.
+    :ivar weights: weights of the policy to evaluate, as one blob; empty for none.
     """
 
     room: str
@@ -64,67 +64,76 @@ class RandomMoves(Online):
     """An online planner that moves every camera at random."""
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
+        """Return random moves (K, 2), metres; the arguments are those of ``Online.move``."""
         return bounded_moves(self.rng.uniform(-1.0, 1.0, (len(positions), 2)), self.max_step)
 
 
 def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     """
-    Run one episode.
+    Run one episode, and return its results.
 
     :returns: depth errors at start and end, metres, and space coverage at the end, cubic metres.
     """
-    problem = _prepared(trial.rooms, trial.room, trial.rotation, trial.simulation)
-    rig_and_turns = trial.simulation.episode, problem.rig, np.random.default_rng([trial.seed, 1])
-    settings = settings_of(*rig_and_turns)
+    problem = _cached_problem(trial.rooms, trial.room, trial.rotation, trial.simulation)
+    rng = np.random.default_rng([trial.seed, 1])
+    settings = settings_of(trial.simulation.episode, problem.rig, rng)
     if trial.weights:
-        online: Online = planned_by(policy_of(trial.weights), settings)
+        planner: Online = planned_by(policy_of(trial.weights), settings)
     elif trial.planner == RANDOM_MOVES:
-        online = RandomMoves(*settings)
+        planner = RandomMoves(*settings)
     else:
-        online = PLANNERS[trial.planner].make(*rig_and_turns)
+        planner = PLANNERS[trial.planner].make(trial.simulation.episode, problem.rig, rng)
     episode = Episode(problem, np.random.default_rng([trial.seed, 0]))
-    outcome = play(online, episode)
-    return (float(outcome.depth_error[0]), float(outcome.depth_error[-1]),
-            float(episode.turn.space_coverage))
+    errors = play(planner, episode).depth_error
+    return float(errors[0]), float(errors[-1]), float(episode.turn.space_coverage)
 
 
 @lru_cache(maxsize=32)
-def _prepared(rooms: RoomsConfig, room: str, rotation: float, config: SimulationConfig
-              ) -> Problem:
-    """Return the problem of a room; keep the latest ones."""
-    return make_problem(make(rooms, room, rotation), config)
+def _cached_problem(rooms: RoomsConfig, room: str, rotation: float, config: SimulationConfig
+                    ) -> Problem:
+    """Return the problem of a room, rotated by degrees; the latest 32 problems are cached."""
+    return make_problem(make_scene(rooms, room, rotation), config)
 
 
 @lru_cache(maxsize=1)
 def policy_of(weights: bytes) -> Policy | ValuePolicy:
-    """Return the policy of some weights; keep the latest one."""
+    """Return the policy of some weights, which are one blob; the latest policy is cached."""
     return make_policy(Checkpoint.from_bytes(weights))
 
 
 def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
-    """Return one episode in each room of a set; the rotations alternate between rooms."""
+    """
+    Return one trial for each room of a set; without a rig file, with at most 4 cameras.
+
+    The rotations of the settings alternate between rooms.
+
+    :param config: settings of the training run.
+    :param part: ``training``, ``validation`` or ``test``.
+    """
     rooms, simulation = config.rooms, config.simulation
     if not simulation.rig_file:
-        few = replace(simulation.rig, cameras=min(4, simulation.rig.cameras))
-        simulation = replace(simulation, rig=few)
+        rig = replace(simulation.rig, cameras=min(4, simulation.rig.cameras))
+        simulation = replace(simulation, rig=rig)
     return [ValidationTrial(room, rooms, rooms.angles[index % len(rooms.angles)], simulation,
-                            index)
+                            seed=index)
             for index, room in enumerate(room_names(rooms, part))]
 
 
 def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial], weights: bytes = b''
              ) -> dict[str, float]:
     """
-    Run some episodes in parallel.
+    Run episodes in parallel, and return their mean results.
 
-    :param weights: of the policy to evaluate, as one blob; empty: as the trials say.
+    :param pool: the worker pool that runs the episodes.
+    :param trials: the settings of the episodes.
+    :param weights: weights of the policy to evaluate, as one blob; empty: those of each trial.
     :returns: mean depth error at start and end (metres), their ratio, and mean space coverage at
         the end (cubic metres).
     """
     if weights:
         trials = [replace(trial, weights=weights) for trial in trials]
-    starts, ends, covered = np.array(list(pool.map(play_trial, trials))).T
-    return {'depth_error_start': float(starts.mean()), 'depth_error_end': float(ends.mean()),
-            'ratio': float(ends.mean() / starts.mean()),
-            'space_coverage_end': float(covered.mean())}
+    start_errors, end_errors, coverages = np.array(list(pool.map(play_trial, trials))).T
+    return {'depth_error_start': float(start_errors.mean()),
+            'depth_error_end': float(end_errors.mean()),
+            'ratio': float(end_errors.mean() / start_errors.mean()),
+            'space_coverage_end': float(coverages.mean())}

@@ -13,10 +13,11 @@
 # limitations under the License.
 
 """
-Fit the map actor's network to dense values: regression with larger weights of good positions.
+Fit the map actor's network to dense values: regression in which good positions weigh more.
 
 A batch depends only on the seed and on its number, so that an interrupted fit continues exactly
-as without the interruption.
+as without the interruption. In this module B is the size of a batch, P the number of labelled
+positions on a map, and D the number of headings at each position, 1 for omnidirectional cameras.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -42,132 +43,147 @@ from torch.nn.functional import grid_sample, smooth_l1_loss
 
 class ValueSet:
     """
-    Maps and choices with labels, in memory.
+    Maps, and choices of cameras on them with labels, in memory.
 
-    :param episodes: from :func:`~ocp_ros.training.value_states.play_states`, of one room each.
+    :param states: states of one room each, see
+        :func:`~ocp_ros.training.value_states.play_states`.
     """
 
-    def __init__(self, episodes: Sequence[dict[str, np.ndarray]]) -> None:
-        firsts = np.cumsum([0] + [len(one['room']) for one in episodes])
-        self._joined = {name: torch.from_numpy(np.concatenate([one[name] for one in episodes]))
+    def __init__(self, states: Sequence[dict[str, np.ndarray]]) -> None:
+        first_maps = np.cumsum([0] + [len(arrays['room']) for arrays in states])
+        self._joined = {name: torch.from_numpy(np.concatenate([arrays[name] for arrays in states]))
                         for name in ('room', 'others', 'numbers', 'lens', 'places', 'values')}
-        self._of = torch.from_numpy(np.concatenate(
-            [one['of'] + first for one, first in zip(episodes, firsts)])).long()
-        #: (M, 2) first used row and column of each map.
-        self._firsts = np.array([[part.start for part in used_part(room)]
-                                 for room in self._joined['room'].numpy()])
-        kinds, of_maps = np.unique(self._firsts, axis=0, return_inverse=True)
-        of_choices = of_maps.ravel()[self._of.numpy()]
-        self._alike = [np.flatnonzero(of_choices == kind) for kind in range(len(kinds))]
+        #: The number of the map of each choice.
+        self._map_numbers = torch.from_numpy(np.concatenate(
+            [arrays['of'] + first for arrays, first in zip(states, first_maps)])).long()
+        #: (M, 2) first used row and column of each of M maps.
+        self._corners = np.array([[part.start for part in used_part(room)]
+                                  for room in self._joined['room'].numpy()])
+        corners, map_groups = np.unique(self._corners, axis=0, return_inverse=True)
+        choice_groups = map_groups.ravel()[self._map_numbers.numpy()]
+        #: The numbers of the choices whose maps have the same used part, for each used part.
+        self._alike = [np.flatnonzero(choice_groups == group) for group in range(len(corners))]
 
     @classmethod
     def joined(cls, sets: Sequence['ValueSet']) -> 'ValueSet':
-        """Return the concatenation of sets."""
-        return cls([{name: value.numpy() for name, value in one._joined.items()}
-                    | {'of': one._of.numpy()} for one in sets])
+        """Return one set with the maps and choices of several sets."""
+        return cls([{name: value.numpy() for name, value in value_set._joined.items()}
+                    | {'of': value_set._map_numbers.numpy()} for value_set in sets])
 
     def __len__(self) -> int:
         """Return the number of choices."""
-        return len(self._of)
+        return len(self._map_numbers)
 
     def draw(self, rng: np.random.Generator, size: int) -> Tensor:
-        """Draw ``size`` choices whose maps have the same used part, with equal probability."""
+        """Draw the numbers of ``size`` choices whose maps have the same used part."""
         shares = np.array([len(rows) for rows in self._alike]) / len(self)
         return torch.from_numpy(rng.choice(self._alike[rng.choice(len(shares), p=shares)], size))
 
-    def in_order(self, size: int) -> Iterator[Tensor]:
-        """Yield all choices in groups of at most ``size`` whose maps have the same used part."""
+    def batches(self, size: int) -> Iterator[Tensor]:
+        """Yield the numbers of all choices, at most ``size`` of the same used part at a time."""
         for rows in self._alike:
             yield from torch.from_numpy(rows).split(size)
 
     def batch(self, rows: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
         """
-        Return some choices as a batch.
+        Return some choices as the inputs and labels of a batch.
 
         :param rows: (B,) numbers of choices whose maps have the same used part.
-        :returns: the inputs of the network, ``places`` (B, P, 2) in cells of its maps, and the
-            labels ``values`` (B, P, D), NaN where there is no label.
+        :returns: the inputs of the network, the labelled positions (B, P, 2) in cells of its maps,
+            and the labels (B, P, D), NaN where there is no label.
         """
-        joined, of = self._joined, self._of[rows]
-        first = self._firsts[of[0]]
-        middle = (slice(None), slice(None), *(slice(one, CELLS - one) for one in first))
-        return ({'room': joined['room'][of][middle], 'others': joined['others'][rows][middle],
+        joined, maps = self._joined, self._map_numbers[rows]
+        corner = self._corners[maps[0]]
+        used = (slice(None), slice(None), *(slice(first, CELLS - first) for first in corner))
+        return ({'room': joined['room'][maps][used], 'others': joined['others'][rows][used],
                  'numbers': joined['numbers'][rows], 'lens': joined['lens'][rows]},
-                joined['places'][of] - torch.tensor(first), joined['values'][rows].float())
+                joined['places'][maps] - torch.tensor(corner), joined['values'][rows].float())
 
 
-def at_places(values: Tensor, places: Tensor) -> Tensor:
+def values_at(maps: Tensor, places: Tensor) -> Tensor:
     """
-    Interpolate maps at positions.
+    Return the values of maps at positions, by linear interpolation.
 
-    :param values: maps (B, D, H, W).
-    :param places: positions (B, P, 2) in cells.
-    :returns: (B, P, D).
+    :param maps: (B, D, rows, columns) values.
+    :param places: (B, P, 2) positions, row and column in cells.
+    :returns: (B, P, D) values.
     """
-    scale = 2.0 / torch.tensor(values.shape[2:])
+    scale = 2.0 / torch.tensor(maps.shape[2:])
     # grid_sample expects positions in the order of image axes: columns first.
     grid = (places * scale - 1.0).flip(-1)[:, :, None]
-    return grid_sample(values, grid, align_corners=False,
+    return grid_sample(maps, grid, align_corners=False,
                        padding_mode='border')[..., 0].transpose(1, 2)
 
 
-def turned_at_random(observation: dict[str, Tensor], places: Tensor, number: int
-                     ) -> tuple[dict[str, Tensor], Tensor]:
-    """Rotate or mirror maps and positions by one of the eight symmetries of the square."""
-    half = 0.5 * torch.tensor(observation['room'].shape[2:])
-    turned, middle = turned_maps(observation, places - half, number)
-    half = 0.5 * torch.tensor(turned['room'].shape[2:])
-    return turned, middle + half
+def turned_inputs(observation: dict[str, Tensor], places: Tensor, number: int
+                  ) -> tuple[dict[str, Tensor], Tensor]:
+    """
+    Return maps, and positions on them, rotated or mirrored by one symmetry of the square.
+
+    :param observation: inputs of the map actor, batched.
+    :param places: (B, P, 2) positions, row and column in cells.
+    :param number: the number of the symmetry, 0 to 7.
+    """
+    centre = 0.5 * torch.tensor(observation['room'].shape[2:])
+    turned, offsets = turned_maps(observation, places - centre, number)
+    return turned, offsets + 0.5 * torch.tensor(turned['room'].shape[2:])
 
 
-def turned_headings(headings: int, number: int) -> Tensor:
-    """Return the index (D,) to which a symmetry takes each of D headings."""
-    yaws = torch.from_numpy(yaws_of(headings))
-    _, ahead = turned_maps({}, torch.stack([yaws.cos(), yaws.sin()], dim=-1), number)
-    turned = torch.atan2(ahead[:, 1], ahead[:, 0])
-    return (turned * (headings / (2.0 * math.pi))).round().long() % headings
+def turned_headings(count: int, number: int) -> Tensor:
+    """Return for each of ``count`` headings its index after symmetry ``number``: (count,)."""
+    yaws = torch.from_numpy(yaws_of(count))
+    _, directions = turned_maps({}, torch.stack([yaws.cos(), yaws.sin()], dim=-1), number)
+    turned_yaws = torch.atan2(directions[:, 1], directions[:, 0])
+    return (turned_yaws * (count / (2.0 * math.pi))).round().long() % count
 
 
-def loss_of(predicted: Tensor, values: Tensor) -> Tensor:
-    """Return the loss of predictions (B, P, D) against labels (B, P, D), some of them NaN."""
-    predicted, values = predicted.flatten(1), values.flatten(1)
-    known = ~values.isnan()
-    labels = torch.where(known, values, 10.0)
-    # The best position has an extra weight, which falls by the factor e per 0.1 of the value.
-    weight = (1.0 + 6.0 * torch.exp(
-        (labels.amin(dim=1, keepdim=True) - labels) / 0.1)) * known
-    # Below an error of 0.1 the loss is quadratic, above it is linear.
-    away = smooth_l1_loss(predicted, labels, beta=0.1, reduction='none')
+def loss_of(predicted: Tensor, labels: Tensor) -> Tensor:
+    """
+    Return the loss of predictions: weighted regression, and divergence of the implied policies.
+
+    :param predicted: (B, P, D) values.
+    :param labels: (B, P, D) true values; NaN: no label.
+    """
+    predicted, labels = predicted.flatten(1), labels.flatten(1)
+    known = ~labels.isnan()
+    labels = torch.where(known, labels, 10.0)
+    # The best position has an extra weight of 6, which falls by the factor e per 0.1 of the value.
+    weights = known * (1.0 + 6.0 * torch.exp((labels.amin(dim=1, keepdim=True) - labels) / 0.1))
+    # The loss is quadratic in errors up to 0.1, linear in larger ones.
+    losses = smooth_l1_loss(predicted, labels, beta=0.1, reduction='none')
     temperature = 0.05
-    best = torch.softmax(-labels / temperature, dim=1)
-    said = torch.where(known, -predicted / temperature, -1e4).log_softmax(dim=1)
-    cross = torch.where(known, best * (best.clamp(min=1e-9).log() - said), 0.0).sum(dim=1)
-    # The divergence of the softmax of predictions from that of labels.
-    return (away * weight).sum() / weight.sum() + 0.03 * cross.mean()
+    shares = torch.softmax(-labels / temperature, dim=1)
+    log_shares = torch.where(known, -predicted / temperature, -1e4).log_softmax(dim=1)
+    terms = torch.where(known, shares * (shares.clamp(min=1e-9).log() - log_shares), 0.0)
+    return (losses * weights).sum() / weights.sum() + 0.03 * terms.sum(dim=1).mean()
 
 
 def regret_of(network: ValueMap, choices: ValueSet, size: int = 64) -> float:
-    """Return the mean regret: label of the position predicted best minus the best label."""
-    lost = []
+    """
+    Return the mean regret: label of the position predicted best minus the best label.
+
+    :param size: the largest number of choices in a batch.
+    """
+    regrets = []
     with torch.inference_mode():
-        for rows in choices.in_order(size):
-            observation, places, values = choices.batch(rows)
-            predicted = at_places(network(observation), places)
-            predicted, values = predicted.flatten(1), values.flatten(1)
-            predicted = torch.where(values.isnan(), torch.inf, predicted)
-            chosen = values.gather(1, predicted.argmin(dim=1, keepdim=True))[:, 0]
-            lost.append(chosen - values.nan_to_num(torch.inf).amin(dim=1))
-    return float(torch.cat(lost).mean())
+        for rows in choices.batches(size):
+            observation, places, labels = choices.batch(rows)
+            predicted = values_at(network(observation), places).flatten(1)
+            labels = labels.flatten(1)
+            predicted = torch.where(labels.isnan(), torch.inf, predicted)
+            chosen = labels.gather(1, predicted.argmin(dim=1, keepdim=True))[:, 0]
+            regrets.append(chosen - labels.nan_to_num(torch.inf).amin(dim=1))
+    return float(torch.cat(regrets).mean())
 
 
 class ValueFit:
     """
-    A running fit.
+    A fit of a network that can be interrupted and resumed.
 
-    :param network: is trained, from its present weights on.
-    :param config: numbers of steps and step sizes.
-    :param seed: of the batches.
-    :ivar average: network with the moving average of the weights, which is the result.
+    :param network: the network, which is trained from its present weights on.
+    :param config: batch size, step sizes and averaging.
+    :param seed: random seed of the batches.
+    :ivar average: the result: a network with the moving average of the weights.
     :ivar step: number of gradient steps so far.
     """
 
@@ -183,31 +199,31 @@ class ValueFit:
     def run(self, choices: ValueSet, until: int, total: int,
             watch: Callable[[int, float], Any] = lambda step, loss: None) -> None:
         """
-        Take gradient steps whose size falls from the first to the last one along a cosine.
+        Take gradient steps; the step size falls to its last value along a cosine.
 
         :param choices: training set.
         :param until: number of the step to stop at, counted from the beginning of the fit.
         :param total: number of the step at which the step size reaches its last value.
-        :param watch: is called with the number of each step and its loss.
+        :param watch: is called after each step with its number and its loss; what it returns is
+            ignored.
         """
         first, last = self.config.learning_rate, self.config.last_learning_rate
         while self.step < until:
-            part = 0.5 * (1.0 + math.cos(math.pi * self.step / total))
+            share = 0.5 * (1.0 + math.cos(math.pi * self.step / total))
             for group in self._optimizer.param_groups:
                 # In the first 100 gradient steps the step size grows linearly from 0.
-                group['lr'] = (last + (first - last) * part) * min((self.step + 1) / 100, 1.0)
+                group['lr'] = (last + (first - last) * share) * min((self.step + 1) / 100, 1.0)
             loss = self._step(choices)
             watch(self.step, loss)
 
     def _step(self, choices: ValueSet) -> float:
-        """Take one gradient step."""
+        """Take one gradient step, and return its loss."""
         rng = np.random.default_rng([self._seed, self.step])
-        observation, places, values = choices.batch(choices.draw(rng, self.config.batch_size))
+        observation, places, labels = choices.batch(choices.draw(rng, self.config.batch_size))
         number = int(rng.integers(8))
-        observation, places = turned_at_random(observation, places, number)
-        predicted = at_places(self.network(observation), places)
-        predicted = predicted[..., turned_headings(values.shape[2], number)]
-        loss = loss_of(predicted, values)
+        observation, places = turned_inputs(observation, places, number)
+        predicted = values_at(self.network(observation), places)
+        loss = loss_of(predicted[..., turned_headings(labels.shape[2], number)], labels)
         self._optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
@@ -215,12 +231,12 @@ class ValueFit:
         self.step += 1
         with torch.no_grad():
             share = 1.0 - min(self.config.averaging, self.step / (self.step + 10.0))
-            for mean, new in zip(self.average.parameters(), self.network.parameters()):
-                mean.lerp_(new, share)
+            for average, weights in zip(self.average.parameters(), self.network.parameters()):
+                average.lerp_(weights, share)
         return loss.item()
 
     def to_bytes(self, run: str) -> bytes:
-        """Return the state to resume from as a blob."""
+        """Return the state to resume from as a safetensors blob, with the name of the run."""
         tensors = {f'network.{name}': value for name, value in self.network.state_dict().items()}
         tensors |= {f'average.{name}': value for name, value in self.average.state_dict().items()}
         tensors |= saved_slots(self._optimizer, 'optimizer.')
@@ -230,9 +246,9 @@ class ValueFit:
 
     def load(self, path: Path) -> str:
         """
-        Resume from a state.
+        Resume from the state in a file.
 
-        :returns: the identity of the run.
+        :returns: the name of the run.
         :raises CheckpointError: if the state is damaged or of another network.
         """
         try:
@@ -241,8 +257,8 @@ class ValueFit:
             parts: dict[str, dict[str, Tensor]] = {'network': {}, 'average': {}, 'optimizer': {}}
             for name, value in tensors.items():
                 if name != 'step':
-                    part, _, rest = name.partition('.')
-                    parts[part][rest] = value
+                    part, _, key = name.partition('.')
+                    parts[part][key] = value
             self.network.load_state_dict(parts['network'])
             self.average.load_state_dict(parts['average'])
             load_slots(self._optimizer, parts['optimizer'])

@@ -16,10 +16,10 @@
 Train the map actor on dense values: this module is the whole run, from top to bottom.
 
 First the network learns dense values in rooms in which a rig moves to random poses, then also in
-rooms in which the network itself has played. If the settings have headings, the same is done for
-cameras with a limited field of view, whose value map starts from that of the first weights. The
-folder has the files of :mod:`ocp_ros.training.train`, and ``states/`` with the states of each
-room.
+rooms in which the network itself has moved the cameras. If the settings have headings, the network
+learns cameras with a limited field of view in the same way; their value map starts from that of
+the first weights. The folder has the files of :mod:`ocp_ros.training.train`, and ``states/`` with
+the states of each room.
 """
 
 from abc import ABC, abstractmethod
@@ -49,29 +49,27 @@ from ocp_ros.util.worker_pool import WorkerPool
 from rich.progress import Progress
 import torch
 
-#: States of rooms with moves to random poses. The number of a kind is part of the seed.
-WALKED = 0
-#: States of rooms with moves of the network itself.
-OWN = 1
-#: States of validation rooms.
-CHECKED = 2
-KIND_NAMES = {WALKED: 'walked', OWN: 'own', CHECKED: 'validation'}
+#: States of rooms in which cameras move to random poses, in which the network itself moves them,
+#: and of validation rooms, with random poses. The index of a kind is part of the seed.
+STATE_KINDS = ('walked', 'own', 'validation')
 
 
 class TrainingRun(ABC):
     """
-    A training run.
+    A training run: its folder, clock, progress and validation. Subclasses train.
 
-    :param config: its settings.
-    :param folder: its folder.
+    :param config: settings of the run.
+    :param folder: folder of the run.
     :param pool: worker pool that plays episodes.
     :param progress: shows the progress bars.
-    :ivar name: identity of the run.
-    :ivar past: the lines of progress before this process.
+    :ivar name: name of the run, 12 random digits.
+    :ivar past: the lines of progress that earlier processes of the run have written.
     """
 
-    #: Number of interactions of soft actor-critic so far, and the device of the networks.
-    interactions, device = 0, torch.device('cpu')
+    #: Number of interactions of soft actor-critic so far.
+    interactions = 0
+    #: Device of the networks.
+    device = torch.device('cpu')
 
     def __init__(self, config: TrainingConfig, folder: Path, pool: WorkerPool,
                  progress: Progress) -> None:
@@ -81,7 +79,7 @@ class TrainingRun(ABC):
         self.progress = progress
         self.name = new_run()
         self.past = records(folder)
-        self._began = time.monotonic() - (self.past[-1]['seconds'] if self.past else 0.0)
+        self._start_time = time.monotonic() - (self.past[-1]['seconds'] if self.past else 0.0)
 
     @property
     @abstractmethod
@@ -90,28 +88,28 @@ class TrainingRun(ABC):
 
     @property
     def seconds(self) -> float:
-        """Return the duration of the run so far, seconds."""
-        return round(time.monotonic() - self._began, 1)
+        """Return the duration of the run so far, in all its processes, seconds."""
+        return round(time.monotonic() - self._start_time, 1)
 
     @property
     def provenance(self) -> dict[str, Any]:
-        """Return the provenance of the present weights: settings, date and interactions."""
+        """Return how the present weights were made: interactions, seed, date and settings."""
         return {'interactions': self.interactions, 'seed': self.config.seed,
                 'date': date.today().isoformat(), 'training': to_nested(self.config)}
 
     def note(self, phase: str, **figures: float) -> None:
-        """Append a line of progress."""
+        """Append a line with some figures to the progress of the run."""
         add_record(self.folder, {
             'phase': phase, 'interactions': self.interactions, 'updates': self.updates,
             'seconds': self.seconds, **figures})
 
     def judge(self, checkpoint: Checkpoint) -> dict[str, float]:
-        """Return the results of weights in the validation rooms."""
-        return evaluate(self.pool, self._validation, checkpoint.to_bytes())
+        """Return the results of weights in the validation rooms; see :func:`evaluate`."""
+        return evaluate(self.pool, self._validation_trials, checkpoint.to_bytes())
 
     @cached_property
-    def _validation(self) -> list[ValidationTrial]:
-        """Return the episodes of the validation rooms."""
+    def _validation_trials(self) -> list[ValidationTrial]:
+        """Return the trials in the validation rooms."""
         return trials_of(self.config, 'validation')
 
 
@@ -122,23 +120,23 @@ class ValueRun(TrainingRun):
         super().__init__(*settings)
         config = self.config
         torch.manual_seed(config.seed)
-        #: The whole network; its part for cameras with headings, if any, is trained alone.
-        self._whole = ValueMapNetwork(config.agent)
+        #: The network; of one with a part ``aimed``, for cameras with headings, only this learns.
+        self._network = ValueMapNetwork(config.agent)
         #: Provenance of the first weights, if there are any.
-        self._before: dict[str, Any] = {}
+        self._first_provenance: dict[str, Any] = {}
         if config.model:
-            start = _begin_with(self._whole, config)
-            self._before = {'began_with': {'run': start.run, 'updates': start.updates,
-                                           **start.provenance}}
-        self.fit = ValueFit(self._whole.aimed or self._whole, config.values, config.seed)
+            start = _load_first_weights(self._network, config)
+            self._first_provenance = {'began_with': {
+                'run': start.run, 'updates': start.updates, **start.provenance}}
+        self.fit = ValueFit(self._network.aimed or self._network, config.values, config.seed)
 
     def checkpoint(self) -> Checkpoint:
         """Return a checkpoint of the present network."""
-        learned = self.fit.average.state_dict(prefix='aimed.' if self._whole.aimed else '')
+        trained = self.fit.average.state_dict(prefix='aimed.' if self._network.aimed else '')
         weights = {name: value.clone()
-                   for name, value in (self._whole.state_dict() | learned).items()}
+                   for name, value in (self._network.state_dict() | trained).items()}
         return Checkpoint(self.config.agent, weights, self.updates, self.name,
-                          {**self.provenance, **self._before})
+                          {**self.provenance, **self._first_provenance})
 
     @property
     def updates(self) -> int:
@@ -160,47 +158,54 @@ class ValueRun(TrainingRun):
         if path.exists():
             self.name = self.fit.load(path)
 
-    def states(self, kind: int, rooms: list[str], weights: bytes = b'') -> ValueSet:
-        """Return the states of some rooms; read those that were saved, and play the others."""
+    def states(self, kind: str, rooms: list[str], weights: bytes = b'') -> ValueSet:
+        """
+        Return the states of some rooms: read the saved ones, play and save the missing ones.
+
+        :param kind: one of ``STATE_KINDS``.
+        :param rooms: names of the rooms.
+        :param weights: see :class:`~ocp_ros.training.value_states.StateTask`.
+        """
         folder = self.folder / 'states'
-        paths = [folder / f'{KIND_NAMES[kind]}_{number:05}.npz' for number in range(len(rooms))]
+        paths = [folder / f'{kind}_{number:05}.npz' for number in range(len(rooms))]
         missing = [number for number, path in enumerate(paths) if not path.exists()]
         headings = self.config.agent.headings
-        tasks = [StateTask(self.config.rooms, rooms[number], (self.config.seed, kind, number),
-                           weights, headings) for number in missing]
-        bar = self.progress.add_task(f'states, {KIND_NAMES[kind]}', total=len(rooms),
+        seed = self.config.seed, STATE_KINDS.index(kind)
+        tasks = [StateTask(self.config.rooms, rooms[number], (*seed, number), weights, headings)
+                 for number in missing]
+        bar = self.progress.add_task(f'states, {kind}', total=len(rooms),
                                      completed=len(rooms) - len(missing), error='')
         for index, arrays in self.pool.unordered(play_states, tasks):
             buffer = io.BytesIO()
             np.savez_compressed(buffer, **arrays)
             write_atomically(paths[missing[index]], buffer.getvalue())
             self.progress.advance(bar)
-        return ValueSet([_read(path, shapes_of(headings)) for path in paths])
+        return ValueSet([_read_states(path, shapes_of(headings)) for path in paths])
 
 
-def _begin_with(network: ValueMapNetwork, config: TrainingConfig) -> Checkpoint:
+def _load_first_weights(network: ValueMapNetwork, config: TrainingConfig) -> Checkpoint:
     """
-    Start a network from the weights in the settings, and return their checkpoint.
+    Load the weights that the settings name into a network, and return their checkpoint.
 
-    :raises CheckpointError: if they have other agent settings; only ``headings`` may differ.
+    :raises CheckpointError: if the weights have other agent settings, except for ``headings``.
     """
     checkpoint = Checkpoint.load(find_model(config.model))
     if config.agent not in (checkpoint.config,
                             replace(checkpoint.config, headings=config.agent.headings)):
         raise CheckpointError(f'{config.model}: found {checkpoint.config}; expected weights of '
                               f"the run's own agent settings, {config.agent}")
-    alike = checkpoint.config.headings == config.agent.headings
+    same_headings = checkpoint.config.headings == config.agent.headings
     network.load_state_dict(network.state_dict() | {
         name: value for name, value in checkpoint.weights.items()
-        if alike or not name.startswith('aimed.')})
-    if network.aimed is not None and not alike:
+        if same_headings or not name.startswith('aimed.')})
+    if network.aimed is not None and not same_headings:
         network.begin_aimed()
     return checkpoint
 
 
-def _read(path: Path, shapes: dict[str, tuple[type, tuple[int, ...]]]) -> dict[str, np.ndarray]:
+def _read_states(path: Path, shapes: dict[str, tuple[type, tuple]]) -> dict[str, np.ndarray]:
     """
-    Read the states of a room.
+    Read the states of a room from a file, and check them.
 
     :param shapes: expected types and shapes; see :func:`~ocp_ros.training.value_states.shapes_of`.
     :raises UserError: if the states are damaged or of another kind of map.
@@ -225,27 +230,32 @@ def _read(path: Path, shapes: dict[str, tuple[type, tuple[int, ...]]]) -> dict[s
 
 
 def learn_values(run: ValueRun) -> Checkpoint:
-    """Learn dense values, first from moves to random poses, then also from the network's own."""
-    values, rooms = run.config.values, room_names(run.config.rooms, 'training')
+    """
+    Learn dense values: first from moves to random poses, then also from the network's own moves.
+
+    :returns: the checkpoint of the trained network.
+    """
+    values = run.config.values
+    rooms = room_names(run.config.rooms, 'training')
     total = values.steps + values.own_steps
     if run.fit.step >= total:
         return run.checkpoint()
     # Every third validation room is used to measure the regret.
-    checked = run.states(CHECKED, room_names(run.config.rooms, 'validation')[::3])
-    choices = [run.states(WALKED, rooms[:values.rooms])]
+    validation_set = run.states('validation', room_names(run.config.rooms, 'validation')[::3])
+    walked_set = run.states('walked', rooms[:values.rooms])
     bar = run.progress.add_task('dense values', total=total, error='')
 
-    def watch(step: int, loss: float) -> None:
+    def report_step(step: int, loss: float) -> None:
         run.progress.update(bar, completed=step)
         if step % values.evaluate_every == 0 or step == total:
-            regret = regret_of(run.fit.average, checked)
+            regret = regret_of(run.fit.average, validation_set)
             run.progress.update(bar, error=f'regret {regret:.3f}, loss {loss:.3f}')
             run.note(VALUES_PHASE, loss=loss, regret=regret)
             run.save()
 
-    run.fit.run(choices[0], values.steps, total, watch)
+    run.fit.run(walked_set, values.steps, total, report_step)
     if values.own_steps:
         weights = run.checkpoint().to_bytes()
-        choices.append(run.states(OWN, rooms[-values.own_rooms:], weights))
-        run.fit.run(ValueSet.joined(choices), total, total, watch)
+        own_set = run.states('own', rooms[-values.own_rooms:], weights)
+        run.fit.run(ValueSet.joined([walked_set, own_set]), total, total, report_step)
     return run.checkpoint()
