@@ -14,14 +14,14 @@ help:  ## list the targets
 $(READY): tools/setup setup.py $(wildcard requirements/*.txt)
 	tools/setup $(VENV)
 
-demo: $(READY)  ## place cameras with real ROS nodes: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=map]
+demo: $(READY)  ## place cameras with real ROS nodes: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=actor]
 	$(RUN) -m ocp_ros.demo.demo --out "$(OUT)" $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(DROP_NONFINITE),--drop-nonfinite) $(if $(MODEL),--model $(MODEL))
 
 train-demo: $(READY)  ## the same with trainer_node, which sends new weights to every policy_node: make train-demo [PAIRS=1] [TURNS=400]
 	$(RUN) -m ocp_ros.demo.train_demo --out "$(OUT)" $(if $(PAIRS),--pairs $(PAIRS)) $(if $(TURNS),--turns $(TURNS))
 
 train: $(READY)  ## train the shipped model again
-	$(RUN) -m ocp_ros.cli.main train --config config/train/map.yaml --out "$(OUT)/train" --model models/map.safetensors --overwrite
+	$(RUN) -m ocp_ros.cli.main train --config config/train/map.yaml --out "$(OUT)/train" --model models/actor.safetensors --overwrite
 
 # A test whose process dies is run once more and told as a rerun (test/conftest.py says why one may
 # die); a test that fails, fails.

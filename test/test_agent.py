@@ -296,7 +296,7 @@ def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
 
 
 def test_the_shipped_model_has_its_card_and_a_missing_one_is_named():
-    checkpoint = Checkpoint.load(find_model('map'))
+    checkpoint = Checkpoint.load(find_model('actor'))
     test = checkpoint.provenance['test']
     assert checkpoint.config == AgentConfig(headings=8)
     assert test['policy']['depth_error_end'] < test['random_moves']['depth_error_end']
@@ -304,5 +304,5 @@ def test_the_shipped_model_has_its_card_and_a_missing_one_is_named():
         checkpoint.provenance.keys())
     with pytest.raises(CheckpointError, match='none.safetensors'):
         Checkpoint.load('none.safetensors')
-    with pytest.raises(FileNotFoundError, match="'none'.*'map'"):
+    with pytest.raises(FileNotFoundError, match="'none'.*'actor'"):
         find_model('none')

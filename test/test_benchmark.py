@@ -377,7 +377,7 @@ def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
                '--cameras', '1,2', '--workers', '1', '--out', str(tmp_path / 'out'), '--rooms']
     assert cli.main([*command, *scans]) == 0
     found = json.loads((tmp_path / 'out' / 'evaluation.json').read_text())
-    assert set(found['cameras']) == {'1', '2'} and found['model'] == 'map'
+    assert set(found['cameras']) == {'1', '2'} and found['model'] == 'actor'
     for judged in found['cameras'].values():
         assert set(judged['pairs']) == {'greedy_step', 'greedy_coverage'}
         assert set(judged['rooms']['greedy_step, 0']) == {'8', '9'}

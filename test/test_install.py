@@ -202,10 +202,10 @@ def test_what_is_not_given_is_as_the_parameter_file_has_it(launched):
 
 def test_the_demo_runs_the_planner_that_is_named(launched):
     (sim, _, of_sim), (policy, _, of_policy) = launched(
-        'demo', planner='lookahead', model='map', cameras='3', room='scan.ply')
+        'demo', planner='lookahead', model='actor', cameras='3', room='scan.ply')
     assert (sim, policy) == ('sim_node', 'policy_node')
     assert of_sim[-1] == {'scene.file': 'scan.ply', 'rig.cameras': 3}
-    assert of_policy[-1] == {'planner': 'lookahead', 'model': 'map'}
+    assert of_policy[-1] == {'planner': 'lookahead', 'model': 'actor'}
     for _, namespace, parameters in launched('demo', namespace='cell', rig_file='rig.yaml',
                                              use_sim_time='true'):
         assert namespace == 'cell'

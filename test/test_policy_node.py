@@ -432,7 +432,7 @@ def test_exploring_draws_from_the_distribution_of_the_policy(robot, checkpoint, 
 @pytest.mark.parametrize(('parameters', 'error', 'words'), [
     ({'planner': 'greedy'}, ConfigurationError, "planner: found 'greedy'"),
     # The message lists the models that are there.
-    ({'planner': 'learned', 'model': 'nowhere'}, FileNotFoundError, "'nowhere' .*'map'"),
+    ({'planner': 'learned', 'model': 'nowhere'}, FileNotFoundError, "'nowhere' .*'actor'"),
     ({'planner': 'learned', 'model': 'pickle.safetensors'}, CheckpointError,
      'pickle.safetensors')])
 def test_a_planner_or_model_that_does_not_exist_is_refused(graph, tmp_path, monkeypatch,

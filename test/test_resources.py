@@ -41,7 +41,7 @@ def installed(prefix, code, share):
     module = prefix / code / 'ocp_ros' / 'util' / 'resources.py'
     module.parent.mkdir(parents=True)
     shutil.copy(resources.__file__, module)
-    for name in ('config/fastdds_local.xml', 'models/map.safetensors'):
+    for name in ('config/fastdds_local.xml', 'models/actor.safetensors'):
         path = prefix / share / name
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(name)
@@ -105,7 +105,7 @@ def test_shipped_files_are_found_from_every_folder(tmp_path, monkeypatch, capsys
     shipped = Path('config', 'rig', 'four_d455.yaml')
     assert find_config(shipped) == ROOT / shipped
     assert find_config('none.yaml') == Path('none.yaml')
-    assert find_model('map') == ROOT / 'models' / 'map.safetensors'
+    assert find_model('actor') == ROOT / 'models' / 'actor.safetensors'
     # The rig file is read, and then the room is missed.
     assert 'none.ply' in refused(capsys, 'plan', 'none.ply', '--rig', shipped)
     # One's own comes first.

@@ -103,8 +103,8 @@ SENTENCES = [
     (ROBUSTNESS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/value/{key}',
      'back_after_a_kill_s_median back_after_a_kill_s_most trainer_memory_growth_mb'),
     (ROBUSTNESS, '{} inputs', 'drills/inputs/value/{key}', 'inputs_tried'),
-    (RESULTS, 'network of `map` took {} minutes', 'training/map/value/{key}', 'minutes'),
-    (RESULTS, '`map` is {} for the position of an omnidirectional camera, and {} for',
+    (RESULTS, 'network of `actor` took {} minutes', 'training/map/value/{key}', 'minutes'),
+    (RESULTS, '`actor` is {} for the position of an omnidirectional camera, and {} for',
      'training/{key}/value/regret', 'map map_aimed'),
     (RESULTS, 'with it was {} (95 % interval {} to {}) and {} ({} to {}) times',
      'training/map_sac/value/8x2/{key}', 'seed_0/0 seed_0/1 seed_0/2 seed_1/0 seed_1/1 seed_1/2')]

@@ -91,7 +91,7 @@ def warm_up(scene):
     header = Header(stamp=ns_to_stamp(1), frame_id='map')
     for explore in (True, False):
         config = PolicyNodeConfig(planner='learned_lookahead', explore=explore, threads=1)
-        decider = Decider(config, Checkpoint.load(find_model('map')),
+        decider = Decider(config, Checkpoint.load(find_model('actor')),
                           logging.getLogger('warm_up'))
         for turn in range(2):
             poses = positions_to_msg(episode.turn.positions, header, episode.turn.headings)
@@ -105,8 +105,8 @@ def parameters(name, folder):
         # Sent again and again, so that clouds are on their way at any moment.
         'sim_node': {'scene.file': str(folder.parent / 'room.ply'), 'engine.preset': 'fast',
                      'resend_period': 0.02, 'auto_reset': True},
-        'policy_node': {'model': 'map', 'explore': True, 'threads': 1},
-        'trainer_node': {'model': 'map', 'folder': str(folder / 'trainer'),
+        'policy_node': {'model': 'actor', 'explore': True, 'threads': 1},
+        'trainer_node': {'model': 'actor', 'folder': str(folder / 'trainer'),
                          'sac.learning_starts': 4, 'sac.batch_size': 4, 'sac.buffer_size': 100,
                          'save_every': 1, 'publish_every': 1}}[name]
     pairs = [f'{key}:={json.dumps(value)}' for key, value in values.items()]

@@ -80,7 +80,7 @@ def fuzz(options: argparse.Namespace, domain: int, watch: Watch) -> dict:
 
     with stopped_at_the_end(processes), Progress(console=Console(stderr=True)) as progress:
         processes += start(options, domain)
-        weights = Checkpoint.load(find_model('map'))
+        weights = Checkpoint.load(find_model('actor'))
         fuzzer = Fuzzer(watch.node, until, options.seed, weights)
         policy = PolicyTarget(fuzzer, '/turns')
         live, sim = LiveTarget(fuzzer, '/live', ['a', 'b']), SimTarget(fuzzer, '/sim')

@@ -210,7 +210,7 @@ def training(pairs: int, seconds: float, out: Path) -> dict[str, Any]:
     :returns: interactions per second, each with its gradient step, and the milliseconds of the
         processor that one takes in all processes together.
     """
-    options = argparse.Namespace(pairs=pairs, out=out, seed=1, model='map')
+    options = argparse.Namespace(pairs=pairs, out=out, seed=1, model='actor')
     domain, holder = free_domain()
     processes: list[NodeProcess] = []
     with holder, Watch(domain) as watch, stopped_at_the_end(processes):

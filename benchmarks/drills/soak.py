@@ -83,7 +83,7 @@ class Soak:
         self._updates: dict[int, int] = {}
         self.memory = MemoryWatch()
         self.latency = {name: Latency(watch.node, f'/{name}') for name in NAMESPACES}
-        weights = Checkpoint.load(find_model('map'))
+        weights = Checkpoint.load(find_model('actor'))
         self.lies = [Lies(watch.node, f'/{name}', self.rng, weights) for name in NAMESPACES]
         self._clock = watch.node.create_publisher(Clock, '/clock', qos_profile_system_default)
         self._time, self._jumps, self._lied = 1_000_000_000_000, 0, 0.0
@@ -93,7 +93,7 @@ class Soak:
         namespace, _, kind = name.rpartition('/')
         if kind == 'trainer_node':
             parameters: dict[str, Any] = {
-                'model': 'map', 'folder': str(self.trainer), 'save_every': 4,
+                'model': 'actor', 'folder': str(self.trainer), 'save_every': 4,
                 'publish_every': 8, 'sac.learning_starts': 40, 'sac.batch_size': 4,
                 'sac.buffer_size': 200, 'updates_per_turn': 0.25, 'sources': ','.join(NAMESPACES),
                 # Nobody waits for it: how long turns take is measured.
@@ -101,7 +101,7 @@ class Soak:
         else:
             index = NAMESPACES.index(namespace)
             # Each life of a simulation is in another room.
-            parameters = pair_parameters(index, 1 + 7 * number, 'map')[kind]
+            parameters = pair_parameters(index, 1 + 7 * number, 'actor')[kind]
             if kind == 'sim_node':
                 parameters |= {'scene.points': 3000, 'engine.preset': 'fast',
                                'use_sim_time': namespace == STEADY, 'resend_period': 0.2}

@@ -19,14 +19,14 @@ from pathlib import Path
 from ocp_ros.util.resources import share_folder
 
 #: Name of the default model.
-DEFAULT_MODEL = 'map'
+DEFAULT_MODEL = 'actor'
 
 
 def find_model(name: str) -> Path:
     """
     Return the path of a weights file, given its path or the name of a shipped model.
 
-    :param name: a path, or a name such as ``map``.
+    :param name: a path, or a name such as ``actor``.
     :raises FileNotFoundError: if there is no such file; the message lists the shipped models.
     """
     shipped = {path.stem: path for path in (share_folder() / 'models').glob('*.safetensors')}
