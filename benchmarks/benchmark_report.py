@@ -32,7 +32,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
 from ocp_ros.compare.judging import judged_room, MOUNTING_DRAWS, MOUNTING_ERROR_M
-from ocp_ros.compare.protocol import placing, RANDOM_PLACEMENTS, REFERENCE_PLACES
+from ocp_ros.compare.protocol import placement_settings, RANDOM_PLACEMENTS, REFERENCE_PLACES
 from ocp_ros.compare.summary import budgets_of, last_runs, Rows
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.saved_pictures import save_figure
@@ -106,7 +106,7 @@ def chosen_rooms(rows: Rows, summary: dict[str, Any], protocol: dict[str, Any]) 
                 if row['depth_error'] < rival['depth_error']:
                     best[row['planner']] = row
         simulator = judged_room(
-            room, rotation, placing(summary['cameras']), summary['points'],
+            room, rotation, placement_settings(summary['cameras']), summary['points'],
             summary['judged_points'], protocol['scale'], protocol['up']).search_problem.simulator
         name = simulator.scene.name
         # Scans of several folders may have one name.

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 from ocp_ros.report.drawing.plan_marks import CAMERA_COLOURS
-from ocp_ros.report.drawing.room_drawing import HEIGHTS, heights_of, room_of
+from ocp_ros.report.drawing.room_drawing import HEIGHT_COLOURS, heights_of, room_of
 from ocp_ros.report.drawing.room_pictures import UNOBSERVED
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.files import write_atomically
@@ -44,7 +44,7 @@ def write_page(path: Path, title: str,
     for room, (simulator, placements) in rooms.items():
         points = simulator.scene.points
         # Without the ceiling one can look into the room.
-        base = room_of(points, HEIGHTS(heights_of(points))[:, :3])
+        base = room_of(points, HEIGHT_COLOURS(heights_of(points))[:, :3])
         shown = _some(len(base.points))
         whole = len(figure.data)
         figure.add_trace(_cloud(base.points[shown], _colours(base.colours[shown]), 'room'))

@@ -33,7 +33,13 @@ from typing import Any, NamedTuple
 
 from benchmarks.results import stamped
 import numpy as np
-from ocp_ros.compare.protocol import BenchmarkTask, placing, Protocol, RAY_SEARCH, run_task
+from ocp_ros.compare.protocol import (
+    BenchmarkTask,
+    placement_settings,
+    Protocol,
+    RAY_SEARCH,
+    run_task,
+)
 from ocp_ros.compare.summary import LOG_OFFSET_M, pair
 from ocp_ros.rooms.splits import SETS
 from ocp_ros.simulation.episode import Episode
@@ -243,7 +249,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         rotations=tuple(map(float, options.rotations.split(','))),
         planners=tuple(options.planners.split(',')), seeds=options.seeds, model=options.model,
         truths=options.truths, truth_budget=options.truth_budget,
-        simulation=placing(options.cameras, options.rig or None))
+        simulation=placement_settings(options.cameras, options.rig or None))
     settings = {'lengths': options.lengths, 'planners': options.planners,
                 'cameras': options.rig or options.cameras, 'model': options.model,
                 'truths': options.truths, 'truth_budget': options.truth_budget,

@@ -220,26 +220,26 @@ def _result_fields(assessment: Assessment) -> dict[str, Any]:
             **{name: scores[name] for name in ('loss', 'depth_error', 'space_coverage', 'seen')}}
 
 
-def _read_room(room: RoomLike, max_points: int, reading: dict[str, Any]
+def _read_room(room: RoomLike, max_points: int, options: dict[str, Any]
                ) -> tuple[Scene, dict[str, Any]]:
     """Return the scene of a room, and the record of the room for placement files."""
     check_whole('points', max_points, MIN_ROOM_POINTS)
-    for key in reading:
+    for key in options:
         if key not in READING:
             raise ConfigurationError(f'{key}: found an argument that is not known; expected one '
                                      f'of {", ".join(READING)}; correct its name')
-    if isinstance(room, (Scene, int, np.integer)) and reading:
+    if isinstance(room, (Scene, int, np.integer)) and options:
         raise ConfigurationError(
-            f'{next(iter(reading))}: found it with a room that is in metres, z up; expected a '
+            f'{next(iter(options))}: found it with a room that is in metres, z up; expected a '
             'scan or points; leave it out')
     if isinstance(room, (int, np.integer)) and not isinstance(room, bool) and room >= 0:
         return room_named(str(room), max_points)
     if isinstance(room, (str, PathLike)):
-        return room_named(fspath(room), max_points, **reading)
+        return room_named(fspath(room), max_points, **options)
     if room is None or isinstance(room, (bool, int, float)):
         raise ConfigurationError(f'room: found {room!r}; expected the path of a scan, a seed of 0 '
                                  'or more, (N, 3) points or a Scene')
-    scene = room if isinstance(room, Scene) else scene_of(room, max_points=max_points, **reading)
+    scene = room if isinstance(room, Scene) else scene_of(room, max_points=max_points, **options)
     record: dict[str, Any] = {'sha256': sha256_of(scene)}
     if not scene.source.is_map:
         record['source_from_map'] = scene.source.matrix.tolist()
@@ -248,13 +248,15 @@ def _read_room(room: RoomLike, max_points: int, reading: dict[str, Any]
 
 def _read_rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
               mount: str | None = None) -> Rig:
-    """Return a rig with a number of cameras; with ``'auto'`` they are of one kind, to count."""
+    """Return a rig; with ``'auto'`` one kind of camera, whose number is found later."""
     auto = isinstance(cameras, str) and cameras == AUTO
     if not auto:
+        # None passes: the rig says the number.
         check_whole('cameras', cameras, 1, MAX_CAMERAS)
     count = None if auto else cameras
     if rig is None:
         return rig_of(int(count or CAMERAS), sensor, mount={'on': mount or MOUNT})
+    # The default means that no sensor was given.
     if sensor != OMNIDIRECTIONAL:
         raise ConfigurationError(f'sensor: found {sensor!r} with a rig; expected one of the two: '
                                  'a rig says its sensors; leave one out')

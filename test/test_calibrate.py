@@ -79,7 +79,7 @@ def test_a_camera_is_found_from_far_off(scan, metres, degrees):
     away, turn = errors(found.pose, true)
     assert away < 0.01 and turn < 0.5
     assert found.overlap > 0.8 and found.residual < 0.03
-    assert found.certainty.metres[0] > 0.3 * away and found.certainty.loose_directions == []
+    assert found.certainty.metres[0] > 0.3 * away and found.certainty.loose_motions == []
 
 
 @pytest.mark.parametrize('roll, axes, words', [
@@ -132,7 +132,7 @@ def test_a_bare_wall_holds_three_directions_and_says_which_not():
     found = registered_nearby(surfaces, LiveView(cloud_of(depth, 0.5), MODEL), pose, MODEL)
     for loose in ('slide along the x', 'slide along the vertical', 'turn about the y'):
         assert loose in found.refused
-    assert len(found.certainty.loose_directions) == 3
+    assert len(found.certainty.loose_motions) == 3
     assert found.pose.position[1] == pytest.approx(0.0, abs=0.01)
 
 
@@ -181,7 +181,7 @@ def test_a_cloud_of_another_room_and_a_camera_outside_of_the_scan_are_refused(sc
     assert find(scan, LiveView(other, MODEL), pose, MODEL).refused
     outside = Pose.of(TRUE + [100.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     found = find(scan, LiveView(seen_by(pose), MODEL), outside, MODEL)
-    assert found.refused and found.overlap == 0.0 and len(found.certainty.loose_directions) == 6
+    assert found.refused and found.overlap == 0.0 and len(found.certainty.loose_motions) == 6
 
 
 def test_points_behind_a_scanned_surface_are_held_against_a_pose(scan):

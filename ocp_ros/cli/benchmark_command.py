@@ -96,7 +96,7 @@ def show(summary: Found) -> None:
 
 def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     """Return the settings of the comparison from a command line of ``ocp benchmark``."""
-    from ocp_ros.compare.protocol import placing, PRESETS, rooms_in, rooms_of_s3dis
+    from ocp_ros.compare.protocol import placement_settings, PRESETS, rooms_in, rooms_of_s3dis
     from ocp_ros.search.registry import planners_for
     changes: dict[str, Any] = {
         name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up')
@@ -107,7 +107,7 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     if arguments.rig is not None:
         changes = {'planners': planners_for(rig=True), **changes}
     protocol = replace(PRESETS[arguments.preset], **changes,
-                       simulation=placing(arguments.cameras, arguments.rig))
+                       simulation=placement_settings(arguments.cameras, arguments.rig))
     if arguments.rooms is not None:
         rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
     else:

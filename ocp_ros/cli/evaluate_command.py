@@ -102,7 +102,7 @@ def show(result: Found) -> None:
 
 def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
     """Return the settings of a comparison for each number of cameras, from a command line."""
-    from ocp_ros.compare.protocol import placing, Protocol
+    from ocp_ros.compare.protocol import placement_settings, Protocol
     from ocp_ros.rooms.splits import SETS
     from ocp_ros.scenes.scene_files import check_file
     check_cameras(arguments)
@@ -114,7 +114,8 @@ def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
             map(str, SETS[arguments.set])),
         rotations=tuple(map(float, arguments.rotations)), planners=arguments.planners,
         budgets=arguments.budgets, seeds=arguments.seeds, model=arguments.model,
-        scale=arguments.scale, up=arguments.up, simulation=placing(count, arguments.rig))
+        scale=arguments.scale, up=arguments.up,
+        simulation=placement_settings(count, arguments.rig))
         for count in counts]
 
 

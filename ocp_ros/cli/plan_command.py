@@ -145,7 +145,8 @@ def _keep_placement(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]'
     from ocp_ros.util.files import FileSet
     try:
         with FileSet(folder, WRITTEN, MARK) as files:
-            # If it cannot be written now, the final writing reports the error.
+            # At the end, also by Ctrl-C, the file set moves its files into the folder. If this
+            # cannot be written now, the final writing reports the error.
             with suppress(OSError):
                 for name in PLACEMENT_FILES:
                     save_placement(files.aside / name, placement)

@@ -102,7 +102,8 @@ def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
     return found
 
 
-def placing(cameras: int | None = None, rig: str | Path | None = None) -> SimulationConfig:
+def placement_settings(cameras: int | None = None, rig: str | Path | None = None
+                       ) -> SimulationConfig:
     """
     Return the configuration of cameras to place.
 
@@ -144,7 +145,7 @@ class Protocol:
     seeds: int = 3
     scale: float = 0.0
     up: str = BY_FILE
-    simulation: SimulationConfig = field(default_factory=placing)
+    simulation: SimulationConfig = field(default_factory=placement_settings)
     model: str = DEFAULT_MODEL
     points: int = SEARCH_POINTS
     judged_points: int = JUDGE_POINTS

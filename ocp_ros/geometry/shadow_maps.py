@@ -63,7 +63,7 @@ class Projection(NamedTuple):
 @njit(cache=True, nogil=True)
 def projected(points, pose, lens):
     """
-    Return the :class:`Projection` of points.
+    Return the :class:`Projection` of points: distances and angles along the axes of the map frame.
 
     :param points: (N, 3) float32, N points, metres, map frame.
     :param pose: the camera's :class:`Pose`.

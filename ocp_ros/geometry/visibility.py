@@ -79,7 +79,7 @@ class SurfelVisibility:
         self._places = SurfelPlaces.of(places[self.place_order])
         self._place_bounds = block_bounds(places[self.place_order], self._places.radius)
         self.settings = settings
-        #: The number of workspaces is the largest number in use at once.
+        #: Workspaces that are not in use; a look makes a new one if there is none.
         self._free_workspaces: deque[Workspace] = deque()
 
     def by(self, settings: SurfelSettings) -> 'SurfelVisibility':

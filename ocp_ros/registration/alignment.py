@@ -153,7 +153,7 @@ def weights_of(matches: Matches, deviation: np.ndarray, kernel_width: float) -> 
 
     :param deviation: (M,) the standard deviation of each measured point, metres.
     :param kernel_width: in standard deviations.
-    :returns: (S, M) 1/m²; 0 without a match.
+    :returns: (S, M) 1/m², for S poses and M measured points; 0 without a match.
     """
     scaled = matches.residuals / (kernel_width * deviation)
     return matches.found / (deviation * (1.0 + scaled * scaled)) ** 2

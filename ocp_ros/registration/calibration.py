@@ -140,7 +140,7 @@ def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
     certainty = found.certainty
     row = {'camera': placed.camera.name, 'refused': found.refused,
            'residual': found.residual, 'overlap': found.overlap, 'violated': found.violated_share,
-           'loose': certainty.loose_directions, 'otherwise': found.actual_setup,
+           'loose': certainty.loose_motions, 'otherwise': found.actual_setup,
            'deviations': [
                *({'along': axis.tolist(), 'metres': float(value)}
                  for axis, value in zip(certainty.slide_axes, certainty.metres)),

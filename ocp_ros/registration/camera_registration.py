@@ -73,7 +73,7 @@ class AcceptanceLimits:
     min_lead: float = 0.06
     #: The least lead over a nearby pose, as a share of the fit score.
     min_near_lead: float = 0.003
-    #: The largest deviation if the scan may be partly wrong, metres; see ``Certainty.doubted``.
+    #: The largest deviation if the scan may be partly wrong, metres; ``Certainty.with_doubts``.
     max_metres: float = 0.0085
     #: The largest deviation if the scan may be partly wrong, degrees.
     max_degrees: float = 0.45
@@ -375,12 +375,13 @@ def _rejection_reason(overlap: float, violated_share: float, behind_share: float
     if behind_share > LIMITS.max_behind:
         return (f'{100.0 * behind_share:.1f} % of what it sees lies closely behind scanned '
                 f'surfaces, at most {100.0 * LIMITS.max_behind:.1f} % may')
-    if certainty.loose_directions:
-        return f'it {" and ".join(certainty.loose_directions)}: too few surfaces hold it there'
-    doubted = certainty.doubted(overlap, displaced_share)
-    if doubted.metres[0] > LIMITS.max_metres or doubted.degrees[0] > LIMITS.max_degrees:
-        return (f'it may be off by {1000.0 * doubted.metres[0]:.0f} mm along '
-                f'{axis_name(doubted.slide_axes[0])} and {doubted.degrees[0]:.1f} degrees about '
-                f'{axis_name(doubted.turn_axes[0])}, at most {1000.0 * LIMITS.max_metres:.1f} mm '
+    if certainty.loose_motions:
+        return f'it {" and ".join(certainty.loose_motions)}: too few surfaces hold it there'
+    # The deviations grow with little overlap and displaced surfaces; the largest comes first.
+    grown = certainty.with_doubts(overlap, displaced_share)
+    if grown.metres[0] > LIMITS.max_metres or grown.degrees[0] > LIMITS.max_degrees:
+        return (f'it may be off by {1000.0 * grown.metres[0]:.0f} mm along '
+                f'{axis_name(grown.slide_axes[0])} and {grown.degrees[0]:.1f} degrees about '
+                f'{axis_name(grown.turn_axes[0])}, at most {1000.0 * LIMITS.max_metres:.1f} mm '
                 f'and {LIMITS.max_degrees:g} degrees are allowed')
     return ''

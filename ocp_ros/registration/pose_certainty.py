@@ -48,7 +48,7 @@ class Certainty(NamedTuple):
     turn_axes: np.ndarray
     degrees: np.ndarray
 
-    def doubted(self, overlap: float, displaced_share: float) -> 'Certainty':
+    def with_doubts(self, overlap: float, displaced_share: float) -> 'Certainty':
         """
         Return the deviations of the pose if the scan may be partly wrong.
 
@@ -63,7 +63,7 @@ class Certainty(NamedTuple):
         return self._replace(metres=self.metres * factor, degrees=self.degrees * factor)
 
     @property
-    def loose_directions(self) -> list[str]:
+    def loose_motions(self) -> list[str]:
         """Return descriptions of the unconstrained directions."""
         # Up to 5 cm or 2 degrees, a direction counts as constrained.
         return [*(f'can slide along {axis_name(axis)}' for axis, deviation

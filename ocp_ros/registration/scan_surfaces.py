@@ -171,9 +171,11 @@ class ScanSurfaces:
         row = np.rad2deg(np.arcsin(offsets[:, 2] / np.maximum(distance, 1e-6))) // cell_deg
         column = np.rad2deg(np.arctan2(offsets[:, 1], offsets[:, 0])) // cell_deg
         cell = np.unique(row * 1000.0 + column, return_inverse=True)[1]
+        # The last point of each cell, by distance, is its farthest.
         order = np.lexsort((distance, cell))
         ends = np.flatnonzero(np.append(np.diff(cell[order]) > 0, True))
         farthest = self.points[order[ends]][cell]
+        # How far the farthest point of its cell lies behind the plane of each point, metres.
         behind = -sign * np.einsum('ij,ij->i', farthest - self.points, self.normals)
         # Hidden surfaces are at least 10 cm behind others.
         return behind < 0.1

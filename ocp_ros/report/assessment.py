@@ -178,6 +178,7 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     engine = placement.engine
     notes = []
     if engine.preset == MESH and scene.mesh is None:
+        # Rays cannot be cast without a mesh: score as `ocp plan` promises.
         engine = replace(engine, preset=PROMISING.preset)
         notes = [f'the placement was planned by rays cast at a mesh, and {scene.name} is none; '
                  f'the scores are those of the preset {engine.preset}']

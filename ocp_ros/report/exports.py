@@ -120,7 +120,7 @@ def export(folder: Path, assessed: Assessment, prefix: str = '') -> Iterator[Pat
 
 
 def reports(folder: Path, assessed: Assessment) -> Iterator[Path]:
-    """Write the PNG pages, the HTML page and the curve of counted cameras; yield their paths."""
+    """Write the PNG pages, the HTML page and, after a count, error by cameras; yield paths."""
     from ocp_ros.report.drawing import assessment_pictures, report_page
     from ocp_ros.report.viewer import write_view
     yield from report_page.draw_pages(folder, assessed)

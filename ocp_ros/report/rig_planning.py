@@ -152,6 +152,7 @@ class PlannedRig:
         :param placement: from :meth:`placement`.
         :param frame: requested frame of files, ``'map'`` or ``'source'``; None for the default.
         """
+        # If the number of cameras was counted: the error by number, and the number.
         count_findings = {} if self.task.counting is None else {
             'curve': curve_rows(self.plans), 'count': self._count_data()}
         assessed = Assessment.of(self.planner.problem(self.best.rig), placement, frame,

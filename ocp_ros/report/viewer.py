@@ -28,7 +28,7 @@ from ocp_ros.report.drawing.frustum_drawing import chained, edges
 from ocp_ros.report.drawing.plan_marks import camera_colour, corners_of, STYLES, zones_of
 from ocp_ros.report.drawing.room_drawing import (
     choose_indices,
-    HEIGHTS,
+    HEIGHT_COLOURS,
     heights_of,
     INK,
     PALE_INK,
@@ -149,8 +149,9 @@ def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
 def paints_of(scene: Scene, assessed: Assessment | None) -> list[Paint]:
     """Return the ways to colour the points of a scene; the page opens with the first way."""
     low, high = np.percentile(scene.points[:, 2], [2.0, 98.0])
-    height = Paint('height', heights_of(scene.points), _colour_scale(HEIGHTS), end_labels=tuple(
-        f'{value + 0.0:.1f} m' for value in np.round([low, high], 1)))
+    height_labels = tuple(f'{value + 0.0:.1f} m' for value in np.round([low, high], 1))
+    height = Paint('height', heights_of(scene.points), _colour_scale(HEIGHT_COLOURS),
+                   end_labels=height_labels)
     if assessed is None:
         return [height]
     bands = len(COUNT_COLOURS)

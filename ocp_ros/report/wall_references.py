@@ -222,14 +222,15 @@ class WallReferences:
     def __init__(self, scene: Scene, positions: np.ndarray) -> None:
         self.sides = walls_around(scene)
         self.inner: list[InnerWall] = []
-        self._surface = standing_of(scene)
-        # A wall in the strip has at least three points and an area of 0.15 square metres.
+        self._standing_points = standing_of(scene)
+        # A wall beside a camera has at least three points and an area of 0.15 square metres.
         self._min_points = max(3, int(0.15 / float(np.median(scene.pitch)) ** 2))
+        # This also collects the inner walls.
         self.distances = [self._near_walls(np.asarray(position)) for position in positions]
 
     def _near_walls(self, position: np.ndarray) -> list[Distance]:
         """Measure from the wall that a camera is mounted on, or the nearest, and across to it."""
-        contact = self._surface.at(position[None])
+        contact = self._standing_points.at(position[None])
         if contact.on[0]:
             outward = -contact.normals[0, :2]
             walls = [(float(contact.distances[0]), outward)]
@@ -288,9 +289,9 @@ class WallReferences:
         behind_m = 0.03
         # A wall may end this far beside the line of measurement.
         end_tolerance_m = 0.05
-        vectors = self._surface.points[:, :2] - position[:2]
-        heights = self._surface.points[:, 2] - position[2]
-        facing = np.abs(self._surface.normals[:, :2] @ outward) >= min_cosine
+        vectors = self._standing_points.points[:, :2] - position[:2]
+        heights = self._standing_points.points[:, 2] - position[2]
+        facing = np.abs(self._standing_points.normals[:, :2] @ outward) >= min_cosine
         facing &= (low <= heights) & (heights <= high)
         offsets, depths = vectors @ [-outward[1], outward[0]], vectors @ outward
         strip = np.flatnonzero(facing & (np.abs(offsets) <= STRIP_M) & (depths >= -behind_m)
@@ -315,9 +316,9 @@ class WallReferences:
                     and abs(wall.offset - wall.outward @ place) <= max_unevenness_m):
                 return wall
         letter = letter_of(len(walls))
-        distances = np.linalg.norm(self._surface.points[:, :2] - place, axis=1)
+        distances = np.linalg.norm(self._standing_points.points[:, :2] - place, axis=1)
         is_near = distances <= max(STRIP_M, distances.min())
-        top = float(self._surface.points[is_near, 2].max())
+        top = float(self._standing_points.points[is_near, 2].max())
         self.inner.append(InnerWall(letter, outward, float(outward @ place), place, top))
         return self.inner[-1]
 

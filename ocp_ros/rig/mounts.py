@@ -137,6 +137,7 @@ def headings_of(rig: Rig, model: CameraModel, yaw_step: float, pitch_step: float
     if model.omnidirectional:
         return np.zeros((1, 3))
     full_turn = 2.0 * np.pi
+    # A spinning lidar sees all yaws: only its pitch matters.
     if model.horizontal_fov >= full_turn - 1e-9:
         # The pitch is the allowed one nearest to 0.
         return np.array([[0.0, np.clip(0.0, *rig.pitch), rig.rolls[0]]])

@@ -306,7 +306,7 @@ def _rig_like(placement: Placement, floor: float) -> Rig:
     # A camera itself is larger than the 5 cm to keep clear of surfaces.
     data = {
         'cameras': [{'name': one.camera.name, **numbers_of(one.camera)} for one in movable],
-        'fixed': [_entry(one, mount=False) for one in placed if one.mount == FIXED],
+        'fixed': [_entry(one, complete=False) for one in placed if one.mount == FIXED],
         'mount': mount, 'pitch': [min([0.0, *pitches]), max([60.0, *pitches])],
         'keep_clear': 0.05, 'spacing': 0.0}
     return rig_from(_rig_document(placement, data, int(np.argmin(heights))))
@@ -340,12 +340,12 @@ def numbers_of(camera: Camera) -> dict[str, Any]:
     return numbers
 
 
-def _entry(placed: Placed, mount: bool = True) -> dict[str, Any]:
-    """Return the entry of a camera for a file, with or without mount and planned pose."""
+def _entry(placed: Placed, complete: bool = True) -> dict[str, Any]:
+    """Return the entry of a camera for a file, complete or without mount and planned pose."""
     entry = {'name': placed.camera.name, **numbers_of(placed.camera),
              **_pose_entry(placed.position, placed.angles),
-             **({'mount': placed.mount} if mount else {})}
-    if placed.planned and mount:
+             **({'mount': placed.mount} if complete else {})}
+    if placed.planned and complete:
         entry['planned'] = _pose_entry(*placed.planned)
     return entry
 

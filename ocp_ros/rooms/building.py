@@ -124,6 +124,7 @@ def _add_door(plan: RoomPlan) -> None:
     angle = rng.uniform(1.0, 1.8) if is_open else 0.0
     leaf = make_solid('door', (0.0, -0.025, 0.01), (0.9, 0.025, rng.uniform(2.0, 2.15)))
     door = moved_piece([leaf], (-0.45, 0.0), angle)
+    # Every try places the same door.
     plan.place_at_wall(lambda: door, width=0.95, depth=0.05, front=0.9)
 
 

@@ -100,7 +100,8 @@ def _add_table_with_chairs(plan: RoomPlan, width: float, depth: float, chair_spa
 def furnish_office(plan: RoomPlan) -> None:
     """Furnish an office of one to four workplaces."""
     rng = plan.rng
-    building.add_openings(plan, rng.integers(1, 3), rng.integers(0, 3), rng.integers(0, 2))
+    building.add_openings(plan, doors=rng.integers(1, 3), windows=rng.integers(0, 3),
+                          boards=rng.integers(0, 2))
     _add_pieces(plan, desks=(1, 5), shelves=(2, 9), cabinets=(1, 5))
     if rng.random() < 0.5:
         _add_table_with_chairs(plan, rng.uniform(0.9, 1.4), 0.9, 0.7)
@@ -110,7 +111,8 @@ def furnish_office(plan: RoomPlan) -> None:
 def furnish_conference(plan: RoomPlan) -> None:
     """Furnish a conference room: a long table, chairs, boards."""
     rng = plan.rng
-    building.add_openings(plan, rng.integers(1, 4), rng.integers(0, 4), rng.integers(1, 3))
+    building.add_openings(plan, doors=rng.integers(1, 4), windows=rng.integers(0, 4),
+                          boards=rng.integers(1, 3))
     longer_side = max(plan.size[0], plan.size[1])
     _add_table_with_chairs(plan, rng.uniform(0.4, 0.65) * longer_side, rng.uniform(1.1, 1.8), 0.65)
     if rng.random() < 0.3:
@@ -121,7 +123,8 @@ def furnish_conference(plan: RoomPlan) -> None:
 def furnish_lounge(plan: RoomPlan) -> None:
     """Furnish a lounge: sofas around low tables, a counter, small tables."""
     rng = plan.rng
-    building.add_openings(plan, rng.integers(1, 5), rng.integers(1, 4), rng.integers(0, 2))
+    building.add_openings(plan, doors=rng.integers(1, 5), windows=rng.integers(1, 4),
+                          boards=rng.integers(0, 2))
     width = rng.uniform(1.5, 3.5)
     plan.place_at_wall(partial(furniture.build_cabinet, rng, width, 0.62, 0.92), width, 0.62, 0.7)
     for _ in range(rng.integers(2, 5)):
@@ -142,14 +145,16 @@ def furnish_lounge(plan: RoomPlan) -> None:
 def furnish_hallway(plan: RoomPlan) -> None:
     """Furnish a hallway: doors, boards and a few cabinets."""
     rng = plan.rng
-    building.add_openings(plan, rng.integers(4, 9), rng.integers(0, 2), rng.integers(0, 4))
+    building.add_openings(plan, doors=rng.integers(4, 9), windows=rng.integers(0, 2),
+                          boards=rng.integers(0, 4))
     _add_pieces(plan, cabinets=(1, 6), shelves=(0, 6), clutter=(1, 8))
 
 
 def furnish_storage(plan: RoomPlan) -> None:
     """Furnish a storage room: rows of bookcases with aisles, cabinets, boxes."""
     rng = plan.rng
-    building.add_openings(plan, 1, rng.integers(0, 2), 0)
+    building.add_openings(plan, doors=1, windows=rng.integers(0, 2),
+                          boards=0)
     axis = int(plan.size[1] > plan.size[0])
     length, breadth = plan.size[axis], plan.size[1 - axis]
     offset = rng.uniform(0.9, 1.6)
@@ -177,7 +182,8 @@ def furnish_storage(plan: RoomPlan) -> None:
 def furnish_open_office(plan: RoomPlan) -> None:
     """Furnish an open office: groups of desks between screens, columns, shelves."""
     rng = plan.rng
-    building.add_openings(plan, rng.integers(2, 7), rng.integers(2, 6), rng.integers(0, 3))
+    building.add_openings(plan, doors=rng.integers(2, 7), windows=rng.integers(2, 6),
+                          boards=rng.integers(0, 3))
     screen_height = rng.choice([1.1, 1.4, 1.7])
 
     def build_desk_group() -> Piece:

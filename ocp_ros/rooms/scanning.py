@@ -274,9 +274,10 @@ def sampling_densities(points, normals, tripods, centres, half_sizes, yaw_vector
     """
     Return the density of scan points at each surface point: (N,).
 
-    The density is the sum, over the tripods that see the point, of the cosine between ray and
-    normal over the squared distance. Distances below half a metre count as half a metre. Terms
-    below 1e-4 count as 0.
+    The density is the sum, over the tripods that see the point, of the distance along the normal
+    over the third power of the distance: the cosine of the angle between them over the squared
+    distance. In the power, distances below half a metre count as half a metre. Terms below 1e-4
+    count as 0.
 
     :param points: (N, 3) metres.
     :param normals: (N, 3) unit vectors.

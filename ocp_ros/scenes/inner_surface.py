@@ -250,8 +250,8 @@ class EnclosedAir(NamedTuple):
         is_visible = np.zeros((len(rows), 2), dtype=bool)
         cells = self.grid.cells(rows[:, :3])
         # Surfaces outside that are visible through doors and windows do not belong to the room.
-        near_rows = np.flatnonzero(self.column_distance[tuple(cells[:2])] <= max(
-            0.45, self.min_distance + 2.5 * self.grid.edge))
+        max_distance_m = max(0.45, self.min_distance + 2.5 * self.grid.edge)
+        near_rows = np.flatnonzero(self.column_distance[tuple(cells[:2])] <= max_distance_m)
         for side, sign in enumerate((1.0, -1.0)):
             remaining = near_rows
             for angles in _test_angles():

@@ -83,9 +83,10 @@ class CandidateSet(NamedTuple):
         :param count: largest number of rows.
         :returns: (n,) int, the most similar first.
         """
+        # A list of ranks gives an array also for a single row.
         ranks = np.arange(1, min(count, len(self.poses)) + 1)
         features = pose_features(pose[None], METRES_PER_RADIAN)[0]
-        return np.atleast_1d(self.tree.query(features, ranks)[1])
+        return self.tree.query(features, ranks)[1]
 
 
 def _feasible_poses(region: FeasibleRegion, model: CameraModel, max_poses: int) -> np.ndarray:

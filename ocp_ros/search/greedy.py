@@ -121,6 +121,7 @@ def add_cameras(cameras: int, candidates: np.ndarray, energy: Callable[[Scores],
     :param candidates: (M, 2) positions to choose from, metres.
     :param energy: returns the values to minimise, (B,) for B scores.
     :param placed: (n, 2) positions of cameras that are already placed, metres.
+    :yields: placements to score; their :class:`Scores` are sent back.
     :returns: the positions (K, 2) and their depth error.
     """
     error = np.inf

@@ -137,7 +137,7 @@ class RigPlanner:
 
     def plan(self, rig: Rig, before: SearchResult | None = None) -> RigPlan:
         """
-        Find the best placement of a rig.
+        Find the best placement of a rig, and compare it with bounds and random placements.
 
         :param before: result for a rig with one camera less; the new placement is not worse if
             one more camera fits into that result.

@@ -168,23 +168,23 @@ class ColumnGenerationSearch(RigSearch):
         return tuple(MountedCamera(pose, self.problem.simulator.look(pose, camera))
                      for camera, pose in enumerate(poses))
 
-    def _refine_all(self, starts: Sequence[Sites], first_m: float, moves: int,
+    def _refine_all(self, starts: Sequence[Sites], first_step_m: float, moves: int,
                     should_stop: Callable[[], bool]) -> list[RatedPlacement]:
-        """Refine placements by :meth:`_refine`; return them and the start, the best first."""
+        """Refine placements; return them and the user's placement, if any, the best first."""
         seeds = self.rng.integers(2 ** 32, size=len(starts))
         results = mapped(lambda pair: self._refine(
-            pair[0], first_m, moves, np.random.default_rng(pair[1]), should_stop),
+            pair[0], first_step_m, moves, np.random.default_rng(pair[1]), should_stop),
             list(zip(starts, seeds)))
         if self.start:
             results.append(self._rate_placement(self.start))
         return sorted(results, key=lambda result: result.loss)
 
-    def _refine(self, sites: Sites, first_m: float, moves: int, rng: np.random.Generator,
+    def _refine(self, sites: Sites, first_step_m: float, moves: int, rng: np.random.Generator,
                 should_stop: Callable[[], bool]) -> RatedPlacement:
         """
         Anneal a placement by small moves.
 
-        :param first_m: standard deviation of the first moves, metres; in radians half of it.
+        :param first_step_m: standard deviation of the first moves, metres; in radians half of it.
         :param moves: number of moves.
         """
         progress = 0.0
@@ -200,8 +200,9 @@ class ColumnGenerationSearch(RigSearch):
                 yield loss * between(*TUNING.temperatures, progress)
 
         best = annealed(sites, self.judge, lambda sites: move_camera(
-            self.problem, sites, between(first_m, TUNING.last_deviation, progress),
-            between(0.5 * first_m, TUNING.last_deviation, progress), rng), temperatures(), rng)
+            self.problem, sites, between(first_step_m, TUNING.last_deviation, progress),
+            between(0.5 * first_step_m, TUNING.last_deviation, progress), rng),
+            temperatures(), rng)
         return RatedPlacement(self.judge(best), best)
 
     def _repeat_near(self, relaxation: ColumnGeneration, results: list[RatedPlacement],

@@ -63,7 +63,7 @@ class Scorer:
     def __init__(self, simulator: Simulator, budget: Budget | None = None,
                  progress: Progress | None = None) -> None:
         self.simulator = simulator
-        self._look = cached_look(simulator)
+        self._cached_view_from = cached_look(simulator)
         self._budget = budget
         self._progress = progress
         self._least_error = np.inf
@@ -103,5 +103,5 @@ class Scorer:
         if len(placement) == 0:
             return self.simulator.depth_error.worst, 0.0
         result = self.simulator.judge([
-            self._look(pose, camera) for camera, pose in enumerate(placement)])
+            self._cached_view_from(pose, camera) for camera, pose in enumerate(placement)])
         return result.depth_error, result.space_coverage

@@ -77,8 +77,8 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     Run a planner until its budget is used up or its search ends.
 
     :param planner: the method.
-    :param score: returns the scores of placements (n, 3); if it returns fewer scores than
-        placements, the search ends with these.
+    :param score: returns the scores of placements, each (n, 3) positions of n cameras; if it
+        returns fewer scores than placements, the search ends with these.
     :param evaluations: largest number of placements to score.
     :param clock: returns the current time, seconds.
     :raises ValueError: if a planner places cameras outside its space or too many cameras, or no

@@ -83,7 +83,8 @@ def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """
     Return viewpoints in a partially observed room, above the observed floor.
 
-    In such a room, air cannot be distinguished yet from the space behind the walls.
+    In such a room, air cannot be distinguished yet from the space behind the walls, so viewpoints
+    stand only above observed floor.
 
     :param points: (N, 3) metres, map frame: the observed points.
     :param corners: (4, 2) metres, the corners of the rectangle around them, from
@@ -98,7 +99,8 @@ def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     cells = floor.low + floor.edge * (np.argwhere(floor.open) + 0.5)
     sides = corners[1:3] - corners[0]
     lengths = np.linalg.norm(sides, axis=1)
-    centres = _part_centres(cells, cells @ (sides / lengths[:, None]).T, int(np.argmax(lengths)))
+    along_sides = cells @ (sides / lengths[:, None]).T
+    centres = _part_centres(cells, along_sides, long_axis=int(np.argmax(lengths)))
     return np.column_stack([centres, np.full(VIEWPOINTS, height)])
 
 

@@ -407,7 +407,8 @@ class Studio:
         """Return P feasible positions of a camera, spread over the room: (P, 3) metres."""
         if model not in self._positions_by_model:
             try:
-                self._positions_by_model[model] = region.places(model, MAX_POSITIONS)[0].positions
+                mount_places, *_ = region.places(model, MAX_POSITIONS)
+                self._positions_by_model[model] = mount_places.positions
             except ConfigurationError:
                 self._positions_by_model[model] = np.empty((0, 3))
         return self._positions_by_model[model]

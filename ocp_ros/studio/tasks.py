@@ -178,10 +178,12 @@ def addition_work(evaluation: Evaluation, add: Callable[[str, np.ndarray], None]
         the pose (6,), metres, map frame, and radians.
     """
     def work(_: Task) -> Iterator[Progress]:
+        """Add the best further camera to the studio, if there is one."""
         yield Progress(0.1, 'comparing poses of one more camera')
         addition = improvements(evaluation.problem, evaluation.state.poses,
                                 evaluation.views)['one_more']
         if addition is not None:
+            # A camera without a preset of a sensor is listed under its own name.
             model_name = next(camera.name for camera in evaluation.state.rig.cameras
                               if (camera.sensor or camera.name) == addition['sensor'])
             add(model_name, np.array([*addition['position'],

@@ -117,16 +117,23 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
 
 
 def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int | None) -> int:
-    """Return the number of choices; refuse actions and targets of wrong shapes."""
+    """
+    Return the number of choices; refuse actions and targets of wrong shapes.
+
+    :param together: number of cameras that one choice moves; None if each moves one camera, and a
+        camera may choose any number of times.
+    """
     max_count = 64
     if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= max_count:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
                               f'(K, 3) with at most {max_count} cameras')
     count = len(actions) if actions.ndim else 0
     each = together or 1
-    # All cameras choose: one by one, or all at once.
-    fits = 1 <= count <= max_count if together is None else (
-        (count, each) in ((len(targets), 1), (1, len(targets))))
+    if together is None:
+        fits = 1 <= count <= max_count
+    else:
+        # All cameras choose: one by one, or all at once.
+        fits = (count, each) in ((len(targets), 1), (1, len(targets)))
     if not fits or actions.shape != (count, each, 2) or actions.dtype != np.float32:
         raise ExperienceError(
             f'experience: found actions as {actions.dtype} {actions.shape} of {len(targets)} '

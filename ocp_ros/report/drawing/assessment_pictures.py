@@ -47,7 +47,7 @@ from ocp_ros.report.drawing.room_drawing import (
     draw_discs,
     eye_at,
     fit_axes,
-    HEIGHTS,
+    HEIGHT_COLOURS,
     heights_of,
     INK,
     PALE_INK,
@@ -97,13 +97,15 @@ def count_colours(assessed: Assessment) -> np.ndarray:
 
 def draw_room_plan(axes: Axes, room: Room, assessed: Assessment) -> None:
     """Draw the room from above with the walls' letters, the cameras and their ranges."""
-    colours = HEIGHTS(heights_of(assessed.scene.points))[:, :3]
+    colours = HEIGHT_COLOURS(heights_of(assessed.scene.points))[:, :3]
+    # The room is in the frame of the plan already, the ranges of cameras are in the map frame.
     outline = draw_discs(axes, with_colours(room, 0.35 + 0.65 * colours), np.eye(3))
-    rotation, heights = assessed.plan_rotation[:2, :2], assessed.scene.bounds[:, 2].tolist()
+    rotation = assessed.plan_rotation[:2, :2]
+    floor_and_ceiling = assessed.scene.bounds[:, 2].tolist()
     opacity = min(1.0, 2.0 / np.sqrt(len(assessed.placement.cameras)))
     for number, placed in enumerate(assessed.placement.cameras):
         colour = camera_colour(number)
-        polygon = reach(placed.camera.model, placed.pose, heights)
+        polygon = reach(placed.camera.model, placed.pose, floor_and_ceiling)
         patch = Polygon(polygon @ rotation.T, facecolor=(*to_rgb(colour), 0.2 * opacity),
                         edgecolor=(*to_rgb(colour), 0.9 * opacity), linewidth=1.0, zorder=3)
         axes.add_patch(patch).set_clip_path(outline)

@@ -214,8 +214,8 @@ def _draw_head(figure: Figure, facts: PageFacts) -> None:
     hidden = len(facts.doubts) - max_doubts
     for number, doubt in enumerate(facts.doubts[:max_doubts]):
         text = f'{doubt} (and {hidden} more)' if hidden > 0 and number == max_doubts - 1 else doubt
-        write(figure, (PAGE_WIDTH - MARGIN, 7.72 - 0.13 * number), text, 6.0, 6.2, BAD_COLOUR,
-              align='right')
+        write(figure, (PAGE_WIDTH - MARGIN, 7.72 - 0.13 * number), text, width=6.0, size=6.2,
+              colour=BAD_COLOUR, align='right')
     gap = 0.12
     width = (INNER_WIDTH - gap * (len(facts.figures) - 1)) / len(facts.figures)
     for number, (label, value, remark) in enumerate(facts.figures):

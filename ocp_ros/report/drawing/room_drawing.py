@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree, ConvexHull
 INK = '#1c2530'
 PALE_INK = '#66707c'
 #: Lightness decreases evenly with height, so that walls are dark in the plan.
-HEIGHTS = LinearSegmentedColormap.from_list(
+HEIGHT_COLOURS = LinearSegmentedColormap.from_list(
     'heights', ['#e6e4dc', '#c9cfd1', '#a3aeb6', '#748593', '#4a5b6b', '#2a3644'])
 #: Direction to the light: right, up and towards the viewer.
 LIGHT = np.array([-0.35, 0.6, 0.72])

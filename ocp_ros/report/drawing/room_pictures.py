@@ -30,7 +30,7 @@ from ocp_ros.report.drawing.room_drawing import (
     choose_indices,
     draw_discs,
     fit_axes,
-    HEIGHTS,
+    HEIGHT_COLOURS,
     heights_of,
     INK,
     open_view,
@@ -99,7 +99,7 @@ def height_colours(points: np.ndarray, observed: np.ndarray | None) -> np.ndarra
     :param observed: (N,) bool; None if all points are observed.
     """
     height = heights_of(points)
-    colours = HEIGHTS(height)[:, :3]
+    colours = HEIGHT_COLOURS(height)[:, :3]
     if observed is not None:
         # The lightness still shows the height.
         red = 1.1 * np.array(to_rgb(UNOBSERVED)) * (1.0 - 0.5 * height[~observed, None])
