@@ -23,9 +23,11 @@ heads; ``augmented`` symmetries and jitter.
 
     python -m benchmarks.paper_agent --rungs literal critics --out out/ladder
     python -m benchmarks.paper_agent --record --evaluation out/evaluation/evaluation.json
+    python -m benchmarks.paper_agent --record --alone out/actor.json out/paper.json
 
 A run that was interrupted goes on. ``--record`` writes what the runs of the folder have done,
-beside the rows of earlier folders, and what ``ocp evaluate`` has found about the best weights.
+beside the rows of earlier folders, what ``ocp evaluate`` has found about the best weights, and how
+the default weights compare with them without lookahead, in two files of ``benchmarks.few_turns``.
 """
 
 import argparse
@@ -35,6 +37,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import results
+from benchmarks.few_turns import over_before
 from ocp_ros.training.run_folder import read_config, records
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import TrainingConfig
@@ -112,6 +115,23 @@ def against(path: Path) -> dict[str, Any]:
         for name, pair in compared['pairs'].items() if not name.startswith('learned')}}
 
 
+def compare_alone(actor: Path, paper: Path) -> dict[str, Any]:
+    """
+    Return by length of episodes how two models compare as the only planner.
+
+    :param actor: file of ``benchmarks.few_turns`` with the default weights.
+    :param paper: the same with the weights of the paper's agent.
+    :returns: ratio of errors (actor / paper, geometric mean), its 95 % interval, rooms, and
+        milliseconds a turn of both.
+    """
+    documents = [json.loads(path.read_text()) for path in (actor, paper)]
+    pairs = over_before(*(document['rooms'] for document in documents))
+    return {'command': documents[0]['command'], 'lengths': {
+        length: {key: row['learned'][key] for key in ('ratio', 'interval', 'rooms')}
+        | {'ms': [document['summary'][length]['learned']['ms'] for document in documents]}
+        for length, row in pairs.items()}}
+
+
 def main(argv: list[str] | None = None) -> None:
     """Run."""
     parser = argparse.ArgumentParser(prog='paper_agent', description=__doc__)
@@ -122,6 +142,8 @@ def main(argv: list[str] | None = None) -> None:
                         'are demonstrations')
     parser.add_argument('--out', type=Path, default=Path('out/ladder'))
     parser.add_argument('--evaluation', type=Path, help='evaluation.json of ocp evaluate')
+    parser.add_argument('--alone', type=Path, nargs=2, metavar=('ACTOR', 'PAPER'),
+                        help='files of benchmarks.few_turns')
     results.add_record(parser, 'paper_agent')
     options = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO)
@@ -137,9 +159,12 @@ def main(argv: list[str] | None = None) -> None:
         before = json.loads((results.FOLDER / 'paper_agent.json').read_text())
         rows = {folder.name: row_of(folder) for folder in sorted(options.out.iterdir())
                 if any('ratio' in line for line in records(folder))}
-        figures = {'rows': before['rows'] | rows, 'test': before.get('test')}
+        figures = {'rows': before['rows'] | rows,
+                   **{key: before[key] for key in ('test', 'alone') if key in before}}
         if options.evaluation:
             figures['test'] = against(options.evaluation)
+        if options.alone:
+            figures['alone'] = compare_alone(*options.alone)
         results.write('paper_agent', figures, command)
 
 
