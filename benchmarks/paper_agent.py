@@ -18,8 +18,7 @@ Which repairs make the paper's agent learn: a ladder of trainings, each with mor
 All have the potential reward and the same rooms, engine and viewpoints. ``literal`` has the
 networks and the learning of the paper's run; ``critics`` the repaired network, whose extractor the
 critics train, and cameras that choose one after the other; ``updates`` more and larger gradient
-steps; ``averaged`` evaluates and keeps the moving average of the actor; ``blocks`` has residual
-heads; ``augmented`` symmetries and jitter.
+steps; ``blocks`` residual heads; ``augmented`` symmetries and jitter.
 
     python -m benchmarks.paper_agent --rungs literal critics --out out/ladder
     python -m benchmarks.paper_agent --record --evaluation out/evaluation/evaluation.json
@@ -59,7 +58,6 @@ RUNGS: dict[str, dict[str, Any]] = {
     'updates': {'updates_per_turn': 0.25,
                 'sac': {'batch_size': 128, 'gamma': 0.95, 'n_steps': 3, 'tau': 0.01,
                         'learning_rate': 5e-4}},
-    'averaged': {'sac': {'averaging': 0.999}},
     'blocks': {'agent': {'blocks': 2, 'hidden': 128}},
     'augmented': {'sac': {'augmentation': 'jitter'}}}
 

@@ -317,25 +317,6 @@ def test_the_same_seed_is_the_same_training(room, agent):
     assert not any(torch.equal(one[name], value) for name, value in before.items())
 
 
-def test_the_moving_average_of_the_actor_is_what_a_checkpoint_has(room, small_agent, tmp_path):
-    config, share = replace(SAC, averaging=0.9), 0.9
-    model = make_sac(config, small_agent, environment(room, small_agent), seed=3)
-    model.learn(SAC.learning_starts)
-    expected = None
-    for _ in range(4):
-        model.train(1, 8)
-        now = model.actor.latent_pi[0].weight.detach().clone()
-        expected = now if expected is None else share * expected + (1.0 - share) * now
-    found = actor_checkpoint(model, 'r', {}).weights['latent_pi.0.weight']
-    torch.testing.assert_close(found, expected)
-    assert not torch.equal(found, now)
-    save_state(model, tmp_path / 's.safetensors', 'abc')
-    other = make_sac(config, small_agent, environment(room, small_agent), seed=4)
-    load_state(other, tmp_path / 's.safetensors')
-    torch.testing.assert_close(
-        actor_checkpoint(other, 'r', {}).weights['latent_pi.0.weight'], expected)
-
-
 @pytest.mark.system
 def test_training_resumes_where_it_stopped(env, agent, tmp_path):
     model = make_sac(SAC, agent, env, seed=1)

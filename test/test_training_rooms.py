@@ -128,7 +128,8 @@ def test_scans_in_other_units_are_read_alike_by_all_who_play_in_them(tmp_path):
 
 def test_rooms_are_made_once_and_kept_while_there_is_memory(monkeypatch):
     made = []
-    monkeypatch.setattr(training_rooms, 'make_scene', lambda config, name: made.append(name) or name)
+    monkeypatch.setattr(training_rooms, 'make_scene',
+                        lambda config, name: made.append(name) or name)
     monkeypatch.setattr(training_rooms, 'MAX_CACHED_POINTS', 2000)
     rooms = Rooms(['a', 'b', 'c'], RoomsConfig(points=1000))
     assert [rooms[index] for index in (0, 1, 2, 0, 1, 2)] == ['a', 'b', 'c'] * 2

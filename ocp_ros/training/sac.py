@@ -29,7 +29,6 @@ from ocp_ros.training.training_config import SacConfig
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
 import torch
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 
 class AgentSac(SAC):
@@ -55,23 +54,7 @@ class AgentSac(SAC):
         self.imitation_loss: Callable[[int], torch.Tensor] | None = None
         #: Returns the actions of the first interactions; None for no demonstrations.
         self.demonstrator: Callable[[], np.ndarray] | None = None
-        #: Moving average of the actor over gradient steps; None if the actor itself is evaluated.
-        self.averaged: AveragedModel | None = None
         super().__init__(*args, **kwargs)
-
-    def _setup_model(self) -> None:
-        """Build the networks, and the moving average of the actor if the settings want one."""
-        super()._setup_model()
-        if self.config.averaging:
-            self.averaged = AveragedModel(self.actor, multi_avg_fn=get_ema_multi_avg_fn(
-                self.config.averaging))
-
-    @property
-    def evaluated_actor(self) -> Any:
-        """Return the moving average of the actor; before any gradient step the actor itself."""
-        if self.averaged is None or not self.averaged.n_averaged:
-            return self.actor
-        return self.averaged.module
 
     def _sample_action(self, learning_starts, action_noise=None, n_envs=1):
         """Draw actions: first a demonstrator's, then random ones if the actor is untrained."""
@@ -92,8 +75,6 @@ class AgentSac(SAC):
         """Take gradient steps of SAC, then one on the imitation loss if it still has a weight."""
         super().train(gradient_steps, batch_size)
         self.own_updates += gradient_steps
-        if self.averaged is not None:
-            self.averaged.update_parameters(self.actor)
         fade = 1.0 - (self.own_updates - self.config.burn_in) / self.config.imitation_fades
         if self.imitation_loss is None or self.own_updates < self.config.burn_in or fade <= 0.0:
             return
@@ -172,14 +153,14 @@ def select_by_prefix(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str,
 
 def actor_checkpoint(model: AgentSac, run: str, provenance: dict[str, Any]) -> Checkpoint:
     """
-    Return the actor of SAC, or its moving average if there is one, as a checkpoint.
+    Return the actor of SAC as a checkpoint.
 
     :param model: from :func:`make_sac`.
     :param run: name of the training run.
     :param provenance: how the actor was trained.
     """
     weights = {f'{prefix}{name}': value.detach().cpu().clone()
-               for prefix, module in _modules_of(model.evaluated_actor, model.agent).items()
+               for prefix, module in _modules_of(model.actor, model.agent).items()
                for name, value in module.state_dict().items()}
     return Checkpoint(model.agent, weights, int(model._n_updates), run, provenance)
 

@@ -46,9 +46,7 @@ def _optimizers(model: AgentSac) -> dict[str, torch.optim.Optimizer]:
 
 def _networks(model: AgentSac) -> dict[str, torch.Tensor]:
     """Return the tensors of networks, entropy coefficient and counters, by name in the file."""
-    averaged = {} if model.averaged is None else model.averaged.state_dict()
     return {**{f'policy.{name}': value for name, value in model.policy.state_dict().items()},
-            **{f'averaged.{name}': value for name, value in averaged.items()},
             'log_ent_coef': model.log_ent_coef.detach(),
             **{f'counter.{name}': torch.tensor(getattr(model, name)) for name in COUNTERS}}
 
@@ -111,8 +109,6 @@ def load_state(model: AgentSac, path: Path) -> str:
             'saved with the same settings; put it back from a copy, or begin in another folder '
             'with model set to the weights beside it: these are kept, the rest is lost') from error
     model.policy.load_state_dict(select_by_prefix(tensors, 'policy.'))
-    if model.averaged is not None:
-        model.averaged.load_state_dict(select_by_prefix(tensors, 'averaged.'))
     model.log_ent_coef.data.copy_(tensors['log_ent_coef'])
     for name in COUNTERS:
         setattr(model, name, int(tensors[f'counter.{name}']))
@@ -152,7 +148,7 @@ def _check_tensors(tensors: dict[str, torch.Tensor], expected: dict[str, torch.T
             raise ValueError(f'{name} is {tensor.dtype} {tuple(tensor.shape)}, not '
                              f'{expected[name].dtype} {tuple(expected[name].shape)}')
         low = 0.0 if name.endswith(('.exp_avg_sq', '.step')) or 'counter.' in name else -torch.inf
-        high = MAX_WEIGHT if name.startswith(('policy.', 'averaged.module.')) else (1 << 40)
+        high = MAX_WEIGHT if name.startswith('policy.') else (1 << 40)
         if not ((tensor >= low) & (tensor.abs() <= high)).all():
             raise ValueError(f'{name} has numbers that no training ends with')
 

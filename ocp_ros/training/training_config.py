@@ -43,9 +43,6 @@ class SacConfig:
         'rotation by quarter turns or a reflection (symmetries), or these and a small movement '
         'of its points, some of which are left out (jitter)',
         choices=('none', 'symmetries', 'jitter'))
-    averaging: float = setting(
-        0.0, 'share of the moving average of the actor that stays in each gradient step; the '
-             'average is evaluated and written as weights; 0: the actor itself', 0.0, 0.99999)
     bfloat16: bool = setting(
         False, 'with agent.inputs cloud: the network that is trained computes with 16 bits in '
                'place of 32, which is faster on processors that can')
