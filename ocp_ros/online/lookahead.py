@@ -34,7 +34,7 @@ from collections.abc import Iterator
 
 import numpy as np
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.online.candidate_sites import Candidates, most_places
+from ocp_ros.online.candidate_sites import Candidates, max_positions
 from ocp_ros.online.online_planner import (
     KnownTurn,
     matched,
@@ -152,11 +152,11 @@ class Lookahead(PipelinedPlanner):
         plans = [np.hstack([space.placement(space.inside(plan[:, :2])), plan[:, 3:]])
                  for plan in plans]
         state = self.rig_state or RigState.omnidirectional(cameras)
-        places = space.placement(space.grid(min(count, most_places(state))))
+        places = space.placement(space.grid(min(count, max_positions(state))))
         self._candidates = Candidates(model, places, plans, state, unseen, weight)
         begun = np.arange(len(plans) * cameras).reshape(-1, cameras).tolist()
         if not self._planned(cameras):
-            begun.append(self._candidates.fill())
+            begun.append(self._candidates.choose_greedily())
         self._chosen = min(begun, key=self._candidates.value)
 
     def _plans(self, cameras: int) -> list[np.ndarray]:
