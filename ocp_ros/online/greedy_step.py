@@ -18,7 +18,7 @@ import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.online.observed_turn import ObservedTurn, ObservedTurns
 from ocp_ros.online.online_planner import Online
-from ocp_ros.online.partial_map import curiosity
+from ocp_ros.online.partial_map import exploration_bonus
 from ocp_ros.rig.motion import bounded_moves, order_of
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.threads import mapped
@@ -78,7 +78,7 @@ def _values(known: ObservedTurn, camera: int, time: float) -> np.ndarray:
     fresh, floor = known.unseen & ~others.covered, ERROR_FLOOR * model.depth_error.worst
     most = model.depth_error.worst + floor
     places = space.placement(space.inside(known.positions[camera, :2] + MOVES[1:]))
-    bonus = curiosity(time) / known.count
+    bonus = exploration_bonus(time) / known.count
 
     def value(place: np.ndarray) -> float:
         look = known.look(camera, place)

@@ -28,7 +28,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Frustum
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
-from ocp_ros.online.partial_map import curiosity, KeptModel, LookHistory, PartialMap
+from ocp_ros.online.partial_map import exploration_bonus, KeptModel, LookHistory, PartialMap
 from ocp_ros.online.rig_state import AIR_RADIUS_M, directions, RigState
 from ocp_ros.rig.motion import turned_towards, way_between
 from ocp_ros.rig.rig_file import Rig
@@ -155,7 +155,7 @@ class HeadingPlanner:
         now, reach = rig_state.placement[:, 3:], max_turn * max(turns - turn, 1)
         sought = _Search(model, self._memory.unseen(model), targets, rig_state.lenses,
                          self._begun(now, self._headings, reach))
-        sought.price(curiosity(turn / turns), self.aimed, self._directions)
+        sought.price(exploration_bonus(turn / turns), self.aimed, self._directions)
         if hint is not None:
             sought.begin(self._begun(now, hint, reach))
         choices = {camera: self._choices(sought.goals[camera].heading, now[camera], reach)

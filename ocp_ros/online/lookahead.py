@@ -160,7 +160,7 @@ class Lookahead(PipelinedPlanner):
         """Create candidates, the current and proposed plans included, and choose the best plan."""
         model = PartialMap(cloud, positions, self.max_range, TUNING.candidate_points,
                            TUNING.candidate_rows,
-                           around=AIR_RADIUS_M if self.directional else 0.0)
+                           air_radius=AIR_RADIUS_M if self.directional else 0.0)
         unseen, self._space = self.memory.unseen(model), self.space(cloud, positions)
         plans = self._current_plans(len(positions))
         if self.guide is not None:
