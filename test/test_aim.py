@@ -206,7 +206,7 @@ def test_goals_are_within_reach_before_the_turns_are_used_up(turn, max_turn, now
     found = aim(box_room().points, rig_state, at, max_turn, turn, 11)
     assert np.linalg.norm(way_between(now, found[0])) <= max_turn + 1e-9
     assert PITCH[0] - 1e-9 <= found[0, 1] <= PITCH[1] + 1e-9
-    assert np.linalg.norm(way_between(now, aim._headings[0])) <= (11 - turn) * max_turn + 1e-9
+    assert np.linalg.norm(way_between(now, aim._goal_headings[0])) <= (11 - turn) * max_turn + 1e-9
 
 
 @pytest.mark.parametrize('cloud', ['one wall', 'one wall askew', 'one point'])

@@ -23,7 +23,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.online.heading_planner import never
+from ocp_ros.online.heading_planner import never_interrupted
 from ocp_ros.online.partial_map import LookHistory, PartialMap
 from ocp_ros.online.rig_state import clearance_of, record_views, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
@@ -108,7 +108,7 @@ class Online(ABC):
         so far because the next time step waits for it.
     """
 
-    interrupted: Callable[[], bool] = staticmethod(never)
+    interrupted: Callable[[], bool] = staticmethod(never_interrupted)
     targets: np.ndarray | None = None
     headings: np.ndarray | None = None
 

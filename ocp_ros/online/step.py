@@ -23,7 +23,7 @@ from contextlib import contextmanager
 
 import numpy as np
 from ocp_ros.online.constraint_filter import StepConstraints
-from ocp_ros.online.heading_planner import HeadingPlanner, never
+from ocp_ros.online.heading_planner import HeadingPlanner, never_interrupted
 from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, Online, PlannedTurn
 from ocp_ros.online.rig_state import Command, Limits, RigState
 from ocp_ros.rig.rig_file import Rig
@@ -99,7 +99,7 @@ class OnlineStep:
             return moves
         return np.zeros((state.movable, 2))
 
-    def plan_ahead(self, interrupted: Callable[[], bool] = never) -> None:
+    def plan_ahead(self, interrupted: Callable[[], bool] = never_interrupted) -> None:
         """
         Compute plan, feasible region and headings of the next step while the cameras move.
 
@@ -111,7 +111,7 @@ class OnlineStep:
         self.planner.interrupted = interrupted
         with self._reported('planner', 'where they are'):
             self.planner.plan_ahead()
-        self.planner.interrupted = never
+        self.planner.interrupted = never_interrupted
         if self._next is None:
             return
         (cloud, positions, turn, turns, state), self._next = self._next, None
