@@ -151,7 +151,7 @@ class Lookahead(PipelinedPlanner):
                 or turn - self._model_turn >= TUNING.candidate_turns):
             self._create_candidates(cloud, positions, turn, turns)
         # In a pipelined episode, the greedy choice suffices for the first time step.
-        if not (pipelined and self._waited_for(turn, turns, len(positions))):
+        if not (pipelined and self._waited_for(turns, len(positions))):
             (self._choice,) = self._candidates.anneal(self._choice, self.rng)
         self._set_plan(positions)
 
@@ -268,7 +268,7 @@ class Lookahead(PipelinedPlanner):
         if self._kept_model.made is None:
             self._remaining_survey = self._survey_parts(cloud, positions, turn)
         for _ in self._remaining_survey:
-            if not self._waited_for(turn, turns, len(positions)):
+            if not self._waited_for(turns, len(positions)):
                 return False
         self._set_plan(positions)
         self._is_surveyed = True
