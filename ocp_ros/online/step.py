@@ -52,7 +52,7 @@ class OnlineStep:
     def change(self, planner: Online, limits: Limits) -> None:
         """Replace the planner and the limits during an episode."""
         before, self.planner, self.limits = self.limits, planner, limits
-        self.constraints.change(limits)
+        self.constraints.set_limits(limits)
         if before.wall_margin != limits.wall_margin:
             self.aim = HeadingPlanner.of(self.rig, limits.wall_margin)
 
