@@ -214,16 +214,17 @@ class ConstraintFilter:
         fixed = self.rig.fixed_poses[:, :3] if fixed is None else fixed
         min_move_m = 0.01
         chosen, held = positions.copy(), []
-        for camera, rig_camera in enumerate(self.rig.cameras):
+        new_points = cloud if was_prepared else None
+        for camera, (rig_camera, position, target) in enumerate(
+                zip(self.rig.cameras, positions, targets, strict=True)):
             others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
-            found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
-                                  cloud if was_prepared else None)
-            is_moving = np.linalg.norm(targets[camera] - positions[camera]) > min_move_m
+            found = self._nearest(position, target, others, bounds, max_step, new_points)
+            is_moving = np.linalg.norm(target - position) > min_move_m
             if found is None and is_moving and state is not None and not was_prepared:
-                found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
-                                      None, FreeDistances.of(cloud, state, camera))
+                found = self._nearest(position, target, others, bounds, max_step, None,
+                                      FreeDistances.of(cloud, state, camera))
             if found is None:
-                held.append(f'{rig_camera.name} stays at {np.round(positions[camera], 2).tolist()}: '
+                held.append(f'{rig_camera.name} stays at {np.round(position, 2).tolist()}: '
                             f'found no feasible position within {max_step:g} m')
             else:
                 chosen[camera] = found
