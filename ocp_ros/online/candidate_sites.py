@@ -73,8 +73,7 @@ def _merge_others(camera, choice, seen, covered, trees):
     :returns: the trees without nodes whose error the merged view decides, the summed error of
         removed trees (metres), and the packed bits (V,) of the cells that the merged view covers.
     """
-    others_seen = np.zeros_like(seen[0])
-    others_covered = np.zeros_like(covered[0])
+    others_seen, others_covered = np.zeros_like(seen[0]), np.zeros_like(covered[0])
     for other in range(len(choice)):
         if other != camera:
             others_seen |= seen[choice[other]]
@@ -116,8 +115,7 @@ def _choose_greedily(seen, covered, trees, pixels, weight, kind_of, sites, start
     for camera in range(len(kind_of)):
         others = _merge_others(camera, choice[:camera], seen, covered, trees)
         open_trees, settled_error, others_covered = others
-        no_points = np.zeros_like(seen[0])
-        value_before = ((settled_error + lost_depth(open_trees, no_points)) / pixels
+        value_before = ((settled_error + lost_depth(open_trees, np.zeros_like(seen[0]))) / pixels
                         - weight * count_bits(others_covered))
         values = np.full(len(seen), -np.inf)
         is_exact = np.zeros(len(seen), dtype=np.bool_)
@@ -218,7 +216,9 @@ class Candidates:
 
     def __init__(self, model: PartialMap, positions: np.ndarray, plans: Sequence[np.ndarray],
                  rig_state: RigState, unseen: np.ndarray, weight: float) -> None:
-        self.model, self.weight = model, weight
+        self._error = model.depth_error
+        #: The last three inputs of the objective: trees, divisor of sums, bonus for a cell.
+        self._objective = self._error.trees, self._error.pixels, weight
         self.kind_of, first_cameras = kinds_of(rig_state)
         groups = [(kind, pose[:3], pose[None, 3:], lens) for plan in plans
                   for kind, pose, lens in zip(self.kind_of, plan, rig_state.lenses)]
@@ -232,6 +232,9 @@ class Candidates:
                                 np.vstack(group_headings)])
         kinds = np.repeat(kinds, counts)
         self.of_kind = [np.flatnonzero(kinds == kind) for kind in range(len(first_cameras))]
+        #: Candidate numbers (S,), sorted by kind, and in it the start of each kind (kinds + 1,).
+        self._sites = np.concatenate(self.of_kind)
+        self._starts = np.cumsum([0, *map(len, self.of_kind)])
         fixed = model.together(fixed_views(model, rig_state))
         self._seen = np.array([view.seen for view in views]) | fixed.seen
         self._covered = (np.array([view.covered for view in views]) | fixed.covered) & unseen
@@ -249,20 +252,13 @@ class Candidates:
 
     def value(self, choice: list[int]) -> float:
         """Return the objective value of a choice, metres; less is better."""
-        error = self.model.depth_error
         return _objective_value(_union(self._seen[choice]), _union(self._covered[choice]),
-                                error.trees, error.pixels, self.weight)
+                                *self._objective)
 
     def choose_greedily(self) -> list[int]:
         """Choose a pose for one camera after the other, each time the one with the best value."""
-        error = self.model.depth_error
-        return _choose_greedily(self._seen, self._covered, error.trees, error.pixels, self.weight,
-                                self.kind_of, *self._sorted_by_kind()).tolist()
-
-    def _sorted_by_kind(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the candidate numbers (S,) by kind, and each kind's start: (kinds + 1,)."""
-        return (np.concatenate(self.of_kind),
-                np.cumsum([0, *(len(candidates) for candidates in self.of_kind)]))
+        return _choose_greedily(self._seen, self._covered, *self._objective, self.kind_of,
+                                self._sites, self._starts).tolist()
 
     def anneal(self, first_choice: list[int], rng: np.random.Generator, parts: int = 1
                ) -> Iterator[list[int]]:
@@ -273,13 +269,13 @@ class Candidates:
         :param rng: draws the proposals.
         :param parts: the number of parts; at least 1.
         """
-        error = self.model.depth_error
-        temperatures = error.worst * between(*TEMPERATURES, np.arange(PROPOSALS) / PROPOSALS)
+        shares = np.arange(PROPOSALS) / PROPOSALS
+        temperatures = self._error.worst * between(*TEMPERATURES, shares)
         choice, best_choice = np.array(first_choice), np.array(first_choice)
         for part_temperatures in np.array_split(temperatures, parts):
-            _anneal_choice(choice, best_choice, self._seen, self._covered, error.trees,
-                           error.pixels, self.weight, self.kind_of, *self._sorted_by_kind(),
-                           self.neighbours, part_temperatures, rng)
+            _anneal_choice(choice, best_choice, self._seen, self._covered, *self._objective,
+                           self.kind_of, self._sites, self._starts, self.neighbours,
+                           part_temperatures, rng)
             yield best_choice.tolist()
 
 

@@ -39,7 +39,7 @@ class FusedCloud:
         if not 0.0 < voxel < np.inf:
             raise ValueError(f'voxel: found {voxel}; expected metres above 0')
         if max_points < MIN_POINTS:
-            raise ValueError(f'max_points: found {max_points} points; expected at least {MIN_POINTS}')
+            raise ValueError(f'max_points: found {max_points}; expected at least {MIN_POINTS}')
         self.voxel = voxel
         self.max_points = max_points
         self.clear()

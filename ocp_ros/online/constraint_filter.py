@@ -201,11 +201,10 @@ class ConstraintFilter:
             within one step may move through the free space in its view: rigs start close
             together and do not see the floor below them.
         """
-        top = float(positions[:, 2].max()) + FREE_ABOVE_M
         was_prepared = self._is_prepared
         if was_prepared:
             self._is_prepared = False
-            self._region.top = max(self._region.top, top)
+            self._region.top = max(self._region.top, float(positions[:, 2].max()) + FREE_ABOVE_M)
         else:
             self._update_region(cloud, positions)
         if self._region is None:
@@ -247,7 +246,8 @@ class ConstraintFilter:
         self._computed_for = z, cloud
         self._region = None
         try:
-            scene, rig = Scene(cloud, 'observed cloud'), self._movable_rig
+            scene = Scene(cloud, 'observed cloud')
+            rig = self._movable_rig
             if rig.mount.heights is not None:
                 heights = z - floor_height(scene)
                 low, high = rig.mount.heights

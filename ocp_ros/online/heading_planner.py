@@ -131,11 +131,10 @@ class HeadingPlanner:
             model, _ = self._kept_model(cloud, rig_state.placement[:rig_state.movable, :3], FAST,
                                         clearance=0.0)
         except SceneError:
-            goals = self._sweep_goals(headings, max_turn)
+            self._goal_headings = self._sweep_goals(headings, max_turn)
         else:
-            goals = self._search_goals(model, rig_state, targets, max_turn, turn, turns, hint,
-                                       interrupted)
-        self._goal_headings = goals
+            self._goal_headings = self._search_goals(model, rig_state, targets, max_turn, turn,
+                                                     turns, hint, interrupted)
         self._computed_turn = turn
 
     def _sweep_goals(self, headings: np.ndarray, max_turn: float) -> np.ndarray:
@@ -149,17 +148,16 @@ class HeadingPlanner:
                       max_turn: float, turn: int, turns: int, hint: np.ndarray | None,
                       interrupted: Callable[[], bool]) -> np.ndarray:
         """Return the goal headings (C, 3) found; cameras reach them before the episode ends."""
-        headings, max_rotation = rig_state.placement[:, 3:], max_turn * max(turns - turn, 1)
+        headings, max_angle = rig_state.placement[:, 3:], max_turn * max(turns - turn, 1)
         search = _Search(model, self._memory.unseen(model), targets, rig_state.lenses,
-                         self._first_goals(headings, self._goal_headings, max_rotation))
+                         self._first_goals(headings, self._goal_headings, max_angle))
         search.set_bonus(exploration_bonus(turn / turns), self.aimed, self._directions)
         if hint is not None:
-            search.replace_if_better(self._first_goals(headings, hint, max_rotation))
-        candidates = {
-            camera: self._candidates(search.goals[camera].heading, headings[camera], max_rotation)
-            for camera in self.aimed}
-        passes = 2
-        for _ in range(passes):
+            search.replace_if_better(self._first_goals(headings, hint, max_angle))
+        candidates = {camera: self._candidates(search.goals[camera].heading, headings[camera],
+                                               max_angle) for camera in self.aimed}
+        # Two passes over all cameras.
+        for _ in range(2):
             for camera in np.roll(self.aimed, turn):
                 if interrupted():
                     break
@@ -168,40 +166,37 @@ class HeadingPlanner:
                 # Local search around the best candidate.
                 for step in np.deg2rad([15.0, 7.5]):
                     neighbours = _neighbours(search.goals[camera].heading, step)
-                    search.improve_goal(
-                        camera, self._allowed(neighbours, headings[camera], max_rotation),
-                        objective)
+                    allowed = self._allowed(neighbours, headings[camera], max_angle)
+                    search.improve_goal(camera, allowed, objective)
         return np.array([goal.heading for goal in search.goals])
 
-    def _first_goals(self, headings: np.ndarray, goals: np.ndarray | None, max_rotation: float
+    def _first_goals(self, headings: np.ndarray, goals: np.ndarray | None, max_angle: float
                      ) -> np.ndarray:
         """
         Return the first goal headings (C, 3) of the search.
 
         :param headings: (C, 3) radians, current headings of all cameras.
         :param goals: (>= K, 3) radians, wanted headings, limited here; None for the current ones.
-        :param max_rotation: largest rotation of a camera until the end of the episode, radians.
+        :param max_angle: largest rotation of a camera until the end of the episode, radians.
         """
         first_goals = headings.copy()
         if goals is not None:
             first_goals[self.aimed, :2] = goals[self.aimed, :2]
         first_goals[self.aimed, 1] = np.clip(first_goals[self.aimed, 1], *self._pitch_limits)
-        return turned_towards(headings, first_goals, max_rotation)
+        return turned_towards(headings, first_goals, max_angle)
 
-    def _candidates(self, goal: np.ndarray, heading: np.ndarray, max_rotation: float
-                    ) -> np.ndarray:
+    def _candidates(self, goal: np.ndarray, heading: np.ndarray, max_angle: float) -> np.ndarray:
         """Return the candidate headings (H, 3) of a camera with a goal (3,) and a heading (3,)."""
         goal_pitch = self._directions[:YAWS] * [1.0, 0.0, 0.0] + [0.0, goal[1], 0.0]
         grid = np.concatenate([goal_pitch, self._directions]) + [goal[0], 0.0, heading[2]]
-        return self._allowed(grid, heading, max_rotation)
+        return self._allowed(grid, heading, max_angle)
 
-    def _allowed(self, candidates: np.ndarray, heading: np.ndarray, max_rotation: float
-                 ) -> np.ndarray:
-        """Return the candidates (H, 3) in the pitch limits and in reach of a heading (3,)."""
+    def _allowed(self, headings: np.ndarray, start: np.ndarray, max_angle: float) -> np.ndarray:
+        """Return the headings (H, 3) in the pitch limits and in reach of a start heading (3,)."""
         low, high = self._pitch_limits
-        is_allowed = (candidates[:, 1] >= low) & (candidates[:, 1] <= high)
-        rotations = np.linalg.norm(way_between(heading, candidates), axis=-1)
-        return candidates[is_allowed & (rotations <= max_rotation)]
+        is_allowed = (headings[:, 1] >= low) & (headings[:, 1] <= high)
+        angles = np.linalg.norm(way_between(start, headings), axis=-1)
+        return headings[is_allowed & (angles <= max_angle)]
 
 
 class _Search:
@@ -295,8 +290,7 @@ class _Search:
         :param objective: the result of :meth:`objective_of`.
         """
         best_value, best = np.inf, self.goals[camera]
-        views = self._views_of(camera, headings)
-        for heading, view in [best, *zip(headings, views, strict=True)]:
+        for heading, view in [best, *zip(headings, self._views_of(camera, headings), strict=True)]:
             value = objective(view, best_value)
             if value < best_value:
                 best_value, best = value, Goal(heading, view)

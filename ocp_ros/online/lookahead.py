@@ -36,13 +36,7 @@ from dataclasses import dataclass
 import numpy as np
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.candidate_sites import Candidates, max_positions
-from ocp_ros.online.online_planner import (
-    KnownTurn,
-    matched,
-    Online,
-    PipelinedPlanner,
-    REFINING_SHARE,
-)
+from ocp_ros.online.online_planner import KnownTurn, matched, Online, PipelinedPlanner
 from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap
 from ocp_ros.online.rig_state import AIR_RADIUS_M, clearance_of, fixed_views, RigState, view_from
 from ocp_ros.rig.free_plane import FreePlane
@@ -59,12 +53,13 @@ class LookaheadTuning:
 
     :ivar spacing_m: metres between candidate positions; more in a large room.
     :ivar max_positions: largest number of candidate positions.
-    :ivar candidate_points: points of the model on which candidates are compared.
-    :ivar candidate_rows: depth-map rows of that model.
+    :ivar candidate_model: largest number of points, and number of depth-map rows, of the model on
+        which candidates are compared.
     :ivar candidate_turns: time steps for which a pipelined episode reuses candidates; their views
         are computed in the first of these time steps.
-    :ivar refining_points: points of the finer model for the refinement.
-    :ivar refining_rows: depth-map rows of that model.
+    :ivar refining_share: share of the episode after which plans are refined; earlier the observed
+        cloud is too small.
+    :ivar refining_model: the same sizes, of the finer model for the refinement.
     :ivar refining_turns: smallest number of time steps for which that model is reused.
     :ivar survey_turns: time steps before the refinement at which a pipelined episode creates that
         model and anneals the plan on it among all candidates (the survey).
@@ -75,18 +70,16 @@ class LookaheadTuning:
         merged once for these.
     :ivar parallel_proposals: proposals whose views are computed in parallel.
     :ivar temperatures: of the refinement, in multiples of the best plan's error.
-    :ivar min_error_m: smallest error that is used to compute temperatures, metres.
     :ivar position_deviations_m: standard deviations of the changes of a position, metres.
     :ivar heading_deviations: standard deviations of the changes of yaw and pitch, radians.
     """
 
     spacing_m: float = 0.5
     max_positions: int = 400
-    candidate_points: int = 6000
-    candidate_rows: int = 32
+    candidate_model: tuple[int, int] = 6000, 32
     candidate_turns: int = 2
-    refining_points: int = 60000
-    refining_rows: int = 128
+    refining_share: float = 0.6
+    refining_model: tuple[int, int] = 60000, 128
     refining_turns: int = 4
     survey_turns: int = 2
     proposals: int = 240
@@ -95,7 +88,6 @@ class LookaheadTuning:
     proposals_per_camera: int = 16
     parallel_proposals: int = 4
     temperatures: tuple[float, float] = 0.1, 0.003
-    min_error_m: float = 1e-3
     position_deviations_m: tuple[float, float] = 0.5, 0.02
     heading_deviations: tuple[float, float] = 0.5, 0.05
 
@@ -128,12 +120,10 @@ class Lookahead(PipelinedPlanner):
         super().reset()
         if self.guide is not None:
             self.guide.reset()
-        self.targets = None
-        self.headings = None
+        self.targets = self.headings = None
         self._candidates: Candidates | None = None
         self._choice: list[int] = []
-        self._kept_model = KeptModel(self.max_range, self.wall_margin, TUNING.refining_points,
-                                     TUNING.refining_rows)
+        self._kept_model = KeptModel(self.max_range, self.wall_margin, *TUNING.refining_model)
         #: The remaining parts of the survey, see :meth:`_survey_parts`.
         self._remaining_survey: Iterator[object] = iter(())
         self._is_surveyed = False
@@ -143,8 +133,8 @@ class Lookahead(PipelinedPlanner):
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
         pipelined = self._ahead(turns)
-        if turn >= REFINING_SHARE * turns - TUNING.survey_turns * pipelined:
-            if self._is_surveyed or self._continue_survey(cloud, positions, turn, turns):
+        if turn >= TUNING.refining_share * turns - TUNING.survey_turns * pipelined:
+            if self._is_surveyed or self._do_survey(cloud, positions, turn, turns):
                 self._refine(cloud, positions, turn, turns)
             return
         if (self._candidates is None or not pipelined
@@ -158,8 +148,7 @@ class Lookahead(PipelinedPlanner):
     def _create_candidates(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                            turns: int) -> None:
         """Create candidates, the current and proposed plans included, and choose the best plan."""
-        model = PartialMap(cloud, positions, self.max_range, TUNING.candidate_points,
-                           TUNING.candidate_rows,
+        model = PartialMap(cloud, positions, self.max_range, *TUNING.candidate_model,
                            air_radius=AIR_RADIUS_M if self.directional else 0.0)
         unseen, self._space = self.memory.unseen(model), self.space(cloud, positions)
         plans = self._current_plans(len(positions))
@@ -214,7 +203,7 @@ class Lookahead(PipelinedPlanner):
         if self._model_turn == turn:
             proposals = TUNING.model_turn_proposals
         model, self._space = self._kept_model.made
-        first_turn = REFINING_SHARE * turns
+        first_turn = TUNING.refining_share * turns
         reachable = [self._space.reached(position[:2], self.max_step, turns - turn)
                      for position in positions]
         targets = best_targets = np.array([
@@ -233,8 +222,8 @@ class Lookahead(PipelinedPlanner):
                 others = model.together([*views[:camera], *views[camera + 1:], *fixed])
                 error_with = model.depth_error.given(others.seen)
             share = (turn - first_turn + proposal / proposals) / (turns - first_turn)
-            temperature = max(best_error, TUNING.min_error_m) * between(
-                *TUNING.temperatures, share)
+            # The temperature is never 0: an error counts as at least 1 mm.
+            temperature = max(best_error, 1e-3) * between(*TUNING.temperatures, share)
             trials = [self._draw_pose(camera, targets, headings, reachable[camera], share)
                       for _ in range(TUNING.parallel_proposals)]
             trial_views = mapped(lambda trial, model=model, camera=camera: view_from(
@@ -258,8 +247,7 @@ class Lookahead(PipelinedPlanner):
         self._kept_model.make(cloud, positions, FINE, clearance_of(self.rig_state, self.clearance))
         self._model_turn = turn
 
-    def _continue_survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
-                         ) -> bool:
+    def _do_survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> bool:
         """
         Do a part of the survey, or all of it if the time step waits for its plan.
 

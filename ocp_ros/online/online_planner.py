@@ -33,8 +33,6 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from scipy.optimize import linear_sum_assignment
 
-#: Share of the episode after which plans are refined: earlier the observed cloud is too small.
-REFINING_SHARE = 0.6
 #: In episodes of at least this number of time steps, plans are computed while the cameras move, on
 #: the cloud before the move. In a shorter episode the older cloud would make plans too bad.
 MIN_PIPELINED_TURNS = 20

@@ -140,12 +140,11 @@ class OnlineStep:
         return {}
 
     @contextmanager
-    def _report_errors(self, source: str, kept_pose: str) -> Iterator[None]:
+    def _report_errors(self, source: str, pose: str) -> Iterator[None]:
         """Report an error and continue after the block; without ``report`` raise the error."""
         try:
             yield
         except Exception as error:
             if self._report is None:
                 raise
-            self._report(f'{source}: found {type(error).__name__}: {error}; cameras stay '
-                         f'{kept_pose}')
+            self._report(f'{source}: found {type(error).__name__}: {error}; cameras stay {pose}')
