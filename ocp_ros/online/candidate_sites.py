@@ -269,8 +269,7 @@ class Candidates:
         :param rng: draws the proposals.
         :param parts: the number of parts; at least 1.
         """
-        shares = np.arange(PROPOSALS) / PROPOSALS
-        temperatures = self._error.worst * between(*TEMPERATURES, shares)
+        temperatures = self._error.worst * between(*TEMPERATURES, np.arange(PROPOSALS) / PROPOSALS)
         choice, best_choice = np.array(first_choice), np.array(first_choice)
         for part_temperatures in np.array_split(temperatures, parts):
             _anneal_choice(choice, best_choice, self._seen, self._covered, *self._objective,
@@ -285,18 +284,16 @@ def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:
 
     :returns: (K,) the kind of each camera, and the first camera of each kind.
     """
-    # Cameras that keep their yaw and pitch exchange poses only if these are equal.
-    first_kept_angle = 5 if rig_state.turns else 3
-    keys = [(lens, () if model.omnidirectional else tuple(pose[first_kept_angle:]))
-            for lens, model, pose in zip(rig_state.lenses[:rig_state.movable], rig_state.models,
-                                         rig_state.placement)]
+    # Angles that do not change, from this column on, must be equal within a kind.
+    first_kept = 5 if rig_state.turns else 3
+    keys = [(lens, () if model.omnidirectional else tuple(pose[first_kept:])) for lens, model, pose
+            in zip(rig_state.lenses[:rig_state.movable], rig_state.models, rig_state.placement)]
     kinds = list(dict.fromkeys(keys))
     return np.array([kinds.index(key) for key in keys]), [keys.index(kind) for kind in kinds]
 
 
 def max_positions(rig_state: RigState) -> int:
-    """Return the largest number of candidate positions for which poses are not too many."""
-    max_poses = 2000
+    """Return the largest number of positions that give at most 2000 candidate poses, or 1."""
     _, first_cameras = kinds_of(rig_state)
     headings = sum(len(rig_state.headings(camera, YAWS, PITCHES)) for camera in first_cameras)
-    return max(max_poses // headings, 1)
+    return max(2000 // headings, 1)

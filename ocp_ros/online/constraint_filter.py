@@ -90,7 +90,8 @@ class StepConstraints:
         :param state: current state of the cameras.
         :param moves: (K, 2) metres, the moves that a planner chose.
         """
-        positions, limits = state.placement[:state.movable, :3], self._limits
+        limits = self._limits
+        positions = state.placement[:state.movable, :3]
         targets = positions.copy()
         if len(cloud) == 0:
             targets[:, :2] = towards(positions[:, :2], positions[:, :2] + moves, limits.max_step)
@@ -145,16 +146,16 @@ class FreeDistances(NamedTuple):
 
 
 def _sectors(vectors: np.ndarray) -> np.ndarray:
-    """Return the number of the direction of each horizontal vector (M, 2): (M,) int."""
-    turn_shares = np.arctan2(vectors[:, 1], vectors[:, 0]) / (2.0 * np.pi)
-    return np.floor(SECTORS * turn_shares).astype(int) % SECTORS
+    """Return the number, below ``SECTORS``, of each horizontal vector's direction: (M,) int."""
+    angle_shares = np.arctan2(vectors[:, 1], vectors[:, 0]) / (2.0 * np.pi)
+    return np.floor(SECTORS * angle_shares).astype(int) % SECTORS
 
 
 class ConstraintFilter:
     """
     Move targets to feasible positions.
 
-    :param rig: the constraints; its fixed cameras matter for the spacing alone.
+    :param rig: the rig with its constraints; its fixed cameras matter for the spacing alone.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     """
 
@@ -166,6 +167,7 @@ class ConstraintFilter:
         self._computed_for: tuple[np.ndarray, np.ndarray] | None = None
         #: The last feasible region; None if it could not be computed.
         self._region: FeasibleRegion | None = None
+        #: Why the last feasible region could not be computed.
         self._failure = ''
         self.reset()
 
@@ -189,7 +191,7 @@ class ConstraintFilter:
                  max_step: float, fixed: np.ndarray | None = None,
                  state: RigState | None = None) -> FilteredTargets:
         """
-        Return the feasible targets of the cameras.
+        Return the feasible targets of the cameras; use a prepared region once.
 
         :param cloud: (N, 3) float32, metres: the observed cloud.
         :param positions: (K, 3) metres, current positions of the K movable cameras.
@@ -211,14 +213,14 @@ class ConstraintFilter:
             return FilteredTargets(positions.copy(), [f'all cameras stay: {self._failure}'])
         bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
         fixed = self.rig.fixed_poses[:, :3] if fixed is None else fixed
-        min_move_m = 0.01
         chosen, held = positions.copy(), []
         new_points = cloud if was_prepared else None
         for camera, (rig_camera, position, target) in enumerate(
                 zip(self.rig.cameras, positions, targets, strict=True)):
             others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
             found = self._nearest(position, target, others, bounds, max_step, new_points)
-            is_moving = np.linalg.norm(target - position) > min_move_m
+            # A move of at most 1 cm counts as staying.
+            is_moving = np.linalg.norm(target - position) > 0.01
             if found is None and is_moving and state is not None and not was_prepared:
                 found = self._nearest(position, target, others, bounds, max_step, None,
                                       FreeDistances.of(cloud, state, camera))

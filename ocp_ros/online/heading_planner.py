@@ -148,7 +148,8 @@ class HeadingPlanner:
                       max_turn: float, turn: int, turns: int, hint: np.ndarray | None,
                       interrupted: Callable[[], bool]) -> np.ndarray:
         """Return the goal headings (C, 3) found; cameras reach them before the episode ends."""
-        headings, max_angle = rig_state.placement[:, 3:], max_turn * max(turns - turn, 1)
+        headings = rig_state.placement[:, 3:]
+        max_angle = max_turn * max(turns - turn, 1)
         search = _Search(model, self._memory.unseen(model), targets, rig_state.lenses,
                          self._first_goals(headings, self._goal_headings, max_angle))
         search.set_bonus(exploration_bonus(turn / turns), self.aimed, self._directions)

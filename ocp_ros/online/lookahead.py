@@ -124,7 +124,7 @@ class Lookahead(PipelinedPlanner):
         self._candidates: Candidates | None = None
         self._choice: list[int] = []
         self._kept_model = KeptModel(self.max_range, self.wall_margin, *TUNING.refining_model)
-        #: The remaining parts of the survey, see :meth:`_survey_parts`.
+        #: The remaining parts of the survey, see :meth:`_survey`.
         self._remaining_survey: Iterator[object] = iter(())
         self._is_surveyed = False
         #: Time step in which the last model or the last candidates were created.
@@ -141,7 +141,7 @@ class Lookahead(PipelinedPlanner):
                 or turn - self._model_turn >= TUNING.candidate_turns):
             self._create_candidates(cloud, positions, turn, turns)
         # In a pipelined episode, the greedy choice suffices for the first time step.
-        if not (pipelined and self._waited_for(turns, len(positions))):
+        if not (pipelined and self._waits_for_plan(turns, len(positions))):
             (self._choice,) = self._candidates.anneal(self._choice, self.rng)
         self._set_plan(positions)
 
@@ -150,7 +150,8 @@ class Lookahead(PipelinedPlanner):
         """Create candidates, the current and proposed plans included, and choose the best plan."""
         model = PartialMap(cloud, positions, self.max_range, *TUNING.candidate_model,
                            air_radius=AIR_RADIUS_M if self.directional else 0.0)
-        unseen, self._space = self.memory.unseen(model), self.space(cloud, positions)
+        unseen = self.memory.unseen(model)
+        self._space = self.space(cloud, positions)
         plans = self._current_plans(len(positions))
         if self.guide is not None:
             self.guide.interrupted = self.interrupted
@@ -254,16 +255,15 @@ class Lookahead(PipelinedPlanner):
         :returns: whether the survey is complete.
         """
         if self._kept_model.made is None:
-            self._remaining_survey = self._survey_parts(cloud, positions, turn)
+            self._remaining_survey = self._survey(cloud, positions, turn)
         for _ in self._remaining_survey:
-            if not self._waited_for(turns, len(positions)):
+            if not self._waits_for_plan(turns, len(positions)):
                 return False
         self._set_plan(positions)
         self._is_surveyed = True
         return True
 
-    def _survey_parts(self, cloud: np.ndarray, positions: np.ndarray, turn: int
-                      ) -> Iterator[object]:
+    def _survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int) -> Iterator[object]:
         """
         Anneal the plan once more among all candidates, on the model for the refinement.
 

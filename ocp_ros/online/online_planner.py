@@ -51,8 +51,8 @@ def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None
     """
     costs = np.linalg.norm(positions[:, None, :2] - targets[None], axis=2)
     if kinds is not None:
-        forbidden_m = 1e6
-        costs = costs + np.where(kinds[:, None] == kinds[None], 0.0, forbidden_m)
+        # A target of another kind costs 1,000 km, which forbids it.
+        costs = costs + np.where(kinds[:, None] == kinds[None], 0.0, 1e6)
     return linear_sum_assignment(costs)[1]
 
 
@@ -251,7 +251,7 @@ class PipelinedPlanner(Online):
         """Return whether an episode of ``turns`` time steps plans while the cameras move."""
         return turns >= MIN_PIPELINED_TURNS
 
-    def _waited_for(self, turns: int, cameras: int) -> bool:
+    def _waits_for_plan(self, turns: int, cameras: int) -> bool:
         """Return whether the present time step waits for a plan on the newest cloud."""
         return not (self._ahead(turns) and self._planned(cameras))
 
@@ -264,12 +264,12 @@ class PipelinedPlanner(Online):
         self.plan_ahead()
         record_views(self.memory, positions, self.rig_state)
         try:
-            if self._waited_for(turns, len(positions)):
+            if self._waits_for_plan(turns, len(positions)):
                 self._think(cloud, positions, turn, turns)
         except SceneError:
             return self.random_walk(cloud, positions)
         goals = self.goals(positions)
-        if turn + 1 < turns and not self._waited_for(turns, len(positions)):
+        if turn + 1 < turns and not self._waits_for_plan(turns, len(positions)):
             next_positions = np.column_stack([goals, positions[:, 2]])
             self._next_turn = PlannedTurn(cloud.copy(), next_positions, turn + 1, turns,
                                           self.rig_state)
