@@ -171,7 +171,7 @@ def _anneal_choice(choice, best_choice, seen, covered, trees, pixels, weight, ki
         if is_stale[camera]:
             others[camera] = _merge_others(camera, choice, seen, covered, trees)
             values[camera] = -np.inf
-            is_exact[camera] = is_stale[camera] = False
+            is_stale[camera], is_exact[camera] = False, False
         value = _site_value(choice[camera], np.inf, others[camera], seen, covered, pixels, weight,
                             values[camera], is_exact[camera])
         if value < best_value:

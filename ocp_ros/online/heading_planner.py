@@ -124,7 +124,8 @@ class HeadingPlanner:
         Compute and store the goal headings of a time step, also in advance.
 
         :param rig_state: the cameras at that time step; see :meth:`__call__` for all else.
-        :param interrupted: returns whether to stop and use the best goals found so far.
+        :param interrupted: called for each camera; returns whether to stop and use the best goals
+            found so far.
         """
         headings = rig_state.placement[:, 3:]
         try:
@@ -138,7 +139,7 @@ class HeadingPlanner:
         self._computed_turn = turn
 
     def _sweep_goals(self, headings: np.ndarray, max_turn: float) -> np.ndarray:
-        """Return headings (C, 3) rotated to the left: the cloud is too small for a search."""
+        """Return headings (C, 3) rotated to the left, for a cloud too small for a search."""
         goals = headings.copy()
         goals[self.aimed, 0] += max_turn
         goals[self.aimed, 1] = np.clip(goals[self.aimed, 1], *self._pitch_limits)
@@ -188,8 +189,8 @@ class HeadingPlanner:
 
     def _candidates(self, goal: np.ndarray, heading: np.ndarray, max_angle: float) -> np.ndarray:
         """Return the candidate headings (H, 3) of a camera with a goal (3,) and a heading (3,)."""
-        goal_pitch = self._directions[:YAWS] * [1.0, 0.0, 0.0] + [0.0, goal[1], 0.0]
-        grid = np.concatenate([goal_pitch, self._directions]) + [goal[0], 0.0, heading[2]]
+        at_goal_pitch = self._directions[:YAWS] * [1.0, 0.0, 0.0] + [0.0, goal[1], 0.0]
+        grid = np.concatenate([at_goal_pitch, self._directions]) + [goal[0], 0.0, heading[2]]
         return self._allowed(grid, heading, max_angle)
 
     def _allowed(self, headings: np.ndarray, start: np.ndarray, max_angle: float) -> np.ndarray:

@@ -116,6 +116,7 @@ class PartialMap:
         :param positions: (K, 3) metres, of the cameras.
         """
         place_order = self.visibility.place_order
+        # The range is larger than any room, so that it never hides a corner.
         lens = CameraModel(max_range=100.0).lens
         are_visible = np.zeros(4, dtype=bool)
         distances = np.linalg.norm(test_places[:, None] - positions[None], axis=2)

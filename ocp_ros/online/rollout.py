@@ -27,7 +27,8 @@ from ocp_ros.simulation.episode import Episode
 
 def state_of(episode: Episode) -> RigState:
     """Return the current state of an episode's rig, fixed cameras included."""
-    problem, rig, movable = episode.problem, episode.problem.rig, len(episode.turn.positions)
+    problem, rig = episode.problem, episode.problem.rig
+    movable = len(episode.turn.positions)
     models = (*problem.models[:movable], *problem.models[len(rig.cameras):])
     return RigState(episode.placement, models, movable, rig.pitch, clearance=rig.clearance)
 
@@ -39,7 +40,7 @@ class Outcome:
 
     :ivar trajectory: (T + 1, K, 3) metres: positions of the cameras, the start first.
     :ivar depth_error: (T + 1,) metres, of the start and of the placement after each time step.
-    :ivar seconds: (T,) duration of the planner's computation in each time step.
+    :ivar seconds: (T,) duration of the computation of each command.
     """
 
     trajectory: np.ndarray
