@@ -102,8 +102,8 @@ def test_air_around_a_camera_counts_though_nothing_is_known_of_it():
     assert set(without.cells) < set(around.cells)
     behind = CameraModel(0.0, 4.0, 1.5, 1.0).lens
     back = np.append(position[0], [np.pi, 0.0, 0.0])
-    assert len(around.covered(back[None], [behind])) > 4 + len(
-        without.covered(back[None], [behind]))
+    assert len(around.covered_cells(back[None], [behind])) > 4 + len(
+        without.covered_cells(back[None], [behind]))
 
 
 class Played:

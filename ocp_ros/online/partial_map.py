@@ -140,8 +140,7 @@ class PartialMap:
         if key in self._views:
             return self._views[key]
         view = self.together([])
-        self.visibility.look(Pose.of(camera), self._lens if lens is None else lens,
-                             view.seen, view.covered)
+        self.visibility.look(Pose.of(camera), lens or self._lens, view.seen, view.covered)
         if len(self._views) >= MAX_VIEWS:
             self._views = {}
         self._views[key] = view
