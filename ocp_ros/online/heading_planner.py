@@ -261,7 +261,8 @@ class _Search:
         keys = [(camera, *heading.tolist()) for heading in headings]
         new = [k for k, key in enumerate(keys) if key not in self._views]
         if new:
-            views = self._model.look_many(self._targets[camera], headings[new], self._lenses[camera])
+            views = self._model.look_many(
+                self._targets[camera], headings[new], self._lenses[camera])
             self._views.update(zip([keys[k] for k in new], views, strict=True))
         return [self._views[key] for key in keys]
 
