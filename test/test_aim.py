@@ -81,7 +81,7 @@ def test_no_camera_is_turned_farther_than_it_may_be(now, goal, reach):
     CameraModel(0.0, 9.0, 2.0 * np.pi, 0.5)])
 def test_many_directions_at_once_see_what_each_would_see(room, model):
     position = np.append(room.bounds.mean(axis=0)[:2], 1.9)
-    known = PartialMap(room.points, position[None], 4.0, 6000, 32, around=2.0)
+    known = PartialMap(room.points, position[None], 4.0, 6000, 32, air_radius=2.0)
     ways = np.concatenate([directions((-0.3, 1.2), 7, 2), [[0.3, 0.2, 0.5]]])
     counts = []
     for heading, view in zip(ways, known.look_many(position, ways, model.lens), strict=True):
@@ -97,12 +97,13 @@ def test_air_around_a_camera_counts_though_nothing_is_known_of_it():
     room = box_room()
     half = room.points[room.points[:, 0] > 3.0]
     position = np.array([[2.5, 2.0, 1.9]])
-    without, around = (PartialMap(half, position, 4.0, 6000, 32, around=far) for far in (0.0, 2.0))
+    without, around = (PartialMap(half, position, 4.0, 6000, 32, air_radius=radius)
+                       for radius in (0.0, 2.0))
     assert set(without.cells) < set(around.cells)
     behind = CameraModel(0.0, 4.0, 1.5, 1.0).lens
     back = np.append(position[0], [np.pi, 0.0, 0.0])
-    assert len(around.covered(back[None], [behind])) > 4 + len(
-        without.covered(back[None], [behind]))
+    assert len(around.covered_cells(back[None], [behind])) > 4 + len(
+        without.covered_cells(back[None], [behind]))
 
 
 class Played:
@@ -205,7 +206,7 @@ def test_goals_are_within_reach_before_the_turns_are_used_up(turn, max_turn, now
     found = aim(box_room().points, rig_state, at, max_turn, turn, 11)
     assert np.linalg.norm(way_between(now, found[0])) <= max_turn + 1e-9
     assert PITCH[0] - 1e-9 <= found[0, 1] <= PITCH[1] + 1e-9
-    assert np.linalg.norm(way_between(now, aim._headings[0])) <= (11 - turn) * max_turn + 1e-9
+    assert np.linalg.norm(way_between(now, aim._goal_headings[0])) <= (11 - turn) * max_turn + 1e-9
 
 
 @pytest.mark.parametrize('cloud', ['one wall', 'one wall askew', 'one point'])

@@ -127,7 +127,7 @@ def test_what_was_prepared_is_as_good_as_what_is_known(mount, monkeypatch):
     guard = ConstraintFilter(rig, MARGIN)
     guard.prepare(room, position)
     with monkeypatch.context() as patch:
-        patch.setattr(guard, '_look', None)
+        patch.setattr(guard, '_update_region', None)
         found = guard(room, position, target, 0.5)
     np.testing.assert_array_equal(found.targets, expected.targets)
     assert found.held == expected.held

@@ -100,7 +100,7 @@ def test_a_camera_that_has_chosen_is_where_it_will_be_for_the_others(room):
     np.testing.assert_array_equal(known.positions, [positions[0], place, positions[2]])
     looks = [known.model.look(at) for at in (positions[0], place, positions[2])]
     assert known.error == known.model.error(looks) != before
-    others = known.beside(0)
+    others = known.merge_other_views(0)
     np.testing.assert_array_equal(others.seen, looks[1].seen | looks[2].seen)
     np.testing.assert_array_equal(others.covered, looks[1].covered | looks[2].covered)
     own, others = known.seen_now(0)

@@ -19,13 +19,12 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import pack
 from ocp_ros.online.candidate_sites import (
-    ANYWHERE_SHARE,
+    ANY_CANDIDATE_SHARE,
     Candidates,
-    EXCHANGES,
-    FIRST_TEMPERATURE,
-    IN_A_ROW,
     kinds_of,
-    LAST_TEMPERATURE,
+    PROPOSALS,
+    PROPOSALS_PER_CAMERA,
+    TEMPERATURES,
 )
 from ocp_ros.online.greedy_step import GreedyStep, POINTS, ROWS
 from ocp_ros.online.lookahead import Lookahead
@@ -150,7 +149,7 @@ def test_cameras_take_places_of_their_kind_only():
     own = sites.poses[3:]
     aimed = {tuple(row[3:]) for row in own[:-len(places)]}
     assert len(aimed) == 16 and not own[-len(places):, 4:].any()
-    chosen = sites.fill()
+    chosen = sites.choose_greedily()
     values = [sites.value(chosen)]
     for _ in range(3):
         (chosen,) = sites.anneal(chosen, rng)
@@ -171,20 +170,19 @@ def test_annealing_agrees_with_its_twin(kinds, weight):
     kind_of = [0, kinds - 1, 0]
 
     def annealed(state, rng):
-        shares = np.arange(EXCHANGES) / EXCHANGES
-        temperatures = model.depth_error.worst * between(
-            FIRST_TEMPERATURE, LAST_TEMPERATURE, shares)
+        shares = np.arange(PROPOSALS) / PROPOSALS
+        temperatures = model.depth_error.worst * between(*TEMPERATURES, shares)
         best, best_value = list(state), np.inf
-        for block in range(0, EXCHANGES, IN_A_ROW):
+        for block in range(0, PROPOSALS, PROPOSALS_PER_CAMERA):
             camera, value = int(rng.integers(0, 3)), found.value(state)
             if value < best_value:
                 best, best_value = list(state), value
             own = found.of_kind[kind_of[camera]]
-            for temperature in temperatures[block:block + IN_A_ROW]:
-                if rng.random() < ANYWHERE_SHARE:
+            for temperature in temperatures[block:block + PROPOSALS_PER_CAMERA]:
+                if rng.random() < ANY_CANDIDATE_SHARE:
                     site = own[rng.integers(0, len(own))]
                 else:
-                    near = found.near[state[camera]][:len(own) - 1]
+                    near = found.neighbours[state[camera]][:len(own) - 1]
                     site = near[rng.integers(0, len(near))]
                 trial = [*state[:camera], int(site), *state[camera + 1:]]
                 most, trial_value = value + temperature * rng.exponential(), found.value(trial)
@@ -194,7 +192,7 @@ def test_annealing_agrees_with_its_twin(kinds, weight):
                         best, best_value = list(state), value
         return best
 
-    start = found.fill()[::-1] if kinds == 1 else found.fill()
+    start = found.choose_greedily()[::-1] if kinds == 1 else found.choose_greedily()
     for seed, parts in enumerate((1, 2, 3)):
         rng, twin = np.random.default_rng(seed), np.random.default_rng(seed)
         assert [*found.anneal(start, rng, parts)][-1] == annealed(start, twin)

@@ -58,7 +58,7 @@ def steps(room, turns, reflects, monkeypatch):
 
         monkeypatch.setattr(what, name, counted)
 
-    for what, name in ((planner, '_think'), (step.constraints.filter, '_look'),
+    for what, name in ((planner, '_think'), (step.constraints.filter, '_update_region'),
                        (step.aim, 'think')):
         watched(what, name)
     while not episode.turn.truncated:
@@ -77,7 +77,7 @@ def test_only_the_first_step_is_waited_for(room, monkeypatch):
     assert {turn for turn, name in waited if name == 'think'} == {0}
     assert {turn for turn, name in waited if name == '_think'} == {0}
     # Where a camera could go nowhere, the newest points are asked as well: at first it happens.
-    assert 0 in (looked := {turn for turn, name in waited if name == '_look'})
+    assert 0 in (looked := {turn for turn, name in waited if name == '_update_region'})
     assert len(looked) < 0.75 * MIN_PIPELINED_TURNS
     late, _ = steps(room, MIN_PIPELINED_TURNS, False, monkeypatch)
     np.testing.assert_array_equal(prompt, late)
@@ -87,7 +87,7 @@ def test_only_the_first_step_is_waited_for(room, monkeypatch):
 
 def test_in_few_turns_each_step_is_of_what_is_newest(room, monkeypatch):
     _, waited = steps(room, MIN_PIPELINED_TURNS - 1, True, monkeypatch)
-    for name in ('_think', '_look', 'think'):
+    for name in ('_think', '_update_region', 'think'):
         assert (MIN_PIPELINED_TURNS - 2, name) in waited
 
 
@@ -98,7 +98,8 @@ def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):
     step.plan_ahead()
     step.reset()
     looked = []
-    monkeypatch.setattr(step.constraints.filter, '_look', lambda *given: looked.append(given))
+    monkeypatch.setattr(step.constraints.filter, '_update_region',
+                        lambda *given: looked.append(given))
     # The same cameras, a little beside where they were.
     beside = state._replace(placement=state.placement + [0.05, 0.0, 0.0, 0.0, 0.0, 0.0])
     step(episode.observed_cloud, beside, 0, MIN_PIPELINED_TURNS)

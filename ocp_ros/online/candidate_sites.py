@@ -28,35 +28,37 @@ from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 from scipy.spatial import cKDTree
 
-#: Proposals of one annealing run among the candidates.
-EXCHANGES = 3000
-#: Temperatures of the first and the last proposal, in multiples of the depth error without any
-#: visible point.
-FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.04, 2e-4
-#: Consecutive proposals that change the same camera.
-IN_A_ROW = 20
-#: Share of the proposals that take any candidate, and from how many nearest candidates the other
-#: proposals take one.
-ANYWHERE_SHARE, NEIGHBOURS = 0.3, 12
+#: Number of proposals of one annealing run among the candidates.
+PROPOSALS = 3000
+#: First and last temperature, in multiples of the depth error without any visible point.
+TEMPERATURES = 0.04, 2e-4
+#: Number of consecutive proposals that change the same camera.
+PROPOSALS_PER_CAMERA = 20
+#: Share of the proposals that draw among all candidates.
+ANY_CANDIDATE_SHARE = 0.3
+#: Largest number of nearest candidates among which the other proposals draw.
+MAX_NEIGHBOURS = 12
 #: Number of yaws and largest number of pitches, for cameras that are not omnidirectional.
 YAWS, PITCHES = 8, 2
-#: Largest number of candidate poses (position and heading).
-MAX_POSES = 2000
-#: Metres: rounding of a value.
-ROUNDING_M = 1e-9
-#: Metres that a rotation by one radian counts as in the search for neighbours.
-METRES_PER_RADIAN = 0.5
+#: Tolerance for rounding when objective values are compared, metres.
+VALUE_TOLERANCE_M = 1e-9
 
 
 @njit(cache=True, nogil=True)
-def _value(seen, covered, trees, pixels, weight):
-    """Return the depth error of visible points less the bonus for covered unseen cells, metres."""
+def _objective_value(seen, covered, trees, pixels, weight):
+    """
+    Return the depth error less the bonus for covered unseen cells, metres.
+
+    :param seen: (W,) uint64, packed bits of the points that the cameras see.
+    :param covered: (V,) uint64, packed bits of the unseen cells that the cameras cover.
+    :param trees: see :func:`_anneal_choice`, as for ``pixels`` and ``weight``.
+    """
     return lost_depth(trees, seen) / pixels - weight * count_bits(covered)
 
 
 @njit(nogil=True)
 def _union(views):
-    """Return the union of some views (M, W) uint64, packed bits."""
+    """Return the union (W,) of M views (M, W) uint64, packed bits."""
     union = np.zeros_like(views[0])
     for view in views:
         union |= view
@@ -64,217 +66,234 @@ def _union(views):
 
 
 @njit(nogil=True)
-def _beside(camera, state, seen, covered, trees):
-    """Return what the cameras beside one leave: trees, the settled sum, and covered cells."""
+def _merge_others(camera, choice, seen, covered, trees):
+    """
+    Merge the views of all cameras of a choice but one; parameters as in :func:`_anneal_choice`.
+
+    :returns: the trees without nodes whose error the merged view decides, the summed error of
+        removed trees (metres), and the packed bits (V,) of the cells that the merged view covers.
+    """
     others_seen, others_covered = np.zeros_like(seen[0]), np.zeros_like(covered[0])
-    for other in range(len(state)):
+    for other in range(len(choice)):
         if other != camera:
-            others_seen |= seen[state[other]]
-            others_covered |= covered[state[other]]
-    left, settled = unsettled(trees, others_seen)
-    return left, settled, others_covered
+            others_seen |= seen[choice[other]]
+            others_covered |= covered[choice[other]]
+    open_trees, settled_error = unsettled(trees, others_seen)
+    return open_trees, settled_error, others_covered
 
 
 @njit(nogil=True)
-def _trial(site, most, beside, seen, covered, pixels, weight, values, exact):
-    """Return the value of a site beside the other cameras, any larger one if it exceeds most."""
-    if not exact[site] and values[site] <= most:
-        left, settled, others_covered = beside
+def _site_value(site, max_value, others, seen, covered, pixels, weight, values, is_exact):
+    """
+    Return the objective value of a site together with the other cameras; cache this value.
+
+    :param site: the number of the site; for all else see :func:`_anneal_choice`.
+    :param max_value: metres; for a larger value, any result above this one may be returned.
+    :param others: the result of :func:`_merge_others`.
+    :param values: (S,) metres, in and out: cached values of the sites, or lower bounds of them.
+    :param is_exact: (S,) bool, in and out: whether a cached value is exact.
+    """
+    if not is_exact[site] and values[site] <= max_value:
+        open_trees, settled_error, others_covered = others
         bonus = weight * count_bits(others_covered | covered[site])
-        values[site] = (settled + lost_depth(
-            left, seen[site], (most + bonus) * pixels - settled)) / pixels - bonus
-        exact[site] = values[site] <= most
+        values[site] = (settled_error + lost_depth(
+            open_trees, seen[site], (max_value + bonus) * pixels - settled_error)) / pixels - bonus
+        is_exact[site] = values[site] <= max_value
     return values[site]
 
 
 @njit(cache=True, nogil=True)
-def _filled(seen, covered, trees, pixels, weight, kind_of, own, firsts):
+def _choose_greedily(seen, covered, trees, pixels, weight, kind_of, sites, starts):
     """
-    Choose the best site for one camera after the other; for the parameters see :func:`_annealed`.
+    Choose the best site for one camera after the other; parameters as in :func:`_anneal_choice`.
 
-    What a site adds to a choice becomes less as the choice grows (both terms of the value are
-    submodular), so sites that once added less than the best one does now are not looked at.
+    The gain of a site never rises as the choice grows (the objective is submodular). So sites
+    whose last known gain is below the best present gain are skipped.
     """
-    chosen = np.empty(len(kind_of), dtype=np.int64)
+    choice = np.empty(len(kind_of), dtype=np.int64)
     gains = np.full(len(seen), np.inf)
     for camera in range(len(kind_of)):
-        beside = _beside(camera, chosen[:camera], seen, covered, trees)
-        left, settled, others_covered = beside
-        nothing = np.zeros_like(seen[0])
-        before = ((settled + lost_depth(left, nothing)) / pixels
-                  - weight * count_bits(others_covered))
+        others = _merge_others(camera, choice[:camera], seen, covered, trees)
+        open_trees, settled_error, others_covered = others
+        value_before = ((settled_error + lost_depth(open_trees, np.zeros_like(seen[0]))) / pixels
+                        - weight * count_bits(others_covered))
         values = np.full(len(seen), -np.inf)
-        exact = np.zeros(len(seen), dtype=np.bool_)
-        best, best_value = -1, np.inf
-        of_kind = own[firsts[kind_of[camera]]:firsts[kind_of[camera] + 1]]
-        for site in of_kind[np.argsort(-gains[of_kind], kind='mergesort')]:
-            if before - gains[site] > best_value + ROUNDING_M:
+        is_exact = np.zeros(len(seen), dtype=np.bool_)
+        best_site, best_value = -1, np.inf
+        kind_sites = sites[starts[kind_of[camera]]:starts[kind_of[camera] + 1]]
+        for site in kind_sites[np.argsort(-gains[kind_sites], kind='mergesort')]:
+            if value_before - gains[site] > best_value + VALUE_TOLERANCE_M:
                 break
-            value = _trial(site, best_value, beside, seen, covered, pixels, weight, values, exact)
-            gains[site] = before - value
-            if value < best_value or (value == best_value and site < best):
-                best, best_value = site, value
-        chosen[camera] = best
-    return chosen
+            value = _site_value(site, best_value, others, seen, covered, pixels, weight, values,
+                                is_exact)
+            gains[site] = value_before - value
+            if value < best_value or (value == best_value and site < best_site):
+                best_site, best_value = site, value
+        choice[camera] = best_site
+    return choice
 
 
 @njit(cache=True, nogil=True)
-def _annealed(state, best, seen, covered, trees, pixels, weight, kind_of, own, firsts, near,
-              temperatures, rng):
+def _anneal_choice(choice, best_choice, seen, covered, trees, pixels, weight, kind_of, sites,
+                   starts, neighbours, temperatures, rng):
     """
-    Improve a choice by simulated annealing: exchange one site at a time.
+    Improve a choice of K sites by simulated annealing: exchange one site at a time.
 
-    Each camera gets some proposals in a row. The values of its sites beside the other cameras are
-    stored until another camera moves: late in a run the same few sites are proposed repeatedly.
+    Each drawn camera gets several consecutive proposals. The values of its sites, together with
+    the other cameras, are cached until another camera moves: late in a run the same few sites are
+    proposed repeatedly.
 
-    :param state: (K,) int64, the current choice, in and out.
-    :param best: (K,) int64, the best choice so far, in and out.
-    :param seen: (S, W) uint64, packed bits of the points that each site sees.
+    :param choice: (K,) int64, the current choice, in and out.
+    :param best_choice: (K,) int64, the best choice so far, in and out.
+    :param seen: (S, W) uint64, packed bits in W words of the points that each of S sites sees.
     :param covered: (S, V) uint64, packed bits of the unseen cells that each site covers.
-    :param trees: of the depth error.
-    :param pixels: the divisor of its sums, see :class:`~ocp_ros.geometry.depth_error.DepthError`.
+    :param trees: the trees of a :class:`~ocp_ros.geometry.depth_error.DepthError`.
+    :param pixels: the divisor of sums over these trees, as in that class.
     :param weight: bonus for each covered cell, metres.
     :param kind_of: (K,) int64, the kind of site that each camera takes.
-    :param own: (S,) int64, the sites, sorted by kind.
-    :param firsts: (kinds + 1,) int64, where each kind begins in ``own``.
-    :param near: (S, N) int64, for each site the most similar other sites of its kind. Of a kind
-        with n <= N sites, only n - 1 entries of a row are used.
-    :param temperatures: one for each proposal, metres.
+    :param sites: (S,) int64, the numbers of the sites, sorted by kind.
+    :param starts: (kinds + 1,) int64, the start of each kind in ``sites``.
+    :param neighbours: (S, N) int64, for each site the most similar other sites of its kind. Of a
+        kind with n <= N sites, only n - 1 entries of a row are used.
+    :param temperatures: (P,) metres, one for each of P proposals.
     :param rng: numpy.random.Generator.
     """
-    best_value = _value(_union(seen[best]), _union(covered[best]), trees, pixels, weight)
-    beside = [(trees, 0.0, covered[0])] * len(state)
-    stale = np.ones(len(state), dtype=np.bool_)
-    values = np.empty((len(state), len(seen)))
-    exact = np.empty(values.shape, dtype=np.bool_)
-    for block in range(0, len(temperatures), IN_A_ROW):
-        camera = rng.integers(0, len(state))
-        first, last = firsts[kind_of[camera]], firsts[kind_of[camera] + 1]
-        neighbours = min(near.shape[1], last - first - 1)
-        if stale[camera]:
-            beside[camera] = _beside(camera, state, seen, covered, trees)
-            stale[camera], exact[camera], values[camera] = False, False, -np.inf
-        value = _trial(state[camera], np.inf, beside[camera], seen, covered, pixels, weight,
-                       values[camera], exact[camera])
+    best_value = _objective_value(_union(seen[best_choice]), _union(covered[best_choice]), trees,
+                                  pixels, weight)
+    others = [(trees, 0.0, covered[0])] * len(choice)
+    is_stale = np.ones(len(choice), dtype=np.bool_)
+    values = np.empty((len(choice), len(seen)))
+    is_exact = np.empty(values.shape, dtype=np.bool_)
+    for block in range(0, len(temperatures), PROPOSALS_PER_CAMERA):
+        camera = rng.integers(0, len(choice))
+        first, last = starts[kind_of[camera]], starts[kind_of[camera] + 1]
+        neighbour_count = min(neighbours.shape[1], last - first - 1)
+        if is_stale[camera]:
+            others[camera] = _merge_others(camera, choice, seen, covered, trees)
+            values[camera] = -np.inf
+            is_stale[camera], is_exact[camera] = False, False
+        value = _site_value(choice[camera], np.inf, others[camera], seen, covered, pixels, weight,
+                            values[camera], is_exact[camera])
         if value < best_value:
-            best[:], best_value = state, value
-        for temperature in temperatures[block:block + IN_A_ROW]:
-            if rng.random() < ANYWHERE_SHARE or not neighbours:
-                site = own[first + rng.integers(0, last - first)]
+            best_choice[:], best_value = choice, value
+        for temperature in temperatures[block:block + PROPOSALS_PER_CAMERA]:
+            if rng.random() < ANY_CANDIDATE_SHARE or not neighbour_count:
+                site = sites[first + rng.integers(0, last - first)]
             else:
-                site = near[state[camera], rng.integers(0, neighbours)]
-            most = value + temperature * rng.exponential()
-            trial = _trial(site, most, beside[camera], seen, covered, pixels, weight,
-                           values[camera], exact[camera])
-            if trial <= most:
-                if site != state[camera]:
-                    stale[:] = True
-                    stale[camera] = False
-                state[camera], value = site, trial
+                site = neighbours[choice[camera], rng.integers(0, neighbour_count)]
+            max_value = value + temperature * rng.exponential()
+            trial_value = _site_value(site, max_value, others[camera], seen, covered, pixels,
+                                      weight, values[camera], is_exact[camera])
+            if trial_value <= max_value:
+                if site != choice[camera]:
+                    is_stale[:] = True
+                    is_stale[camera] = False
+                choice[camera], value = site, trial_value
                 if value < best_value:
-                    best[:], best_value = state, value
+                    best_choice[:], best_value = choice, value
 
 
 class Candidates:
     """
-    Candidate poses for the cameras of a rig, each with its visible points and covered cells.
+    S candidate poses for the cameras of a rig, each with its visible points and covered cells.
 
-    A choice is a list of candidate numbers, one for each camera in the order of the rig. Each
-    camera gets a candidate of its own kind. An omnidirectional camera has a single heading.
+    A choice is a list of candidate numbers, one for each of K movable cameras in the order of the
+    rig. Each camera gets a candidate of its own kind, see :func:`kinds_of`. An omnidirectional
+    camera has a single heading.
 
     :param model: partial map of the observed cloud.
-    :param places: (M, 3) metres, M >= 1.
-    :param plans: placements (K, 6); their poses are the first candidates.
+    :param positions: (M, 3) metres, map frame: M >= 1 candidate positions.
+    :param plans: placements (K, 6), metres and radians; their poses are the first candidates.
     :param rig_state: the rig.
-    :param unseen: packed bits of the model's cells that count as unseen.
+    :param unseen: (V,) uint64, packed bits of the model's cells that count as unseen.
     :param weight: bonus for each covered unseen cell, metres of depth error.
-    :ivar poses: (S, 6) x, y, z in metres, yaw, pitch, roll in radians.
+    :ivar poses: (S, 6) x, y, z in metres, map frame, yaw, pitch, roll in radians.
     :ivar kind_of: (K,) the kind of candidate that each camera takes.
-    :ivar of_kind: the numbers of the candidates of each kind.
-    :ivar near: (S, N) for each candidate the most similar other candidates of its kind, in the
-        first columns.
+    :ivar of_kind: for each kind the numbers of its candidates.
+    :ivar neighbours: (S, N) for each candidate the most similar other candidates of its kind, in
+        the first of N columns.
     """
 
-    def __init__(self, model: PartialMap, places: np.ndarray, plans: Sequence[np.ndarray],
+    def __init__(self, model: PartialMap, positions: np.ndarray, plans: Sequence[np.ndarray],
                  rig_state: RigState, unseen: np.ndarray, weight: float) -> None:
-        self.model, self.weight = model, weight
-        self.kind_of, firsts = kinds_of(rig_state)
-        groups = [(kind, row[:3], row[None, 3:], lens) for plan in plans
-                  for kind, row, lens in zip(self.kind_of, plan, rig_state.lenses)]
-        for kind, camera in enumerate(firsts):
+        self._error = model.depth_error
+        #: The last three inputs of the objective: trees, divisor of sums, bonus for a cell.
+        self._objective = self._error.trees, self._error.pixels, weight
+        self.kind_of, first_cameras = kinds_of(rig_state)
+        groups = [(kind, pose[:3], pose[None, 3:], lens) for plan in plans
+                  for kind, pose, lens in zip(self.kind_of, plan, rig_state.lenses)]
+        for kind, camera in enumerate(first_cameras):
             headings, lens = rig_state.headings(camera, YAWS, PITCHES), rig_state.lenses[camera]
-            groups += [(kind, place, headings, lens) for place in places]
+            groups += [(kind, position, headings, lens) for position in positions]
         views = list(chain(*mapped(lambda group: model.look_many(*group[1:]), groups)))
-        kinds, positions, headings, _ = zip(*groups)
-        counts = [len(some) for some in headings]
-        self.poses = np.hstack([np.repeat(positions, counts, axis=0), np.vstack(headings)])
+        kinds, group_positions, group_headings, _ = zip(*groups)
+        counts = [len(headings) for headings in group_headings]
+        self.poses = np.hstack([np.repeat(group_positions, counts, axis=0),
+                                np.vstack(group_headings)])
         kinds = np.repeat(kinds, counts)
-        self.of_kind = [np.flatnonzero(kinds == kind) for kind in range(len(firsts))]
-        always = model.together(fixed_views(model, rig_state))
-        self._seen = np.array([view.seen for view in views]) | always.seen
-        self._covered = (np.array([view.covered for view in views]) | always.covered) & unseen
-        self.near = np.zeros((len(views), NEIGHBOURS), dtype=np.int64)
-        for own in self.of_kind:
-            near = self._neighbours(own)
-            self.near[own, :near.shape[1]] = near
+        self.of_kind = [np.flatnonzero(kinds == kind) for kind in range(len(first_cameras))]
+        #: Candidate numbers (S,), sorted by kind, and in it the start of each kind (kinds + 1,).
+        self._sites = np.concatenate(self.of_kind)
+        self._starts = np.cumsum([0, *map(len, self.of_kind)])
+        fixed = model.together(fixed_views(model, rig_state))
+        self._seen = np.array([view.seen for view in views]) | fixed.seen
+        self._covered = (np.array([view.covered for view in views]) | fixed.covered) & unseen
+        self.neighbours = np.zeros((len(views), MAX_NEIGHBOURS), dtype=np.int64)
+        for candidates in self.of_kind:
+            neighbours = self._neighbours_of(candidates)
+            self.neighbours[candidates, :neighbours.shape[1]] = neighbours
 
-    def _neighbours(self, own: np.ndarray) -> np.ndarray:
-        """List the most similar other candidates of the same kind for each one of a kind."""
-        tree = cKDTree(pose_features(self.poses[own], METRES_PER_RADIAN))
-        _, near = tree.query(tree.data, np.arange(2, min(NEIGHBOURS + 1, len(own)) + 1))
-        return own[near]
+    def _neighbours_of(self, candidates: np.ndarray) -> np.ndarray:
+        """Return the most similar others for each of C candidates of one kind: (C, n <= N)."""
+        tree = cKDTree(pose_features(self.poses[candidates], metres_per_radian=0.5))
+        ranks = np.arange(2, min(MAX_NEIGHBOURS + 1, len(candidates)) + 1)
+        _, indices = tree.query(tree.data, ranks)
+        return candidates[indices]
 
-    def value(self, chosen: list[int]) -> float:
+    def value(self, choice: list[int]) -> float:
         """Return the objective value of a choice, metres; less is better."""
-        error = self.model.depth_error
-        return _value(_union(self._seen[chosen]), _union(self._covered[chosen]),
-                      error.trees, error.pixels, self.weight)
+        return _objective_value(_union(self._seen[choice]), _union(self._covered[choice]),
+                                *self._objective)
 
-    def fill(self) -> list[int]:
+    def choose_greedily(self) -> list[int]:
         """Choose a pose for one camera after the other, each time the one with the best value."""
-        error = self.model.depth_error
-        return _filled(self._seen, self._covered, error.trees, error.pixels, self.weight,
-                       self.kind_of, *self._by_kind()).tolist()
+        return _choose_greedily(self._seen, self._covered, *self._objective, self.kind_of,
+                                self._sites, self._starts).tolist()
 
-    def _by_kind(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return the candidates, sorted by kind, and where each kind begins: (kinds + 1,)."""
-        return (np.concatenate(self.of_kind),
-                np.cumsum([0, *(len(own) for own in self.of_kind)]))
-
-    def anneal(self, chosen: list[int], rng: np.random.Generator, parts: int = 1
+    def anneal(self, first_choice: list[int], rng: np.random.Generator, parts: int = 1
                ) -> Iterator[list[int]]:
         """
         Anneal in several parts, from a first choice; yield the best choice after each part.
 
-        :param chosen: the first choice.
+        :param first_choice: K candidate numbers.
         :param rng: draws the proposals.
         :param parts: the number of parts; at least 1.
         """
-        error = self.model.depth_error
-        temperatures = error.worst * between(FIRST_TEMPERATURE, LAST_TEMPERATURE,
-                                             np.arange(EXCHANGES) / EXCHANGES)
-        state, best = np.array(chosen), np.array(chosen)
-        for some in np.array_split(temperatures, parts):
-            _annealed(state, best, self._seen, self._covered, error.trees, error.pixels,
-                      self.weight, self.kind_of, *self._by_kind(), self.near, some, rng)
-            yield best.tolist()
+        temperatures = self._error.worst * between(*TEMPERATURES, np.arange(PROPOSALS) / PROPOSALS)
+        choice, best_choice = np.array(first_choice), np.array(first_choice)
+        for part_temperatures in np.array_split(temperatures, parts):
+            _anneal_choice(choice, best_choice, self._seen, self._covered, *self._objective,
+                           self.kind_of, self._sites, self._starts, self.neighbours,
+                           part_temperatures, rng)
+            yield best_choice.tolist()
 
 
 def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:
     """
-    Group the cameras of a rig into kinds: cameras of one kind may exchange their poses.
+    Group the K movable cameras of a rig into kinds; cameras of a kind may exchange their poses.
 
     :returns: (K,) the kind of each camera, and the first camera of each kind.
     """
-    free = 5 if rig_state.turns else 3
-    keys = [(lens, () if model.omnidirectional else tuple(row[free:])) for lens, model, row
+    # Angles that do not change, from this column on, must be equal within a kind.
+    first_kept = 5 if rig_state.turns else 3
+    keys = [(lens, () if model.omnidirectional else tuple(pose[first_kept:])) for lens, model, pose
             in zip(rig_state.lenses[:rig_state.movable], rig_state.models, rig_state.placement)]
     kinds = list(dict.fromkeys(keys))
     return np.array([kinds.index(key) for key in keys]), [keys.index(kind) for kind in kinds]
 
 
-def most_places(rig_state: RigState) -> int:
-    """Return the largest number of candidate positions so that poses stay within ``MAX_POSES``."""
-    _, firsts = kinds_of(rig_state)
-    headings = sum(len(rig_state.headings(camera, YAWS, PITCHES)) for camera in firsts)
-    return max(MAX_POSES // headings, 1)
+def max_positions(rig_state: RigState) -> int:
+    """Return the largest number of positions that give at most 2000 candidate poses, or 1."""
+    _, first_cameras = kinds_of(rig_state)
+    headings = sum(len(rig_state.headings(camera, YAWS, PITCHES)) for camera in first_cameras)
+    return max(2000 // headings, 1)

@@ -17,7 +17,7 @@
 import numpy as np
 from ocp_ros.geometry.clouds import cell_numbers, MAX_CELL
 
-#: Smallest value of ``most``: 8 voxels meet at the origin and never merge, whatever their edge.
+#: Smallest limit of the points: 8 voxels meet at the origin and never merge, whatever their edge.
 MIN_POINTS = 8
 
 
@@ -25,30 +25,31 @@ class FusedCloud:
     """
     A point cloud with one point per voxel: the first point that was added in that voxel.
 
-    If the cloud has more than ``most`` points, the edge of the voxels is doubled and the cloud is
-    thinned, until at most ``most`` points remain. Large voxels are unions of small ones, so every
+    While the cloud has more than ``max_points`` points, the edge of the voxels is doubled and the
+    cloud is thinned. Large voxels are unions of small ones, so every
     occupied region stays occupied.
 
     :param voxel: first edge of the voxels, metres.
-    :param most: largest number of points.
-    :raises ValueError: if ``voxel`` is not positive and finite, or ``most`` is less than 8.
+    :param max_points: largest number of points.
+    :raises ValueError: if ``voxel`` is not positive and finite, or ``max_points`` is less than 8.
+    :ivar edge: current edge of the voxels, metres.
     """
 
-    def __init__(self, voxel: float, most: int) -> None:
+    def __init__(self, voxel: float, max_points: int) -> None:
         if not 0.0 < voxel < np.inf:
             raise ValueError(f'voxel: found {voxel}; expected metres above 0')
-        if most < MIN_POINTS:
-            raise ValueError(f'most: found {most} points; expected at least {MIN_POINTS}')
-        self.voxel, self.most = voxel, most
+        if max_points < MIN_POINTS:
+            raise ValueError(f'max_points: found {max_points}; expected at least {MIN_POINTS}')
+        self.voxel = voxel
+        self.max_points = max_points
         self.clear()
 
     def clear(self) -> None:
         """Remove all points and reset the edge of the voxels."""
-        #: Current edge of the voxels, metres.
         self.edge = self.voxel
         self._points = np.empty((0, 3), dtype=np.float32)
         #: Numbers of the voxels with a point, ascending.
-        self._numbers = np.empty(0, dtype=np.int64)
+        self._voxel_numbers = np.empty(0, dtype=np.int64)
 
     def __len__(self) -> int:
         """Return the number of points."""
@@ -67,23 +68,23 @@ class FusedCloud:
         :raises ValueError: if a coordinate is not finite or its voxel is beyond the range of voxel
             numbers; then no point is added.
         """
-        points, numbers = self._thinned(np.asarray(points, dtype=np.float32))
-        new = ~np.isin(numbers, self._numbers, assume_unique=True)
-        self._points = np.concatenate([self._points, points[new]])
-        self._numbers = np.sort(np.concatenate([self._numbers, numbers[new]]))
-        while len(self._points) > self.most:
+        points, numbers = self._thin(np.asarray(points, dtype=np.float32))
+        is_new = ~np.isin(numbers, self._voxel_numbers, assume_unique=True)
+        self._points = np.concatenate([self._points, points[is_new]])
+        self._voxel_numbers = np.sort(np.concatenate([self._voxel_numbers, numbers[is_new]]))
+        while len(self._points) > self.max_points:
             self.edge *= 2.0
-            self._points, numbers = self._thinned(self._points)
-            self._numbers = np.sort(numbers)
+            self._points, numbers = self._thin(self._points)
+            self._voxel_numbers = np.sort(numbers)
 
-    def _thinned(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Keep the first point of each voxel; return the points and their voxels' numbers."""
-        reach = MAX_CELL * self.edge
-        if not (np.abs(points) < reach).all():
+    def _thin(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the first of the points (M, 3) in each of V voxels, and V voxel numbers."""
+        max_distance = MAX_CELL * self.edge
+        if not (np.abs(points) < max_distance).all():
             raise ValueError(
                 f'points: found coordinates up to {np.abs(points).max()} m; expected finite ones '
-                f'within {reach:.0f} m of the origin; check the unit and the frame')
+                f'within {max_distance:.0f} m of the origin; check the unit and the frame')
         numbers = cell_numbers(np.floor(points / np.float64(self.edge)).astype(np.int64))
-        _, first = np.unique(numbers, return_index=True)
-        first.sort()
-        return points[first], numbers[first]
+        _, first_indices = np.unique(numbers, return_index=True)
+        first_indices.sort()
+        return points[first_indices], numbers[first_indices]

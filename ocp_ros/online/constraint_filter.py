@@ -37,19 +37,15 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: Assumed free height above a camera, metres: cameras that look down do not observe it.
 FREE_ABOVE_M = 0.1
-#: Metres: a camera whose move is not longer than this counts as staying.
-STAYING_M = 0.01
 #: Number of horizontal directions in which the free distance around a camera is measured.
 SECTORS = 120
-#: Number of directions on either side of a path that must be free too.
-SECTORS_ASIDE = 1
 
 
 class FilteredTargets(NamedTuple):
     """
-    Feasible targets of the cameras.
+    Feasible targets of K movable cameras.
 
-    :ivar targets: (K, 3) metres.
+    :ivar targets: (K, 3) metres, map frame.
     :ivar held: messages, one for each camera that stays because it has no feasible position.
     """
 
@@ -61,17 +57,17 @@ class StepConstraints:
     """
     Correct the moves of a time step so that they satisfy the constraints on the observed cloud.
 
-    :param limits: of one step.
+    :param limits: limits of the rig in one time step.
     :param rig: the rig with its constraints; None for cameras that move freely on a plane.
-    :ivar filter: applies the constraints of the rig file; None without one.
+    :ivar filter: applies the constraints of the rig file; None without rig file.
     """
 
     def __init__(self, limits: Limits, rig: Rig | None) -> None:
         self._limits = limits
         self.filter = None if rig is None else ConstraintFilter(rig, limits.wall_margin)
 
-    def change(self, limits: Limits) -> None:
-        """Replace the limits."""
+    def set_limits(self, limits: Limits) -> None:
+        """Replace the limits of a time step."""
         self._limits = limits
         if self.filter is not None:
             self.filter.wall_margin = limits.wall_margin
@@ -88,13 +84,14 @@ class StepConstraints:
 
     def __call__(self, cloud: np.ndarray, state: RigState, moves: np.ndarray) -> FilteredTargets:
         """
-        Return the feasible targets of the cameras.
+        Return the feasible targets of K movable cameras.
 
-        :param cloud: (N, 3) float32, metres: the observed cloud.
+        :param cloud: (N, 3) float32, metres: the observed cloud; it may be empty.
         :param state: current state of the cameras.
-        :param moves: (K, 2) metres.
+        :param moves: (K, 2) metres, the moves that a planner chose.
         """
-        positions, limits = state.placement[:state.movable, :3], self._limits
+        limits = self._limits
+        positions = state.placement[:state.movable, :3]
         targets = positions.copy()
         if len(cloud) == 0:
             targets[:, :2] = towards(positions[:, :2], positions[:, :2] + moves, limits.max_step)
@@ -113,67 +110,70 @@ class StepConstraints:
                            state.placement[state.movable:, :3], state)
 
 
-class FreeWays(NamedTuple):
+class FreeDistances(NamedTuple):
     """
-    Free distance around a camera in each horizontal direction.
+    Free distance around a camera in each of ``SECTORS`` horizontal directions.
 
     :ivar position: (3,) metres, of the camera.
-    :ivar reach: (SECTORS,) metres to the nearest observed point in the camera's view, in each
-        direction and the directions beside it; 0 if one of these has no such point.
+    :ivar distances: (SECTORS,) metres to the nearest observed point in the camera's view, in each
+        direction and the two directions beside it; 0 if one of these has no such point.
     """
 
     position: np.ndarray
-    reach: np.ndarray
+    distances: np.ndarray
 
     @classmethod
-    def of(cls, cloud: np.ndarray, state: RigState, camera: int) -> 'FreeWays':
+    def of(cls, cloud: np.ndarray, state: RigState, camera: int) -> 'FreeDistances':
         """
         Compute the free distances around a camera.
 
         :param cloud: (N, 3) float32, metres: the observed cloud.
         :param state: current state of the cameras.
+        :param camera: the number of the camera.
         """
         pose = Pose.of(state.placement[camera])
-        ways = (cloud[in_reach(cloud, pose, state.models[camera].lens)] - pose.position)[:, :2]
-        free = np.full(SECTORS, np.inf)
-        np.minimum.at(free, _sectors(ways), np.linalg.norm(ways, axis=1))
+        offsets = (cloud[in_reach(cloud, pose, state.models[camera].lens)] - pose.position)[:, :2]
+        distances = np.full(SECTORS, np.inf)
+        np.minimum.at(distances, _sectors(offsets), np.linalg.norm(offsets, axis=1))
         # A direction without observed points is unknown, so it does not count as free.
-        free[np.isinf(free)] = 0.0
-        return cls(pose.position, np.min(
-            [np.roll(free, k) for k in range(-SECTORS_ASIDE, SECTORS_ASIDE + 1)], axis=0))
+        distances[np.isinf(distances)] = 0.0
+        return cls(pose.position, np.min([np.roll(distances, k) for k in (-1, 0, 1)], axis=0))
 
-    def clear(self, places: np.ndarray, least: float) -> np.ndarray:
-        """Return which places (P, 3) are at least ``least`` metres before the first surface."""
-        ways = (places - self.position)[:, :2]
-        return np.linalg.norm(ways, axis=1) + least <= self.reach[_sectors(ways)]
+    def are_free(self, positions: np.ndarray, margin: float) -> np.ndarray:
+        """Return which positions (P, 3) are ``margin`` metres before the first surface: (P,)."""
+        offsets = (positions - self.position)[:, :2]
+        return np.linalg.norm(offsets, axis=1) + margin <= self.distances[_sectors(offsets)]
 
 
-def _sectors(ways: np.ndarray) -> np.ndarray:
-    """Return the sector number of each horizontal vector (M, 2)."""
-    turns = np.arctan2(ways[:, 1], ways[:, 0]) / (2.0 * np.pi)
-    return np.floor(SECTORS * turns).astype(int) % SECTORS
+def _sectors(vectors: np.ndarray) -> np.ndarray:
+    """Return the number, below ``SECTORS``, of each horizontal vector's direction: (M,) int."""
+    angle_shares = np.arctan2(vectors[:, 1], vectors[:, 0]) / (2.0 * np.pi)
+    return np.floor(SECTORS * angle_shares).astype(int) % SECTORS
 
 
 class ConstraintFilter:
     """
     Move targets to feasible positions.
 
-    :param rig: the constraints; its fixed cameras matter for the spacing alone.
+    :param rig: the rig with its constraints; its fixed cameras matter for the spacing alone.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     """
 
     def __init__(self, rig: Rig, wall_margin: float) -> None:
         self.rig, self.wall_margin = rig, wall_margin
         # Fixed cameras may be outside the observed bounding box.
-        self._movable = replace(rig, fixed=())
-        self._known: tuple[np.ndarray, np.ndarray] | None = None
-        self._allowed: FeasibleRegion | None = None
-        self._why = ''
+        self._movable_rig = replace(rig, fixed=())
+        #: Heights of the cameras and cloud of the last feasible region.
+        self._computed_for: tuple[np.ndarray, np.ndarray] | None = None
+        #: The last feasible region; None if it could not be computed.
+        self._region: FeasibleRegion | None = None
+        #: Why the last feasible region could not be computed.
+        self._failure = ''
         self.reset()
 
     def reset(self) -> None:
         """Discard the region that was prepared in the last episode."""
-        self._prepared = False
+        self._is_prepared = False
 
     def prepare(self, cloud: np.ndarray, positions: np.ndarray) -> None:
         """
@@ -182,117 +182,126 @@ class ConstraintFilter:
         If this fails, the next call computes the region.
 
         :param cloud: (N, 3) float32, metres: the observed cloud.
-        :param positions: (K, 3) metres, of the movable cameras at the next time step.
+        :param positions: (K, 3) metres, of the K movable cameras at the next time step.
         """
-        self._look(cloud, positions)
-        self._prepared = self._allowed is not None
+        self._update_region(cloud, positions)
+        self._is_prepared = self._region is not None
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, targets: np.ndarray,
                  max_step: float, fixed: np.ndarray | None = None,
                  state: RigState | None = None) -> FilteredTargets:
         """
-        Return the feasible targets of the cameras.
+        Return the feasible targets of the cameras; use a prepared region once.
 
         :param cloud: (N, 3) float32, metres: the observed cloud.
-        :param positions: (K, 3) metres, current positions of the movable cameras.
-        :param targets: (K, 3) metres, their desired positions.
+        :param positions: (K, 3) metres, current positions of the K movable cameras.
+        :param targets: (K, 3) metres, desired positions of these cameras.
         :param max_step: farthest a camera moves in one time step, metres.
-        :param fixed: (F, 3) metres, positions of the fixed cameras; None for those of the rig
+        :param fixed: (F, 3) metres, positions of the F fixed cameras; None for those in the rig
             file.
         :param state: current state of the cameras. With it, a camera without observed floor
             within one step may move through the free space in its view: rigs start close
             together and do not see the floor below them.
         """
-        top, prepared = float(positions[:, 2].max()) + FREE_ABOVE_M, self._prepared
-        if prepared:
-            self._prepared, self._allowed.top = False, max(self._allowed.top, top)
+        was_prepared = self._is_prepared
+        if was_prepared:
+            self._is_prepared = False
+            self._region.top = max(self._region.top, float(positions[:, 2].max()) + FREE_ABOVE_M)
         else:
-            self._look(cloud, positions)
-        if self._allowed is None:
-            return FilteredTargets(positions.copy(), [f'all cameras stay: {self._why}'])
+            self._update_region(cloud, positions)
+        if self._region is None:
+            return FilteredTargets(positions.copy(), [f'all cameras stay: {self._failure}'])
         bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
         fixed = self.rig.fixed_poses[:, :3] if fixed is None else fixed
         chosen, held = positions.copy(), []
-        for camera, name in enumerate(self.rig.cameras):
+        new_points = cloud if was_prepared else None
+        for camera, (rig_camera, position, target) in enumerate(
+                zip(self.rig.cameras, positions, targets, strict=True)):
             others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
-            found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
-                                  cloud if prepared else None)
-            going = np.linalg.norm(targets[camera] - positions[camera]) > STAYING_M
-            if found is None and going and state is not None and not prepared:
-                found = self._nearest(positions[camera], targets[camera], others, bounds, max_step,
-                                      None, FreeWays.of(cloud, state, camera))
+            found = self._nearest(position, target, others, bounds, max_step, new_points)
+            # A move of at most 1 cm counts as staying.
+            is_moving = np.linalg.norm(target - position) > 0.01
+            if found is None and is_moving and state is not None and not was_prepared:
+                found = self._nearest(position, target, others, bounds, max_step, None,
+                                      FreeDistances.of(cloud, state, camera))
             if found is None:
-                held.append(f'{name.name} stays at {np.round(positions[camera], 2).tolist()}: '
+                held.append(f'{rig_camera.name} stays at {np.round(position, 2).tolist()}: '
                             f'found no feasible position within {max_step:g} m')
             else:
                 chosen[camera] = found
-        if held and prepared:
+        if held and was_prepared:
             # The newest points may add feasible positions for cameras that would have to stay.
             return self(cloud, positions, targets, max_step, fixed, state)
         return FilteredTargets(chosen, held)
 
-    def _look(self, cloud: np.ndarray, positions: np.ndarray) -> None:
+    def _update_region(self, cloud: np.ndarray, positions: np.ndarray) -> None:
         """
-        Compute the feasible region of the observed cloud, if cloud or heights have changed.
+        Compute the feasible region of the observed cloud if cloud or heights have changed.
 
         Cameras keep their current heights even outside the limits of the rig file: in a partial
         cloud the lowest surface may be a table, and measured poses have errors.
         """
         z = positions[:, 2].astype(np.float64)
-        if self._known is not None and np.array_equal(self._known[1], z) and np.array_equal(
-                self._known[0], cloud):
+        if self._computed_for is not None and all(map(
+                np.array_equal, self._computed_for, (z, cloud))):
             return
-        self._known, self._allowed = (cloud, z), None
+        self._computed_for = z, cloud
+        self._region = None
         try:
-            scene, rig = Scene(cloud, 'observed cloud'), self._movable
+            scene = Scene(cloud, 'observed cloud')
+            rig = self._movable_rig
             if rig.mount.heights is not None:
-                above, (low, high) = z - floor_height(scene), rig.mount.heights
+                heights = z - floor_height(scene)
+                low, high = rig.mount.heights
                 rig = replace(rig, mount=rig.mount._replace(
-                    heights=(min(above.min(), low), max(above.max(), high))))
-            self._allowed = FeasibleRegion(scene, rig, float(z.max()) + FREE_ABOVE_M)
+                    heights=(min(heights.min(), low), max(heights.max(), high))))
+            self._region = FeasibleRegion(scene, rig, float(z.max()) + FREE_ABOVE_M)
         except (ConfigurationError, SceneError) as error:
-            self._why = str(error)
+            self._failure = str(error)
 
     def _nearest(self, position: np.ndarray, target: np.ndarray, others: np.ndarray,
-                 bounds: np.ndarray, max_step: float, newest: np.ndarray | None,
-                 free: FreeWays | None = None) -> np.ndarray | None:
+                 bounds: np.ndarray, max_step: float, new_points: np.ndarray | None,
+                 free_distances: FreeDistances | None = None) -> np.ndarray | None:
         """
-        Return a feasible position, approximately the nearest to a target; None if there is none.
+        Return a feasible position (3,), about the nearest to a target; None if there is none.
 
-        :param newest: points that the feasible region may not contain yet; None if it has all.
-        :param free: free distances that replace the check for observed floor; None to require
-            observed floor.
+        :param others: (C, 3) metres, positions of all other cameras.
+        :param bounds: (2, 3) metres, bounding box of the observed cloud.
+        :param new_points: (N, 3) metres, points that the feasible region may not contain yet; None
+            if it has all.
+        :param free_distances: replace the check for observed floor; None to require this floor.
         """
-        if newest is not None:
-            reach = max_step + self.rig.keep_clear + ROUNDING
-            away = np.abs(newest[:, :2] - position[:2].astype(np.float32))
-            newest = newest[(away <= reach).all(axis=1)]
+        if new_points is not None:
+            radius = max_step + self.rig.keep_clear + ROUNDING
+            offsets = np.abs(new_points[:, :2] - position[:2].astype(np.float32))
+            new_points = new_points[(offsets <= radius).all(axis=1)]
 
-        def allowed(places: np.ndarray) -> np.ndarray:
-            good = satisfies_spacing(places, others, self.rig.spacing)
-            good &= self._inside(places, bounds) if free is None else free.clear(
-                places, self.rig.keep_clear)
-            good[good] = self._allowed.allowed(
-                places[good], unknown=free is not None) if good.any() else False
-            if newest is not None and good.any():
-                good[good] = self._allowed.clear(places[good], newest)
-            return good
+        def are_feasible(places: np.ndarray) -> np.ndarray:
+            feasible = satisfies_spacing(places, others, self.rig.spacing)
+            feasible &= (self._are_inside(places, bounds) if free_distances is None else
+                         free_distances.are_free(places, self.rig.keep_clear))
+            feasible[feasible] = self._region.allowed(
+                places[feasible], unknown=free_distances is not None) if feasible.any() else False
+            if new_points is not None and feasible.any():
+                feasible[feasible] = self._region.clear(places[feasible], new_points)
+            return feasible
 
         return nearest_place(position, target, max_step,
-                             lambda places: self._raised(places, position[2]), allowed)
+                             lambda places: self._at_height(places, position[2]), are_feasible)
 
-    def _raised(self, places: np.ndarray, height: float) -> np.ndarray:
-        """Set places to the height of a camera, or to that of its mount at the ceiling: (P, 3)."""
+    def _at_height(self, places: np.ndarray, height: float) -> np.ndarray:
+        """Return places (P, 3) at a height, or just below the ceiling for a ceiling mount."""
         places = places.copy()
         places[:, 2] = height
-        allowed = self._allowed
         if self.rig.mount.heights is None and self.rig.mount.on == 'ceiling':
-            above = allowed.surface.height_above(places[:, :2])
-            off = ~allowed.surface.at(places).on | (above <= places[:, 2])
-            places[off, 2] = np.where(np.isfinite(above), above - STAND_OFF, height)[off]
+            surface = self._region.surface
+            ceiling = surface.height_above(places[:, :2])
+            is_off = ~surface.at(places).on | (ceiling <= places[:, 2])
+            mounted = np.where(np.isfinite(ceiling), ceiling - STAND_OFF, height)
+            places[is_off, 2] = mounted[is_off]
         return places
 
-    def _inside(self, places: np.ndarray, bounds: np.ndarray) -> np.ndarray:
+    def _are_inside(self, places: np.ndarray, bounds: np.ndarray) -> np.ndarray:
         """Return which places are far enough inside the observed bounding box: (P,) bool."""
-        inside, _ = kept_inside(places, bounds, self.wall_margin)
-        return (np.abs(inside - places) <= ROUNDING).all(axis=1)
+        moved, _ = kept_inside(places, bounds, self.wall_margin)
+        return (np.abs(moved - places) <= ROUNDING).all(axis=1)

@@ -21,9 +21,6 @@ from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.partial_map import PartialMap
 from ocp_ros.online.rig_state import RigState
 
-#: Points and depth-map rows of the model: small, because an operator waits for the result.
-POINTS, ROWS = 12000, 64
-
 
 class ExpectedGain(NamedTuple):
     """
@@ -44,15 +41,18 @@ class ExpectedGain(NamedTuple):
 
         :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
         :param state: current state of the cameras.
-        :param placement: (K + F, 6) metres and radians: the cameras after the moves.
-        :param max_range: of omnidirectional cameras, metres.
+        :param placement: (K + F, 6) metres and radians: the K movable and F fixed cameras after
+            the moves.
+        :param max_range: effective range of the omnidirectional cameras, metres.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
-        model = PartialMap(cloud, state.placement[:, :3], max_range, POINTS, ROWS, FINE)
+        # The model is small, because an operator waits for the result.
+        model = PartialMap(cloud, state.placement[:, :3], max_range, max_points=12000, rows=64,
+                           settings=FINE)
 
-        def error(rows: np.ndarray) -> float:
-            return model.error([model.look(row, lens)
-                                for row, lens in zip(rows, state.lenses, strict=True)])
+        def error(poses: np.ndarray) -> float:
+            return model.error([model.look(pose, lens)
+                                for pose, lens in zip(poses, state.lenses, strict=True)])
 
         return cls(error(state.placement), error(placement))
 

@@ -18,22 +18,16 @@ import numpy as np
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.online.observed_turn import ObservedTurn, ObservedTurns
 from ocp_ros.online.online_planner import Online
-from ocp_ros.online.partial_map import curiosity
+from ocp_ros.online.partial_map import exploration_bonus
 from ocp_ros.rig.motion import bounded_moves, order_of
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.threads import mapped
 
-#: Number of directions of the moves.
-DIRECTIONS = 8
-#: Distances of the moves in each direction, metres.
-DISTANCES_M = (0.04, 0.15, 0.5)
-_ANGLES = np.arange(DIRECTIONS) * (2.0 * np.pi / DIRECTIONS)
-#: (1 + D * 3, 2) metres: staying, then the moves of each direction, the shortest first.
+_ANGLES = np.arange(8) * (2.0 * np.pi / 8)
+#: (25, 2) metres: no move, then for each of 8 directions three moves, the shortest first.
 MOVES = np.concatenate([np.zeros((1, 2)), (
     np.stack([np.cos(_ANGLES), np.sin(_ANGLES)], axis=1)[:, None]
-    * np.array(DISTANCES_M)[None, :, None]).reshape(-1, 2)])
-#: Constant that is added to compared errors, as a share of the error without any visible point.
-ERROR_FLOOR = 0.01
+    * np.array([0.04, 0.15, 0.5])[None, :, None]).reshape(-1, 2)])
 #: Points and depth-map rows of the model: on a coarser one the best move is often a bad move.
 POINTS, ROWS = 12000, 64
 
@@ -58,31 +52,36 @@ class GreedyStep(Online):
         except SceneError:
             return self.random_walk(cloud, positions)
         for camera in order_of(turn, len(positions)):
-            best = MOVES[int(np.argmin(_values(known, camera, turn / turns)))]
-            here = known.positions[camera]
-            step = bounded_moves(best / self.max_step, self.max_step)
-            target = known.space.moved(here[None, :2], step, self.max_step)[0]
-            known.place(camera, np.append(target, here[2]))
+            best_move = MOVES[int(np.argmin(_move_values(known, camera, turn / turns)))]
+            position = known.positions[camera]
+            move = bounded_moves(best_move / self.max_step, self.max_step)
+            target = known.space.moved(position[None, :2], move, self.max_step)[0]
+            known.place(camera, np.append(target, position[2]))
         return (known.positions - positions)[:, :2]
 
 
-def _values(known: ObservedTurn, camera: int, time: float) -> np.ndarray:
+def _move_values(known: ObservedTurn, camera: int, elapsed_share: float) -> np.ndarray:
     """
-    Return the objective value after each of a camera's ``MOVES``: less is better.
+    Return the objective value after each of a camera's M = 25 ``MOVES``: less is better.
 
     The value is the depth error less a bonus for covered unseen cells, both as shares of the
     depth error without any visible point.
+
+    :param elapsed_share: time steps taken so far, divided by the time steps of the episode.
+    :returns: (M,) float64.
     """
     model, space = known.model, known.space
-    others = known.beside(camera)
-    fresh, floor = known.unseen & ~others.covered, ERROR_FLOOR * model.depth_error.worst
-    most = model.depth_error.worst + floor
-    places = space.placement(space.inside(known.positions[camera, :2] + MOVES[1:]))
-    bonus = curiosity(time) / known.count
+    others = known.merge_other_views(camera)
+    new_cells = known.unseen & ~others.covered
+    # Added to compared errors.
+    error_floor = 0.01 * model.depth_error.worst
+    max_error = model.depth_error.worst + error_floor
+    positions = space.placement(space.inside(known.positions[camera, :2] + MOVES[1:]))
+    cell_bonus = exploration_bonus(elapsed_share) / known.unseen_count
 
-    def value(place: np.ndarray) -> float:
-        look = known.look(camera, place)
-        error = (model.depth_error(others.seen | look.seen) + floor) / most
-        return error - bonus * int(count_bits(look.covered & fresh))
+    def value(position: np.ndarray) -> float:
+        view = known.look(camera, position)
+        error = (model.depth_error(others.seen | view.seen) + error_floor) / max_error
+        return error - cell_bonus * int(count_bits(view.covered & new_cells))
 
-    return np.array([(known.error + floor) / most, *mapped(value, places)])
+    return np.array([(known.error + error_floor) / max_error, *mapped(value, positions)])

@@ -18,7 +18,7 @@ Choose the headings of cameras with a frustum: yaw and pitch, scored on the obse
 Each camera has a goal heading and rotates towards it in each time step. The search takes one
 camera after the other at its target position. It minimises the depth error of the observed cloud
 from all cameras together, less a bonus for unseen air. The bonus decreases to 0 during the
-episode, as in the choice of positions. So a rig that faces a wall looks around first.
+episode, as in the choice of positions. So cameras that face a wall rotate away from it first.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,24 +28,18 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Frustum
 from ocp_ros.geometry.packed_bits import count_bits
 from ocp_ros.geometry.visibility import FAST
-from ocp_ros.online.partial_map import curiosity, KeptModel, LookHistory, PartialMap
+from ocp_ros.online.partial_map import exploration_bonus, KeptModel, LookHistory, PartialMap
 from ocp_ros.online.rig_state import AIR_RADIUS_M, directions, RigState
 from ocp_ros.rig.motion import turned_towards, way_between
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.simulator import View
 
-#: Points and depth-map rows of the model.
-POINTS, ROWS = 12000, 64
 #: Number of yaws and largest number of pitches of the candidate headings.
 YAWS, PITCHES = 12, 3
-#: Radians: steps of the local search around the best candidate.
-FINE_STEPS = np.deg2rad([15.0, 7.5])
-#: Number of passes over all cameras.
-PASSES = 2
 
 
-def never() -> bool:
+def never_interrupted() -> bool:
     """Return False: the computation is never interrupted."""
     return False
 
@@ -66,7 +60,7 @@ class HeadingPlanner:
     Choose the headings of cameras at each time step of an episode.
 
     :param models: camera models of the K movable cameras, then of the F fixed ones.
-    :param movable: K.
+    :param movable: K, the number of movable cameras.
     :param pitch: radians, smallest and largest pitch; positive is down.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     :ivar aimed: numbers of the movable cameras that are not omnidirectional; all other cameras
@@ -76,27 +70,29 @@ class HeadingPlanner:
     def __init__(self, models: Sequence[CameraModel], movable: int, pitch: tuple[float, float],
                  wall_margin: float) -> None:
         self._range = max(model.max_range for model in models)
-        self._pitch, self._wall_margin = pitch, wall_margin
+        self._pitch_limits = pitch
+        self._wall_margin = wall_margin
         self.aimed = [k for k in range(movable) if not models[k].omnidirectional]
         self._directions = directions(pitch, YAWS, PITCHES)
         self.reset()
 
     @classmethod
     def of(cls, rig: Rig | None, wall_margin: float) -> 'HeadingPlanner | None':
-        """Create one for a rig; None without a rig or if all cameras are omnidirectional."""
+        """Create a planner for a rig; None without rig or if all cameras are omnidirectional."""
         if rig is None:
             return None
-        made = cls(rig.models, len(rig.cameras), rig.pitch, wall_margin)
-        return made if made.aimed else None
+        planner = cls(rig.models, len(rig.cameras), rig.pitch, wall_margin)
+        return planner if planner.aimed else None
 
     def reset(self) -> None:
         """Discard the state of the last episode."""
         self._memory = LookHistory()
-        self._kept = KeptModel(self._range, self._wall_margin, POINTS, ROWS, AIR_RADIUS_M)
+        self._kept_model = KeptModel(self._range, self._wall_margin, max_points=12000, rows=64,
+                                     air_radius=AIR_RADIUS_M)
         #: (K + F, 3) yaw, pitch, roll in radians: the goal headings of all cameras.
-        self._headings: np.ndarray | None = None
+        self._goal_headings: np.ndarray | None = None
         #: The time step for which goals were computed in advance.
-        self._ahead: int | None = None
+        self._computed_turn: int | None = None
 
     def __call__(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray,
                  max_turn: float, turn: int, turns: int, hint: np.ndarray | None = None
@@ -116,135 +112,151 @@ class HeadingPlanner:
             may still be outside them.
         """
         self._memory.visit(rig_state.placement, rig_state.lenses)
-        if self._ahead != turn:
+        if self._computed_turn != turn:
             self.think(cloud, rig_state, targets, max_turn, turn, turns, hint)
-        self._ahead = None
-        return turned_towards(rig_state.placement[:, 3:], self._headings, max_turn)
+        self._computed_turn = None
+        return turned_towards(rig_state.placement[:, 3:], self._goal_headings, max_turn)
 
     def think(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray, max_turn: float,
               turn: int, turns: int, hint: np.ndarray | None = None,
-              interrupted: Callable[[], bool] = never) -> None:
+              interrupted: Callable[[], bool] = never_interrupted) -> None:
         """
-        Compute the goal headings; those computed in advance are used when their step comes.
+        Compute and store the goal headings of a time step, also in advance.
 
         :param rig_state: the cameras at that time step; see :meth:`__call__` for all else.
-        :param interrupted: returns whether to stop and use the best goals found so far.
+        :param interrupted: called for each camera; returns whether to stop and use the best goals
+            found so far.
         """
-        now = rig_state.placement[:, 3:]
+        headings = rig_state.placement[:, 3:]
         try:
-            model, _ = self._kept(cloud, rig_state.placement[:rig_state.movable, :3], FAST,
-                                  clearance=0.0)
+            model, _ = self._kept_model(cloud, rig_state.placement[:rig_state.movable, :3], FAST,
+                                        clearance=0.0)
         except SceneError:
-            goals = self._swept(now, max_turn)
+            self._goal_headings = self._sweep_goals(headings, max_turn)
         else:
-            goals = self._goals(model, rig_state, targets, max_turn, turn, turns, hint,
-                                interrupted)
-        self._headings, self._ahead = goals, turn
+            self._goal_headings = self._search_goals(model, rig_state, targets, max_turn, turn,
+                                                     turns, hint, interrupted)
+        self._computed_turn = turn
 
-    def _swept(self, now: np.ndarray, max_turn: float) -> np.ndarray:
-        """Rotate cameras to the left by one step: the cloud is too small for a search."""
-        goals = now.copy()
+    def _sweep_goals(self, headings: np.ndarray, max_turn: float) -> np.ndarray:
+        """Return headings (C, 3) rotated to the left, for a cloud too small for a search."""
+        goals = headings.copy()
         goals[self.aimed, 0] += max_turn
-        goals[self.aimed, 1] = np.clip(goals[self.aimed, 1], *self._pitch)
+        goals[self.aimed, 1] = np.clip(goals[self.aimed, 1], *self._pitch_limits)
         return goals
 
-    def _goals(self, model: PartialMap, rig_state: RigState, targets: np.ndarray, max_turn: float,
-               turn: int, turns: int, hint: np.ndarray | None,
-               interrupted: Callable[[], bool]) -> np.ndarray:
-        """Search goal headings that the cameras reach before the episode ends."""
-        now, reach = rig_state.placement[:, 3:], max_turn * max(turns - turn, 1)
-        sought = _Search(model, self._memory.unseen(model), targets, rig_state.lenses,
-                         self._begun(now, self._headings, reach))
-        sought.price(curiosity(turn / turns), self.aimed, self._directions)
+    def _search_goals(self, model: PartialMap, rig_state: RigState, targets: np.ndarray,
+                      max_turn: float, turn: int, turns: int, hint: np.ndarray | None,
+                      interrupted: Callable[[], bool]) -> np.ndarray:
+        """Return the goal headings (C, 3) found; cameras reach them before the episode ends."""
+        headings = rig_state.placement[:, 3:]
+        max_angle = max_turn * max(turns - turn, 1)
+        search = _Search(model, self._memory.unseen(model), targets, rig_state.lenses,
+                         self._first_goals(headings, self._goal_headings, max_angle))
+        search.set_bonus(exploration_bonus(turn / turns), self.aimed, self._directions)
         if hint is not None:
-            sought.begin(self._begun(now, hint, reach))
-        choices = {camera: self._choices(sought.goals[camera].heading, now[camera], reach)
-                   for camera in self.aimed}
-        for _ in range(PASSES):
+            search.replace_if_better(self._first_goals(headings, hint, max_angle))
+        candidates = {camera: self._candidates(search.goals[camera].heading, headings[camera],
+                                               max_angle) for camera in self.aimed}
+        # Two passes over all cameras.
+        for _ in range(2):
             for camera in np.roll(self.aimed, turn):
                 if interrupted():
                     break
-                value = sought.beside(camera)
-                sought.best(camera, choices[camera], value)
-                for step in FINE_STEPS:
-                    near = _around(sought.goals[camera].heading, step)
-                    sought.best(camera, self._allowed(near, now[camera], reach), value)
-        return np.array([goal.heading for goal in sought.goals])
+                objective = search.objective_of(camera)
+                search.improve_goal(camera, candidates[camera], objective)
+                # Local search around the best candidate.
+                for step in np.deg2rad([15.0, 7.5]):
+                    neighbours = _neighbours(search.goals[camera].heading, step)
+                    allowed = self._allowed(neighbours, headings[camera], max_angle)
+                    search.improve_goal(camera, allowed, objective)
+        return np.array([goal.heading for goal in search.goals])
 
-    def _begun(self, now: np.ndarray, goals: np.ndarray | None, reach: float) -> np.ndarray:
-        """Return the first headings of the search: given goals, limited to what is in reach."""
-        begun = now.copy()
+    def _first_goals(self, headings: np.ndarray, goals: np.ndarray | None, max_angle: float
+                     ) -> np.ndarray:
+        """
+        Return the first goal headings (C, 3) of the search.
+
+        :param headings: (C, 3) radians, current headings of all cameras.
+        :param goals: (>= K, 3) radians, wanted headings, limited here; None for the current ones.
+        :param max_angle: largest rotation of a camera until the end of the episode, radians.
+        """
+        first_goals = headings.copy()
         if goals is not None:
-            begun[self.aimed, :2] = goals[self.aimed, :2]
-        begun[self.aimed, 1] = np.clip(begun[self.aimed, 1], *self._pitch)
-        return turned_towards(now, begun, reach)
+            first_goals[self.aimed, :2] = goals[self.aimed, :2]
+        first_goals[self.aimed, 1] = np.clip(first_goals[self.aimed, 1], *self._pitch_limits)
+        return turned_towards(headings, first_goals, max_angle)
 
-    def _choices(self, goal: np.ndarray, now: np.ndarray, reach: float) -> np.ndarray:
-        """List the candidate headings of one camera: (H, 3) radians."""
-        level = self._directions[:YAWS] * [1.0, 0.0, 0.0] + [0.0, goal[1], 0.0]
-        grid = np.concatenate([level, self._directions]) + [goal[0], 0.0, now[2]]
-        return self._allowed(grid, now, reach)
+    def _candidates(self, goal: np.ndarray, heading: np.ndarray, max_angle: float) -> np.ndarray:
+        """Return the candidate headings (H, 3) of a camera with a goal (3,) and a heading (3,)."""
+        at_goal_pitch = self._directions[:YAWS] * [1.0, 0.0, 0.0] + [0.0, goal[1], 0.0]
+        grid = np.concatenate([at_goal_pitch, self._directions]) + [goal[0], 0.0, heading[2]]
+        return self._allowed(grid, heading, max_angle)
 
-    def _allowed(self, headings: np.ndarray, now: np.ndarray, reach: float) -> np.ndarray:
-        """Return the headings within the pitch limits and within reach."""
-        low, high = self._pitch
-        inside = (headings[:, 1] >= low) & (headings[:, 1] <= high)
-        return headings[inside & (np.linalg.norm(way_between(now, headings), axis=-1) <= reach)]
+    def _allowed(self, headings: np.ndarray, start: np.ndarray, max_angle: float) -> np.ndarray:
+        """Return the headings (H, 3) in the pitch limits and in reach of a start heading (3,)."""
+        low, high = self._pitch_limits
+        is_allowed = (headings[:, 1] >= low) & (headings[:, 1] <= high)
+        angles = np.linalg.norm(way_between(start, headings), axis=-1)
+        return headings[is_allowed & (angles <= max_angle)]
 
 
 class _Search:
     """
-    Search goal headings for one camera after the other.
+    Search goal headings for one of C cameras after the other.
 
     :param model: partial map of the observed cloud.
     :param unseen: packed bits of the model's cells that no camera has covered.
-    :param targets: (C, 3) metres.
+    :param targets: (C, 3) metres, target positions of the cameras.
     :param lenses: frusta of the cameras.
     :param headings: (C, 3) radians, the first goals.
+    :ivar goals: the best goal found so far for each camera.
     """
 
     def __init__(self, model: PartialMap, unseen: np.ndarray, targets: np.ndarray,
                  lenses: Sequence[Frustum], headings: np.ndarray) -> None:
-        self._model, self._unseen, self._weight = model, unseen, 0.0
+        self._model, self._unseen = model, unseen
         self._targets, self._lenses = targets, lenses
+        #: Bonus for each covered unseen cell, metres of depth error.
+        self._cell_bonus = 0.0
         self._views: dict[tuple, View] = {}
-        self.goals = self._goals(headings)
+        self.goals = self._goals_at(headings)
 
-    def _goals(self, headings: np.ndarray) -> list[Goal]:
+    def _goals_at(self, headings: np.ndarray) -> list[Goal]:
         """Return the goals for headings (C, 3) of all cameras."""
-        return [Goal(heading, *self._look(camera, heading[None]))
+        return [Goal(heading, *self._views_of(camera, heading[None]))
                 for camera, heading in enumerate(headings)]
 
-    def price(self, curiosity: float, cameras: Sequence[int], headings: np.ndarray) -> None:
+    def set_bonus(self, bonus: float, cameras: Sequence[int], headings: np.ndarray) -> None:
         """
-        Compute the bonus for each covered unseen cell.
+        Set the bonus for each covered unseen cell.
 
         The bonus is divided by the mean number of cells in a view, not by the number of all unseen
         cells: points already observed stay observed, so a view elsewhere costs nothing.
 
-        :param curiosity: bonus for a view whose cells are all unseen, in multiples of the depth
-            error without any visible point.
+        :param bonus: bonus for a view whose cells are all unseen, in multiples of the depth error
+            without any visible point.
         :param cameras: numbers of the cameras whose views are averaged.
         :param headings: (H, 3) radians, directions all around.
         """
-        if curiosity:
+        if bonus:
             counts = [int(count_bits(view.covered)) for camera in cameras
-                      for view in self._look(camera, headings)]
-            self._weight = curiosity * self._model.depth_error.worst / max(np.mean(counts), 1.0)
+                      for view in self._views_of(camera, headings)]
+            self._cell_bonus = bonus * self._model.depth_error.worst / max(np.mean(counts), 1.0)
 
-    def begin(self, headings: np.ndarray) -> None:
+    def replace_if_better(self, headings: np.ndarray) -> None:
         """Replace the goals by headings (C, 3) if these have a better objective value."""
-        goals = self._goals(headings)
-        if self._worth(goals) < self._worth(self.goals):
+        goals = self._goals_at(headings)
+        if self._objective_value(goals) < self._objective_value(self.goals):
             self.goals = goals
 
-    def _worth(self, goals: list[Goal]) -> float:
+    def _objective_value(self, goals: list[Goal]) -> float:
         """Return the objective value of all goals together, metres; less is better."""
         views = [goal.view for goal in goals]
-        together = self._model.together(views)
-        return self._model.depth_error(together.seen) - self._bonus(together, views[0])
+        union = self._model.together(views)
+        return self._model.depth_error(union.seen) - self._bonus(union, views[0])
 
-    def _look(self, camera: int, headings: np.ndarray) -> list[View]:
+    def _views_of(self, camera: int, headings: np.ndarray) -> list[View]:
         """Return the views of a camera with headings (H, 3), computed once and then cached."""
         keys = [(camera, *heading.tolist()) for heading in headings]
         new = [k for k, key in enumerate(keys) if key not in self._views]
@@ -254,44 +266,45 @@ class _Search:
             self._views.update(zip([keys[k] for k in new], views, strict=True))
         return [self._views[key] for key in keys]
 
-    def beside(self, camera: int) -> Callable[..., float]:
+    def objective_of(self, camera: int) -> Callable[[View, float], float]:
         """
-        Return a function that computes the objective value of a view with those of other cameras.
+        Return the objective of a camera's view, given the views of the other cameras.
 
-        :returns: a function of a view and of ``most``, metres; above it, any larger value may be
-            returned.
+        :returns: a function of a view and of ``max_value``, metres. It returns the objective
+            value, metres; if this exceeds ``max_value``, it returns any value above.
         """
         others = self._model.together([
             goal.view for k, goal in enumerate(self.goals) if k != camera])
         error_with = self._model.depth_error.given(others.seen)
 
-        def value(view: View, most: float) -> float:
+        def objective(view: View, max_value: float) -> float:
             bonus = self._bonus(others, view)
-            return error_with(view.seen, most + bonus) - bonus
+            return error_with(view.seen, max_value + bonus) - bonus
 
-        return value
+        return objective
 
-    def best(self, camera: int, headings: np.ndarray, value: Callable[..., float]) -> None:
+    def improve_goal(self, camera: int, headings: np.ndarray,
+                     objective: Callable[[View, float], float]) -> None:
         """
         Set the goal of a camera to the best of its current goal and some headings.
 
         :param headings: (H, 3) radians.
-        :param value: of :meth:`beside`.
+        :param objective: the result of :meth:`objective_of`.
         """
-        least, best = np.inf, self.goals[camera]
-        for heading, view in [best, *zip(headings, self._look(camera, headings), strict=True)]:
-            found = value(view, least)
-            if found < least:
-                least, best = found, Goal(heading, view)
+        best_value, best = np.inf, self.goals[camera]
+        for heading, view in [best, *zip(headings, self._views_of(camera, headings), strict=True)]:
+            value = objective(view, best_value)
+            if value < best_value:
+                best_value, best = value, Goal(heading, view)
         self.goals[camera] = best
 
     def _bonus(self, others: View, view: View) -> float:
-        """Return the bonus for the unseen cells that views cover together, metres."""
-        if not self._weight:
+        """Return the bonus for the unseen cells that two views cover together, metres."""
+        if not self._cell_bonus:
             return 0.0
-        return self._weight * int(count_bits((others.covered | view.covered) & self._unseen))
+        return self._cell_bonus * int(count_bits((others.covered | view.covered) & self._unseen))
 
 
-def _around(heading: np.ndarray, step: float) -> np.ndarray:
-    """Return four headings (4, 3): yaw or pitch changed by plus or minus a step, radians."""
+def _neighbours(heading: np.ndarray, step: float) -> np.ndarray:
+    """Return four headings (4, 3) with yaw or pitch changed by plus or minus a step, radians."""
     return heading + step * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])

@@ -31,54 +31,68 @@ done in parts, one in each time step.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from ocp_ros.geometry.visibility import FINE
-from ocp_ros.online.candidate_sites import Candidates, most_places
-from ocp_ros.online.online_planner import (
-    KnownTurn,
-    matched,
-    Online,
-    PipelinedPlanner,
-    REFINING_SHARE,
-)
+from ocp_ros.online.candidate_sites import Candidates, max_positions
+from ocp_ros.online.online_planner import KnownTurn, matched, Online, PipelinedPlanner
 from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap
 from ocp_ros.online.rig_state import AIR_RADIUS_M, clearance_of, fixed_views, RigState, view_from
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.util.annealing import between
 from ocp_ros.util.threads import mapped
 
-#: Metres between candidate positions; in a large room the spacing is larger.
-SPACING_M = 0.5
-#: Largest number of candidate positions.
-MAX_PLACES = 400
-#: Points and depth-map rows of the model on which candidates are compared.
-QUICK_POINTS, QUICK_ROWS = 6000, 32
-#: Time steps for which candidates are reused if plans are computed while the cameras move. Their
-#: views are computed in the first of these time steps.
-CANDIDATES_KEPT = 2
-#: Points and depth-map rows of the model for the refinement.
-REFINING_POINTS, REFINING_ROWS = 60000, 128
-#: In an episode of many time steps: how many of them before the refinement that model is created,
-#: and the parts of the annealing on it, each in a time step of its own.
-SURVEY_AHEAD, SURVEY_PARTS = 2, 2
-#: Smallest number of time steps for which that model is reused.
-REFINING_KEPT = 4
-#: Proposals in a time step of refinement: in a short episode, in one of many time steps, and in a
-#: time step that also creates a model.
-PROPOSALS, PROPOSALS_OF_MANY, PROPOSALS_WITH_MODEL = 240, 112, 16
-#: Consecutive proposals for one camera: the views of the others are merged once for these.
-IN_A_ROW = 16
-#: First and last temperature of the refinement, in multiples of the best plan's error.
-FIRST_TEMPERATURE, LAST_TEMPERATURE = 0.1, 0.003
-#: Smallest error that is used to compute temperatures, metres.
-MIN_ERROR_M = 1e-3
-#: Standard deviation of the first and last changes of a position, metres.
-FIRST_STEP_M, LAST_STEP_M = 0.5, 0.02
-#: The same for headings of cameras that are not omnidirectional, radians.
-FIRST_TURN, LAST_TURN = 0.5, 0.05
-#: Proposals whose views are computed in parallel.
-PARALLEL_PROPOSALS = 4
+
+@dataclass(frozen=True)
+class LookaheadTuning:
+    """
+    Constants of the planner; pairs are the first and the last value of a geometric schedule.
+
+    An episode is *pipelined* if its plans are computed while the cameras move.
+
+    :ivar spacing_m: metres between candidate positions; more in a large room.
+    :ivar max_positions: largest number of candidate positions.
+    :ivar candidate_model: largest number of points, and number of depth-map rows, of the model on
+        which candidates are compared.
+    :ivar candidate_turns: time steps for which a pipelined episode reuses candidates; their views
+        are computed in the first of these time steps.
+    :ivar refining_share: share of the episode after which plans are refined; earlier the observed
+        cloud is too small.
+    :ivar refining_model: the same sizes, of the finer model for the refinement.
+    :ivar refining_turns: smallest number of time steps for which that model is reused.
+    :ivar survey_turns: time steps before the refinement at which a pipelined episode creates that
+        model and anneals the plan on it among all candidates (the survey).
+    :ivar proposals: proposals of a time step of refinement.
+    :ivar pipelined_proposals: the same, in a pipelined episode.
+    :ivar model_turn_proposals: the same, in a time step that also creates a model.
+    :ivar proposals_per_camera: consecutive proposals for one camera; the views of the others are
+        merged once for these.
+    :ivar parallel_proposals: proposals whose views are computed in parallel.
+    :ivar temperatures: of the refinement, in multiples of the best plan's error.
+    :ivar position_deviations_m: standard deviations of the changes of a position, metres.
+    :ivar heading_deviations: standard deviations of the changes of yaw and pitch, radians.
+    """
+
+    spacing_m: float = 0.5
+    max_positions: int = 400
+    candidate_model: tuple[int, int] = 6000, 32
+    candidate_turns: int = 2
+    refining_share: float = 0.6
+    refining_model: tuple[int, int] = 60000, 128
+    refining_turns: int = 4
+    survey_turns: int = 2
+    proposals: int = 240
+    pipelined_proposals: int = 112
+    model_turn_proposals: int = 16
+    proposals_per_camera: int = 16
+    parallel_proposals: int = 4
+    temperatures: tuple[float, float] = 0.1, 0.003
+    position_deviations_m: tuple[float, float] = 0.5, 0.02
+    heading_deviations: tuple[float, float] = 0.5, 0.05
+
+
+TUNING = LookaheadTuning()
 
 
 class Lookahead(PipelinedPlanner):
@@ -106,165 +120,183 @@ class Lookahead(PipelinedPlanner):
         super().reset()
         if self.guide is not None:
             self.guide.reset()
-        self.targets, self.headings = None, None
+        self.targets = self.headings = None
         self._candidates: Candidates | None = None
-        self._chosen: list[int] = []
-        self._kept = KeptModel(self.max_range, self.wall_margin, REFINING_POINTS, REFINING_ROWS)
-        #: The rest of the survey, see :meth:`_parts_of_survey`, and whether it is complete.
-        self._survey: Iterator[object] = iter(())
-        self._surveyed = False
+        self._choice: list[int] = []
+        self._kept_model = KeptModel(self.max_range, self.wall_margin, *TUNING.refining_model)
+        #: The remaining parts of the survey, see :meth:`_survey`.
+        self._remaining_survey: Iterator[object] = iter(())
+        self._is_surveyed = False
         #: Time step in which the last model or the last candidates were created.
-        self._made = 0
+        self._model_turn = 0
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
-        ahead = self._ahead(turns)
-        if turn >= REFINING_SHARE * turns - SURVEY_AHEAD * ahead:
-            if self._surveyed or self._survey_on(cloud, positions, turn, turns):
+        pipelined = self._ahead(turns)
+        if turn >= TUNING.refining_share * turns - TUNING.survey_turns * pipelined:
+            if self._is_surveyed or self._do_survey(cloud, positions, turn, turns):
                 self._refine(cloud, positions, turn, turns)
             return
-        if self._candidates is None or not ahead or turn - self._made >= CANDIDATES_KEPT:
-            self._look_around(cloud, positions, turn, turns)
-        # In an episode of many time steps, the greedy choice suffices for the first one.
-        if not (ahead and self._waited_for(turn, turns, len(positions))):
-            (self._chosen,) = self._candidates.anneal(self._chosen, self.rng)
-        self._settle(positions)
+        if (self._candidates is None or not pipelined
+                or turn - self._model_turn >= TUNING.candidate_turns):
+            self._create_candidates(cloud, positions, turn, turns)
+        # In a pipelined episode, the greedy choice suffices for the first time step.
+        if not (pipelined and self._waits_for_plan(turns, len(positions))):
+            (self._choice,) = self._candidates.anneal(self._choice, self.rng)
+        self._set_plan(positions)
 
-    def _look_around(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
-                     turns: int) -> None:
-        """Compute the views of new candidates, the current and proposed plans included."""
-        model = PartialMap(cloud, positions, self.max_range, QUICK_POINTS, QUICK_ROWS,
-                           around=AIR_RADIUS_M if self.directional else 0.0)
-        unseen, self._space = self.memory.unseen(model), self.space(cloud, positions)
-        plans = self._plans(len(positions))
+    def _create_candidates(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
+                           turns: int) -> None:
+        """Create candidates, the current and proposed plans included, and choose the best plan."""
+        model = PartialMap(cloud, positions, self.max_range, *TUNING.candidate_model,
+                           air_radius=AIR_RADIUS_M if self.directional else 0.0)
+        unseen = self.memory.unseen(model)
+        self._space = self.space(cloud, positions)
+        plans = self._current_plans(len(positions))
         if self.guide is not None:
             self.guide.interrupted = self.interrupted
             plans.append(self.guide.propose(KnownTurn(
                 cloud, positions, turn, turns, model, self._space, unseen)))
-        self._list(model, self._space, unseen, cell_weight(model, unseen, turn, turns), plans,
-                   len(positions))
-        self._made = turn
+        self._choose_plan(model, self._space, unseen, cell_weight(model, unseen, turn, turns),
+                          plans, len(positions))
+        self._model_turn = turn
 
-    def _list(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
-              plans: list[np.ndarray], cameras: int) -> None:
-        """List candidates, first the poses of some plans (K, 6), and choose the best plan."""
-        count = int(np.clip(space.area / SPACING_M ** 2, 4, MAX_PLACES))
+    def _choose_plan(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
+                     plans: list[np.ndarray], cameras: int) -> None:
+        """
+        Create candidates on a model, and choose the best plan among given ones and a greedy one.
+
+        :param weight: bonus for each covered cell of ``unseen`` (packed bits), metres.
+        :param plans: placements (K, 6) of K = ``cameras`` cameras, metres and radians. A greedy
+            plan is compared only if there is no current plan.
+        """
+        count = int(np.clip(space.area / TUNING.spacing_m ** 2, 4, TUNING.max_positions))
         plans = [np.hstack([space.placement(space.inside(plan[:, :2])), plan[:, 3:]])
                  for plan in plans]
         state = self.rig_state or RigState.omnidirectional(cameras)
-        places = space.placement(space.grid(min(count, most_places(state))))
-        self._candidates = Candidates(model, places, plans, state, unseen, weight)
-        begun = np.arange(len(plans) * cameras).reshape(-1, cameras).tolist()
+        positions = space.placement(space.grid(min(count, max_positions(state))))
+        self._candidates = Candidates(model, positions, plans, state, unseen, weight)
+        # The poses of the plans are the first candidates.
+        choices = np.arange(len(plans) * cameras).reshape(-1, cameras).tolist()
         if not self._planned(cameras):
-            begun.append(self._candidates.fill())
-        self._chosen = min(begun, key=self._candidates.value)
+            choices.append(self._candidates.choose_greedily())
+        self._choice = min(choices, key=self._candidates.value)
 
-    def _plans(self, cameras: int) -> list[np.ndarray]:
-        """Return the current plan, (K, 6) metres and radians, in a list, or []; z is not used."""
+    def _current_plans(self, cameras: int) -> list[np.ndarray]:
+        """Return a list of the current plan, (K, 6) metres and radians, if any; z is not used."""
         if not self._planned(cameras):
             return []
         headings = self._planned_headings() if self.directional else np.zeros((cameras, 3))
         return [np.hstack([self.targets, np.zeros((cameras, 1)), headings])]
 
-    def _settle(self, positions: np.ndarray) -> None:
-        """Assign the chosen sites to the cameras with the shortest total path."""
-        poses = self._candidates.poses[self._chosen]
+    def _set_plan(self, positions: np.ndarray) -> None:
+        """Assign the chosen poses to the cameras with the shortest total path."""
+        poses = self._candidates.poses[self._choice]
         poses = poses[matched(positions, poses[:, :2], self._candidates.kind_of)]
         self.targets, self.headings = poses[:, :2], poses[:, 3:] if self.directional else None
 
     def _refine(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Anneal the plan in small steps, among the positions that the cameras can still reach."""
-        if turn - self._made >= REFINING_KEPT and not self._kept.lasts(cloud, positions):
-            self._make_model(cloud, positions, turn)
-        steps = PROPOSALS_OF_MANY if self._ahead(turns) else PROPOSALS
-        if self._made == turn:
-            steps = PROPOSALS_WITH_MODEL
-        (model, self._space), first = self._kept.made, REFINING_SHARE * turns
-        reached = [self._space.reached(position[:2], self.max_step, turns - turn)
-                   for position in positions]
-        placed = best = np.array([
-            area.inside(place) for area, place in zip(reached, self.targets, strict=True)])
+        if (turn - self._model_turn >= TUNING.refining_turns
+                and not self._kept_model.lasts(cloud, positions)):
+            self._create_refining_model(cloud, positions, turn)
+        proposals = TUNING.pipelined_proposals if self._ahead(turns) else TUNING.proposals
+        if self._model_turn == turn:
+            proposals = TUNING.model_turn_proposals
+        model, self._space = self._kept_model.made
+        first_turn = TUNING.refining_share * turns
+        reachable = [self._space.reached(position[:2], self.max_step, turns - turn)
+                     for position in positions]
+        targets = best_targets = np.array([
+            space.inside(target) for space, target in zip(reachable, self.targets, strict=True)])
         headings = best_headings = self._planned_headings()
         views = [view_from(model, self.rig_state, camera, position,
                            None if headings is None else headings[camera])
-                 for camera, position in enumerate(self._space.placement(placed))]
+                 for camera, position in enumerate(self._space.placement(targets))]
         fixed = fixed_views(model, self.rig_state)
         error = best_error = model.error(views + fixed)
-        for step in range(0, steps, PARALLEL_PROPOSALS):
+        for proposal in range(0, proposals, TUNING.parallel_proposals):
             if self.interrupted():
                 break
-            if step % IN_A_ROW == 0:
-                camera = int(self.rng.integers(len(placed)))
+            if proposal % TUNING.proposals_per_camera == 0:
+                camera = int(self.rng.integers(len(targets)))
                 others = model.together([*views[:camera], *views[camera + 1:], *fixed])
                 error_with = model.depth_error.given(others.seen)
-            share = (turn - first + step / steps) / (turns - first)
-            temperature = max(best_error, MIN_ERROR_M) * between(
-                FIRST_TEMPERATURE, LAST_TEMPERATURE, share)
-            trials = [self._trial(camera, placed, headings, reached[camera], share)
-                      for _ in range(PARALLEL_PROPOSALS)]
-            looks = mapped(lambda trial, model=model, camera=camera: view_from(
+            share = (turn - first_turn + proposal / proposals) / (turns - first_turn)
+            # The temperature is never 0: an error counts as at least 1 mm.
+            temperature = max(best_error, 1e-3) * between(*TUNING.temperatures, share)
+            trials = [self._draw_pose(camera, targets, headings, reachable[camera], share)
+                      for _ in range(TUNING.parallel_proposals)]
+            trial_views = mapped(lambda trial, model=model, camera=camera: view_from(
                 model, self.rig_state, camera, *trial), trials)
-            for (position, heading), view in zip(trials, looks):
-                most = error + temperature * self.rng.exponential()
-                trial_error = error_with(view.seen, most)
-                if trial_error > most:
+            for (position, heading), view in zip(trials, trial_views):
+                max_error = error + temperature * self.rng.exponential()
+                trial_error = error_with(view.seen, max_error)
+                if trial_error > max_error:
                     continue
-                placed, error = placed.copy(), trial_error
-                placed[camera], views[camera] = position[:2], view
+                targets, error = targets.copy(), trial_error
+                targets[camera], views[camera] = position[:2], view
                 if headings is not None:
                     headings = headings.copy()
                     headings[camera] = heading
                 if error < best_error:
-                    best, best_headings, best_error = placed, headings, error
-        self.targets, self.headings = best, best_headings
+                    best_targets, best_headings, best_error = targets, headings, error
+        self.targets, self.headings = best_targets, best_headings
 
-    def _make_model(self, cloud: np.ndarray, positions: np.ndarray, turn: int) -> None:
+    def _create_refining_model(self, cloud: np.ndarray, positions: np.ndarray, turn: int) -> None:
         """Create the model for the refinement."""
-        self._kept.make(cloud, positions, FINE, clearance_of(self.rig_state, self.clearance))
-        self._made = turn
+        self._kept_model.make(cloud, positions, FINE, clearance_of(self.rig_state, self.clearance))
+        self._model_turn = turn
 
-    def _survey_on(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> bool:
+    def _do_survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> bool:
         """
         Do a part of the survey, or all of it if the time step waits for its plan.
 
         :returns: whether the survey is complete.
         """
-        if self._kept.made is None:
-            self._survey = self._parts_of_survey(cloud, positions, turn)
-        for _ in self._survey:
-            if not self._waited_for(turn, turns, len(positions)):
+        if self._kept_model.made is None:
+            self._remaining_survey = self._survey(cloud, positions, turn)
+        for _ in self._remaining_survey:
+            if not self._waits_for_plan(turns, len(positions)):
                 return False
-        self._settle(positions)
-        self._surveyed = True
+        self._set_plan(positions)
+        self._is_surveyed = True
         return True
 
-    def _parts_of_survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int
-                         ) -> Iterator[object]:
-        """Anneal the plan once more among all candidates, on the model for the refinement."""
-        self._make_model(cloud, positions, turn)
-        model, space = self._kept.made
+    def _survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int) -> Iterator[object]:
+        """
+        Anneal the plan once more among all candidates, on the model for the refinement.
+
+        :returns: an iterator with an item of no meaning after each part of the computation.
+        """
+        self._create_refining_model(cloud, positions, turn)
+        model, space = self._kept_model.made
         # The depth error is computed when it is first needed.
         yield model.depth_error
-        self._list(model, space, self.memory.unseen(model), 0.0, self._plans(len(positions)),
-                   len(positions))
+        self._choose_plan(model, space, self.memory.unseen(model), 0.0,
+                          self._current_plans(len(positions)), len(positions))
         yield
-        for chosen in self._candidates.anneal(self._chosen, self.rng, SURVEY_PARTS):
-            self._chosen = chosen
+        for choice in self._candidates.anneal(self._choice, self.rng, parts=2):
+            self._choice = choice
             yield
 
-    def _trial(self, camera: int, placed: np.ndarray, headings: np.ndarray | None,
-               space: FreePlane, share: float) -> tuple[np.ndarray, np.ndarray | None]:
+    def _draw_pose(self, camera: int, targets: np.ndarray, headings: np.ndarray | None,
+                   space: FreePlane, share: float) -> tuple[np.ndarray, np.ndarray | None]:
         """
         Draw a pose near that of a camera, among the positions that it can reach.
 
+        :param targets: (K, 2) metres: planned positions of the cameras.
+        :param headings: (K, 3) radians: planned headings; None if all are omnidirectional.
+        :param space: the positions that the camera can reach.
+        :param share: elapsed share of the refinement.
         :returns: the position (3,) in metres, and the heading (3,) in radians; None if all cameras
             are omnidirectional.
         """
-        place = space.reflected(
-            placed[camera] + self.rng.normal(0.0, between(FIRST_STEP_M, LAST_STEP_M, share), 2))
-        heading = None if headings is None else self._wiggled(
-            headings[camera], camera, between(FIRST_TURN, LAST_TURN, share))
-        return space.placement(place[None])[0], heading
+        target = space.reflected(targets[camera] + self.rng.normal(
+            0.0, between(*TUNING.position_deviations_m, share), 2))
+        heading = None if headings is None else self._draw_heading(
+            headings[camera], camera, between(*TUNING.heading_deviations, share))
+        return space.placement(target[None])[0], heading
 
     def _planned_headings(self) -> np.ndarray | None:
         """Return the headings (K, 3) of the plan; None if all cameras are omnidirectional."""
@@ -274,11 +306,11 @@ class Lookahead(PipelinedPlanner):
             return self.headings
         return self.rig_state.placement[:self.rig_state.movable, 3:].copy()
 
-    def _wiggled(self, heading: np.ndarray, camera: int, most: float) -> np.ndarray:
+    def _draw_heading(self, heading: np.ndarray, camera: int, deviation: float) -> np.ndarray:
         """Return a heading (3,) with random changes of yaw and pitch, within the limits."""
         if not self.rig_state.turns or camera not in self.rig_state.aimed:
             return heading
-        turned = heading.copy()
-        turned[:2] += self.rng.normal(0.0, most, 2)
-        turned[1] = np.clip(turned[1], *self.rig_state.pitch)
-        return turned
+        changed = heading.copy()
+        changed[:2] += self.rng.normal(0.0, deviation, 2)
+        changed[1] = np.clip(changed[1], *self.rig_state.pitch)
+        return changed

@@ -22,13 +22,10 @@ from ocp_ros.online.rig_state import clearance_of, fixed_views, record_views, Ri
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.simulation.simulator import View
 
-#: Share of the episode after which the model uses the finest rules of visibility.
-LATE_SHARE = 0.6
-
 
 class ObservedTurn:
     """
-    The views of all cameras in the partial map.
+    The views of K movable cameras, and of fixed ones, in the partial map.
 
     Cameras choose one after the other. Each uses the new positions of the cameras that have
     already chosen; otherwise two cameras would choose the same gap.
@@ -36,60 +33,63 @@ class ObservedTurn:
     :param model: partial map of the observed cloud.
     :param unseen: packed bits of the model's cells that no camera has covered.
     :param space: feasible region of the cameras.
-    :param positions: (K, 3) metres: positions of the cameras, new ones where already chosen.
+    :param positions: (K, 3) metres: current positions of the K movable cameras.
     :param rig_state: camera models and headings; None if all cameras are omnidirectional.
+    :ivar positions: as above; the new positions for cameras that have already chosen.
     """
 
     def __init__(self, model: PartialMap, unseen: np.ndarray, space: FreePlane,
                  positions: np.ndarray, rig_state: RigState | None = None) -> None:
         self.model, self.unseen, self.space = model, unseen, space
-        self.positions, self._sight = positions.copy(), rig_state
+        self.positions = positions.copy()
+        self._rig_state = rig_state
         self._views = [self.look(camera, position) for camera, position in enumerate(positions)]
-        self._fixed = fixed_views(model, rig_state)
+        self._fixed_views = fixed_views(model, rig_state)
 
     def look(self, camera: int, position: np.ndarray) -> View:
-        """Compute the view of a camera at a position (3,)."""
-        return view_from(self.model, self._sight, camera, position)
+        """Return the view of a camera at a position (3,), metres, with its current heading."""
+        return view_from(self.model, self._rig_state, camera, position)
 
     def place(self, camera: int, position: np.ndarray) -> None:
-        """Set the new position (3,) of a camera; cameras that choose later use it."""
-        self.positions[camera], self._views[camera] = position, self.look(camera, position)
+        """Set the new position (3,) of a camera; cameras that choose later use this position."""
+        self.positions[camera] = position
+        self._views[camera] = self.look(camera, position)
 
-    def others(self, camera: int) -> list[View]:
+    def other_views(self, camera: int) -> list[View]:
         """Return the views of all cameras except one, fixed cameras included."""
-        return self._views[:camera] + self._views[camera + 1:] + self._fixed
+        return self._views[:camera] + self._views[camera + 1:] + self._fixed_views
 
-    def beside(self, camera: int) -> View:
-        """Return the merged view of all other cameras."""
-        return self.model.together(self.others(camera))
+    def merge_other_views(self, camera: int) -> View:
+        """Return the merged view of all cameras except one, fixed cameras included."""
+        return self.model.together(self.other_views(camera))
 
     @property
     def error(self) -> float:
         """Return the depth error of all cameras together, metres."""
-        return self.model.error(self._views + self._fixed)
+        return self.model.error(self._views + self._fixed_views)
 
     @property
-    def count(self) -> int:
+    def unseen_count(self) -> int:
         """Return the number of cells that no camera has covered, at least 1."""
         return max(int(count_bits(self.unseen)), 1)
 
     @property
     def unseen_share(self) -> float:
-        """Return the share of the air that no camera has covered."""
-        return self.count / max(len(self.model.cells), 1)
+        """Return the share of the model's cells that no camera has covered."""
+        return self.unseen_count / max(len(self.model.cells), 1)
 
     def seen_now(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """
-        Return which points of the model are visible from the current or new positions.
+        Return which of the model's N points a camera and the others see from ``positions``.
 
-        :returns: (N,) bool, whether the camera sees a point, and (N,) uint8, the number of other
-            cameras that see it.
+        :returns: (N,) bool, whether the camera sees each point, and (N,) uint8, the number of
+            other cameras that see each point.
         """
-        count = len(self.model.points)
-        others = np.zeros(count, dtype=np.uint8)
-        for view in self.others(camera):
-            others += unpack(view.seen, count)
-        return unpack(self._views[camera].seen, count), others
+        point_count = len(self.model.points)
+        other_cameras = np.zeros(point_count, dtype=np.uint8)
+        for view in self.other_views(camera):
+            other_cameras += unpack(view.seen, point_count)
+        return unpack(self._views[camera].seen, point_count), other_cameras
 
 
 class ObservedTurns:
@@ -100,12 +100,13 @@ class ObservedTurns:
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     :param clearance: cameras stay this far from all observed points, metres.
     :param points: largest number of points of the model.
-    :param rows: of its depth maps.
+    :param rows: rows of the model's depth maps.
     """
 
     def __init__(self, max_range: float, wall_margin: float, clearance: float = CLEARANCE, *,
                  points: int, rows: int) -> None:
-        self._settings, self._clearance = (max_range, wall_margin, points, rows), clearance
+        self._model_arguments = max_range, wall_margin, points, rows
+        self._clearance = clearance
         #: Camera models and headings; None if all cameras are omnidirectional.
         self.rig_state: RigState | None = None
         self.reset()
@@ -113,7 +114,7 @@ class ObservedTurns:
     def reset(self) -> None:
         """Discard the state of the last episode."""
         self._history = LookHistory()
-        self._kept = KeptModel(*self._settings)
+        self._kept_model = KeptModel(*self._model_arguments)
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
                  ) -> ObservedTurn:
@@ -121,12 +122,14 @@ class ObservedTurns:
         Record the current views, and return the partial map with these views.
 
         :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
-        :param positions: (K, 3) metres: current positions of the cameras.
+        :param positions: (K, 3) metres: current positions of the K movable cameras.
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         record_views(self._history, positions, self.rig_state)
-        model, space = self._kept(cloud, positions, FINE if turn >= LATE_SHARE * turns else FAST,
-                                  clearance_of(self.rig_state, self._clearance))
+        # The finest rules of visibility are slow, and matter after 60 % of the episode.
+        settings = FINE if turn >= 0.6 * turns else FAST
+        model, space = self._kept_model(cloud, positions, settings,
+                                        clearance_of(self.rig_state, self._clearance))
         return ObservedTurn(model, self._history.unseen(model), space, positions, self.rig_state)

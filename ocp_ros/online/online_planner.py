@@ -23,7 +23,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.online.heading_planner import never
+from ocp_ros.online.heading_planner import never_interrupted
 from ocp_ros.online.partial_map import LookHistory, PartialMap
 from ocp_ros.online.rig_state import clearance_of, record_views, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
@@ -33,12 +33,8 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from scipy.optimize import linear_sum_assignment
 
-#: Metres added to the path between a camera and a target of another kind, to forbid the pair.
-OTHER_KIND_M = 1e6
-#: Share of the episode after which plans are refined: earlier the observed cloud is too small.
-REFINING_SHARE = 0.6
 #: In episodes of at least this number of time steps, plans are computed while the cameras move, on
-#: the cloud before the move: in a shorter episode the loss by the older cloud would be too large.
+#: the cloud before the move. In a shorter episode the older cloud would make plans too bad.
 MIN_PIPELINED_TURNS = 20
 
 
@@ -53,14 +49,21 @@ def matched(positions: np.ndarray, targets: np.ndarray, kinds: np.ndarray | None
         if all are of one kind.
     :returns: (K,) the number of the target of each camera.
     """
-    way = np.linalg.norm(positions[:, None, :2] - targets[None], axis=2)
+    costs = np.linalg.norm(positions[:, None, :2] - targets[None], axis=2)
     if kinds is not None:
-        way = way + np.where(kinds[:, None] == kinds[None], 0.0, OTHER_KIND_M)
-    return linear_sum_assignment(way)[1]
+        # A target of another kind costs 1,000 km, which forbids it.
+        costs = costs + np.where(kinds[:, None] == kinds[None], 0.0, 1e6)
+    return linear_sum_assignment(costs)[1]
 
 
 def standing(positions: np.ndarray, rig_state: RigState | None) -> np.ndarray:
-    """Return the poses of cameras at positions (K, 3): (K, 6) metres and radians."""
+    """
+    Return the poses of cameras at given positions with their current headings.
+
+    :param positions: (K, 3) metres, of the K movable cameras.
+    :param rig_state: current state of the rig; None for omnidirectional cameras.
+    :returns: (K, 6) metres and radians.
+    """
     if rig_state is None:
         return np.hstack([positions, np.zeros_like(positions)])
     return np.hstack([positions, rig_state.placement[:rig_state.movable, 3:]])
@@ -73,11 +76,12 @@ def settings_of(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator) -> t
 
 class KnownTurn(NamedTuple):
     """
-    Input of a planner at a time step.
+    A time step as a planner knows it: the input for a plan.
 
     :ivar cloud: (M, 3) float32, metres, map frame: the observed cloud.
     :ivar positions: (K, 3) metres: current positions of the cameras.
-    :ivar turn: time steps taken so far, of ``turns`` time steps.
+    :ivar turn: time steps taken so far.
+    :ivar turns: time steps of the whole episode.
     :ivar model: partial map of the observed cloud.
     :ivar space: feasible region of the cameras in the observed part of the room.
     :ivar unseen: packed bits of the model's cells of the air that no camera has covered yet.
@@ -101,25 +105,27 @@ class Online(ABC):
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     :param clearance: cameras stay this far from all observed points, metres.
-    :ivar targets: (K, 2) metres, final positions in the plan; None before the first time step and
-        for planners without such a plan.
+    :ivar targets: (K, 2) metres, final positions of K movable cameras in the plan; None before
+        the first time step and for planners without such a plan.
     :ivar headings: (K, 3) radians, headings in the plan; None if a plan has positions alone.
-    :ivar interrupted: returns, during :meth:`plan_ahead`, whether to stop and use the best plan
-        so far because the next time step waits for it.
+    :ivar interrupted: a function that :meth:`plan_ahead` calls. It returns whether to stop and use
+        the best plan so far, because the next time step waits for the plan.
+    :ivar rig_state: camera models and headings; None if all cameras are omnidirectional.
     """
 
-    interrupted: Callable[[], bool] = staticmethod(never)
+    interrupted: Callable[[], bool] = staticmethod(never_interrupted)
     targets: np.ndarray | None = None
     headings: np.ndarray | None = None
 
     def __init__(self, rng: np.random.Generator, max_step: float, max_range: float,
                  wall_margin: float, clearance: float = CLEARANCE) -> None:
-        self.rng, self.max_step, self.max_range = rng, max_step, max_range
+        self.rng = rng
+        self.max_step, self.max_range = max_step, max_range
         self.wall_margin, self.clearance = wall_margin, clearance
         self.rig_state: RigState | None = None
 
     def set_rig_state(self, rig_state: RigState | None) -> None:
-        """Set the state of the rig before a time step; None if all are omnidirectional."""
+        """Set the state of the rig before a time step; None for omnidirectional cameras."""
         self.rig_state = rig_state
 
     @property
@@ -139,7 +145,7 @@ class Online(ABC):
         :param positions: (K, 3) metres: current positions of the cameras.
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
-        :returns: (K, 2) metres on the plane, none longer than ``max_step``.
+        :returns: (K, 2) metres, horizontal moves, none longer than ``max_step``.
         """
 
     def propose(self, known: KnownTurn) -> np.ndarray:
@@ -150,10 +156,9 @@ class Online(ABC):
 
         :returns: (K, 6) metres, map frame, and radians.
         """
-        positions = known.positions
-        placed = standing(positions, self.rig_state)
-        placed[:, :2] += self.move(known.cloud, positions, known.turn, known.turns)
-        return placed
+        placement = standing(known.positions, self.rig_state)
+        placement[:, :2] += self.move(known.cloud, known.positions, known.turn, known.turns)
+        return placement
 
     def plan_ahead(self) -> None:  # noqa: B027
         """
@@ -163,13 +168,13 @@ class Online(ABC):
         """
 
     def space(self, cloud: np.ndarray, positions: np.ndarray) -> FreePlane:
-        """Return the feasible region of the cameras in a cloud that is not empty."""
+        """Return the feasible region of cameras at positions (K, 3) in a cloud (M, 3), M >= 1."""
         return FreePlane.around(cloud, positions, self.wall_margin,
                                 clearance_of(self.rig_state, self.clearance))
 
     def towards(self, positions: np.ndarray, targets: np.ndarray) -> np.ndarray:
         """
-        Move positions towards targets by at most one step.
+        Return positions moved towards targets by at most ``max_step``.
 
         :param positions: (K, 3) or (K, 2) metres.
         :param targets: (K, 2) metres.
@@ -198,8 +203,9 @@ class PlannedTurn(NamedTuple):
 
     :ivar cloud: (M, 3) float32, metres: the observed cloud.
     :ivar positions: (K, 3) metres, positions of the cameras at that time step.
-    :ivar turn: time steps taken by then, of ``turns`` time steps.
-    :ivar rig_state: state of the rig for which that plan is computed.
+    :ivar turn: time steps taken before that time step.
+    :ivar turns: time steps of the whole episode.
+    :ivar rig_state: state of the rig at that time step; None for omnidirectional cameras.
     """
 
     cloud: np.ndarray
@@ -225,7 +231,7 @@ class PipelinedPlanner(Online):
         #: Feasible region at the time of the last plan.
         self._space: FreePlane | None = None
         #: The time step whose plan is computed while the cameras move.
-        self._next: PlannedTurn | None = None
+        self._next_turn: PlannedTurn | None = None
 
     @abstractmethod
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
@@ -245,8 +251,8 @@ class PipelinedPlanner(Online):
         """Return whether an episode of ``turns`` time steps plans while the cameras move."""
         return turns >= MIN_PIPELINED_TURNS
 
-    def _waited_for(self, turn: int, turns: int, cameras: int) -> bool:
-        """Return whether a time step waits for its own plan, on the newest cloud."""
+    def _waits_for_plan(self, turns: int, cameras: int) -> bool:
+        """Return whether the present time step waits for a plan on the newest cloud."""
         return not (self._ahead(turns) and self._planned(cameras))
 
     def _planned(self, cameras: int) -> bool:
@@ -258,30 +264,29 @@ class PipelinedPlanner(Online):
         self.plan_ahead()
         record_views(self.memory, positions, self.rig_state)
         try:
-            if self._waited_for(turn, turns, len(positions)):
+            if self._waits_for_plan(turns, len(positions)):
                 self._think(cloud, positions, turn, turns)
         except SceneError:
             return self.random_walk(cloud, positions)
         goals = self.goals(positions)
-        if turn + 1 < turns and not self._waited_for(turn + 1, turns, len(positions)):
-            self.plan_later(PlannedTurn(cloud.copy(), np.column_stack([goals, positions[:, 2]]),
-                                        turn + 1, turns, self.rig_state))
+        if turn + 1 < turns and not self._waits_for_plan(turns, len(positions)):
+            next_positions = np.column_stack([goals, positions[:, 2]])
+            self._next_turn = PlannedTurn(cloud.copy(), next_positions, turn + 1, turns,
+                                          self.rig_state)
         return goals - positions[:, :2]
-
-    def plan_later(self, turn: PlannedTurn) -> None:
-        """Store a time step for :meth:`plan_ahead`."""
-        self._next = turn
 
     def plan_ahead(self) -> None:
         """Compute the plan of the stored time step, if any; see :meth:`Online.plan_ahead`."""
-        if self._next is None:
+        if self._next_turn is None:
             return
-        (cloud, positions, turn, turns, rig_state), now = self._next, self.rig_state
-        self._next, self.rig_state = None, rig_state
+        cloud, positions, turn, turns, rig_state = self._next_turn
+        self._next_turn = None
+        current_state = self.rig_state
+        self.rig_state = rig_state
         try:
             self._think(cloud, positions, turn, turns)
         except SceneError:
             # Keep the last plan: the cloud is too small for a new one and will grow.
             pass
         finally:
-            self.rig_state = now
+            self.rig_state = current_state

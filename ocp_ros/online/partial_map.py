@@ -38,30 +38,10 @@ from scipy.spatial import ConvexHull, QhullError
 #: Edge of the cells of the air, metres. The grid is anchored to the origin of the map frame, so
 #: the cells stay the same while the observed bounding box grows.
 CELL_M = 0.5
-#: Largest number of cells of the air: if there are more, their edge is doubled.
-MAX_CELLS = 20_000
 #: Number of a place that is not a cell.
 NO_CELL = -1
-#: Input points per output point: of a denser cloud, points are dropped before the slow voxel
-#: thinning.
-DENSE_POINTS = 4
-#: Growth of the cloud, as a share, after which a cached model is replaced.
-GROWTH = 0.01
 #: Largest number of cached views of a model: planners try the same poses again in later steps.
 MAX_VIEWS = 4096
-#: Bonus for covering all unseen cells at the start, in multiples of the depth error without any
-#: visible point.
-CURIOSITY = 2.0
-#: Share of the episode after which the bonus is 0.
-EXPLORING_SHARE = 0.55
-#: Range of the test whether a corner of the room is visible, metres.
-TEST_RANGE_M = 100.0
-#: Number of cameras that test each corner.
-TEST_CAMERAS = 2
-#: Distance of the test place from a corner of the room, metres.
-INSET_M = 0.3
-#: A side of the box that the corners move by at most this is not changed, metres.
-SAME_M = 0.05
 
 
 class PartialMap:
@@ -70,49 +50,56 @@ class PartialMap:
 
     The viewpoints of the depth error are spread over the observed floor, see
     :func:`~ocp_ros.simulation.viewpoints.observed_viewpoints`. The bounding box includes a corner
-    of the :func:`smallest_rectangle` around the points if one of the two nearest cameras sees into
-    it without occlusion by observed points. So unseen corners of the room count as air, but not
-    the corner outside an L-shaped room, which is behind walls.
+    of the :func:`smallest_rectangle` around the points if observed points do not hide this corner
+    from one of the two nearest cameras. So unseen corners of the room count as air, but not the
+    corner outside an L-shaped room, which is behind walls.
 
     :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
     :param positions: (K, 3) metres: current positions of the cameras.
-    :param max_range: of the cameras, metres.
-    :param most: a larger cloud is thinned to at most this number of points.
-    :param rows: of the depth maps of the error.
+    :param max_range: effective range of the omnidirectional cameras, metres.
+    :param max_points: a larger cloud is thinned to at most this number of points.
+    :param rows: number of rows of the error's depth maps.
     :param settings: rules of visibility.
-    :param around: cells within this horizontal distance from a camera count too, metres: a camera
-        with a frustum does not observe the air behind it.
+    :param air_radius: cells within this horizontal distance from a camera count as air too,
+        metres: a camera with a frustum does not observe the air behind it.
+    :ivar visibility: computes which points and cells a camera sees.
     :ivar points: (N, 3) float32, metres, in the order of the bits of a view.
-    :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view.
-    :ivar edge: of the cells, metres.
+    :ivar cells: (C,) int64, the number of each cell, in the order of the bits of a view;
+        ``NO_CELL`` for places outside the air.
+    :ivar bounds: (2, 3) metres, the bounding box: lowest and highest x, y, z.
+    :ivar edge: edge of the cells, metres.
     :raises SceneError: if the points are too few or too flat to be a room.
     """
 
-    def __init__(self, cloud: np.ndarray, positions: np.ndarray, max_range: float, most: int,
-                 rows: int, settings: SurfelSettings = FAST, around: float = 0.0) -> None:
-        scene = Scene(thinned(cloud, most), 'observed cloud')
+    def __init__(self, cloud: np.ndarray, positions: np.ndarray, max_range: float,
+                 max_points: int, rows: int, settings: SurfelSettings = FAST,
+                 air_radius: float = 0.0) -> None:
+        scene = Scene(thinned(cloud, max_points), 'observed cloud')
         corners = smallest_rectangle(scene.points[:, :2])
-        box = with_corners(scene.bounds, corners)
-        if around:
-            box = with_corners(box, positions[:, :2] - around)
-            box = with_corners(box, positions[:, :2] + around)
+        box = enlarged_box(scene.bounds, corners)
+        if air_radius:
+            box = enlarged_box(box, positions[:, :2] - air_radius)
+            box = enlarged_box(box, positions[:, :2] + air_radius)
         centres, numbers, self.edge = cells_of_the_air(box)
         self._lens = CameraModel(max_range=max_range).lens
-        tests = np.column_stack([inset(corners), np.full(4, np.median(positions[:, 2]))])
+        test_places = np.column_stack([
+            moved_inwards(corners), np.full(4, np.median(positions[:, 2]))])
         self.visibility = SurfelVisibility(
             scene.points, scene.normals_or_estimate, scene.pitch,
-            np.concatenate([centres, tests.astype(np.float32)]), settings)
-        bounds = with_corners(scene.bounds, corners[self._open(tests, positions)])
-        self.bounds = bounds
-        inside = ((centres >= bounds[0]) & (centres <= bounds[1])).all(axis=1)
-        if around:
-            away = np.linalg.norm(centres[:, None, :2] - positions[None, :, :2], axis=2)
-            inside |= away.min(axis=1) <= around
-        order, places = self.visibility.order, self.visibility.place_order
-        self.points = scene.points[order]
-        self.cells = np.append(np.where(inside, numbers, NO_CELL), [NO_CELL] * 4)[places]
+            np.concatenate([centres, test_places.astype(np.float32)]), settings)
+        visible_corners = corners[self._are_visible(test_places, positions)]
+        self.bounds = bounds = enlarged_box(scene.bounds, visible_corners)
+        is_air = ((centres >= bounds[0]) & (centres <= bounds[1])).all(axis=1)
+        if air_radius:
+            distances = np.linalg.norm(centres[:, None, :2] - positions[None, :, :2], axis=2)
+            is_air |= distances.min(axis=1) <= air_radius
+        self.points = scene.points[self.visibility.order]
+        numbers = np.append(np.where(is_air, numbers, NO_CELL), [NO_CELL] * 4)
+        self.cells = numbers[self.visibility.place_order]
         self._views: dict[tuple[bytes, Frustum | None], View] = {}
-        self._scene, self._corners, self._rows = scene, corners, rows
+        self._scene = scene
+        self._corners = corners
+        self._rows = rows
 
     @cached_property
     def depth_error(self) -> DepthError:
@@ -121,23 +108,30 @@ class PartialMap:
         return DepthError(self.points, scene.spacing[self.visibility.order], scene.diameter,
                           observed_viewpoints(scene.points, self._corners), self._rows)
 
-    def _open(self, tests: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """Return which of the four test places, listed last, a camera near each of them sees."""
-        places = self.visibility.place_order
-        lens, found = CameraModel(max_range=TEST_RANGE_M).lens, np.zeros(4, dtype=bool)
-        away = np.linalg.norm(tests[:, None] - positions[None], axis=2)
-        near = np.argsort(away, axis=1)[:, :TEST_CAMERAS]
-        for camera in np.unique(near):
+    def _are_visible(self, test_places: np.ndarray, positions: np.ndarray) -> np.ndarray:
+        """
+        Return whether one of the two nearest cameras sees each of four test places: (4,) bool.
+
+        :param test_places: (4, 3) metres; in the visibility they follow the cells.
+        :param positions: (K, 3) metres, of the cameras.
+        """
+        place_order = self.visibility.place_order
+        # The range is larger than any room, so that it never hides a corner.
+        lens = CameraModel(max_range=100.0).lens
+        are_visible = np.zeros(4, dtype=bool)
+        distances = np.linalg.norm(test_places[:, None] - positions[None], axis=2)
+        nearest_cameras = np.argsort(distances, axis=1)[:, :2]
+        for camera in np.unique(nearest_cameras):
             view = self.together([])
             self.visibility.look(Pose.of(positions[camera]), lens, view.seen, view.covered)
-            seen = np.empty(len(places), dtype=bool)
-            seen[places] = unpack(view.covered, len(places))
-            found |= seen[-4:] & (near == camera).any(axis=1)
-        return found
+            covered = np.empty(len(place_order), dtype=bool)
+            covered[place_order] = unpack(view.covered, len(place_order))
+            are_visible |= covered[-4:] & (nearest_cameras == camera).any(axis=1)
+        return are_visible
 
     def look(self, camera: np.ndarray, lens: Frustum | None = None) -> View:
         """
-        Compute the view of a camera in this model; it is cached, do not change it.
+        Return the view of a camera in this model, computed once; do not change the result.
 
         :param camera: (3,) x, y, z in metres, or (6,) with yaw, pitch and roll in radians.
         :param lens: frustum of the camera; None for an omnidirectional camera.
@@ -146,8 +140,7 @@ class PartialMap:
         if key in self._views:
             return self._views[key]
         view = self.together([])
-        self.visibility.look(Pose.of(camera), self._lens if lens is None else lens,
-                             view.seen, view.covered)
+        self.visibility.look(Pose.of(camera), lens or self._lens, view.seen, view.covered)
         if len(self._views) >= MAX_VIEWS:
             self._views = {}
         self._views[key] = view
@@ -156,40 +149,41 @@ class PartialMap:
     def look_many(self, position: np.ndarray, headings: np.ndarray, lens: Frustum | None
                   ) -> list[View]:
         """
-        Compute the views of a camera at one position with many headings.
+        Return the views of a camera at one position with H headings, in their order.
 
         :param position: (3,) metres.
         :param headings: (H, 3) yaw, pitch and roll in radians.
         :param lens: frustum of the camera; None for an omnidirectional camera.
         """
-        around = self.look(position, lens and lens._replace(kind=OMNIDIRECTIONAL))
+        full_view = self.look(position, lens and lens._replace(kind=OMNIDIRECTIONAL))
         if lens is None or lens.kind == OMNIDIRECTIONAL:
-            return [around] * len(headings)
+            return [full_view] * len(headings)
         poses = np.hstack([np.broadcast_to(position, headings.shape), headings])
-        return clipped(self.visibility, around, poses, lens)
+        return clipped(self.visibility, full_view, poses, lens)
 
-    def follow(self, settings: SurfelSettings) -> None:
-        """Change the rules of visibility; views by other rules are removed from the cache."""
+    def set_rules(self, settings: SurfelSettings) -> None:
+        """Set the rules of visibility; views by other rules are removed from the cache."""
         if self.visibility.settings != settings:
-            self.visibility, self._views = self.visibility.by(settings), {}
+            self.visibility = self.visibility.by(settings)
+            self._views = {}
 
     def together(self, views: Sequence[View]) -> View:
         """Return the union of some views; an empty view if there are none."""
-        places = self.visibility.place_order
-        seen, covered = no_bits(len(self.visibility.order)), no_bits(len(places))
+        seen = no_bits(len(self.visibility.order))
+        covered = no_bits(len(self.visibility.place_order))
         for view in views:
             seen |= view.seen
             covered |= view.covered
         return View(seen, covered)
 
-    def error(self, views: list[View], most: float = np.inf) -> float:
+    def error(self, views: list[View]) -> float:
         """Return the depth error of some views together, metres; see :class:`DepthError`."""
-        return self.depth_error(np.bitwise_or.reduce([view.seen for view in views]), most)
+        return self.depth_error(np.bitwise_or.reduce([view.seen for view in views]))
 
-    def covered(self, cameras: np.ndarray, lenses: Sequence[Frustum | None] | None = None
-                ) -> np.ndarray:
+    def covered_cells(self, cameras: np.ndarray, lenses: Sequence[Frustum | None] | None = None
+                      ) -> np.ndarray:
         """
-        Return the numbers of the cells that cameras cover together; see :meth:`look`.
+        Return the numbers of the cells that K cameras cover together; see :meth:`look`.
 
         :param cameras: (K, 3) or (K, 6), metres and radians.
         :param lenses: one for each camera; None for omnidirectional cameras.
@@ -207,34 +201,32 @@ class KeptModel:
     To create both takes longer than to score some dozens of positions, and late in an episode the
     cloud hardly grows.
 
-    :param max_range: of the cameras, metres.
+    :param max_range: see :class:`PartialMap`, as for ``max_points``, ``rows``, ``air_radius``.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :param most: see :class:`PartialMap`, as for ``rows`` and ``around``.
-    :param rows: of the depth maps.
-    :param around: metres.
+    :ivar made: the last partial map and feasible region; None before the first ones.
     """
 
-    def __init__(self, max_range: float, wall_margin: float, most: int, rows: int,
-                 around: float = 0.0) -> None:
+    def __init__(self, max_range: float, wall_margin: float, max_points: int, rows: int,
+                 air_radius: float = 0.0) -> None:
         self._max_range, self._wall_margin = max_range, wall_margin
-        self._sizes, self._around = (most, rows), around
-        #: The last partial map and feasible region, None before the first; then their numbers of
-        #: points and cameras, and the height of the cameras.
+        self._max_points, self._rows = max_points, rows
+        self._air_radius = air_radius
         self.made: tuple[PartialMap, FreePlane] | None = None
-        self._of = 0, 0, 0.0
+        #: For the last partial map: number of points, number of cameras, height of the cameras.
+        self._made_for = 0, 0, 0.0
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings,
                  clearance: float = CLEARANCE) -> tuple[PartialMap, FreePlane]:
-        """Return the partial map with some rules and the feasible region; see :meth:`make`."""
+        """Return the partial map with given rules, and the feasible region; see :meth:`make`."""
         if self.made is None or not self.lasts(cloud, positions):
             self.make(cloud, positions, settings, clearance)
-        self.made[0].follow(settings)
+        self.made[0].set_rules(settings)
         return self.made
 
     def make(self, cloud: np.ndarray, positions: np.ndarray, settings: SurfelSettings,
              clearance: float = CLEARANCE) -> None:
         """
-        Create the partial map and the feasible region.
+        Create the partial map and the feasible region, and store them in ``made``.
 
         :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
         :param positions: (K, 3) metres: current positions of the cameras.
@@ -243,15 +235,19 @@ class KeptModel:
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         height = float(np.median(positions[:, 2]))
-        self.made = (PartialMap(cloud, positions, self._max_range, *self._sizes, settings,
-                                self._around),
+        self.made = (PartialMap(cloud, positions, self._max_range, self._max_points, self._rows,
+                                settings, self._air_radius),
                      FreePlane.around(cloud, positions, self._wall_margin, clearance))
-        self._of = len(cloud), len(positions), height
+        self._made_for = len(cloud), len(positions), height
 
     def lasts(self, cloud: np.ndarray, positions: np.ndarray) -> bool:
-        """Return whether the cached model is valid for a cloud and cameras; see :meth:`make`."""
-        points, cameras, height = self._of
-        return (points <= len(cloud) <= (1.0 + GROWTH) * points and cameras == len(positions)
+        """
+        Return whether the cached model is valid for a cloud and cameras; see :meth:`make`.
+
+        The cloud may have up to 1 % more points; number and height of the cameras must be equal.
+        """
+        points, cameras, height = self._made_for
+        return (points <= len(cloud) <= 1.01 * points and cameras == len(positions)
                 and height == float(np.median(positions[:, 2])))
 
 
@@ -259,74 +255,95 @@ class LookHistory:
     """The cells of the air that at least one camera has covered since the episode began."""
 
     def __init__(self) -> None:
-        self._seen, self._edge = np.empty(0, dtype=np.int64), CELL_M
+        #: Numbers of the covered cells, ascending, for the last edge.
+        self._covered = np.empty(0, dtype=np.int64)
+        self._edge = CELL_M
+        #: Poses and frusta of the cameras at time steps whose views are not in ``_covered`` yet.
         self._visited: list[tuple[np.ndarray, Sequence[Frustum | None] | None]] = []
 
     def visit(self, cameras: np.ndarray, lenses: Sequence[Frustum | None] | None = None) -> None:
-        """Record the poses of the cameras at a time step; see :meth:`PartialMap.covered`."""
+        """Record the cameras at a time step; parameters as in :meth:`PartialMap.covered_cells`."""
         self._visited.append((cameras.copy(), lenses))
 
     def unseen(self, model: PartialMap) -> np.ndarray:
         """Return packed bits of the model's cells that no camera has covered so far."""
-        self._follow(model.edge)
-        covered = [model.covered(*visited) for visited in self._visited]
-        self._seen = np.unique(np.concatenate([self._seen, *covered]))
+        self._convert_to_edge(model.edge)
+        covered = [model.covered_cells(*visited) for visited in self._visited]
+        self._covered = np.unique(np.concatenate([self._covered, *covered]))
         self._visited.clear()
-        return pack(~np.isin(model.cells, self._seen) & (model.cells != NO_CELL))
+        return pack(~np.isin(model.cells, self._covered) & (model.cells != NO_CELL))
 
-    def _follow(self, edge: float) -> None:
-        """Convert the covered cells to another edge: a larger cell counts if half of it does."""
+    def _convert_to_edge(self, edge: float) -> None:
+        """Convert the covered cells to another edge; for a smaller edge discard them."""
         while self._edge < edge:
-            cells = cells_numbered(self._seen) // 2
-            numbers, parts = np.unique(cell_numbers(cells), return_counts=True)
-            self._seen, self._edge = numbers[parts >= 4], 2.0 * self._edge
+            cells = cells_numbered(self._covered) // 2
+            numbers, counts = np.unique(cell_numbers(cells), return_counts=True)
+            # A larger cell has eight smaller ones and counts as covered if half of them are.
+            self._covered = numbers[counts >= 4]
+            self._edge *= 2.0
         if self._edge > edge:
-            self._seen, self._edge = np.empty(0, dtype=np.int64), edge
+            self._covered = np.empty(0, dtype=np.int64)
+            self._edge = edge
 
 
-def curiosity(time: float) -> float:
-    """Return the bonus for all unseen cells, in multiples of the error without visible points."""
-    return CURIOSITY * max(1.0 - time / EXPLORING_SHARE, 0.0)
+def exploration_bonus(elapsed_share: float) -> float:
+    """
+    Return the bonus for covering all unseen cells: 2 at the start, 0 after 55 % of the episode.
+
+    :param elapsed_share: time steps taken so far, divided by the time steps of the episode.
+    :returns: in multiples of the depth error without any visible point.
+    """
+    return 2.0 * max(1.0 - elapsed_share / 0.55, 0.0)
 
 
 def cell_weight(model: PartialMap, unseen: np.ndarray, turn: int, turns: int) -> float:
-    """Return the bonus for covering one of a model's unseen cells, metres of depth error."""
-    return curiosity(turn / turns) * model.depth_error.worst / max(int(count_bits(unseen)), 1)
+    """
+    Return the bonus for covering one of a model's unseen cells.
+
+    :param unseen: packed bits of these cells.
+    :param turn: time steps taken so far, of ``turns`` time steps.
+    :returns: metres of depth error.
+    """
+    return (exploration_bonus(turn / turns) * model.depth_error.worst
+            / max(int(count_bits(unseen)), 1))
 
 
-def thinned(cloud: np.ndarray, most: int) -> np.ndarray:
-    """Return at most ``most`` points of a cloud (M, 3), evenly spread if it has more."""
-    if len(cloud) > DENSE_POINTS * most:
-        cloud = fixed_size(cloud, DENSE_POINTS * most)
-    return thinned_to(cloud, most)
+def thinned(cloud: np.ndarray, max_points: int) -> np.ndarray:
+    """Return at most ``max_points`` points of a cloud (M, 3), evenly spread if it has more."""
+    # Voxel thinning is slow: drop points of a much larger cloud first.
+    max_input_points = 4 * max_points
+    if len(cloud) > max_input_points:
+        cloud = fixed_size(cloud, max_input_points)
+    return thinned_to(cloud, max_points)
 
 
 def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """
-    List the cells of a grid whose centres are inside a bounding box.
+    Return the cells of a grid whose centres are inside a bounding box.
 
-    :param bounds: (2, 3) metres.
+    :param bounds: (2, 3) metres. The edge is doubled until there are about 20,000 cells
+        at most.
     :returns: centres (C, 3) float32, metres; numbers (C,) int64 of the cells, the same in every
         bounding box with the same edge; and the edge, metres.
     """
     edge = CELL_M
-    while np.prod(np.ptp(bounds, axis=0) / edge) > MAX_CELLS:
+    while np.prod(np.ptp(bounds, axis=0) / edge) > 20_000:
         edge *= 2.0
     first = np.ceil(bounds[0] / edge - 0.5).astype(np.int64)
     last = np.floor(bounds[1] / edge - 0.5).astype(np.int64)
     axes = [np.arange(first[k], last[k] + 1) for k in range(3)]
-    index = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
-    return ((index + 0.5) * edge).astype(np.float32), cell_numbers(index), edge
+    cells = np.stack(np.meshgrid(*axes, indexing='ij'), axis=-1).reshape(-1, 3)
+    return ((cells + 0.5) * edge).astype(np.float32), cell_numbers(cells), edge
 
 
 def smallest_rectangle(points: np.ndarray) -> np.ndarray:
     """
-    Find the rectangle of smallest area around points: most rooms have right angles.
+    Return the rectangle of smallest area around points: most rooms have right angles.
 
     One of its sides lies on a side of the convex hull (Freeman and Shapira, 1975).
 
-    :param points: (N, 2).
-    :returns: (4, 2) corners of the rectangle.
+    :param points: (N, 2) metres.
+    :returns: (4, 2) metres, the corners of the rectangle.
     :raises SceneError: if the points are on a line.
     """
     try:
@@ -335,26 +352,33 @@ def smallest_rectangle(points: np.ndarray) -> np.ndarray:
         raise SceneError('observed cloud: found all points on a line, seen from above; expected '
                          'a room with volume') from error
     sides = np.roll(hull, -1, axis=0) - hull
-    along = sides / np.linalg.norm(sides, axis=1, keepdims=True)
-    axes = np.stack([along, np.stack([-along[:, 1], along[:, 0]], axis=1)], axis=1)
-    spans = axes @ hull.T
-    low, high = spans.min(axis=2), spans.max(axis=2)
+    directions = sides / np.linalg.norm(sides, axis=1, keepdims=True)
+    normals = np.stack([-directions[:, 1], directions[:, 0]], axis=1)
+    axes = np.stack([directions, normals], axis=1)
+    coordinates = axes @ hull.T
+    low, high = coordinates.min(axis=2), coordinates.max(axis=2)
     best = int(np.argmin(np.prod(high - low, axis=1)))
-    ends = np.array([[x, y] for x in (low[best, 0], high[best, 0])
-                     for y in (low[best, 1], high[best, 1])])
-    return ends @ axes[best]
+    corners = np.array([[x, y] for x in (low[best, 0], high[best, 0])
+                        for y in (low[best, 1], high[best, 1])])
+    return corners @ axes[best]
 
 
-def inset(corners: np.ndarray) -> np.ndarray:
-    """Return places ``INSET_M`` metres from the corners of a rectangle inwards: (4, 2) metres."""
-    way = corners.mean(axis=0) - corners
-    length = np.linalg.norm(way, axis=1, keepdims=True)
-    return corners + way * np.minimum(INSET_M / length, 1.0)
+def moved_inwards(corners: np.ndarray) -> np.ndarray:
+    """Return the corners (4, 2) of a rectangle moved 0.3 m to its centre: (4, 2) metres."""
+    to_centre = corners.mean(axis=0) - corners
+    distances = np.linalg.norm(to_centre, axis=1, keepdims=True)
+    return corners + to_centre * np.minimum(0.3 / distances, 1.0)
 
 
-def with_corners(bounds: np.ndarray, corners: np.ndarray) -> np.ndarray:
-    """Return a box (2, 3), enlarged to contain some corners (C, 2), metres."""
+def enlarged_box(bounds: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    """
+    Return a box enlarged to contain positions; sides that would move by <= 5 cm stay.
+
+    :param bounds: (2, 3) metres, the box.
+    :param positions: (P, 2) metres.
+    :returns: (2, 3) metres.
+    """
     larger = bounds.copy()
-    larger[0, :2] = np.minimum(bounds[0, :2], corners.min(axis=0, initial=np.inf))
-    larger[1, :2] = np.maximum(bounds[1, :2], corners.max(axis=0, initial=-np.inf))
-    return np.where(np.abs(larger - bounds) > SAME_M, larger, bounds)
+    larger[0, :2] = np.minimum(bounds[0, :2], positions.min(axis=0, initial=np.inf))
+    larger[1, :2] = np.maximum(bounds[1, :2], positions.max(axis=0, initial=-np.inf))
+    return np.where(np.abs(larger - bounds) > 0.05, larger, bounds)

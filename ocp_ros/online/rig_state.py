@@ -26,8 +26,6 @@ from ocp_ros.simulation.simulator import View
 #: Radius around a camera with a frustum in which cells count as air even if unobserved, metres:
 #: such a camera does not observe the space behind it.
 AIR_RADIUS_M = 2.0
-#: Largest part of the pitch range that one listed pitch represents, radians.
-PITCH_STEP = np.deg2rad(30.0)
 
 
 class RigState(NamedTuple):
@@ -35,8 +33,8 @@ class RigState(NamedTuple):
     Poses and models of the cameras of a rig at a time step: K movable cameras, then F fixed ones.
 
     :ivar placement: (K + F, 6) x, y, z in metres, map frame, yaw, pitch, roll in radians.
-    :ivar models: camera models.
-    :ivar movable: K.
+    :ivar models: K + F camera models.
+    :ivar movable: K, the number of movable cameras.
     :ivar pitch: radians, smallest and largest pitch of the K cameras; positive is down.
     :ivar turns: whether the headings may change.
     :ivar clearance: smallest distance of the K cameras from surfaces in the horizontal plane,
@@ -52,16 +50,16 @@ class RigState(NamedTuple):
 
     @classmethod
     def omnidirectional(cls, cameras: int) -> 'RigState':
-        """Return the state of omnidirectional cameras whose poses are not used."""
+        """Return the state of ``cameras`` omnidirectional cameras whose poses are not used."""
         return cls(np.zeros((cameras, 6)), (CameraModel(),) * cameras, cameras)
 
     @property
     def lenses(self) -> list[Frustum | None]:
         """
-        Return the frustum of each camera: K, then F.
+        Return the frusta of the K movable cameras, then of the F fixed cameras.
 
-        If the K cameras are all omnidirectional, theirs are None, and planners use their own
-        ``max_range`` for them.
+        If the K cameras are all omnidirectional, their frusta are None: planners then use their
+        own ``max_range``.
         """
         lenses = [model.lens for model in self.models]
         return lenses if self.aimed else [None] * self.movable + lenses[self.movable:]
@@ -73,19 +71,19 @@ class RigState(NamedTuple):
 
     def headings(self, camera: int, yaws: int, pitches: int) -> np.ndarray:
         """
-        List the candidate headings of a camera: (H, 3) radians.
+        Return the H candidate headings of a camera: (H, 3) yaw, pitch, roll in radians.
 
         A camera that is omnidirectional or may not rotate has its current heading alone. The roll
         is given by the mount and does not change.
 
-        :param yaws: of :func:`directions`.
-        :param pitches: of :func:`directions`.
+        :param yaws: number of yaws at each pitch.
+        :param pitches: largest number of pitches.
         """
         if self.models[camera].omnidirectional or not self.turns:
             return self.placement[camera, None, 3:]
-        listed = directions(self.pitch, yaws, pitches)
-        listed[:, 2] = self.placement[camera, 5]
-        return listed
+        headings = directions(self.pitch, yaws, pitches)
+        headings[:, 2] = self.placement[camera, 5]
+        return headings
 
 
 class Limits(NamedTuple):
@@ -95,8 +93,8 @@ class Limits(NamedTuple):
     :ivar max_step: farthest a camera moves, metres.
     :ivar max_turn: largest rotation of a camera, radians; 0 if no camera rotates.
     :ivar wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :ivar clearance: cameras stay this far from all observed points, metres; a rig file replaces
-        any value but 0.
+    :ivar clearance: cameras stay this far from all observed points, metres; the clearance of a
+        rig file replaces any value but 0.
     """
 
     max_step: float
@@ -107,9 +105,9 @@ class Limits(NamedTuple):
 
 class Command(NamedTuple):
     """
-    Commanded poses of the cameras.
+    Commanded poses of K movable cameras, with the poses of F fixed cameras.
 
-    :ivar placement: (K + F, 6) metres, map frame, and radians; fixed cameras stay.
+    :ivar placement: (K + F, 6) metres, map frame, and radians.
     :ivar rotated: numbers of the cameras whose heading is commanded.
     :ivar held: messages, one for each camera that stays because it has no feasible position.
     """
@@ -119,15 +117,15 @@ class Command(NamedTuple):
     held: list[str]
 
 
-def clearance_of(rig_state: RigState | None, otherwise: float) -> float:
+def clearance_of(rig_state: RigState | None, default: float) -> float:
     """
-    Return the distance that cameras keep from surfaces: that of the rig, or else of a setting.
+    Return the smallest distance of cameras from surfaces: that of the rig, or else a default.
 
-    :param otherwise: the setting, metres; 0 means no limit and is returned for every rig.
+    :param default: metres; 0 means no limit and is returned for every rig.
     :returns: metres.
     """
-    if not otherwise or rig_state is None or rig_state.clearance is None:
-        return otherwise
+    if not default or rig_state is None or rig_state.clearance is None:
+        return default
     return rig_state.clearance
 
 
@@ -135,26 +133,35 @@ def fixed_views(model: PartialMap, rig_state: RigState | None) -> list[View]:
     """Return the views of the fixed cameras in a partial map; [] without fixed cameras."""
     if rig_state is None:
         return []
-    first = rig_state.movable
-    fixed = zip(rig_state.placement[first:], rig_state.lenses[first:], strict=True)
-    return [model.look(camera, lens) for camera, lens in fixed]
+    movable = rig_state.movable
+    return [model.look(pose, lens) for pose, lens in zip(
+        rig_state.placement[movable:], rig_state.lenses[movable:], strict=True)]
 
 
 def view_from(model: PartialMap, rig_state: RigState | None, camera: int,
               position: np.ndarray, heading: np.ndarray | None = None) -> View:
-    """Compute the view of a camera at a position (3,) with a heading (3,), None for its own."""
+    """
+    Return the view of a camera from a position.
+
+    :param rig_state: current state of the rig; None for omnidirectional cameras.
+    :param camera: number of the camera.
+    :param position: (3,) metres.
+    :param heading: (3,) yaw, pitch, roll in radians; None for the current heading.
+    """
     lens = None if rig_state is None else rig_state.lenses[camera]
     if lens is None:
         return model.look(position)
-    turned = rig_state.placement[camera, 3:] if heading is None else heading
-    return model.look(np.concatenate([position, turned]), lens)
+    heading = rig_state.placement[camera, 3:] if heading is None else heading
+    return model.look(np.concatenate([position, heading]), lens)
 
 
 def record_views(memory: LookHistory, positions: np.ndarray, rig_state: RigState | None) -> None:
     """
     Record the poses of all cameras at a time step, fixed cameras included.
 
-    :param positions: (K, 3) metres, of the movable cameras.
+    :param memory: the record, changed here.
+    :param positions: (K, 3) metres, of the K movable cameras.
+    :param rig_state: state of the rig at that time step; None for omnidirectional cameras.
     """
     if rig_state is None:
         memory.visit(positions)
@@ -164,15 +171,16 @@ def record_views(memory: LookHistory, positions: np.ndarray, rig_state: RigState
 
 def directions(pitch: tuple[float, float], yaws: int, pitches: int) -> np.ndarray:
     """
-    List headings over all yaws and a range of pitches.
+    Return H headings, evenly spread over all yaws and a range of pitches.
 
     :param pitch: radians, smallest and largest pitch; positive is down.
     :param yaws: number of yaws at each pitch.
-    :param pitches: largest number of pitches; they are the middles of equal parts of the range.
+    :param pitches: largest number of pitches. There are fewer if the range is small: each pitch
+        is the centre of an equal part of the range, of at most 30 degrees.
     :returns: (H, 3) yaw, pitch and roll in radians.
     """
     low, high = pitch
-    count = int(np.clip(np.ceil((high - low) / PITCH_STEP), 1, pitches))
-    middles = low + (high - low) * (np.arange(count) + 0.5) / count
-    return np.array([(yaw, middle, 0.0) for middle in middles
+    count = int(np.clip(np.ceil((high - low) / np.deg2rad(30.0)), 1, pitches))
+    centres = low + (high - low) * (np.arange(count) + 0.5) / count
+    return np.array([(yaw, centre, 0.0) for centre in centres
                      for yaw in np.arange(yaws) * (2.0 * np.pi / yaws)])

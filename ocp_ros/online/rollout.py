@@ -27,19 +27,20 @@ from ocp_ros.simulation.episode import Episode
 
 def state_of(episode: Episode) -> RigState:
     """Return the current state of an episode's rig, fixed cameras included."""
-    problem, placement, count = episode.problem, episode.placement, len(episode.turn.positions)
-    models = (*problem.models[:count], *problem.models[len(problem.rig.cameras):])
-    return RigState(placement, models, count, problem.rig.pitch, clearance=problem.rig.clearance)
+    problem, rig = episode.problem, episode.problem.rig
+    movable = len(episode.turn.positions)
+    models = (*problem.models[:movable], *problem.models[len(rig.cameras):])
+    return RigState(episode.placement, models, movable, rig.pitch, clearance=rig.clearance)
 
 
 @dataclass(frozen=True)
 class Outcome:
     """
-    Result of the rollout of an episode.
+    Result of the rollout of an episode of T time steps with K movable cameras.
 
     :ivar trajectory: (T + 1, K, 3) metres: positions of the cameras, the start first.
-    :ivar depth_error: (T + 1,) metres, of the placement at each time step.
-    :ivar seconds: (T,) duration of each time step.
+    :ivar depth_error: (T + 1,) metres, of the start and of the placement after each time step.
+    :ivar seconds: (T,) duration of the computation of each command.
     """
 
     trajectory: np.ndarray
@@ -47,27 +48,28 @@ class Outcome:
     seconds: np.ndarray
 
 
-def play(online: Online, episode: Episode, over: Callable[[int], bool] = lambda turn: False,
+def play(online: Online, episode: Episode, should_stop: Callable[[int], bool] = lambda turn: False,
          clock: Callable[[], float] = time.perf_counter) -> Outcome:
     """
-    Run an episode to its end; cameras of a rig file satisfy all its constraints.
+    Run an episode to its end; the cameras of a rig file satisfy all constraints of the file.
 
-    :param online: moves the cameras; it is reset first.
-    :param episode: a new one.
-    :param over: gets the number of time steps taken and returns whether to end the episode early.
+    :param online: the planner that moves the cameras; it is reset first.
+    :param episode: an episode before its first time step.
+    :param should_stop: gets the number of time steps taken, and returns whether to end the
+        episode early.
     :param clock: returns the current time, seconds.
     """
     config, rig = episode.config, episode.problem.rig
     step = OnlineStep(online, Limits(config.max_step, config.max_turn, config.wall_margin,
                                      config.clearance), rig)
     step.reset()
-    states, seconds = [episode.turn], []
-    while not (episode.turn.truncated or over(episode.turn.step)):
+    turn_states, seconds = [episode.turn], []
+    while not (episode.turn.truncated or should_stop(episode.turn.step)):
         state, cloud = state_of(episode), episode.observed_cloud
-        began = clock()
+        start_time = clock()
         command = step(cloud, state, episode.turn.step, config.turns)
-        seconds.append(clock() - began)
-        move = (command.placement - state.placement)[:state.movable, :3]
-        states.append(episode.move(move, command.placement[:state.movable, 3:]))
-    return Outcome(np.array([state.positions for state in states]),
-                   np.array([state.depth_error for state in states]), np.array(seconds))
+        seconds.append(clock() - start_time)
+        moves = (command.placement - state.placement)[:state.movable, :3]
+        turn_states.append(episode.move(moves, command.placement[:state.movable, 3:]))
+    return Outcome(np.array([turn.positions for turn in turn_states]),
+                   np.array([turn.depth_error for turn in turn_states]), np.array(seconds))

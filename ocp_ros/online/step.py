@@ -23,7 +23,7 @@ from contextlib import contextmanager
 
 import numpy as np
 from ocp_ros.online.constraint_filter import StepConstraints
-from ocp_ros.online.heading_planner import HeadingPlanner, never
+from ocp_ros.online.heading_planner import HeadingPlanner, never_interrupted
 from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, Online, PlannedTurn
 from ocp_ros.online.rig_state import Command, Limits, RigState
 from ocp_ros.rig.rig_file import Rig
@@ -34,31 +34,34 @@ class OnlineStep:
     Choose the next command for a rig from the observed cloud.
 
     :param planner: chooses the moves.
-    :param limits: of one time step.
-    :param rig: constraints of the cameras; None without constraints.
-    :param report: gets a message about each error, and the cameras keep their poses; None to raise
-        the error.
+    :param limits: limits of the rig in one time step.
+    :param rig: the rig with its constraints; None without constraints.
+    :param report: called with a message after an error; the cameras then keep their poses. None to
+        raise the error.
+    :ivar constraints: correct the moves of the planner.
+    :ivar aim: chooses the headings; None if no camera has a heading to choose.
     """
 
     def __init__(self, planner: Online, limits: Limits, rig: Rig | None = None,
                  report: Callable[[str], None] | None = None) -> None:
-        self.planner, self.limits, self._report = planner, limits, report
+        self.planner, self.limits = planner, limits
+        self._report = report
         self.rig = rig = None if rig is None or rig.free else rig
         self.constraints = StepConstraints(limits, rig)
         self.aim = HeadingPlanner.of(rig, limits.wall_margin)
         #: The time step to prepare while the cameras move.
-        self._next: PlannedTurn | None = None
+        self._next_turn: PlannedTurn | None = None
 
     def change(self, planner: Online, limits: Limits) -> None:
         """Replace the planner and the limits during an episode."""
-        before, self.planner, self.limits = self.limits, planner, limits
-        self.constraints.change(limits)
-        if before.wall_margin != limits.wall_margin:
+        if self.limits.wall_margin != limits.wall_margin:
             self.aim = HeadingPlanner.of(self.rig, limits.wall_margin)
+        self.planner, self.limits = planner, limits
+        self.constraints.set_limits(limits)
 
     def reset(self) -> None:
         """Discard the state of the last episode."""
-        self._next = None
+        self._next_turn = None
         self.planner.reset()
         self.constraints.reset()
         if self.aim is not None:
@@ -66,7 +69,7 @@ class OnlineStep:
 
     def __call__(self, cloud: np.ndarray, state: RigState, turn: int, turns: int) -> Command:
         """
-        Take one step.
+        Return the command for the next time step.
 
         :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
         :param state: current state of the cameras.
@@ -78,69 +81,70 @@ class OnlineStep:
         placement = state.placement.copy()
         targets, held = self.constraints(cloud, state, moves)
         placement[:state.movable, :3] = targets
-        headings = self._aim(cloud, state, placement[:, :3], turn, turns)
+        headings = self._choose_headings(cloud, state, placement[:, :3], turn, turns)
         for camera, heading in headings.items():
             placement[camera, 3:] = heading
-        pipelined = turns >= MIN_PIPELINED_TURNS and turn + 1 < turns
-        if pipelined and len(cloud) and self.rig is not None:
-            self._next = PlannedTurn(cloud.copy(), placement[:state.movable, :3], turn + 1, turns,
-                                     state._replace(placement=placement))
+        is_pipelined = turns >= MIN_PIPELINED_TURNS and turn + 1 < turns
+        if is_pipelined and len(cloud) and self.rig is not None:
+            self._next_turn = PlannedTurn(cloud.copy(), placement[:state.movable, :3], turn + 1,
+                                          turns, state._replace(placement=placement))
         return Command(placement, list(headings), held)
 
     def plan(self, cloud: np.ndarray, state: RigState, turn: int, turns: int) -> np.ndarray:
-        """Return the moves (K, 2) that the planner chooses, metres; 0 after a reported error."""
+        """Return the planner's moves (K, 2) of K cameras, metres; 0 after a reported error."""
         positions = state.placement[:state.movable, :3]
         self.planner.set_rig_state(state)
         # Planners handle a cloud that is too small. After any other error a node must continue.
-        with self._reported('planner', 'where they are'):
+        with self._report_errors('planner', 'where they are'):
             moves = self.planner.move(cloud, positions, turn, turns)
             if not np.isfinite(moves).all():
                 raise ValueError('moves of NaN or inf')
             return moves
         return np.zeros((state.movable, 2))
 
-    def plan_ahead(self, interrupted: Callable[[], bool] = never) -> None:
+    def plan_ahead(self, interrupted: Callable[[], bool] = never_interrupted) -> None:
         """
         Compute plan, feasible region and headings of the next step while the cameras move.
 
         The call is optional: without it, the next time step computes the same results.
 
-        :param interrupted: returns whether to stop and use the best results so far because the
-            next time step waits for them.
+        :param interrupted: called often; returns whether to stop and use the best results so far,
+            because the next time step waits for them.
         """
         self.planner.interrupted = interrupted
-        with self._reported('planner', 'where they are'):
+        with self._report_errors('planner', 'where they are'):
             self.planner.plan_ahead()
-        self.planner.interrupted = never
-        if self._next is None:
+        self.planner.interrupted = never_interrupted
+        if self._next_turn is None:
             return
-        (cloud, positions, turn, turns, state), self._next = self._next, None
+        cloud, positions, turn, turns, state = self._next_turn
+        self._next_turn = None
         self.constraints.prepare(cloud, positions)
         if self.aim is None or not self.limits.max_turn:
             return
         targets = state.placement[:, :3].copy()
-        with self._reported('aiming', 'turned as they are'):
+        with self._report_errors('aiming', 'turned as they are'):
             targets[:state.movable, :2] = self.planner.goals(positions)
             self.aim.think(cloud, state, targets, self.limits.max_turn, turn, turns,
                            self.planner.headings, interrupted)
 
-    def _aim(self, cloud: np.ndarray, state: RigState, targets: np.ndarray, turn: int, turns: int
-             ) -> dict[int, np.ndarray]:
-        """Choose headings (3,) in radians for the cameras that are not omnidirectional."""
+    def _choose_headings(self, cloud: np.ndarray, state: RigState, targets: np.ndarray, turn: int,
+                         turns: int) -> dict[int, np.ndarray]:
+        """Return the next headings (3,), radians, by the numbers of the cameras that rotate."""
         if self.aim is None or not self.limits.max_turn:
             return {}
-        with self._reported('aiming', 'turned as they are'):
+        with self._report_errors('aiming', 'turned as they are'):
             headings = self.aim(cloud, state, targets, self.limits.max_turn, turn, turns,
                                 self.planner.headings)
             return {camera: headings[camera] for camera in self.aim.aimed}
         return {}
 
     @contextmanager
-    def _reported(self, what: str, how: str) -> Iterator[None]:
+    def _report_errors(self, source: str, pose: str) -> Iterator[None]:
         """Report an error and continue after the block; without ``report`` raise the error."""
         try:
             yield
         except Exception as error:
             if self._report is None:
                 raise
-            self._report(f'{what}: found {type(error).__name__}: {error}; cameras stay {how}')
+            self._report(f'{source}: found {type(error).__name__}: {error}; cameras stay {pose}')
