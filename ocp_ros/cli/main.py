@@ -15,48 +15,40 @@
 """``ocp``: the package's command line tools, which need no ROS graph."""
 
 import argparse
+from importlib import import_module
 import sys
 
-from ocp_ros.cli import (
-    benchmark_command,
-    calibrate_command,
-    evaluate_command,
-    info_command,
-    plan_command,
-    replay_command,
-    room_command,
-    rooms_command,
-    score_command,
-    studio_command,
-    train_command,
-    view_command,
-)
 from ocp_ros.cli.common import Commands, run
 
+#: The commands, in the order of the help; the module of each is ``NAME_command``.
+COMMANDS = ('plan', 'score', 'calibrate', 'info', 'view', 'studio', 'room', 'rooms', 'train',
+            'evaluate', 'benchmark', 'replay')
 
-def build_commands() -> Commands:
+
+def build_commands(name: str = '') -> Commands:
     """
-    Return all commands.
+    Return one command, or all of them.
 
     The module of a command adds its arguments and has two functions: ``run`` imports slow modules
     and returns plain data, ``show`` prints the data.
+
+    :param name: of the only command to read; any other text for all commands.
     """
     commands = Commands('ocp', 'Where do I put my depth cameras? Tools that need no ROS graph.')
-    for command in (plan_command, score_command, calibrate_command, info_command, view_command,
-                    studio_command, room_command, rooms_command, train_command,
-                    evaluate_command, benchmark_command, replay_command):
-        command.add_arguments(commands)
+    for command in (name,) if name in COMMANDS else COMMANDS:
+        import_module(f'ocp_ros.cli.{command}_command').add_arguments(commands)
     return commands
 
 
-def build_parser() -> argparse.ArgumentParser:
-    """Return the parser of all commands."""
-    return build_commands().parser
+def build_parser(name: str = '') -> argparse.ArgumentParser:
+    """Return the parser of one command, or of all; see :func:`build_commands`."""
+    return build_commands(name).parser
 
 
 def main(argv: list[str] | None = None) -> int:
     """Run one command and return its exit code: 0, or 2 after bad input."""
-    return run(build_parser(), sys.argv[1:] if argv is None else argv)
+    arguments = sys.argv[1:] if argv is None else argv
+    return run(build_parser(arguments[0] if arguments else ''), arguments)
 
 
 if __name__ == '__main__':
