@@ -92,6 +92,8 @@ SENTENCES = [
     (MODELS, 'the error at the end is {} and {} times the error at the start (two seeds; at best '
      '{} and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
      'critics_300000_0/least_ratio critics_300000_1/least_ratio'),
+    (MODELS, 'leaves {} and {} times its error after 5 and 8 turns of 2 m, and {} times',
+     'paper_agent/alone/lengths/{key}/ratio', '5x2 8x2 30x0.5'),
     (MODELS, 'gradient steps reach {} after 60,000', 'paper_agent/rows/{key}',
      'updates_60000_0/ratio'),
     (MODELS, 'ends at {} (at best {})', 'paper_agent/rows/{key}',
