@@ -305,7 +305,7 @@ class Page:
             self.task = None
 
     def _show_progress(self, progress: Progress, gesture: object) -> None:
-        """Show a report of the present task; use its poses if nobody has edited the placement."""
+        """Show a report of the present task; use its poses unless the placement was edited."""
         if self.task is None or gesture is not self._task_gesture:
             return
         self.panel.show_progress(progress)
