@@ -184,7 +184,8 @@ sys.exit(main())
 """
 
 
-@pytest.mark.parametrize('module', ['ocp_ros.cli.common', 'numba', 'ocp_ros.search.rig_plan'])
+@pytest.mark.parametrize('module', ['ocp_ros.cli.common', 'ocp_ros.cli.plan_command', 'numba',
+                                    'ocp_ros.search.rig_plan'])
 def test_an_early_ctrl_c_ends_a_command_without_a_traceback(tmp_path, monkeypatch, module):
     monkeypatch.chdir(tmp_path)
     ended = run_python(IMPORTING, module, 'plan', '8', '--evaluations', '5')

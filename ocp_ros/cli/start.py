@@ -14,9 +14,12 @@
 
 """Entry point of the script ``ocp``: Ctrl-C ends a command without a traceback, at any time."""
 
+import atexit
+from contextlib import suppress
 import gc
 import os
 import signal
+import sys
 from typing import NoReturn
 
 #: Exit code of a program that Ctrl-C has ended.
@@ -32,20 +35,40 @@ def main() -> int:
         raise KeyboardInterrupt
 
     # During imports the process may end at once: no work has begun.
-    signal.signal(signal.SIGINT, lambda *_: os._exit(EXIT_STOPPED))
+    signal.signal(signal.SIGINT, _stop)
     from ocp_ros.cli.main import main as run
     signal.signal(signal.SIGINT, interrupt)
     try:
-        return _skip_cleanup(run())
-    except Exception:
-        # Some libraries turn an interrupt into another error.
-        if interrupts:
-            return EXIT_STOPPED
-        raise
-
-
-def _skip_cleanup(code: int) -> int:
-    """Return an exit code, and turn off garbage collection, which takes half a second at exit."""
+        code = run()
+    except BaseException:
+        # An interrupt may come before the command runs, or as another error of a library.
+        if not interrupts:
+            raise
+        code = EXIT_STOPPED
+    if interrupts:
+        _exit_now(code)
+    # Garbage collection takes half a second at exit.
     gc.freeze()
     gc.disable()
     return code
+
+
+def _stop(*_: object) -> NoReturn:
+    """End the process at once."""
+    os._exit(EXIT_STOPPED)
+
+
+def _exit_now(code: int) -> NoReturn:
+    """
+    End the process after its exit functions, without the cleanup of the interpreter.
+
+    An interrupted thread may still import a compiled library, which sometimes crashes in that
+    cleanup.
+    """
+    signal.signal(signal.SIGINT, _stop)
+    atexit._run_exitfuncs()
+    for stream in (sys.stdout, sys.stderr):
+        # The reader of a pipe may be gone.
+        with suppress(OSError, ValueError):
+            stream.flush()
+    os._exit(code)
