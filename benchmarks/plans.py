@@ -73,7 +73,7 @@ def planned(scene: Scene, rig_name: str) -> dict:
             step[0] = between(FAR, NEAR, number / CLIMBED)
             yield 1e-12
 
-    climbed = annealed(plan.answer.sites, lambda sites: problem.objective.loss(views_of(sites)),
+    climbed = annealed(plan.answer.sites, lambda sites, _: problem.objective.loss(views_of(sites)),
                        lambda sites: move_camera(problem, sites, step[0], TURN * step[0], rng),
                        steps(), rng)
     online = RigPlanner(scene, rig, PROMISING, Budget(evaluations=EVALUATIONS),

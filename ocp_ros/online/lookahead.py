@@ -30,17 +30,19 @@ In an episode of many time steps the next plan is computed while the cameras mov
 done in parts, one in each time step.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import takewhile
+from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.candidate_sites import Candidates, max_positions
 from ocp_ros.online.online_planner import KnownTurn, matched, Online, PipelinedPlanner
-from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap
+from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap, View
 from ocp_ros.online.rig_state import AIR_RADIUS_M, clearance_of, fixed_views, RigState, view_from
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.util.annealing import between
+from ocp_ros.util.annealing import annealed, between
 from ocp_ros.util.threads import mapped
 
 
@@ -66,9 +68,9 @@ class LookaheadTuning:
     :ivar proposals: proposals of a time step of refinement.
     :ivar pipelined_proposals: the same, in a pipelined episode.
     :ivar model_turn_proposals: the same, in a time step that also creates a model.
-    :ivar proposals_per_camera: consecutive proposals for one camera; the views of the others are
-        merged once for these.
-    :ivar parallel_proposals: proposals whose views are computed in parallel.
+    :ivar parallel_proposals: proposals whose views are computed in parallel, as a group.
+    :ivar groups_per_camera: consecutive groups for one camera; the views of the others are merged
+        once for these.
     :ivar temperatures: of the refinement, in multiples of the best plan's error.
     :ivar position_deviations_m: standard deviations of the changes of a position, metres.
     :ivar heading_deviations: standard deviations of the changes of yaw and pitch, radians.
@@ -85,8 +87,8 @@ class LookaheadTuning:
     proposals: int = 240
     pipelined_proposals: int = 112
     model_turn_proposals: int = 16
-    proposals_per_camera: int = 16
     parallel_proposals: int = 4
+    groups_per_camera: int = 4
     temperatures: tuple[float, float] = 0.1, 0.003
     position_deviations_m: tuple[float, float] = 0.5, 0.02
     heading_deviations: tuple[float, float] = 0.5, 0.05
@@ -204,44 +206,17 @@ class Lookahead(PipelinedPlanner):
         if self._model_turn == turn:
             proposals = TUNING.model_turn_proposals
         model, self._space = self._kept_model.made
+        spaces = [self._space.reached(position[:2], self.max_step, turns - turn)
+                  for position in positions]
+        targets = np.array([
+            space.inside(target) for space, target in zip(spaces, self.targets, strict=True)])
         first_turn = TUNING.refining_share * turns
-        reachable = [self._space.reached(position[:2], self.max_step, turns - turn)
-                     for position in positions]
-        targets = best_targets = np.array([
-            space.inside(target) for space, target in zip(reachable, self.targets, strict=True)])
-        headings = best_headings = self._planned_headings()
-        views = [view_from(model, self.rig_state, camera, position,
-                           None if headings is None else headings[camera])
-                 for camera, position in enumerate(self._space.placement(targets))]
-        fixed = fixed_views(model, self.rig_state)
-        error = best_error = model.error(views + fixed)
-        for proposal in range(0, proposals, TUNING.parallel_proposals):
-            if self.interrupted():
-                break
-            if proposal % TUNING.proposals_per_camera == 0:
-                camera = int(self.rng.integers(len(targets)))
-                others = model.together([*views[:camera], *views[camera + 1:], *fixed])
-                error_with = model.depth_error.given(others.seen)
-            share = (turn - first_turn + proposal / proposals) / (turns - first_turn)
-            # The temperature is never 0: an error counts as at least 1 mm.
-            temperature = max(best_error, 1e-3) * between(*TUNING.temperatures, share)
-            trials = [self._draw_pose(camera, targets, headings, reachable[camera], share)
-                      for _ in range(TUNING.parallel_proposals)]
-            trial_views = mapped(lambda trial, model=model, camera=camera: view_from(
-                model, self.rig_state, camera, *trial), trials)
-            for (position, heading), view in zip(trials, trial_views):
-                max_error = error + temperature * self.rng.exponential()
-                trial_error = error_with(view.seen, max_error)
-                if trial_error > max_error:
-                    continue
-                targets, error = targets.copy(), trial_error
-                targets[camera], views[camera] = position[:2], view
-                if headings is not None:
-                    headings = headings.copy()
-                    headings[camera] = heading
-                if error < best_error:
-                    best_targets, best_headings, best_error = targets, headings, error
-        self.targets, self.headings = best_targets, best_headings
+        shares = ((turn - first_turn + proposal / proposals) / (turns - first_turn)
+                  for proposal in range(0, proposals, TUNING.parallel_proposals))
+        refinement = Refinement(model, self.rig_state, spaces, self.rng)
+        self.targets, self.headings = refinement.refined(
+            targets, self._planned_headings(),
+            takewhile(lambda _: not self.interrupted(), shares))
 
     def _create_refining_model(self, cloud: np.ndarray, positions: np.ndarray, turn: int) -> None:
         """Create the model for the refinement."""
@@ -280,24 +255,6 @@ class Lookahead(PipelinedPlanner):
             self._choice = choice
             yield
 
-    def _draw_pose(self, camera: int, targets: np.ndarray, headings: np.ndarray | None,
-                   space: FreePlane, share: float) -> tuple[np.ndarray, np.ndarray | None]:
-        """
-        Draw a pose near that of a camera, among the positions that it can reach.
-
-        :param targets: (K, 2) metres: planned positions of the cameras.
-        :param headings: (K, 3) radians: planned headings; None if all are omnidirectional.
-        :param space: the positions that the camera can reach.
-        :param share: elapsed share of the refinement.
-        :returns: the position (3,) in metres, and the heading (3,) in radians; None if all cameras
-            are omnidirectional.
-        """
-        target = space.reflected(targets[camera] + self.rng.normal(
-            0.0, between(*TUNING.position_deviations_m, share), 2))
-        heading = None if headings is None else self._draw_heading(
-            headings[camera], camera, between(*TUNING.heading_deviations, share))
-        return space.placement(target[None])[0], heading
-
     def _planned_headings(self) -> np.ndarray | None:
         """Return the headings (K, 3) of the plan; None if all cameras are omnidirectional."""
         if not self.directional:
@@ -306,11 +263,109 @@ class Lookahead(PipelinedPlanner):
             return self.headings
         return self.rig_state.placement[:self.rig_state.movable, 3:].copy()
 
-    def _draw_heading(self, heading: np.ndarray, camera: int, deviation: float) -> np.ndarray:
-        """Return a heading (3,) with random changes of yaw and pitch, within the limits."""
-        if not self.rig_state.turns or camera not in self.rig_state.aimed:
-            return heading
-        changed = heading.copy()
-        changed[:2] += self.rng.normal(0.0, deviation, 2)
-        changed[1] = np.clip(changed[1], *self.rig_state.pitch)
-        return changed
+
+class PlannedCamera(NamedTuple):
+    """
+    A camera in a plan.
+
+    :ivar position: (3,) metres, map frame.
+    :ivar heading: (3,) yaw, pitch, roll in radians; None if all cameras are omnidirectional.
+    :ivar view: its view from there.
+    """
+
+    position: np.ndarray
+    heading: np.ndarray | None
+    view: View
+
+
+#: The K movable cameras of a plan.
+Plan = tuple[PlannedCamera, ...]
+
+
+class Refinement:
+    """
+    Annealing of a plan in small steps.
+
+    :param model: partial map of the observed cloud.
+    :param rig_state: the rig; None if all cameras are omnidirectional.
+    :param spaces: for each movable camera the positions that it can still reach.
+    :param rng: draws the proposals.
+    """
+
+    def __init__(self, model: PartialMap, rig_state: RigState | None, spaces: Sequence[FreePlane],
+                 rng: np.random.Generator) -> None:
+        self.model, self.rig_state, self.spaces, self.rng = model, rig_state, spaces, rng
+        self._fixed_views = fixed_views(model, rig_state)
+        #: Number of the camera that the next proposals move.
+        self._camera = 0
+        self._best_error = np.inf
+        #: Number of the present group of proposals, and elapsed share, from 0 to 1.
+        self._group = 0
+        self._share = 0.0
+
+    def refined(self, targets: np.ndarray, headings: np.ndarray | None, shares: Iterable[float]
+                ) -> tuple[np.ndarray, np.ndarray | None]:
+        """
+        Return the best plan found.
+
+        :param targets: (K, 2) metres: planned positions.
+        :param headings: (K, 3) radians: planned headings; None if all cameras are omnidirectional.
+        :param shares: elapsed share of the refinement, from 0 to 1, for each group of proposals.
+        :returns: positions and headings of the same form.
+        """
+        positions = self.spaces[0].placement(targets)
+        plan = tuple(self._planned_camera(
+            camera, position, None if headings is None else headings[camera])
+            for camera, position in enumerate(positions))
+        self._move_next(plan, 0)
+        best = annealed(plan, self._judge, self._propose, self._temperatures(shares), self.rng)
+        return (np.array([camera.position[:2] for camera in best]),
+                None if headings is None else np.array([camera.heading for camera in best]))
+
+    def _temperatures(self, shares: Iterable[float]) -> Iterator[float]:
+        """Yield the temperature of each group of proposals, metres."""
+        for self._group, self._share in enumerate(shares):
+            # The temperature is never 0: an error counts as at least 1 mm.
+            yield max(self._best_error, 1e-3) * between(*TUNING.temperatures, self._share)
+
+    def _move_next(self, plan: Plan, camera: int) -> None:
+        """Let the next proposals move a camera: merge the views of all others."""
+        self._camera = camera
+        others = [other.view for other in (*plan[:camera], *plan[camera + 1:])]
+        self._error_with = self.model.depth_error.given(
+            self.model.together(others + self._fixed_views).seen)
+
+    def _judge(self, plan: Plan, max_error: float) -> float:
+        """Return the depth error of a plan, metres; above the limit, any value above it."""
+        error = self._error_with(plan[self._camera].view.seen, max_error)
+        self._best_error = min(self._best_error, error)
+        return error
+
+    def _propose(self, plan: Plan) -> Iterator[Plan]:
+        """Yield plans with another pose of one camera; see :func:`annealed`."""
+        if self._group % TUNING.groups_per_camera == 0:
+            self._move_next(plan, int(self.rng.integers(len(plan))))
+        camera = self._camera
+        poses = [self._draw_pose(plan[camera]) for _ in range(TUNING.parallel_proposals)]
+        for moved in mapped(lambda pose: self._planned_camera(camera, *pose), poses):
+            yield (*plan[:camera], moved, *plan[camera + 1:])
+
+    def _planned_camera(self, camera: int, position: np.ndarray, heading: np.ndarray | None
+                        ) -> PlannedCamera:
+        """Return a camera with its view from a pose."""
+        return PlannedCamera(position, heading, view_from(
+            self.model, self.rig_state, camera, position, heading))
+
+    def _draw_pose(self, planned: PlannedCamera) -> tuple[np.ndarray, np.ndarray | None]:
+        """Draw a pose near that of the camera that moves, within its space and its limits."""
+        space = self.spaces[self._camera]
+        target = space.reflected(planned.position[:2] + self.rng.normal(
+            0.0, between(*TUNING.position_deviations_m, self._share), 2))
+        position = space.placement(target[None])[0]
+        state = self.rig_state
+        if planned.heading is None or not state.turns or self._camera not in state.aimed:
+            return position, planned.heading
+        heading = planned.heading.copy()
+        heading[:2] += self.rng.normal(0.0, between(*TUNING.heading_deviations, self._share), 2)
+        heading[1] = np.clip(heading[1], *state.pitch)
+        return position, heading

@@ -175,7 +175,7 @@ class AnnealingSearch(RigSearch):
         first = self.start or self.place_greedily()
         self.judge(first)
         loss = max(self.coarse_objective.loss(views_of(first)), TUNING.min_loss)
-        best = annealed(first, lambda sites: self.coarse_objective.loss(views_of(sites)),
+        best = annealed(first, lambda sites, _: self.coarse_objective.loss(views_of(sites)),
                         self._exchange_camera, self._temperatures(
                             loss, TUNING.exchange_temperatures, 0.0, TUNING.exchange_budget_share),
                         self.rng)
@@ -183,8 +183,9 @@ class AnnealingSearch(RigSearch):
         # The full depth maps decide between the two placements.
         if self.start and objective.loss(views_of(first)) < objective.loss(views_of(best)):
             best = first
-        return annealed(best, self.judge, self._change_camera, self._temperatures(
-            loss, TUNING.move_temperatures, TUNING.exchange_budget_share, 1.0), self.rng)
+        return annealed(best, lambda sites, _: self.judge(sites), self._change_camera,
+                        self._temperatures(loss, TUNING.move_temperatures,
+                                           TUNING.exchange_budget_share, 1.0), self.rng)
 
     def place_greedily(self) -> Sites:
         """Return a placement: one camera after the other, each the best of random candidates."""
@@ -222,8 +223,8 @@ class AnnealingSearch(RigSearch):
             self.evaluations += 1
             yield between(first, last, self._progress)
 
-    def _exchange_camera(self, sites: Sites) -> Sites | None:
-        """Return sites with one pose replaced by a candidate; None if cameras are too close."""
+    def _exchange_camera(self, sites: Sites) -> list[Sites]:
+        """Return sites with one pose replaced by a candidate; none if cameras are too close."""
         camera = int(self.rng.integers(len(sites)))
         model = self.problem.rig.cameras[camera].model
         candidates = self.pool.candidates_of(model)
@@ -236,11 +237,11 @@ class AnnealingSearch(RigSearch):
         others = (*sites[:camera], *sites[camera + 1:])
         site = self.pool.mounted_candidate(model, row)
         if not are_spaced(site.pose[None], others, self.problem.rig.spacing)[0]:
-            return None
-        return (*sites[:camera], site, *sites[camera + 1:])
+            return []
+        return [(*sites[:camera], site, *sites[camera + 1:])]
 
-    def _change_camera(self, sites: Sites) -> Sites | None:
-        """Return sites with one camera moved, or sometimes exchanged; None if infeasible."""
+    def _change_camera(self, sites: Sites) -> list[Sites]:
+        """Return sites with one camera moved, or sometimes exchanged; none if infeasible."""
         if self.rng.random() < TUNING.exchange_share:
             return self._exchange_camera(sites)
         metres, radians = between(np.array(TUNING.first_deviations),
@@ -249,13 +250,13 @@ class AnnealingSearch(RigSearch):
 
 
 def move_camera(problem: Problem, sites: Sites, metres: float, radians: float,
-                rng: np.random.Generator) -> Sites | None:
+                rng: np.random.Generator) -> list[Sites]:
     """
-    Move and rotate one random camera of a placement; return the sites.
+    Move and rotate one random camera of a placement.
 
     :param metres: standard deviation of the move along each axis.
     :param radians: standard deviation of yaw and pitch.
-    :returns: None if no drawn pose is feasible.
+    :returns: the changed sites; an empty list if no drawn pose is feasible.
     """
     camera = int(rng.integers(len(sites)))
     others = (*sites[:camera], *sites[camera + 1:])
@@ -265,10 +266,10 @@ def move_camera(problem: Problem, sites: Sites, metres: float, radians: float,
     feasible = problem.region.allowed(poses, model) & are_spaced(
         poses, others, problem.rig.spacing)
     if not feasible.any():
-        return None
+        return []
     pose = poses[int(np.argmax(feasible))]
     site = MountedCamera(pose, problem.simulator.look(pose, camera))
-    return (*sites[:camera], site, *sites[camera + 1:])
+    return [(*sites[:camera], site, *sites[camera + 1:])]
 
 
 def poses_around(region: FeasibleRegion, pose: np.ndarray, model: CameraModel, metres: float,

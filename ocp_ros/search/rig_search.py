@@ -199,7 +199,7 @@ class ColumnGenerationSearch(RigSearch):
                 self.evaluations += 1
                 yield loss * between(*TUNING.temperatures, progress)
 
-        best = annealed(sites, self.judge, lambda sites: move_camera(
+        best = annealed(sites, lambda sites, _: self.judge(sites), lambda sites: move_camera(
             self.problem, sites, between(first_step_m, TUNING.last_deviation, progress),
             between(0.5 * first_step_m, TUNING.last_deviation, progress), rng),
             temperatures(), rng)

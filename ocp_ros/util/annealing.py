@@ -27,34 +27,34 @@ def between(first: float, last: float, share: float | np.ndarray) -> float | np.
     return first * (last / first) ** share
 
 
-def is_accepted(rise: float, temperature: float, rng: np.random.Generator) -> bool:
-    """Return whether annealing takes a step that raises the objective by ``rise``; random."""
-    return rise <= 0.0 or rng.random() < np.exp(-rise / temperature)
-
-
-def annealed(state: State, judge: Callable[[State], float],
-             propose: Callable[[State], State | None], temperatures: Iterable[float],
+def annealed(state: State, judge: Callable[[State, float], float],
+             propose: Callable[[State], Iterable[State]], temperatures: Iterable[float],
              rng: np.random.Generator) -> State:
     """
     Minimise an objective by simulated annealing with symmetric proposals.
 
+    A step is accepted if the objective rises by at most an exponential random number times the
+    temperature. This is the rule of Metropolis, with the random number drawn first: the objective
+    of a trial need not be computed to the end once it exceeds this limit.
+
     :param state: the start state.
-    :param judge: returns the objective of a state; less is better.
-    :param propose: returns a random state near the given state, or None if there is none; a state
-        and its neighbour propose each other with equal probability (symmetric).
-    :param temperatures: the temperature of each step, in units of the objective.
-    :param rng: decides which steps that raise the objective are taken.
+    :param judge: returns the objective of a state; less is better. Its second argument is a limit:
+        for a larger objective, any value above the limit may be returned.
+    :param propose: returns random states near the given state, none if there is none, which are
+        tried one after the other; a state and its neighbour propose each other with equal
+        probability (symmetric).
+    :param temperatures: one for each call of ``propose``, in units of the objective.
+    :param rng: decides which steps that raise the objective are accepted.
     :returns: the best state found, which may be the start.
     """
-    value = best_value = judge(state)
-    best = state
+    best, value = state, judge(state, np.inf)
+    best_value = value
     for temperature in temperatures:
-        trial = propose(state)
-        if trial is None:
-            continue
-        trial_value = judge(trial)
-        if is_accepted(trial_value - value, temperature, rng):
-            state, value = trial, trial_value
-            if value < best_value:
-                best, best_value = state, value
+        for trial in propose(state):
+            max_value = value + temperature * rng.exponential()
+            trial_value = judge(trial, max_value)
+            if trial_value <= max_value:
+                state, value = trial, trial_value
+                if value < best_value:
+                    best, best_value = state, value
     return best
