@@ -41,9 +41,6 @@ from ocp_ros.util.settings import check_known, ConfigurationError
 if TYPE_CHECKING:
     import numpy as np
 
-#: Names of the files that are written.
-WRITTEN = ('placement.yaml', 'cameras.launch.py', 'calibration.json')
-
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp calibrate``."""
@@ -84,8 +81,9 @@ def run(arguments: argparse.Namespace) -> Found:
     from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
     inputs = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
-    placement_name, launch_name, figures_name = WRITTEN
-    claim_folder(arguments, arguments.out, WRITTEN, figures_name, inputs)
+    written = placement_name, launch_name, figures_name = (
+        'placement.yaml', 'cameras.launch.py', 'calibration.json')
+    claim_folder(arguments, arguments.out, written, figures_name, inputs)
     rig = load_rig(arguments.rig) if arguments.rig else None
     placement = load_placement(arguments.placement, rig)
     names = [placed.camera.name for placed in placement.cameras]
@@ -99,8 +97,8 @@ def run(arguments: argparse.Namespace) -> Found:
     rows = [answer_of(placed, calibrations[name]) if name in calibrations else
             {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
             for name, placed in zip(names, placement.cameras)]
-    result: Found = {'cameras': rows, 'written': [str(arguments.out / name) for name in WRITTEN]}
-    with FileSet(arguments.out, WRITTEN, figures_name) as files:
+    result: Found = {'cameras': rows, 'written': [str(arguments.out / name) for name in written]}
+    with FileSet(arguments.out, written, figures_name) as files:
         save_placement(files.aside / placement_name, built)
         refused = [row['camera'] for row in rows if row['refused']]
         launch = launch_of(built, (), arguments.frame_prefix, refused)

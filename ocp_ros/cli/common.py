@@ -40,13 +40,6 @@ PLAN, JUDGE, LOOK, LEARN, COMPARE, REPLAY = TITLES = (
     'compare planners', 'feed the nodes')
 #: Result of a command as plain data.
 Found = dict[str, Any]
-#: Arguments whose values are input files and folders.
-INPUT_ARGUMENTS = ('room', 'rooms', 'placement', 'rig', 'config')
-#: Folder of the default outputs, relative to the folder in which ocp was started. Files in this
-#: folder are replaced without ``--overwrite``.
-RESULTS_FOLDER = Path('out')
-#: Error numbers of a full disk, an exceeded quota, and a file that is too large.
-DISK_FULL_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 #: Exit code for wrong input.
 EXIT_WRONG_INPUT = 2
 
@@ -189,7 +182,8 @@ def _print_warning(message: Warning | str, *_: Any) -> None:
 
 def _error_sentence(error: Exception) -> str:
     """Return an error as a text."""
-    if isinstance(error, OSError) and error.errno in DISK_FULL_ERRORS:
+    # A full disk, an exceeded quota, or a file that is too large.
+    if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
         return (f'{error.filename}: found no room to write it ({error.strerror}); expected some; '
                 'what was there before is whole: make room, or name another place, and start '
                 'again')
@@ -246,7 +240,7 @@ def command_of(argv: Sequence[str]) -> str:
 def inputs_of(arguments: argparse.Namespace) -> list[Path]:
     """Return the files and folders that a command line reads, which it must not replace."""
     paths: list[Any] = []
-    for name in INPUT_ARGUMENTS:
+    for name in ('room', 'rooms', 'placement', 'rig', 'config'):
         value = getattr(arguments, name, None)
         paths += value if isinstance(value, list) else [value] if value else []
     return [Path(path) for path in paths]
@@ -303,7 +297,8 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[st
 
 def _may_replace(arguments: argparse.Namespace, path: Path) -> bool:
     """Return whether a command may replace a file, or files in a folder, at a path."""
-    return arguments.overwrite or path.resolve().is_relative_to(RESULTS_FOLDER.resolve())
+    # The default outputs are in this folder, in which files are replaced without --overwrite.
+    return arguments.overwrite or path.resolve().is_relative_to(Path('out').resolve())
 
 
 def _check_inputs(paths: Iterable[Path], inputs: Iterable[str | Path], option: str) -> None:

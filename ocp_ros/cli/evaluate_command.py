@@ -29,9 +29,6 @@ if TYPE_CHECKING:
     from ocp_ros.compare.comparison import Comparison
     from ocp_ros.compare.protocol import Protocol
 
-#: Name of the written file.
-EVALUATION = 'evaluation.json'
-
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp evaluate``."""
@@ -67,8 +64,8 @@ def run(arguments: argparse.Namespace) -> Found:
     from ocp_ros.util.yaml_files import timestamp
     command = command_of(arguments.argv)
     protocols = protocols_of(arguments)
-    path = folder_to_write(arguments.out) / EVALUATION
-    claim_folder(arguments, arguments.out, [EVALUATION], '*-cameras')
+    path = folder_to_write(arguments.out) / 'evaluation.json'
+    claim_folder(arguments, arguments.out, [path.name], '*-cameras')
     results: dict[str, Any] = {
         'command': command, 'date': timestamp(), 'model': arguments.model,
         'rotations': list(arguments.rotations), 'seeds': arguments.seeds, 'cameras': {}}

@@ -23,11 +23,6 @@ from ocp_ros.studio import FIRST_PORT, LOCAL_ADDRESS
 from ocp_ros.util.resources import find_config
 from ocp_ros.util.settings import ConfigurationError
 
-#: Number of cameras of the rig that is used without a rig file.
-DEFAULT_CAMERAS = 4
-#: Sensor and mount of these cameras.
-DEFAULT_SENSOR, DEFAULT_MOUNT = 'realsense_d455', 'walls'
-
 
 def add_arguments(commands: Commands) -> None:
     """Add ``ocp studio``."""
@@ -36,7 +31,7 @@ def add_arguments(commands: Commands) -> None:
     studio.add_argument('room', metavar='ROOM', help='a scan, or the seed of a generated room')
     studio.add_argument('--rig', type=find_config,
                         help='rig file with cameras and constraints: docs/reference/rig.md; '
-                             f'default: {DEFAULT_CAMERAS} {DEFAULT_SENSOR} on the {DEFAULT_MOUNT}')
+                             'default: 4 realsense_d455 on the walls')
     studio.add_argument('--placement', type=Path,
                         help='placement file to begin with: docs/reference/placement.md')
     studio.add_argument('--out', type=Path, default=Path('out/studio'), metavar='DIR',
@@ -54,6 +49,7 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Serve the page until Ctrl-C; return an empty result."""
+    from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import load_rig, rig_of
     try:
         from ocp_ros.studio.page import Page
@@ -71,7 +67,7 @@ def run(arguments: argparse.Namespace) -> Found:
                         command_of(arguments.argv))
     else:
         rig = load_rig(arguments.rig) if arguments.rig else rig_of(
-            DEFAULT_CAMERAS, DEFAULT_SENSOR, mount={'on': DEFAULT_MOUNT})
+            CAMERAS, 'realsense_d455', mount={'on': MOUNT})
         scene, room = room_asked(arguments, {})
         studio = Studio(scene, room, rig, command=command_of(arguments.argv))
     folder = Folder(arguments.out)
