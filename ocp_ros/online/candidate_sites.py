@@ -36,12 +36,8 @@ TEMPERATURES = 0.04, 2e-4
 PROPOSALS_PER_CAMERA = 20
 #: Share of the proposals that draw among all candidates.
 ANY_CANDIDATE_SHARE = 0.3
-#: Largest number of nearest candidates among which the other proposals draw.
-MAX_NEIGHBOURS = 12
 #: Number of yaws and largest number of pitches, for cameras that are not omnidirectional.
 YAWS, PITCHES = 8, 2
-#: Tolerance for rounding when objective values are compared, metres.
-VALUE_TOLERANCE_M = 1e-9
 
 
 @njit(cache=True, nogil=True)
@@ -122,7 +118,8 @@ def _choose_greedily(seen, covered, trees, pixels, weight, kind_of, sites, start
         best_site, best_value = -1, np.inf
         kind_sites = sites[starts[kind_of[camera]]:starts[kind_of[camera] + 1]]
         for site in kind_sites[np.argsort(-gains[kind_sites], kind='mergesort')]:
-            if value_before - gains[site] > best_value + VALUE_TOLERANCE_M:
+            # A nanometre is the tolerance for rounding.
+            if value_before - gains[site] > best_value + 1e-9:
                 break
             value = _site_value(site, best_value, others, seen, covered, pixels, weight, values,
                                 is_exact)
@@ -238,7 +235,8 @@ class Candidates:
         fixed = model.together(fixed_views(model, rig_state))
         self._seen = np.array([view.seen for view in views]) | fixed.seen
         self._covered = (np.array([view.covered for view in views]) | fixed.covered) & unseen
-        self.neighbours = np.zeros((len(views), MAX_NEIGHBOURS), dtype=np.int64)
+        # Proposals that do not draw among all candidates draw among the 12 nearest.
+        self.neighbours = np.zeros((len(views), 12), dtype=np.int64)
         for candidates in self.of_kind:
             neighbours = self._neighbours_of(candidates)
             self.neighbours[candidates, :neighbours.shape[1]] = neighbours
@@ -246,7 +244,7 @@ class Candidates:
     def _neighbours_of(self, candidates: np.ndarray) -> np.ndarray:
         """Return the most similar others for each of C candidates of one kind: (C, n <= N)."""
         tree = cKDTree(pose_features(self.poses[candidates], metres_per_radian=0.5))
-        ranks = np.arange(2, min(MAX_NEIGHBOURS + 1, len(candidates)) + 1)
+        ranks = np.arange(2, min(self.neighbours.shape[1] + 1, len(candidates)) + 1)
         _, indices = tree.query(tree.data, ranks)
         return candidates[indices]
 

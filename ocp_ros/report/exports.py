@@ -41,9 +41,6 @@ MARK = 'placement.json'
 WRITTEN = (*PLACEMENT_FILES, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.xacro',
            'cameras.rviz', 'installer.md', 'plan.png', 'report.png', 'report_2.png', 'report.html',
            'curve.png')
-#: Rotation from a camera's body frame (x forward, y left, z up) to its optical frame (z forward,
-#: x right, y down): roll, pitch, yaw in radians, REP-103.
-OPTICAL_RPY = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
 #: Name of the frame with the axes of the room's scan, in metres.
 SCAN_FRAME = 'scan'
 #: Columns of ``cameras.csv``: metres and degrees.
@@ -210,7 +207,9 @@ def camera_links(placement: Placement, prefix: str = '', omitted: Collection[str
             # Rotations about the fixed axes x, y, z, as in ROS.
             yaw, pitch, roll = np.deg2rad(placed.angles).tolist()
             yield Link(placement.frame, body, placed.position, (roll, pitch, yaw))
-            yield Link(body, f'{body}_optical', (0.0, 0.0, 0.0), OPTICAL_RPY)
+            # From x forward, y left, z up to z forward, x right, y down (REP-103).
+            optical_rpy = (-0.5 * np.pi, 0.0, -0.5 * np.pi)
+            yield Link(body, f'{body}_optical', (0.0, 0.0, 0.0), optical_rpy)
 
 
 def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '',

@@ -28,13 +28,12 @@ from ocp_ros.report.facts import page_facts_of
 from ocp_ros.report.templates import fill_template
 from ocp_ros.util.terminal_text import printable
 
-#: Characters that begin or end markup within a line; an underscore between letters does not.
-MARKUP = re.compile(r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@')
-
 
 def escape_markdown(text: str) -> str:
     """Return a text, which may come from a file, as one line of Markdown without markup."""
-    return MARKUP.sub(r'\\\g<0>', escape(printable(text), quote=False))
+    # Characters that begin or end markup within a line; an underscore between letters does not.
+    markup = r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@'
+    return re.sub(markup, r'\\\g<0>', escape(printable(text), quote=False))
 
 
 def installer_page(assessed: Assessment, plan: str) -> str:

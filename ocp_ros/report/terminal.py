@@ -37,10 +37,6 @@ from rich.table import Table
 
 #: Width of the output, characters.
 WIDTH = 100
-CAMERA_COLUMNS = ('camera', 'position (m)', 'yaw, pitch, roll', 'error reduction',
-                  'seen by this camera only')
-#: Columns of the installer's table that are printed: all except the sensor.
-MOUNTING_COLUMNS = [name for name in INSTRUCTION_COLUMNS if name != 'sensor']
 
 
 def wide_console() -> Console:
@@ -69,7 +65,9 @@ def print_table(console: Console, title: str | None, columns: Sequence[str],
 def show_score(console: Console, findings: Mapping[str, Any]) -> None:
     """Print the findings on a placement, in the data of ``ocp score`` or ``ocp plan --json``."""
     facts = facts_of(findings)
-    print_table(console, 'Cameras', CAMERA_COLUMNS, facts.cameras)
+    print_table(console, 'Cameras', (
+        'camera', 'position (m)', 'yaw, pitch, roll', 'error reduction',
+        'seen by this camera only'), facts.cameras)
     print_table(console, 'Key figures', ('', '', ''), facts.figures)
     if facts.regions:
         print_table(console, 'Regions', REGION_COLUMNS, facts.regions)
@@ -80,8 +78,9 @@ def show_score(console: Console, findings: Mapping[str, Any]) -> None:
         console.print(f'  {sentence}', style='red', markup=False, highlight=False)
     show_notes(console, findings)
     if 'installer' in findings:
-        print_table(console, 'How to mount the cameras', ('', *MOUNTING_COLUMNS), [
-            (row['number'], *(row[name] for name in MOUNTING_COLUMNS))
+        columns = [name for name in INSTRUCTION_COLUMNS if name != 'sensor']
+        print_table(console, 'How to mount the cameras', ('', *columns), [
+            (row['number'], *(row[name] for name in columns))
             for row in findings['installer']])
     for line in quality_lines(findings):
         console.print(line, highlight=False)

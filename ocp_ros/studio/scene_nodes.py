@@ -25,8 +25,6 @@ import viser
 
 #: Width of lines, metres.
 LINE_WIDTH_M = 0.012
-#: Unit vector towards the light that shades the points.
-LIGHT_DIRECTION = np.array([0.36, 0.48, 0.8])
 #: Is called when a person drags the handles of a camera or a zone: with the position (3,), metres,
 #: the rotation (3, 3), the phase ``start``, ``update`` or ``end``, and the number of the client.
 DragCallback = Callable[[np.ndarray, np.ndarray, str, int], None]
@@ -61,7 +59,8 @@ class Cloud:
         self._scene, self._name, self._points = scene, name, points
         self._point_size = 0.9 * spacing
         # From 150, dark, to 255; a normal may point to either side of its surface.
-        self._shades = (150 + 105 * np.abs(normals @ LIGHT_DIRECTION)).astype(np.uint16)
+        to_light = np.array([0.36, 0.48, 0.8])
+        self._shades = (150 + 105 * np.abs(normals @ to_light)).astype(np.uint16)
         self._offset = np.zeros(3) if offset is None else offset
         self._colours = np.full(points.shape, 200, dtype=np.uint8)
         self._visible = True

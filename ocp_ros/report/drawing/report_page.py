@@ -45,19 +45,12 @@ INNER_WIDTH = PAGE_WIDTH - 2.0 * MARGIN
 DOTS_PER_INCH = 150
 #: Largest number of cameras whose table fits on the first page.
 MAX_ROWS = 20
-#: Height of a row of a table of up to nine cameras, and of more cameras, inches.
+#: Height of a row of a table of up to nine cameras, inches.
 ROW_HEIGHT = 0.175
-LOW_ROW_HEIGHT = 0.135
 #: Lower edge of the table, inches.
 TABLE_BOTTOM = 0.42
-#: Height of a picture's title, inches.
-TITLE_HEIGHT = 0.32
 #: Names of the files of the pages; the second page has a table that does not fit on the first.
 PAGE_FILES = ('report.png', 'report_2.png')
-DEPTH_ERROR_NOTE = (
-    'Depth error: how much deeper the room looks when only the points that the cameras see are '
-    'left; five times the mean over viewpoints and directions. 0 m is perfect.')
-GOOD_COLOUR = '#00664d'
 BAD_COLOUR = '#b04a00'
 #: Left edge, lower edge, width and height of a rectangle on a page, inches.
 Box: TypeAlias = tuple[float, float, float, float]
@@ -108,8 +101,10 @@ def _picture_page(assessed: Assessment, facts: PageFacts) -> Figure:
         axes = _titled_axes(figure, box, f'From corner {corner}')
         pictures.draw_perspective(axes, room, assessed, np.deg2rad(azimuth))
     _draw_legend(figure, lower_edge - 0.16, assessed)
-    write(figure, (0.5 * PAGE_WIDTH, lower_edge - 0.36), DEPTH_ERROR_NOTE, INNER_WIDTH, 6.8,
-          PALE_INK, align='center')
+    note = ('Depth error: how much deeper the room looks when only the points that the cameras '
+            'see are left; five times the mean over viewpoints and directions. 0 m is perfect.')
+    write(figure, (0.5 * PAGE_WIDTH, lower_edge - 0.36), note, INNER_WIDTH, 6.8, PALE_INK,
+          align='center')
     return figure
 
 
@@ -127,7 +122,7 @@ def _empty_page(facts: PageFacts) -> Figure:
     write(figure, (MARGIN, 7.92), facts.title, 5.6, 15, INK, bold=True)
     write(figure, (MARGIN, 7.66), facts.subtitle, 4.6 if facts.doubts else 10.8, 8, PALE_INK)
     write(figure, (PAGE_WIDTH - MARGIN, 7.92), facts.verdict, 5.0, 9.5,
-          GOOD_COLOUR if facts.satisfied else BAD_COLOUR, bold=True, align='right')
+          '#00664d' if facts.satisfied else BAD_COLOUR, bold=True, align='right')
     for line, y in ((facts.origin, 0.27), (facts.meaning, 0.15)):
         write(figure, (MARGIN, y), line, INNER_WIDTH, 6.2, PALE_INK)
     return figure
@@ -150,14 +145,15 @@ def _picture_boxes(assessed: Assessment, bottom: float, height: float) -> _Pictu
     :param height: total height of all pictures, inches.
     """
     max_ratio, min_plan_width, max_plan_width, map_width = 1.6, 1.8, 3.7, 2.1
+    title_height = 0.32
     width, depth = assessed.size
-    half_height = 0.5 * (height - TITLE_HEIGHT)
+    half_height = 0.5 * (height - title_height)
     if width > max_ratio * depth:
         # A wide room: the maps lie below the plan.
         plan_width, map_width = 6.0, 2.85
         map_height = float(np.clip(1.2 * depth / width * map_width, 0.8, 0.4 * height))
-        plan = (MARGIN + 0.15, bottom + map_height + TITLE_HEIGHT + 0.1, plan_width,
-                height - map_height - TITLE_HEIGHT - 0.1)
+        plan = (MARGIN + 0.15, bottom + map_height + title_height + 0.1, plan_width,
+                height - map_height - title_height - 0.1)
         counts = (MARGIN, bottom, map_width, map_height)
         errors = (MARGIN + map_width + 0.15, bottom, map_width, map_height)
         looks_left = MARGIN + plan_width + 0.45
@@ -167,12 +163,12 @@ def _picture_boxes(assessed: Assessment, bottom: float, height: float) -> _Pictu
                                    max_plan_width))
         plan = (MARGIN + 0.15, bottom + 0.1, plan_width, height - 0.1)
         left = MARGIN + plan_width + 0.32
-        counts = (left, bottom + half_height + TITLE_HEIGHT, map_width, half_height)
+        counts = (left, bottom + half_height + title_height, map_width, half_height)
         errors = (left, bottom, map_width, half_height)
         looks_left = left + map_width + 0.63
     look_width = 0.5 * (PAGE_WIDTH - MARGIN - looks_left - 0.1)
     looks = [(looks_left + column * (look_width + 0.1),
-              bottom + row * (half_height + TITLE_HEIGHT), look_width, half_height)
+              bottom + row * (half_height + title_height), look_width, half_height)
              for row in (1, 0) for column in (0, 1)]
     return _PictureBoxes(plan, counts, errors, looks)
 
@@ -265,9 +261,10 @@ def _draw_table(figure: Figure, assessed: Assessment, facts: PageFacts,
     # The column of sensors is left out if the names of the cameras tell the sensors.
     if not any(row[2] for row in rows[1:]):
         rows = [[*row[:2], *row[3:]] for row in rows]
-    row_height = row_height or (ROW_HEIGHT if len(rows) - 1 <= 9 else LOW_ROW_HEIGHT)
+    low_row_height = 0.135
+    row_height = row_height or (ROW_HEIGHT if len(rows) - 1 <= 9 else low_row_height)
     height = row_height * len(rows)
     draw_table(figure, (MARGIN, TABLE_BOTTOM, INNER_WIDTH, height), rows,
-               7.2 if row_height == ROW_HEIGHT else 6.2 if row_height >= LOW_ROW_HEIGHT else 5.4,
+               7.2 if row_height == ROW_HEIGHT else 6.2 if row_height >= low_row_height else 5.4,
                [darkened(camera_colour(number)) for number in range(len(rows) - 1)])
     return TABLE_BOTTOM + height

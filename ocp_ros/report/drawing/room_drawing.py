@@ -31,8 +31,6 @@ PALE_INK = '#66707c'
 #: Lightness decreases evenly with height, so that walls are dark in the plan.
 HEIGHT_COLOURS = LinearSegmentedColormap.from_list(
     'heights', ['#e6e4dc', '#c9cfd1', '#a3aeb6', '#748593', '#4a5b6b', '#2a3644'])
-#: Direction to the light: right, up and towards the viewer.
-LIGHT = np.array([-0.35, 0.6, 0.72])
 #: Elevation of the viewer, radians.
 ELEVATION = np.radians(42.0)
 #: A level surface higher above the floor than this may be a ceiling, metres.
@@ -266,7 +264,9 @@ def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
     """
     project = eye or (lambda points: points @ view[:2].T)
     normals = room.normals * np.where(room.normals @ view[2] < 0.0, -1.0, 1.0)[:, None]
-    shade = 1.05 - contrast * 0.33 * (1.0 - np.clip(normals @ view.T @ LIGHT, 0.0, 1.0))
+    # Right, up and towards the viewer.
+    to_light = np.array([-0.35, 0.6, 0.72])
+    shade = 1.05 - contrast * 0.33 * (1.0 - np.clip(normals @ view.T @ to_light, 0.0, 1.0))
     tangents = np.cross(normals, np.where(np.abs(normals[:, 2:]) < 0.7, (0, 0, 1.0), (1.0, 0, 0)))
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     bitangents = np.cross(normals, tangents)
