@@ -31,7 +31,7 @@ from benchmarks.placement_examples import draw_examples, Example
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
-from ocp_ros.compare.judging import judged_room, MOUNTING_DRAWS, MOUNTING_ERROR_M
+from ocp_ros.compare.judging import judged_room, MOUNTING_ERRORS
 from ocp_ros.compare.protocol import placement_settings, RANDOM_PLACEMENTS, REFERENCE_PLACES
 from ocp_ros.compare.summary import budgets_of, last_runs, Rows
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
@@ -245,8 +245,8 @@ def page(summary: dict[str, Any]) -> str:
         '', '| column | meaning |', '|---|---|',
         '| knows | what the planner knows of the room |',
         '| delivered | depth error that the judge computes, summed over the rooms. The judge '
-        f'moves each camera by {100 * MOUNTING_ERROR_M:.0f} cm in a random direction, '
-        f'{MOUNTING_DRAWS} times, and takes the mean |',
+        f'moves each camera by {100 * MOUNTING_ERRORS.metres:.0f} cm in a random direction, '
+        f'{MOUNTING_ERRORS.count} times, and takes the mean |',
         '| 95 % | bootstrap interval of delivered over the rooms |',
         '| promised | depth error that the engine computes on the points of the search, summed '
         'over the rooms |',

@@ -34,7 +34,7 @@ from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.geometry.visibility import MESH
 from ocp_ros.report.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.rig.motion import mounted
+from ocp_ros.rig.motion import mounted, MountingErrors
 from ocp_ros.rig.rig_file import Rig, rig_of
 from ocp_ros.rig.structure import Air
 from ocp_ros.rooms.generator import generate_room
@@ -52,8 +52,8 @@ from scipy.stats import spearmanr
 RIG = rig_of(4, 'realsense_d455', mount={'on': 'walls'})
 #: Points of scans and of the judge, places that it looks from, and rows of its maps.
 POINTS, JUDGED, PLACES, ROWS = 60_000, 50_000, 100, 64
-#: Metres that cameras hang off, and how often they are hung.
-OFF, HUNG = 0.02, 8
+#: How far cameras hang off, and how often they are hung.
+MOUNTED = MountingErrors(0.02, count=8, seed=0)
 #: Degrees that scans are turned by, and shares of stray points.
 ANGLES, STRAYS = (17.0, 45.0), (0.002, 0.01, 0.05)
 #: Random placements of a room, and evaluations of a search.
@@ -87,7 +87,7 @@ class Judge:
     def delivered(self, poses: np.ndarray) -> float:
         """Return the mean error of poses (K, 6) that are hung a little off, metres."""
         return float(np.mean([self(np.hstack([places, poses[:, 3:]]))
-                              for places in mounted(poses[:, :3], OFF, HUNG, 0)]))
+                              for places in mounted(poses[:, :3], MOUNTED)]))
 
 
 def planned(scene: Scene, angle: float = 0.0) -> tuple[np.ndarray, float]:

@@ -30,7 +30,7 @@ from pathlib import Path
 import time
 
 from benchmarks import results
-from benchmarks.measure import geometric, HUNG, Judge, OFF
+from benchmarks.measure import geometric, Judge, MOUNTED
 from benchmarks.promise import DENSE, rig_named
 import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
@@ -110,7 +110,7 @@ def halved(scene: Scene, rig_name: str, seed: int) -> dict:
     judge = Simulator(there, SimulationConfig(engine=PROMISING), rig.models)
     poses = plan.answer.poses
     delivered = np.mean([judge.evaluate(np.hstack([places, poses[:, 3:]])).depth_error
-                         for places in mounted(poses[:, :3], OFF, HUNG, 0)])
+                         for places in mounted(poses[:, :3], MOUNTED)])
     return {'promised': plan.evaluation.depth_error, 'worst': plan.worst,
             'delivered': float(delivered)}
 

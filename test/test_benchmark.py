@@ -29,7 +29,6 @@ from ocp_ros.compare.protocol import (
     RANDOM_PLACEMENT,
     RANDOM_PLACEMENTS,
     RAY_SEARCH,
-    REFERENCES,
     rooms_in,
     run_task,
 )
@@ -44,6 +43,7 @@ from ocp_ros.scenes.scene import SceneError, turned
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.plan import plan
+from ocp_ros.search.registry import REFERENCES
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

@@ -26,9 +26,7 @@ from ocp_ros.search.finishing import (
     LATTICE_M,
     LatticeScorer,
     max_distance,
-    MOUNTING_DRAWS,
-    MOUNTING_ERROR_M,
-    MOUNTING_SEED,
+    MOUNTING_ERRORS,
     search_and_finish,
 )
 from ocp_ros.search.registry import PLANNERS
@@ -94,12 +92,12 @@ def test_of_the_best_the_steadiest_is_chosen(engine):
     steady = choose_robust(found, space, fine, 10, time.perf_counter)
 
     def off(placement):
-        moved = mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)
+        moved = mounted(placement, MOUNTING_ERRORS)
         return np.mean(fine(list(moved)).error)
 
     choices = distinct_placements(found.best, 10, CHOICE_DISTANCE_M)
     assert off(steady.placement) == min(off(space.placement(choice)) for choice in choices)
-    assert steady.evaluations == found.evaluations + MOUNTING_DRAWS * len(choices)
+    assert steady.evaluations == found.evaluations + MOUNTING_ERRORS.count * len(choices)
     assert choose_robust(found, space, fine, 1, time.perf_counter) is found
 
 

@@ -232,8 +232,9 @@ def test_colours_show_counts_requirements_and_the_selected_camera(studio):
         legend = {texts.rgb(colour) for _, colour in texts.LEGENDS[paint]}
         assert colours.shape == (len(studio.scene), 3) and colours.dtype == np.uint8
         assert set(map(tuple, np.unique(colours, axis=0).tolist())) <= legend
-    missed = texts.point_colours(evaluation, texts.BY_COUNT, 0) == texts.rgb(texts.UNSEEN_COLOUR)
-    assert np.array_equal(missed.all(axis=1), evaluation.camera_counts == 0)
+    colours = texts.point_colours(evaluation, texts.COLOURINGS.by_count, 0)
+    missed = (colours == texts.rgb(texts.UNSEEN_COLOUR)).all(axis=1)
+    assert np.array_equal(missed, evaluation.camera_counts == 0)
 
 
 def test_the_depth_image_has_the_distance_of_what_a_camera_sees(studio):

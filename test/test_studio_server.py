@@ -284,7 +284,7 @@ def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path):
         press(panel.must_see, 0.9, lambda: studio.state.rig.regions[0].must_see == 0.9)
         press(panel.new_zone_buttons, 'keep-out zone', lambda: len(studio.state.rig.keep_out) == 1)
         press(panel.remove_zone_button, True, lambda: not studio.state.rig.keep_out)
-        press(panel.colouring_list, texts.BY_REQUIREMENT,
+        press(panel.colouring_list, texts.COLOURINGS.by_requirement,
               lambda: 'too few' in panel.legend.content)
         press(panel.compare_buttons, 'Keep as A', lambda: page.kept_evaluation is not None)
         press(panel.locked_box, True, lambda: len(studio.state.locked) == 1)

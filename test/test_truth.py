@@ -20,19 +20,13 @@ from conftest import box_room, box_sides, made_room
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
-from ocp_ros.compare.judging import (
-    judged_room,
-    JudgedRoom,
-    MOUNTING_DRAWS,
-    MOUNTING_ERROR_M,
-    MOUNTING_SEED,
-)
+from ocp_ros.compare.judging import judged_room, JudgedRoom, MOUNTING_ERRORS
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.geometry.depth_error import DepthError, five_viewpoints
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
 from ocp_ros.geometry.visibility import MESH
-from ocp_ros.rig.motion import mounted
+from ocp_ros.rig.motion import mounted, MountingErrors
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Mesh, Scene, turned
@@ -100,7 +94,7 @@ def test_a_generated_room_is_judged_on_points_that_no_search_saw_and_a_little_of
     placement = np.random.default_rng(0).uniform(*room.judge_scene.bounds, (4, 3))
     judged = room.judge(placement)
     assert judged['exact'] == simulator.evaluate(placement).depth_error
-    off = mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)
+    off = mounted(placement, MOUNTING_ERRORS)
     assert judged['depth_error'] == pytest.approx(np.mean(
         [simulator.evaluate(moved).depth_error for moved in off]))
     assert judged['space_coverage'] == simulator.evaluate(placement).space_coverage
@@ -121,10 +115,11 @@ def test_a_scan_is_judged_on_points_that_are_held_out(tmp_path):
 
 def test_mounting_is_off_by_so_much_and_alike_for_all():
     placement = np.array([[1.0, 1.0, 1.9], [2.0, 3.0, 1.9], [4.0, 4.0, 1.9]])
-    moved = mounted(placement, 0.05, 8, 0)
+    errors = MountingErrors(0.05, count=8, seed=0)
+    moved = mounted(placement, errors)
     np.testing.assert_allclose(np.linalg.norm(moved - placement, axis=-1), 0.05)
     assert (moved[..., 2] == 1.9).all()
-    np.testing.assert_allclose(mounted(placement - 0.5, 0.05, 8, 0) + 0.5, moved)
+    np.testing.assert_allclose(mounted(placement - 0.5, errors) + 0.5, moved)
 
 
 def error_of(folds, points=None):

@@ -26,7 +26,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.rig.motion import mounted
+from ocp_ros.rig.motion import mounted, MountingErrors
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.up_axis import BY_FILE
@@ -38,12 +38,8 @@ from ocp_ros.simulation.simulator import Simulator
 #: Number of points of the scans for the judge and for searches.
 JUDGE_POINTS = 90_000
 SEARCH_POINTS = 60_000
-#: Number of sets of mounting errors that are averaged.
-MOUNTING_DRAWS = 8
-#: Horizontal displacement of each camera by a mounting error, metres.
-MOUNTING_ERROR_M = 0.02
-#: Random seed of the mounting errors; searches use another seed.
-MOUNTING_SEED = 0
+#: Mounting errors that are averaged; searches use another seed.
+MOUNTING_ERRORS = MountingErrors(0.02, count=8, seed=0)
 #: Engine of the judge. As the depth error is defined, its depth maps have all points (one fold).
 #: With a finer coverage grid, rays to its cells would take as long as rays to the points.
 JUDGE_ENGINE = EngineConfig(preset='fine', error_rows=128, coverage_cell=0.5, error_folds=1)
@@ -121,8 +117,8 @@ class JudgedRoom:
             error over mounting errors of 2 cm, metres; ``space_coverage``, cubic metres.
         """
         error, coverage = error_and_coverage(self.judge_problem, placement)
-        errors = [error_and_coverage(self.judge_problem, moved)[0] for moved in mounted(
-            placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)]
+        errors = [error_and_coverage(self.judge_problem, moved)[0]
+                  for moved in mounted(placement, MOUNTING_ERRORS)]
         return {'exact': error, 'depth_error': float(np.mean(errors)), 'space_coverage': coverage}
 
 

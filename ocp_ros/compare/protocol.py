@@ -47,7 +47,7 @@ from ocp_ros.search.plan import plan
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.column_generation import ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
-from ocp_ros.search.registry import OBSERVED, planner_names, planners_for, RIG_SEARCH
+from ocp_ros.search.registry import OBSERVED, planner_names, planners_for, REFERENCES, RIG_SEARCH
 from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.problem import make_problem, Problem, space_of
@@ -58,14 +58,9 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: Number of random placements.
 RANDOM_PLACEMENTS = 16
-#: Reference: random placements.
-RANDOM_PLACEMENT = 'random_placement'
-#: Reference: searches with ray casting, whose best placement is the best known one.
-RAY_SEARCH = 'truth_search'
-#: Reference: the best placement of column generation on a grid and near it, with a lower bound.
-PROVED_OPTIMUM = 'priced_plane'
-#: References for comparison, which are not planners.
-REFERENCES = (RANDOM_PLACEMENT, RAY_SEARCH, PROVED_OPTIMUM)
+#: References: random placements; searches with ray casting, whose best placement is the best known
+#: one; and the best placement of column generation on a grid and near it, with a lower bound.
+RANDOM_PLACEMENT, RAY_SEARCH, PROVED_OPTIMUM = REFERENCES
 #: The figures of one run of a planner, by name.
 Row = dict[str, Any]
 

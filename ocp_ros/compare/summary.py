@@ -34,7 +34,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ocp_ros.compare.protocol import PROVED_OPTIMUM, RANDOM_PLACEMENT, RAY_SEARCH, REFERENCES
+from ocp_ros.compare.protocol import PROVED_OPTIMUM, RANDOM_PLACEMENT, RAY_SEARCH
+from ocp_ros.search.registry import REFERENCES
 from scipy import stats
 
 #: Rows of :func:`~ocp_ros.compare.protocol.run_task`.

@@ -32,6 +32,7 @@ from ocp_ros.report.drawing.room_drawing import (
     heights_of,
     INK,
     PALE_INK,
+    PLAIN_COLOUR,
     room_of,
 )
 from ocp_ros.report.facts import page_facts_of, REGION_COLUMNS
@@ -45,8 +46,6 @@ import plotly.graph_objects as go
 SHOWN = 40000
 #: Decimals of positions in metres on the page, which limit its size.
 DECIMALS = 3
-#: Colour of seen points and of points without error.
-PLAIN_COLOUR = '#dcdcd6'
 
 
 class Layer(NamedTuple):

@@ -19,6 +19,7 @@ Everywhere, K is the number of cameras.
 """
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
@@ -181,17 +182,30 @@ def _disc_positions(centre: np.ndarray, radius: float, steps: int) -> np.ndarray
     return centre + np.column_stack([x, y, np.zeros_like(x)])[inside]
 
 
-def mounted(placement: np.ndarray, error: float, count: int, seed: int) -> np.ndarray:
+class MountingErrors(NamedTuple):
+    """
+    Random errors of the positions at which cameras are mounted.
+
+    :ivar metres: the horizontal displacement of each camera.
+    :ivar count: M, the number of random sets of errors.
+    :ivar seed: the seed of these errors.
+    """
+
+    metres: float
+    count: int
+    seed: int
+
+
+def mounted(placement: np.ndarray, errors: MountingErrors) -> np.ndarray:
     """
     Return a placement displaced by mounting errors, which are the same for every placement.
 
     :param placement: (K, 3) or (K, 6), metres and radians.
-    :param error: the horizontal displacement of each camera, metres.
-    :param count: M, the number of random sets of mounting errors.
-    :param seed: the seed of these errors.
+    :param errors: size and number of the errors.
     :returns: (M, K, 3) or (M, K, 6).
     """
-    angles = np.random.default_rng(seed).uniform(0.0, 2.0 * np.pi, (count, len(placement)))
-    moved = np.repeat(placement[None], count, axis=0)
-    moved[..., :2] += error * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
+    angles = np.random.default_rng(errors.seed).uniform(
+        0.0, 2.0 * np.pi, (errors.count, len(placement)))
+    moved = np.repeat(placement[None], errors.count, axis=0)
+    moved[..., :2] += errors.metres * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
     return moved

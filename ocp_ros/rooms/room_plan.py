@@ -28,8 +28,6 @@ from ocp_ros.rooms.furniture import make_solid, moved_piece, Piece, Solid
 
 #: Metres between furniture and the wall behind it.
 WALL_GAP_M = 0.03
-#: Metres of free floor around objects.
-CLEARANCE_M = 0.12
 #: The number of attempts to place a piece before it is left out.
 MAX_ATTEMPTS = 25
 
@@ -79,7 +77,7 @@ class RoomPlan:
         """Add an upright box from its lowest to its highest corner, both (3,), metres."""
         self.solids.append(make_solid(kind, low, high))
 
-    def claim_floor(self, low: ArrayLike, high: ArrayLike, clearance: float = CLEARANCE_M) -> bool:
+    def claim_floor(self, low: ArrayLike, high: ArrayLike, clearance: float = 0.12) -> bool:
         """
         Reserve a rectangle of the floor, unless it is outside the room or too near to another.
 

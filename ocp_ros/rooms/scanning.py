@@ -29,9 +29,6 @@ from ocp_ros.rooms.furniture import SOLID_KINDS
 from ocp_ros.rooms.room_plan import RoomPlan, WALL_GAP_M
 from ocp_ros.util.kernels import njit
 
-#: Metres: an object this near to the end of a ray does not occlude it.
-OCCLUSION_TOLERANCE_M = 0.01
-
 
 class ScannedSurface(NamedTuple):
     """
@@ -318,7 +315,8 @@ def sampling_densities(points, normals, tripods, centres, half_sizes, yaw_vector
                 across = directions[k, 1] * cosine - directions[k, 0] * sine
                 centre = along * distance, across * distance, directions[k, 2] * distance
                 ray = x * cosine + y * sine, y * cosine - x * sine, z
-                if _enters_box(ray, centre, half_sizes[k], 1.0 - OCCLUSION_TOLERANCE_M / length):
+                # An object within 0.01 m of the end of a ray does not occlude it.
+                if _enters_box(ray, centre, half_sizes[k], 1.0 - 0.01 / length):
                     is_occluded = True
                     break
             if not is_occluded:

@@ -29,7 +29,7 @@ import time
 
 import numpy as np
 from ocp_ros.rig.free_plane import FreePlane
-from ocp_ros.rig.motion import mounted
+from ocp_ros.rig.motion import mounted, MountingErrors
 from ocp_ros.search.greedy import descend
 from ocp_ros.search.planner import Planner, Scores, Search
 from ocp_ros.search.population import match_positions
@@ -37,11 +37,8 @@ from ocp_ros.search.solve import Result, solve
 
 #: Distance of the positions of the lattice, metres.
 LATTICE_M = 0.25
-#: Mounting errors for the robust choice: their number for each placement, their size in metres,
-#: and their random seed.
-MOUNTING_DRAWS = 8
-MOUNTING_ERROR_M = 0.05
-MOUNTING_SEED = 1
+#: Mounting errors of each placement for the robust choice.
+MOUNTING_ERRORS = MountingErrors(0.05, count=8, seed=1)
 #: Smallest :func:`max_distance` of placements among which the robust choice is made.
 CHOICE_DISTANCE_M = 0.06
 #: Returns the scores of placements (n, 3).
@@ -138,12 +135,12 @@ def search_and_finish(planner: Planner, score: ScoreFunction, evaluations: int,
     finish_share, elite_share, choice_share = 0.15, 0.1, 0.15
     finishing = max(int(finish_share * evaluations), 1)
     search_result = solve(planner, lattice, max(evaluations - finishing, 1), clock=clock)
-    choices = int(choice_share * finishing) // MOUNTING_DRAWS if planner.descends else 0
+    choices = int(choice_share * finishing) // MOUNTING_ERRORS.count if planner.descends else 0
     max_elites = max(int(elite_share * finishing), 1) if planner.descends else finishing
     elites = distinct_placements([lattice.snapped_positions(one) for one in search_result.best],
                                  max_elites, min_distance=0.25)
     descent = FinishingDescent(elites, planner.space, planner.rng, finishing)
-    limit = finishing - MOUNTING_DRAWS * choices if planner.descends else len(elites)
+    limit = finishing - MOUNTING_ERRORS.count * choices if planner.descends else len(elites)
     result = solve(descent, score, limit, clock=clock)
     later_trace = result.trace + [search_result.evaluations, search_result.seconds, 0.0]
     result = replace(result, evaluations=search_result.evaluations + result.evaluations,
@@ -169,13 +166,12 @@ def choose_robust(result: Result, space: FreePlane, score: ScoreFunction, max_ch
         return result
     start_time = clock()
     placements = [space.placement(choice) for choice in choices]
-    moved = [mounted(placement, MOUNTING_ERROR_M, MOUNTING_DRAWS, MOUNTING_SEED)
-             for placement in placements]
+    moved = [mounted(placement, MOUNTING_ERRORS) for placement in placements]
     mean_errors = [np.mean(score(list(displaced)).error) for displaced in moved]
     chosen = placements[int(np.argmin(mean_errors))]
     scores = score([chosen])
     return replace(
         result, placement=chosen, depth_error=float(scores.error[0]),
         space_coverage=float(scores.space_coverage[0]),
-        evaluations=result.evaluations + MOUNTING_DRAWS * len(choices),
+        evaluations=result.evaluations + MOUNTING_ERRORS.count * len(choices),
         seconds=result.seconds + clock() - start_time)

@@ -53,8 +53,8 @@ from ocp_ros.util.yaml_files import nearest
 RIG_SEARCH = 'rig_search'
 #: Input of a planner: the scan itself, the scores of its proposals, or the observed cloud.
 SCAN, SCORES, OBSERVED = 'the scan', 'scores', 'observed points'
-#: Names of the references of a comparison, which planners must not have.
-RESERVED_NAMES = ('random_placement', 'truth_search', 'priced_plane')
+#: Names of the references of a comparison, which are not planners.
+REFERENCES = ('random_placement', 'truth_search', 'priced_plane')
 
 _log = logging.getLogger(__name__)
 
@@ -167,7 +167,7 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
     if not isinstance(name, str) or not re.fullmatch(r'[A-Za-z]\w*', name, re.ASCII):
         raise ConfigurationError(f'planner: found the name {name!r}; expected letters, digits and '
                                  '_, a letter first; choose another')
-    if name in (*PLANNERS, *RESERVED_NAMES):
+    if name in (*PLANNERS, *REFERENCES):
         raise ConfigurationError(f'planner: found the name {name!r}, which another planner has; '
                                  'expected one of its own; choose another')
     bases = [base for base in (Planner, Online)

@@ -22,7 +22,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.rig.motion import wrapped
 from ocp_ros.studio.scene_nodes import wxyz_of
-from ocp_ros.studio.texts import camera_rgb, message, STYLE, STYLE_RULES
+from ocp_ros.studio.texts import camera_rgb, message, STYLE_RULES, styled
 import viser
 
 #: Percentile of the heights of a cloud that counts as the height of the floor.
@@ -93,7 +93,7 @@ class GuidePage:
         paragraphs = [f'<p><b>{escape(sentence)}</b></p>' for sentence in sentences]
         paragraphs += [f'<p>{escape(sentence)}</p>'
                        for sentence in (self.expectation, self.status) if sentence]
-        self._set_html(self.instructions, f'<div style="{STYLE}">{"".join(paragraphs)}</div>')
+        self._set_html(self.instructions, styled(''.join(paragraphs)))
         self._set_html(self.plan, plan_svg(points, self.poses, self.targets))
         for number, pose in enumerate(self.poses):
             self._show_pose(f'/cameras/{number}', f'{number}', number, pose, opacity=1.0)

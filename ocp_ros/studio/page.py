@@ -141,8 +141,10 @@ class Page:
             client.camera.position = target + 1.5 * self._diagonal * VIEW_OFFSET
             client.camera.look_at = target
         if not self.studio.history.past_states:
-            client.add_notification('ocp studio', '\n'.join(texts.HELP_LINES),
-                                    auto_close_seconds=20.0)
+            client.add_notification(
+                'ocp studio', 'Drag a camera: the colours show what is seen.\n'
+                'Cameras: type exact poses. Ctrl+Alt+Z: undo.\n'
+                'Plan finds better poses, Files saves them.', auto_close_seconds=20.0)
 
     def _run_actions(self) -> None:
         """Run actions and show their results; show details after 0.15 s without an action."""

@@ -99,7 +99,7 @@ class Panel:
         scene = self.studio.scene
         low, high = scene.bounds[:, 2].tolist()
         self.colouring_list = gui.add_dropdown('Colours', texts.COLOURINGS)
-        self.legend = gui.add_html(texts.legend(texts.BY_COUNT))
+        self.legend = gui.add_html(texts.legend(texts.COLOURINGS.by_count))
         self.room_list = gui.add_dropdown('Room', texts.ROOM_VIEWS, visible=scene.mesh is not None)
         self.height_slider = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1),
                                             STEP_M, round(height, 1))
@@ -193,7 +193,7 @@ class Panel:
     def colouring(self) -> str:
         """Return the chosen colouring of the points, one of :data:`.texts.COLOURINGS`."""
         value = self.colouring_list.value
-        return value if value in texts.COLOURINGS else texts.BY_COUNT
+        return value if value in texts.COLOURINGS else texts.COLOURINGS.by_count
 
     def select_camera(self, name: str) -> None:
         """Select the camera with this name."""
@@ -218,7 +218,7 @@ class Panel:
         self.locked_box.value = rig_camera.name in state.locked
         if rig_camera.sensor in SENSORS:
             self.sensor_list.value = rig_camera.sensor
-        if self.colouring == texts.BY_CAMERA:
+        if self.colouring == texts.COLOURINGS.by_camera:
             self.page.colour_points()
 
     def show_nearest(self, pose: np.ndarray | None, is_violating: bool) -> None:

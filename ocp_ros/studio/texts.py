@@ -16,40 +16,46 @@
 
 from collections.abc import Sequence
 from html import escape
+from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.report import facts
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES
 from ocp_ros.report.drawing.plan_marks import camera_colour
+from ocp_ros.report.drawing.room_drawing import PLAIN_COLOUR
 from ocp_ros.report.rig_planning import certificate_data
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.studio.model import Evaluation
 
-#: Colours of points that need no attention, and of points that too few cameras see.
-PLAIN_COLOUR, UNSEEN_COLOUR = '#dcdcd6', COUNT_COLOURS[0]
-#: The colourings of the points: what a colour stands for. LEGENDS has the colours of each.
-BY_COUNT, BY_REQUIREMENT, BY_CAMERA = COLOURINGS = (
-    'seen by how many cameras', 'requirements that fail', 'what the selected camera adds')
+
+class Colourings(NamedTuple):
+    """The colourings of the points: what a colour stands for."""
+
+    by_count: str = 'seen by how many cameras'
+    by_requirement: str = 'requirements that fail'
+    by_camera: str = 'what the selected camera adds'
+
+
+COLOURINGS = Colourings()
+#: Colour of points that too few cameras see.
+UNSEEN_COLOUR = COUNT_COLOURS[0]
+#: The names and colours of each colouring.
 LEGENDS = {
-    BY_COUNT: tuple(zip(COUNT_NAMES, COUNT_COLOURS)),
-    BY_REQUIREMENT: (('seen by enough cameras', PLAIN_COLOUR), ('seen by too few', UNSEEN_COLOUR),
-                     ('unseen part of a region that must be seen', '#332288')),
-    BY_CAMERA: (('others see it', PLAIN_COLOUR), ('seen by no camera', UNSEEN_COLOUR),
-                ('seen by it and others', COUNT_COLOURS[1]),
-                ('seen by it alone', COUNT_COLOURS[3]))}
+    COLOURINGS.by_count: tuple(zip(COUNT_NAMES, COUNT_COLOURS)),
+    COLOURINGS.by_requirement: (
+        ('seen by enough cameras', PLAIN_COLOUR), ('seen by too few', UNSEEN_COLOUR),
+        ('unseen part of a region that must be seen', '#332288')),
+    COLOURINGS.by_camera: (
+        ('others see it', PLAIN_COLOUR), ('seen by no camera', UNSEEN_COLOUR),
+        ('seen by it and others', COUNT_COLOURS[1]), ('seen by it alone', COUNT_COLOURS[3]))}
 #: What is shown of the room.
 POINTS, POINTS_AND_MESH, MESH = ROOM_VIEWS = 'points', 'points and mesh', 'mesh'
-HELP_LINES = ('Drag a camera: the colours show what is seen.',
-              'Cameras: type exact poses. Ctrl+Alt+Z: undo.',
-              'Plan finds better poses, Files saves them.')
 #: Sentence in place of that of a certificate.
 NO_CERTIFICATE = 'How far from the best is not known for this rig: Plan all finds out.'
 #: CSS of the page: lines of a message stay lines, and on a phone the panel has its full width.
 STYLE_RULES = (
     '<style>.mantine-Notification-description{white-space:pre-line}'
     '@media(max-width:36em){div[style*="width: 20em"]{width:100vw!important}}</style>')
-#: CSS of each text.
-STYLE = 'font-size:0.85em;line-height:1.35;padding:0.2em 0.6em;overflow-wrap:anywhere'
 
 
 def rgb(colour: str) -> tuple[int, int, int]:
@@ -67,10 +73,10 @@ def point_colours(evaluation: Evaluation, colouring: str, camera: int) -> np.nda
     counts = evaluation.camera_counts
     # Each point's index in the legend.
     indices = np.minimum(counts, len(COUNT_COLOURS) - 1)
-    if colouring == BY_REQUIREMENT:
+    if colouring == COLOURINGS.by_requirement:
         indices = (counts < evaluation.problem.rig.seen_by).astype(np.uint8)
         indices[evaluation.unseen_required_points()] = 2
-    elif colouring == BY_CAMERA:
+    elif colouring == COLOURINGS.by_camera:
         seen_by_camera = evaluation.points_seen_by(camera)
         indices = np.where(seen_by_camera, np.where(counts > 1, 2, 3), np.where(counts > 0, 0, 1))
     colours = np.array([rgb(colour) for _, colour in LEGENDS[colouring]], dtype=np.uint8)
@@ -79,7 +85,7 @@ def point_colours(evaluation: Evaluation, colouring: str, camera: int) -> np.nda
 
 def legend(colouring: str) -> str:
     """Return the legend of a colouring of the points, one of :data:`COLOURINGS`."""
-    return _styled(''.join(
+    return styled(''.join(
         f'<div><span style="display:inline-block;width:1em;height:1em;background:{colour};'
         f'border:1px solid #777;vertical-align:middle"></span> {escape(name)}</div>'
         for name, colour in LEGENDS[colouring]))
@@ -102,7 +108,7 @@ def region_table(evaluation: Evaluation) -> str:
 def summary(evaluation: Evaluation) -> str:
     """Return the most important figures, and the constraints that poses violate, as HTML."""
     depth_error, _, seen_share, *_ = figures_of(evaluation)
-    return _styled(table([depth_error, seen_share]) + region_table(evaluation)
+    return styled(table([depth_error, seen_share]) + region_table(evaluation)
                    + _sentence_list(evaluation.violations))
 
 
@@ -126,7 +132,7 @@ def all_figures(evaluation: Evaluation, certificate: Certificate | None,
     links = evaluation.scores.get('calibratable')
     cameras = [(camera['name'], f'{camera["depth_error"]:.2f} m', facts.percent(camera['only']))
                for camera in evaluation.scores['cameras']]
-    return _styled(
+    return styled(
         table(rows, head) + region_table(evaluation) + f'<p>{escape(optimality)}</p>'
         + (f'<p>{escape(facts.links_line(links))}</p>' if links else '')
         + table(cameras, ('camera', 'error reduction', 'seen by it only'))
@@ -143,7 +149,7 @@ def _figure_rows(evaluation: Evaluation) -> list[Sequence[str]]:
 
 def message(text: str) -> str:
     """Return a sentence for a person as HTML; empty if the text is."""
-    return _styled(f'<p>{escape(text)}</p>') if text else ''
+    return styled(f'<p>{escape(text)}</p>') if text else ''
 
 
 def table(rows: Sequence[Sequence[str]], head: Sequence[str] = ()) -> str:
@@ -167,6 +173,7 @@ def _sentence_list(sentences: Sequence[str]) -> str:
     return f'<ul style="color:#a33f00;padding-left:1.2em">{items}</ul>' if sentences else ''
 
 
-def _styled(html: str) -> str:
+def styled(html: str) -> str:
     """Return HTML in the style of the page."""
-    return f'<div style="{STYLE}">{html}</div>'
+    return ('<div style="font-size:0.85em;line-height:1.35;padding:0.2em 0.6em;'
+            f'overflow-wrap:anywhere">{html}</div>')

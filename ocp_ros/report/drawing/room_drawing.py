@@ -28,6 +28,8 @@ from scipy.spatial import cKDTree, ConvexHull
 #: Colours of lines and texts.
 INK = '#1c2530'
 PALE_INK = '#66707c'
+#: Colour of points that need no attention, such as points that are seen.
+PLAIN_COLOUR = '#dcdcd6'
 #: Lightness decreases evenly with height, so that walls are dark in the plan.
 HEIGHT_COLOURS = LinearSegmentedColormap.from_list(
     'heights', ['#e6e4dc', '#c9cfd1', '#a3aeb6', '#748593', '#4a5b6b', '#2a3644'])

@@ -22,8 +22,7 @@ from ocp_ros.ros.interface.frames import publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
 from ocp_ros.util.settings import ConfigurationError, setting
 
-LEARNED, LOOKAHEAD, LEARNED_LOOKAHEAD = 'learned', 'lookahead', 'learned_lookahead'
-PLANNERS = LEARNED, LOOKAHEAD, LEARNED_LOOKAHEAD
+PLANNERS = ('learned', 'lookahead', 'learned_lookahead')
 #: Defaults if ``manual`` is true: few turns with long moves, as each turn is work for a person.
 MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
 
@@ -33,7 +32,7 @@ class PolicyNodeConfig:
     """Parameters of ``policy_node``."""
 
     planner: str = setting(
-        LEARNED_LOOKAHEAD, 'planner of the moves: learned, a trained policy; lookahead, which '
+        'learned_lookahead', 'planner of the moves: learned, a trained policy; lookahead, which '
         'plans on the observed points and needs no weights; learned_lookahead, lookahead to which '
         'the policy proposes placements', choices=PLANNERS)
     model: str = setting(
@@ -118,4 +117,4 @@ class PolicyNodeConfig:
     @property
     def needs_no_weights(self) -> bool:
         """Return whether no policy is needed, and therefore no weights."""
-        return self.planner == LOOKAHEAD and not self.explore
+        return self.planner == 'lookahead' and not self.explore

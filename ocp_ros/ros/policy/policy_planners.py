@@ -24,7 +24,7 @@ from ocp_ros.policy.learned import Learned, planned_by
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.policy.map_turn import MapTurn
 from ocp_ros.rig.motion import bounded_moves
-from ocp_ros.ros.policy.policy_config import LEARNED, PolicyNodeConfig
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 
 if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint
@@ -77,7 +77,7 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
             explorer = Exploring(RecordedPolicy(checkpoint, encoder), *settings)
         return explorer, explorer
     learned = planned_by(make_policy(checkpoint), settings)
-    if config.planner == LEARNED:
+    if config.planner == 'learned':
         return learned, learned
     return Lookahead(*settings, guide=learned), learned
 
