@@ -360,9 +360,9 @@ def small():
     """Play few states of a thin scan."""
     from ocp_ros.training import value_states
     with pytest.MonkeyPatch.context() as patch:
-        for name, value in (('TRUE_POINTS', 3000), ('SCAN_POINTS', (2000,)),
-                            ('EPISODES', 1), ('MAPS', 2), ('CHOICES', 3), ('MAP_TURNS', 3)):
-            patch.setattr(value_states, name, value)
+        patch.setattr(value_states, 'TUNING', replace(
+            value_states.TUNING, true_points=3000, scan_points=(2000,), episodes=1, maps=2,
+            choices=3, map_turns=3))
         yield
 
 

@@ -15,6 +15,7 @@
 """Who commands and when: one of several policies, and managed nodes while they are active."""
 
 from conftest import counted, SMALL, status
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
@@ -28,7 +29,6 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy_node import PolicyNode
-from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.sim_node import SimNode
 import pytest
 from rclpy.parameter import Parameter
@@ -42,7 +42,7 @@ SIM = {**SMALL, 'resend_period': 0.05, 'auto_reset': True}
 def held(node):
     """Return whether a policy says that it holds."""
     level, words, _ = status(node)
-    return level == diagnostics.WARN and 'this one holds' in words
+    return level == DiagnosticStatus.WARN and 'this one holds' in words
 
 
 def test_the_second_policy_holds_and_takes_over_when_the_first_ends(graph, capfd):
@@ -52,7 +52,7 @@ def test_the_second_policy_holds_and_takes_over_when_the_first_ends(graph, capfd
     second = graph.add(PolicyNode)
     graph.until(lambda: held(second))
     assert '/camera_commands: /policy_node;' in status(second)[1]
-    assert status(first)[0] == diagnostics.OK
+    assert status(first)[0] == DiagnosticStatus.OK
     answered = counted(first, 'turns_answered')
     graph.until(lambda: counted(first, 'turns_answered') >= answered + 3)
     assert counted(second, 'turns_answered') == 0
@@ -95,12 +95,12 @@ def test_a_policy_that_has_commanded_goes_on_beside_another_publisher(graph, pro
     policy = graph.add(PolicyNode)
     graph.until(lambda: counted(policy, 'turns_answered') >= 1)
     other = probe.node.create_publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
-    graph.until(lambda: status(policy)[0] == diagnostics.WARN)
+    graph.until(lambda: status(policy)[0] == DiagnosticStatus.WARN)
     assert '/camera_commands: /policy_node, /probe;' in status(policy)[1] and not held(policy)
     answered = counted(policy, 'turns_answered')
     graph.until(lambda: counted(policy, 'turns_answered') >= answered + 3)
     probe.node.destroy_publisher(other)
-    graph.until(lambda: status(policy)[0] == diagnostics.OK)
+    graph.until(lambda: status(policy)[0] == DiagnosticStatus.OK)
 
 
 def test_of_several_that_begin_at_once_one_commands(graph, monkeypatch):
@@ -116,14 +116,14 @@ def test_of_several_that_begin_at_once_one_commands(graph, monkeypatch):
 def test_two_simulations_on_the_same_topics_are_noticed(graph, probe, capfd):
     sim, policy = graph.add(SimNode, **SIM), graph.add(PolicyNode)
     graph.until(lambda: policy.count_publishers('/observation') == 1)
-    assert (status(sim)[0], status(policy)[0]) == (diagnostics.OK, diagnostics.OK)
+    assert (status(sim)[0], status(policy)[0]) == (DiagnosticStatus.OK, DiagnosticStatus.OK)
     other = probe.node.create_publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
     for node in (sim, policy):
-        graph.until(lambda one=node: status(one)[0] == diagnostics.WARN)
+        graph.until(lambda one=node: status(one)[0] == DiagnosticStatus.WARN)
         assert 'observation: /probe, /sim_node;' in status(node)[1]
     assert 'namespace' in capfd.readouterr().err
     probe.node.destroy_publisher(other)
-    graph.until(lambda: status(policy)[0] == diagnostics.OK)
+    graph.until(lambda: status(policy)[0] == DiagnosticStatus.OK)
 
 
 CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP, SHUTDOWN = (

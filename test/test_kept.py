@@ -16,6 +16,7 @@
 
 from benchmarks.calibration_bench import cast
 from conftest import counted, status
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.cli import main as cli
@@ -27,7 +28,6 @@ from ocp_ros.ros.bags.recorded_clouds import topics_of_cameras
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import cloud_to_msg, ns_to_stamp, positions_to_msg
 from ocp_ros.ros.policy_node import PolicyNode
-from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.scenes.mesh_rays import MeshRays
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.util.settings import ConfigurationError
@@ -154,7 +154,7 @@ def test_a_camera_that_drifts_is_a_warning(graph, scanned):
     node = scanned(drift_seconds=0.5)
     graph.until(lambda: counted(node, 'drift_checks'))
     level, message, _ = status(node)
-    assert level == diagnostics.WARN and 'camera_0 hangs 0.0' in message
+    assert level == DiagnosticStatus.WARN and 'camera_0 hangs 0.0' in message
 
 
 @pytest.mark.parametrize('live', [{'cloud_topics': 'a'}, {}])

@@ -20,7 +20,7 @@ import re
 from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, MAP, OPTICAL, Rig, S
 from builtin_interfaces.msg import Time
 from conftest import counted, HUNG, status
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.ros.interface import qos, topics
@@ -36,7 +36,6 @@ from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.instructions import FINAL, instructions, STAY
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
-from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
@@ -88,7 +87,7 @@ def test_a_live_rig_comes_to_its_final_placement(live, room):
     assert counted(policy, 'refused_messages') == 0
     live.wait_for_turns(10)
     level, message, values = status(policy)
-    assert (level, message) == (diagnostics.OK, 'placement is final')
+    assert (level, message) == (DiagnosticStatus.OK, 'placement is final')
     assert (values['silent_topics'], values['late_turns'], values['clock_jumps']) == ('', 0, 0)
     # It holds the cameras.
     np.testing.assert_allclose(msg_to_positions(live.last(topics.CAMERA_COMMANDS)),
@@ -129,10 +128,10 @@ def test_one_silent_camera_does_not_stop_the_others(live, capfd):
     rig.silent = {1}
     live.last(topics.PLACEMENT)
     live.graph.until(lambda: 'no clouds: points_1' in status(policy)[1])
-    assert status(policy)[0] == diagnostics.WARN
+    assert status(policy)[0] == DiagnosticStatus.WARN
     assert counted(policy, 'silent_topics') == 'points_1'
     live.listen(DiagnosticArray, '/diagnostics', 10)
-    assert live.last('/diagnostics').status[0].level == diagnostics.WARN
+    assert live.last('/diagnostics').status[0].level == DiagnosticStatus.WARN
     assert 'points_1' in capfd.readouterr().err
     # The final placement says which clouds it is based on.
     live.listen(String, topics.PLACEMENT_STATUS, qos.LATCHED)
@@ -141,7 +140,7 @@ def test_one_silent_camera_does_not_stop_the_others(live, capfd):
     # Its clouds are used again when they come again.
     rig.silent = set()
     live.graph.until(lambda: 'with gaps: points_1' in status(policy)[1])
-    assert status(policy)[0] == diagnostics.WARN
+    assert status(policy)[0] == DiagnosticStatus.WARN
 
 
 def test_a_rig_that_does_not_arrive_is_commanded_from_where_it_is(live, capfd):
@@ -184,7 +183,7 @@ def test_a_camera_that_sends_nonsense_does_not_stop_the_others(live, capfd, spoi
     live.wait_for_turns(3)
     assert counted(policy, 'refused_messages') >= 3
     live.graph.until(lambda: 'points_0 (nothing usable)' in status(policy)[1])
-    assert status(policy)[0] == diagnostics.WARN and word in capfd.readouterr().err
+    assert status(policy)[0] == DiagnosticStatus.WARN and word in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(('spoil', 'word'), [
@@ -227,7 +226,7 @@ def test_nobody_says_where_the_cameras_are(live, capfd):
     rig, policy = live.start(cloud_timeout=0.1)
     graph = live.graph
     graph.remove(rig)
-    graph.until(lambda: status(policy)[:2] == (diagnostics.WARN, 'nothing on camera_poses'))
+    graph.until(lambda: status(policy)[:2] == (DiagnosticStatus.WARN, 'nothing on camera_poses'))
     live.call(Trigger, 'policy_node/reset')
     graph.until(lambda: 'nothing on /camera_poses' in capfd.readouterr().err)
 
@@ -298,7 +297,7 @@ def test_a_person_hears_nothing_of_noise_and_what_is_left_of_a_move(live):
     assert expected.count('camera') == 1
     live.graph.until(
         lambda: moves_in(live.received[topics.INSTRUCTIONS][-1].data) == expected)
-    assert status(policy)[0] == diagnostics.OK
+    assert status(policy)[0] == DiagnosticStatus.OK
     rig.go()
     live.wait_for_turns(2)
 

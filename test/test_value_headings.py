@@ -43,7 +43,7 @@ from ocp_ros.training import value_states
 from ocp_ros.training.train import train
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.value_fit import turned_headings, turned_inputs, values_at
-from ocp_ros.training.value_states import AIMED_PITCH, play_states, shapes_of, StateTask, TrueRoom
+from ocp_ros.training.value_states import play_states, shapes_of, StateTask, TrueRoom, TUNING
 from ocp_ros.util.settings import ConfigurationError, from_nested
 import pytest
 from test_value_map import TINY
@@ -147,7 +147,7 @@ def test_labels_of_headings_are_what_the_true_room_loses(room):
     assert len(true.poses) == 8 * len(true.places)
     assert np.allclose(true.poses[:8, :2], true.places[0])
     assert np.allclose(true.poses[:8, 3], yaws_of(8))
-    assert np.allclose(true.poses[:, 4], AIMED_PITCH)
+    assert np.allclose(true.poses[:, 4], TUNING.aimed_pitch)
     values = true.values([11])
     error = true.engine.depth_error
     seen = [true.engine.look(true.poses[pose]).seen for pose in (11, 26)]
@@ -172,7 +172,8 @@ def test_states_of_headings_are_played_alike_and_of_their_shape(small):
 def test_only_the_map_of_headings_is_learned_where_there_are_any(small, here, tmp_path,
                                                                  monkeypatch):
     # At first cameras that are aimed see too little of a thinner scan to tell that it is a room.
-    monkeypatch.setattr(value_states, 'SCAN_POINTS', (8000,))
+    monkeypatch.setattr(value_states, 'TUNING', replace(
+        value_states.TUNING, scan_points=(8000,)))
     first = Checkpoint(ROUND, drawn(ROUND).state_dict(), 3, 'first', {'seed': 5})
     first.save(tmp_path / 'first.safetensors')
     config = from_nested(TrainingConfig, TINY | {

@@ -32,9 +32,6 @@ SLAB_M = 1.2
 MAX_LEAN_DEG = 30.0
 #: Degrees: the largest tilt of a floor.
 MAX_TILT_DEG = 3.0
-#: Metres per unit of files whose unit was mistaken for the metre, and the name of the unit.
-UNIT_FACTORS = {0.3048: 'feet', 0.1: 'a unit ten times smaller', 0.01: 'centimetres',
-                0.001: 'millimetres', 0.0254: 'inches'}
 
 
 class _LevelPoints(NamedTuple):
@@ -174,10 +171,13 @@ def _height_notes(height: float) -> list[str]:
     max_height_m = 6.0
     if height <= max_height_m:
         return []
+    # Metres per unit of files whose unit was mistaken for the metre, and the name of the unit.
+    units = {0.3048: 'feet', 0.1: 'a unit ten times smaller', 0.01: 'centimetres',
+             0.001: 'millimetres', 0.0254: 'inches'}
     # A room is usually 2.1 to 4 m high.
-    factor = next((factor for factor in UNIT_FACTORS if 2.1 <= factor * height <= 4.0), None)
+    factor = next((factor for factor in units if 2.1 <= factor * height <= 4.0), None)
     remedy = '' if factor is None else (
-        f'; if its coordinates are in {UNIT_FACTORS[factor]}, multiply the scale (--scale) by '
+        f'; if its coordinates are in {units[factor]}, multiply the scale (--scale) by '
         f'{factor:g}, which makes it {factor * height:.1f} m')
     return [f'found a room {height:.1f} m high; expected at most {max_height_m:g} m{remedy}']
 

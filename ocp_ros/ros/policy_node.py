@@ -28,6 +28,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import Pose, PoseArray
 import numpy as np
 from ocp_ros.online.online_planner import Online
@@ -358,7 +359,7 @@ class PolicyNode(ManagedNode):
             warning = self._commander.conflict_warning() or warning or (
                 missing_data and f'placement is final, with gaps: {missing_data}')
         checkpoint = None if self.policy is None else self.policy.checkpoint
-        level = diagnostics.WARN if warning else diagnostics.OK
+        level = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         return level, warning or message, {
             'planner': 'exploring' if self.config.explore else self.config.planner,
             'weights_run': (checkpoint and checkpoint.run) or '-',

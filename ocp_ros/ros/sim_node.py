@@ -23,6 +23,7 @@ either side can be killed and restarted, and the loop continues.
 from dataclasses import dataclass
 import sys
 
+from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, Pose
@@ -261,7 +262,7 @@ class SimNode(ManagedNode):
         if not self.active:
             message = 'inactive'
         warning = diagnostics.warn_of_crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION)
-        level = diagnostics.WARN if warning else diagnostics.OK
+        level = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         return level, warning or message, {
             'episode': self._episodes, 'step': turn.step, **self._counts}
 

@@ -27,6 +27,7 @@ from pathlib import Path
 import sys
 import time
 
+from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
@@ -182,8 +183,8 @@ class TrainerNode(Node):
                   **{f'turns {name}': source.assembler.assembled
                      for name, source in self.sources.items()}}
         if learner.failure is not None:
-            return diagnostics.ERROR, f'training stopped: {learner.failure!r}', values
-        return diagnostics.OK, 'training', values
+            return DiagnosticStatus.ERROR, f'training stopped: {learner.failure!r}', values
+        return DiagnosticStatus.OK, 'training', values
 
     def stop(self) -> None:
         """Stop training and save the policy, before ROS is shut down."""

@@ -17,11 +17,6 @@
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, PINHOLE, rotation_matrix
 
-#: Width of a depth image, pixels.
-IMAGE_WIDTH = 256
-#: Colours of depths, from near to far: equal steps of lightness, for any colour vision.
-DEPTH_COLOURS = np.array(
-    [(255, 234, 70), (188, 175, 111), (125, 124, 120), (67, 78, 108), (0, 32, 76)])
 #: Colour of pixels without depth.
 NO_DEPTH_COLOUR = np.array([235, 235, 235], dtype=np.uint8)
 
@@ -53,19 +48,20 @@ def depth_image(points: np.ndarray, pitch: np.ndarray, pose: np.ndarray, model: 
         half_width, half_height = 0.5 * model.horizontal_fov, 0.5 * model.vertical_fov
         horizontal = np.arctan2(y, x) / half_width
         vertical = np.arctan2(z, np.hypot(x, y)) / half_height
-    height = max(int(IMAGE_WIDTH * (half_height / half_width)), 1)
+    width = 256
+    height = max(int(width * (half_height / half_width)), 1)
     centre_row = ((1.0 - vertical) * 0.5 * height).astype(int)
-    centre_column = ((1.0 - horizontal) * 0.5 * IMAGE_WIDTH).astype(int)
+    centre_column = ((1.0 - horizontal) * 0.5 * width).astype(int)
     # A square is drawn for each point: 1.2 times its pitch, and at most 21 pixels wide.
-    half_edge = np.clip(0.6 * pitch / depth / half_width * 0.5 * IMAGE_WIDTH, 0, 10).astype(int)
-    image = np.full((height, IMAGE_WIDTH), np.inf)
+    half_edge = np.clip(0.6 * pitch / depth / half_width * 0.5 * width, 0, 10).astype(int)
+    image = np.full((height, width), np.inf)
     for pixels in np.unique(half_edge):
         chosen = half_edge == pixels
         for row_offset in range(-pixels, pixels + 1):
             for column_offset in range(-pixels, pixels + 1):
                 rows = centre_row[chosen] + row_offset
                 columns = centre_column[chosen] + column_offset
-                inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < IMAGE_WIDTH)
+                inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
                 np.minimum.at(image, (rows[inside], columns[inside]), depth[chosen][inside])
     return image
 
@@ -79,8 +75,11 @@ def depth_colours(image: np.ndarray, model: CameraModel) -> np.ndarray:
     """
     share = (image - model.min_range) / (model.max_range - model.min_range)
     measured = np.isfinite(image)
-    colour_shares = np.linspace(0.0, 1.0, len(DEPTH_COLOURS))
+    # From near to far: equal steps of lightness, for any colour vision.
+    steps = np.array(
+        [(255, 234, 70), (188, 175, 111), (125, 124, 120), (67, 78, 108), (0, 32, 76)])
+    colour_shares = np.linspace(0.0, 1.0, len(steps))
     colours = np.stack([np.interp(np.where(measured, share, 0.0), colour_shares, channel)
-                        for channel in DEPTH_COLOURS.T], axis=-1).astype(np.uint8)
+                        for channel in steps.T], axis=-1).astype(np.uint8)
     colours[~measured] = NO_DEPTH_COLOUR
     return colours

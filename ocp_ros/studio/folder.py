@@ -28,11 +28,6 @@ from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import written
 
-#: Names that a person may give to files: no path, no hidden file, no special character.
-NAME_PATTERN = re.compile(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,59}', re.ASCII)
-#: Suffixes of the files that can be loaded.
-LOADABLE_SUFFIXES = ('.yaml', '.yml', '.json')
-
 
 class Folder:
     """
@@ -49,7 +44,7 @@ class Folder:
     def file_names(self) -> list[str]:
         """Return the names of the files that can be loaded."""
         return sorted(path.name for path in self.path.iterdir()
-                      if path.suffix in LOADABLE_SUFFIXES and path.is_file()
+                      if path.suffix in ('.yaml', '.yml', '.json') and path.is_file()
                       and not path.is_symlink() and not path.name.startswith('.'))
 
     def claim_path(self, name: str, suffix: str = '.yaml') -> Path:
@@ -58,10 +53,11 @@ class Folder:
 
         :param name: without suffix.
         :param suffix: of a file; empty for a folder.
-        :raises ConfigurationError: if the name does not match :data:`NAME_PATTERN`, or if the path
-            exists and this studio has neither written nor read it.
+        :raises ConfigurationError: if the name is not 1 to 60 letters, digits, _ and -, or if the
+            path exists and this studio has neither written nor read it.
         """
-        if not NAME_PATTERN.fullmatch(name):
+        # No path, no hidden file, no special character.
+        if not re.fullmatch(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,59}', name, re.ASCII):
             raise ConfigurationError(f'name: found {name[:80]!r}; expected 1 to 60 letters, '
                                      'digits, _ and -; correct it')
         path = self.path / f'{name}{suffix}'

@@ -24,9 +24,6 @@ from ocp_ros.rig.rig_file import Camera, Rig, rig_from
 from ocp_ros.rig.schemas import MAX_NAME_LENGTH, RIG
 from ocp_ros.util.yaml_files import check, Document
 
-#: Number of states that can be undone.
-MAX_PAST_STATES = 200
-
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -67,7 +64,8 @@ class History:
             together; None if this change is the whole action.
         """
         if action is None or action != self._action:
-            self.past_states = [*self.past_states, self.present][-MAX_PAST_STATES:]
+            # At most 200 states can be undone.
+            self.past_states = [*self.past_states, self.present][-200:]
         self.present = state
         self.undone_states = []
         self._action = action

@@ -109,7 +109,7 @@ def summary(evaluation: Evaluation) -> str:
     """Return the most important figures, and the constraints that poses violate, as HTML."""
     depth_error, _, seen_share, *_ = figures_of(evaluation)
     return styled(table([depth_error, seen_share]) + region_table(evaluation)
-                   + _sentence_list(evaluation.violations))
+                  + _sentence_list(evaluation.violations))
 
 
 def all_figures(evaluation: Evaluation, certificate: Certificate | None,

@@ -62,22 +62,36 @@ from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.training.training_rooms import make_scene
 from ocp_ros.training.validation import policy_of
 
-#: Number of labelled positions for omnidirectional cameras.
-PLACES = 450
-#: Number of labelled positions for cameras with a limited field of view.
-AIMED_PLACES = 150
-#: Pitch of these cameras in radians, the middle of a range of pitches that begins level.
-AIMED_PITCH = float(np.deg2rad(15.0))
-#: Numbers of points of the scans that the rig observes.
-SCAN_POINTS = (8_000, 15_000, 25_000, 40_000)
-#: Number of points of the scan that gives the labels.
-TRUE_POINTS = 40_000
-#: Number of episodes in a room.
-EPISODES = 3
-#: Number of maps of an episode, and of the first time steps from which they are drawn.
-MAPS, MAP_TURNS = 3, 14
-#: Number of choices of cameras on a map.
-CHOICES = 8
+
+@dataclass(frozen=True)
+class StatesTuning:
+    """
+    Sizes of the training data.
+
+    :ivar places: number of labelled positions for omnidirectional cameras.
+    :ivar aimed_places: the same, for cameras with a limited field of view.
+    :ivar aimed_pitch: pitch of these cameras in radians, the middle of a range of pitches that
+        begins level.
+    :ivar scan_points: numbers of points of the scans that the rig observes.
+    :ivar true_points: number of points of the scan that gives the labels.
+    :ivar episodes: number of episodes in a room.
+    :ivar maps: number of maps of an episode.
+    :ivar map_turns: number of the first time steps of an episode, from which maps are drawn.
+    :ivar choices: number of choices of cameras on a map.
+    """
+
+    places: int = 450
+    aimed_places: int = 150
+    aimed_pitch: float = float(np.deg2rad(15.0))
+    scan_points: tuple[int, ...] = 8_000, 15_000, 25_000, 40_000
+    true_points: int = 40_000
+    episodes: int = 3
+    maps: int = 3
+    map_turns: int = 14
+    choices: int = 8
+
+
+TUNING = StatesTuning()
 
 
 def shapes_of(headings: int) -> dict[str, tuple[type, tuple[int, ...]]]:
@@ -86,7 +100,7 @@ def shapes_of(headings: int) -> dict[str, tuple[type, tuple[int, ...]]]:
 
     :param headings: number of headings at each position; 0 for omnidirectional cameras.
     """
-    places = AIMED_PLACES if headings else PLACES
+    places = TUNING.aimed_places if headings else TUNING.places
     return {'room': (np.uint8, (OF_ROOM, CELLS, CELLS)), 'of': (np.int32, ()),
             'others': (np.uint8, (OF_OTHERS, CELLS, CELLS)), 'numbers': (np.float32, (NUMBERS,)),
             'lens': (np.float32, (OF_LENS,)), 'places': (np.float32, (places, 2)),
@@ -130,10 +144,10 @@ class TrueRoom:
         engine = EngineConfig(preset='fine', error_rows=64, coverage_cell=1.0)
         self.engine = Simulator(scene, replace(config, engine=with_rays(engine, scene)))
         self.space = space_of(self.engine, 1)
-        self.places = self.space.grid(AIMED_PLACES if headings else PLACES)
+        self.places = self.space.grid(TUNING.aimed_places if headings else TUNING.places)
         rotations = np.zeros((max(headings, 1), 3))
         if headings:
-            rotations[:, :2] = np.column_stack([yaws_of(headings), np.full(headings, AIMED_PITCH)])
+            rotations[:, 0], rotations[:, 1] = yaws_of(headings), TUNING.aimed_pitch
         positions = self.space.placement(self.places)
         self.poses = np.hstack([np.repeat(positions, len(rotations), axis=0),
                                 np.tile(rotations, (len(positions), 1))])
@@ -189,8 +203,9 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     """
     rng = np.random.default_rng(task.seed)
     degrees = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
-    true_scan = make_scene(replace(task.rooms, points=TRUE_POINTS), task.room, degrees)
-    scan = make_scene(replace(task.rooms, points=int(rng.choice(SCAN_POINTS))), task.room, degrees)
+    true_scan = make_scene(replace(task.rooms, points=TUNING.true_points), task.room, degrees)
+    points = int(rng.choice(TUNING.scan_points))
+    scan = make_scene(replace(task.rooms, points=points), task.room, degrees)
     heights_m = (1.0, 2.3)
     # Half of the rooms have the range and the height of the default rig, low rooms always.
     is_default = rng.random() < 0.5 or true_scan.size[2] < heights_m[1]
@@ -205,7 +220,7 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     problem = PlaneProblem(Simulator(scan, config))
     states = _StateRecorder(TrueRoom(true_scan, config, task.headings), rng, task)
     probabilities = np.array([1, 2, 3, 5, 3, 3, 1, 1]) / 19.0
-    for _ in range(EPISODES):
+    for _ in range(TUNING.episodes):
         cameras = int(rng.choice(camera_counts, p=probabilities))
         states.play(problem, cameras, max_step=float(rng.uniform(0.5, 2.0)), weights=task.weights)
     return states.arrays()
@@ -231,7 +246,7 @@ class _StateRecorder:
     def play(self, problem: Problem, cameras: int, max_step: float, weights: bytes) -> None:
         """Run an episode; at some turns record a map, and the choices of some cameras."""
         rng, history = self._rng, LookHistory()
-        map_turns = np.sort(rng.choice(MAP_TURNS, MAPS, replace=False))
+        map_turns = np.sort(rng.choice(TUNING.map_turns, TUNING.maps, replace=False))
         turns = int(map_turns[-1]) + 1 + int(rng.integers(6))
         simulator = problem.simulator
         simulator.config = replace(simulator.config, episode=EpisodeConfig(
@@ -300,7 +315,7 @@ class _StateRecorder:
         cells = (self._room.places - observed.window.low) / observed.window.edge
         self._places.append(cells.astype(np.float32))
         first = int(rng.integers(cameras))
-        for camera in (first + np.arange(CHOICES)) % cameras:
+        for camera in (first + np.arange(TUNING.choices)) % cameras:
             others = np.delete(chosen, camera)
             values = self._room.values(others)
             channels, numbers = observed.others(

@@ -49,10 +49,6 @@ from ocp_ros.util.worker_pool import WorkerPool
 from rich.progress import Progress
 import torch
 
-#: States of rooms in which cameras move to random poses, in which the network itself moves them,
-#: and of validation rooms, with random poses. The index of a kind is part of the seed.
-STATE_KINDS = ('walked', 'own', 'validation')
-
 
 class TrainingRun(ABC):
     """
@@ -162,7 +158,8 @@ class ValueRun(TrainingRun):
         """
         Return the states of some rooms: read the saved ones, play and save the missing ones.
 
-        :param kind: one of ``STATE_KINDS``.
+        :param kind: ``walked``: the cameras move to random poses; ``own``: the network itself
+            moves them; ``validation``: validation rooms, with random poses.
         :param rooms: names of the rooms.
         :param weights: see :class:`~ocp_ros.training.value_states.StateTask`.
         """
@@ -170,7 +167,8 @@ class ValueRun(TrainingRun):
         paths = [folder / f'{kind}_{number:05}.npz' for number in range(len(rooms))]
         missing = [number for number, path in enumerate(paths) if not path.exists()]
         headings = self.config.agent.headings
-        seed = self.config.seed, STATE_KINDS.index(kind)
+        # The index of a kind is part of the seed.
+        seed = self.config.seed, ('walked', 'own', 'validation').index(kind)
         tasks = [StateTask(self.config.rooms, rooms[number], (*seed, number), weights, headings)
                  for number in missing]
         bar = self.progress.add_task(f'states, {kind}', total=len(rooms),

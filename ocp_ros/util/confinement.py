@@ -31,11 +31,6 @@ import signal
 import struct
 import time
 
-#: The right of Landlock to read a file, see landlock(7).
-READ_FILE = 1 << 2
-#: Rights in a folder: write (bit 1) and read files, list (3), remove folders (4) and files (5),
-#: make folders (7) and files (8), truncate files (14).
-USE_FOLDER = 1 << 1 | READ_FILE | 1 << 3 | 1 << 4 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 14
 #: For each machine: its constant in seccomp(2); the numbers of the calls seccomp and tgkill (which
 #: may only signal the process itself); and the numbers of the refused calls: socket, execve,
 #: execveat, ptrace, process_vm_readv, process_vm_writev, kill, tkill, rt_sigqueueinfo,
@@ -84,7 +79,11 @@ def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> No
     # Option 38 of prctl(2) forbids started programs more rights than this one; Landlock and
     # seccomp need it.
     _libc.prctl(38, 1, 0, 0, 0)
-    _allow_files(dict.fromkeys(files, READ_FILE) | ({folder: USE_FOLDER} if folder else {}))
+    # Rights of Landlock, see landlock(7). In a folder: write (bit 1) and read files, list (3),
+    # remove folders (4) and files (5), make folders (7) and files (8), truncate files (14).
+    read_file = 1 << 2
+    use_folder = 1 << 1 | read_file | 1 << 3 | 1 << 4 | 1 << 5 | 1 << 7 | 1 << 8 | 1 << 14
+    _allow_files(dict.fromkeys(files, read_file) | ({folder: use_folder} if folder else {}))
     _refuse_calls()
 
 

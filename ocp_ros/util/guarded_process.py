@@ -27,8 +27,6 @@ from typing import NamedTuple
 
 #: Seconds to wait for a process beyond its own time limit.
 GRACE_SECONDS = 60
-#: The default largest size in bytes of a file that the process writes.
-MAX_WRITTEN_BYTES = 1 << 20
 TOO_SLOW_ERROR = 'it takes its reader too long'
 
 
@@ -59,12 +57,12 @@ class GuardedProcess:
     :param arguments: the arguments of the module.
     :param cost: the limits for the kind of file.
     :param file_bytes: the size of the file that the process reads.
-    :param max_written_bytes: the largest size of each file that the process may write.
+    :param max_written_bytes: the largest size of each file that the process may write, in bytes.
     :param more_environment: environment variables in addition to those of this process.
     """
 
     def __init__(self, module: str, arguments: list[str], cost: ReadingCost, file_bytes: int,
-                 max_written_bytes: int = MAX_WRITTEN_BYTES,
+                 max_written_bytes: int = 1 << 20,
                  more_environment: Mapping[str, str] | None = None) -> None:
         # Seconds of all cores: 4 for each million bytes of a file.
         seconds = cost.seconds + 4 * file_bytes // 1_000_000

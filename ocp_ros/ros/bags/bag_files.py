@@ -25,15 +25,12 @@ import struct
 import tempfile
 from typing import Any, NamedTuple
 
-from ocp_ros.ros.bags.bag_process import CLOUD, END, HEADER, KINDS, MESSAGE, POSES, TRANSFORMS
+from ocp_ros.ros.bags.bag_process import Answer, CLOUD, HEADER, KINDS, POSES, TRANSFORMS
 from ocp_ros.util.files import read_regular
 from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 from ocp_ros.util.settings import ConfigurationError
 import yaml
 
-#: Limits for reading a bag: bytes of memory, further bytes of memory for each byte of the bag, and
-#: processor seconds for an answer, to which seconds by the size of the bag are added.
-READING_COST = ReadingCost(1_500_000_000, 0, 10)
 #: Suffix of files that are compressed as a whole.
 PACKED_SUFFIX = '.zstd'
 
@@ -120,7 +117,8 @@ class Bag:
             'ocp_ros.ros.bags.bag_process',
             ['1' if self._is_ros1 else '2', self._folder.name, str(self._bag_path.absolute()),
              *(str(file.absolute()) for file in self._files)],
-            READING_COST, size, unpacked_bytes // max(packed_files, 1),
+            ReadingCost(memory=1_500_000_000, memory_per_byte=0, seconds=10), size,
+            unpacked_bytes // max(packed_files, 1),
             {'TMPDIR': self._folder.name, 'SQLITE_TMPDIR': self._folder.name})
         return json.loads(self._read_answer()[-1])
 
@@ -209,10 +207,10 @@ class Bag:
                 self._start_process()
             self._process.ask(json.dumps([names, start, stop, max_messages]))
             try:
-                while (answer := self._read_answer())[0] != END:
+                while (answer := self._read_answer())[0] != Answer.END:
                     answer_kind, number, time, content = answer
                     name, kind = topics[number].name, KINDS[topics[number].kind]
-                    if answer_kind == MESSAGE:
+                    if answer_kind == Answer.MESSAGE:
                         yield Recorded(name, kind, time, bytes(content))
                     else:
                         yield BrokenMessage(

@@ -21,6 +21,7 @@ the topics, then, for each line of its standard input, messages. An answer is a 
 content. An error of the bag is one line on standard error.
 """
 
+from enum import IntEnum
 from importlib import import_module
 from itertools import islice
 import json
@@ -37,16 +38,20 @@ TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 #: The message types that are read, by their names in bags; old bags use another name for
 #: transforms, with the same layout.
 KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage': TRANSFORMS}
-#: Least number of bytes of one element of the list in a ROS 1 message, by message type. The
-#: elements are fields (of a cloud), poses and transforms.
-MIN_ELEMENT_BYTES = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
 #: Bytes of the largest message: a cloud of five million points is smaller.
 MAX_MESSAGE_BYTES = 200_000_000
 #: Header of an answer: its kind, the number of the topic, the time of recording (nanoseconds) and
 #: the number of bytes of its content.
 HEADER = struct.Struct('<BIqQ')
-#: Kinds of answers.
-TOPICS, MESSAGE, BROKEN, END = range(4)
+
+
+class Answer(IntEnum):
+    """Kinds of answers."""
+
+    TOPICS = 0
+    MESSAGE = 1
+    BROKEN = 2
+    END = 3
 
 
 def refuse_unsafe_schema(path: Path) -> None:
@@ -120,7 +125,7 @@ class AnswerWriter:
         self._type_store = get_typestore(Stores.ROS2_JAZZY)
         self._names = sorted(reader.topics)
 
-    def _write_answer(self, kind: int, topic: int = 0, time: int = 0, content: bytes = b''
+    def _write_answer(self, kind: Answer, topic: int = 0, time: int = 0, content: bytes = b''
                       ) -> None:
         """Write the header and the content of an answer."""
         self._out.write(HEADER.pack(kind, topic, time, len(content)))
@@ -129,7 +134,7 @@ class AnswerWriter:
     def write_topics(self) -> None:
         """Write the topics, and the start and the end of the recording."""
         reader = self._reader
-        self._write_answer(TOPICS, content=json.dumps({
+        self._write_answer(Answer.TOPICS, content=json.dumps({
             'topics': [(name, reader.topics[name].msgtype or 'several types',
                         reader.topics[name].msgcount) for name in self._names],
             'start': reader.start_time, 'end': reader.end_time}).encode())
@@ -160,10 +165,11 @@ class AnswerWriter:
                 if len(raw) > MAX_MESSAGE_BYTES:
                     raise ValueError(f'{len(raw):,} bytes, more than {MAX_MESSAGE_BYTES:,}')
             except Exception as error:
-                self._write_answer(BROKEN, topic, time, str(error).encode(errors='replace'))
+                self._write_answer(Answer.BROKEN, topic, time,
+                                   str(error).encode(errors='replace'))
             else:
-                self._write_answer(MESSAGE, topic, time, raw)
-        self._write_answer(END)
+                self._write_answer(Answer.MESSAGE, topic, time, raw)
+        self._write_answer(Answer.END)
         self._out.flush()
 
 
@@ -184,7 +190,9 @@ def check_element_count(raw: bytes, kind: str) -> None:
         frame_length, = struct.unpack_from('<I', raw, 12)
         count_offset = 16 + frame_length + (8 if kind == CLOUD else 0)
     count, = struct.unpack_from('<I', raw, count_offset)
-    if count * MIN_ELEMENT_BYTES[kind] > len(raw):
+    # The elements are fields (of a cloud), poses and transforms.
+    min_element_bytes = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
+    if count * min_element_bytes[kind] > len(raw):
         raise ValueError(f'{count:,} parts in {len(raw):,} bytes')
 
 

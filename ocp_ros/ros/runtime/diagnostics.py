@@ -20,11 +20,9 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from rclpy.node import Node
 
-OK, WARN, ERROR = DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR
-
 #: Text for ``expected`` of :func:`warn_of_crowd` on a topic of turns.
 ONE_SIMULATION = 'one simulation, or their turns get mixed up'
-#: Level (``OK``, ``WARN`` or ``ERROR``), short message, values to show by name.
+#: Level of a ``DiagnosticStatus``, short message, values to show by name.
 Status = tuple[bytes, str, Mapping[str, object]]
 
 

@@ -50,9 +50,6 @@ END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PARENT_VARIABLE = 'OCP_ROS_PARENT'
 #: Seconds for the middleware to shut a node down: ``ros2 launch`` kills it 10 s after Ctrl-C.
 SHUTDOWN_TIMEOUT_S = 3.0
-#: Errors that the user can correct: printed as one sentence, exit code 2.
-USER_ERRORS = (CheckpointError, ConfigurationError, SceneError, FileNotFoundError,
-               InvalidParameterTypeException, InvalidParameterValueException)
 
 
 def ignore_signals() -> None:
@@ -187,7 +184,9 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         exit_code = 0
     except (KeyboardInterrupt, ExternalShutdownException):
         exit_code = 0
-    except USER_ERRORS as error:
+    except (CheckpointError, ConfigurationError, SceneError, FileNotFoundError,
+            InvalidParameterTypeException, InvalidParameterValueException) as error:
+        # The user can correct these errors.
         print(f'{name}: {error}', file=sys.stderr)
     except Exception as error:
         # Errors of rclpy when it cannot read its arguments or cannot start.
