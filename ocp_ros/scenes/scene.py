@@ -168,9 +168,9 @@ def turned(scene: Scene, degrees: float) -> Scene:
     normals = None if scene.normals is None else scene.normals @ rotation.T
     rotated = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
                     scene.source.rotated(rotation), scene.notes, scene.remarks)
-    # A rotation keeps distances.
-    rotated.__dict__.update((name, value) for name, value in scene.__dict__.items()
-                            if name in ('_neighbours', 'spacing', 'pitch', 'diameter'))
+    # A rotation keeps distances. Those of rotated points would differ by rounding.
+    rotated.__dict__.update((name, getattr(scene, name))
+                            for name in ('_neighbours', 'spacing', 'pitch', 'diameter'))
     return rotated
 
 
