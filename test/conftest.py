@@ -137,6 +137,19 @@ def checkpoint(small_agent):
     return random_checkpoint(small_agent)
 
 
+@pytest.fixture
+def model(checkpoint, tmp_path):
+    """Return the path of random weights."""
+    checkpoint.save(tmp_path / 'random.safetensors')
+    return str(tmp_path / 'random.safetensors')
+
+
+@pytest.fixture(scope='session', autouse=True)
+def logs(tmp_path_factory):
+    """Let stable-baselines3 leave its logs where they are cleared away."""
+    os.environ['SB3_LOGDIR'] = str(tmp_path_factory.mktemp('sb3'))
+
+
 def random_checkpoint(agent, seed=0, **known):
     """Return a checkpoint with random weights."""
     from ocp_ros.policy.checkpoint import Checkpoint
@@ -296,9 +309,8 @@ class Probe:
 
     def send_turn(self, stamp, points, poses):
         """Publish a turn: points (N, 3) and a PoseArray, which gets the stamp in nanoseconds."""
-        from ocp_ros.ros.interface.conversions import cloud_to_msg, ns_to_stamp
-        from std_msgs.msg import Header
-        poses.header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
+        from ocp_ros.ros.interface.conversions import cloud_to_msg
+        poses.header = header_at(stamp)
         self.poses.publish(poses)
         self.clouds.publish(cloud_to_msg(points, poses.header))
 
@@ -312,6 +324,20 @@ class Probe:
                     if stamp_to_ns(message.header.stamp) == stamp]
         self.graph.until(found)
         return found()[-1]
+
+
+def header_at(stamp, frame='map'):
+    """Return the header of a message with a stamp in nanoseconds."""
+    from ocp_ros.ros.interface.conversions import ns_to_stamp
+    from std_msgs.msg import Header
+    return Header(stamp=ns_to_stamp(stamp), frame_id=frame)
+
+
+def warnings_of(node):
+    """Return the list of all that a node warns of from now on; a log leaves out repetitions."""
+    heard = []
+    node.get_logger().warning = lambda text, **throttled: heard.append(text)
+    return heard
 
 
 def status_of(node):
@@ -363,6 +389,17 @@ def small():
         for name, value in (('TRUE_POINTS', 3000), ('SCAN_POINTS', (2000,)),
                             ('EPISODES', 1), ('MAPS', 2), ('CHOICES', 3), ('MAP_TURNS', 3)):
             patch.setattr(value_states, name, value)
+        yield
+
+
+@pytest.fixture(scope='module')
+def quick_lookahead():
+    """Let lookahead compare few candidates on few points."""
+    from ocp_ros.online import lookahead
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lookahead, 'TUNING', replace(
+            lookahead.TUNING, max_positions=100, candidate_model=(2000, 16),
+            refining_model=(4000, 32), proposals=64, pipelined_proposals=32))
         yield
 
 
@@ -456,6 +493,56 @@ def blank_report(folder, judged):
     """Write no picture as the only page of a report: drawing takes longer than most plans."""
     (folder / 'report.png').write_text('drawn')
     yield folder / 'report.png'
+
+
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave the pictures of a report blank."""
+    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw_pages', blank_report)
+
+
+@pytest.fixture
+def room_folder(tmp_path, monkeypatch):
+    """Work in a folder with the scan of a room of 7.0 x 7.5 m, ``room.ply``."""
+    from ocp_ros.scenes.scene_files import save_scene
+    save_scene(made_room(8, 2000), tmp_path / 'room.ply')
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope='session')
+def studio_room():
+    """Return a small room with a mesh, and its description."""
+    from ocp_ros.rooms.scene_source import room_named
+    return room_named('3', 2000)
+
+
+@pytest.fixture(scope='session')
+def spread_cameras(studio_room):
+    """Return the state of a studio that has spread three cameras over a room: that takes long."""
+    from ocp_ros.rig.rig_file import rig_of
+    from ocp_ros.studio.model import Studio
+    mount = {'on': 'free', 'height': [1.5, 2.2]}
+    return Studio(*studio_room, rig_of(3, 'realsense_d455', mount=mount)).state
+
+
+@pytest.fixture
+def studio(studio_room, spread_cameras):
+    """Return a studio with three cameras."""
+    from ocp_ros.studio.model import Studio
+    return Studio(*studio_room, spread_cameras.rig, spread_cameras.poses)
+
+
+@pytest.fixture
+def page(studio, tmp_path):
+    """Yield the page of a studio and its URL."""
+    from ocp_ros.studio.folder import Folder
+    from ocp_ros.studio.page import Page
+    from ocp_ros.studio.server import start_server
+    server, url = start_server(port=0)
+    page = Page(server, studio, Folder(tmp_path))
+    yield page, url
+    page.close()
 
 
 @contextmanager

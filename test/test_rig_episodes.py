@@ -36,7 +36,7 @@ import pytest
 from test_training import TINY
 
 FAST = EngineConfig('fast', 32, 0.5)
-TURNS = 6
+TURNS = 5
 #: In room 8, 7.0 x 7.5 m.
 ANCHORED = """\
 cameras: [{sensor: realsense_d455, count: 2}, {sensor: omnidirectional}]
@@ -46,6 +46,11 @@ spacing: 0.6
 keep_out: [{box: [[2.8, 2.8, 0], [4.0, 4.0, 3]]}]
 regions: [{name: corner, box: [[0, 0, 0], [2, 2, 2]], weight: 2.0}]
 """
+
+
+@pytest.fixture(scope='module', autouse=True)
+def quick(quick_lookahead):
+    """Plan on few points."""
 
 
 @pytest.fixture
