@@ -42,7 +42,7 @@ import numpy as np  # noqa: E402
 # Nothing here that takes long to import: the process that hands out the tests reads this too, and
 # the others begin when it has done so.
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER  # noqa: E402
-from ocp_ros.util.settings import ConfigurationError  # noqa: E402
+from ocp_ros.util.settings import ConfigurationError, UserError  # noqa: E402
 import pytest  # noqa: E402
 
 #: Seconds after which what a test waits for has hung. No test waits as long, on whatever machine:
@@ -176,6 +176,13 @@ def batch(*encoded):
     import torch
     return {name: torch.from_numpy(np.stack([one[name] for one in encoded]))
             for name in encoded[0]}
+
+
+def store(model, before, after, action, reward, done=False, info=None):
+    """Put a move of one environment into the replay of soft actor-critic."""
+    seen = ({name: value[None] for name, value in one.items()} for one in (before, after))
+    model.replay_buffer.add(*seen, np.asarray(action, np.float32)[None],
+                            np.array([float(reward)]), np.array([done]), [info or {}])
 
 
 @pytest.fixture(scope='session')
@@ -418,6 +425,12 @@ def run_python(code, *arguments, **variables):
         timeout=HUNG, env={**os.environ, 'PYTHONPATH': str(ROOT), **variables})
 
 
+def for_any(examples=10, **strategies):
+    """Try a test with some examples of what strategies of hypothesis draw."""
+    from hypothesis import given, settings
+    return lambda test: settings(max_examples=examples, deadline=None)(given(**strategies)(test))
+
+
 def rows_for(protocol, task):
     """Return made-up rows of a task of a comparison, as if it had been run."""
     return [{'room': task.room, 'rotation': task.rotation, 'planner': task.planner,
@@ -503,7 +516,7 @@ def undrawn(monkeypatch):
 
 @pytest.fixture
 def room_folder(tmp_path, monkeypatch):
-    """Work in a folder with the scan of a room of 7.0 x 7.5 m, ``room.ply``."""
+    """Work in a folder with the scan of a room of about 8 x 8 m, ``room.ply``."""
     from ocp_ros.scenes.scene_files import save_scene
     save_scene(made_room(8, 2000), tmp_path / 'room.ply')
     monkeypatch.chdir(tmp_path)
@@ -553,6 +566,17 @@ def refused_in_one_sentence(place, remedy=''):
     message = str(caught.value)
     assert '\n' not in message and message.startswith(place), message
     assert remedy in message and 'found' in message and 'expected' in message, message
+
+
+def refusal(path, read=None, **options):
+    """Return the one sentence with which a file is refused, as a room if nothing else is said."""
+    from ocp_ros.scenes.scene_files import load_scene
+    with pytest.raises(UserError) as caught:
+        (read or load_scene)(path, **options)
+    message = str(caught.value)
+    assert path.name in message and 'found' in message and 'expected' in message, message
+    assert '\n' not in message and len(message) < 2500, message
+    return message
 
 
 def refused(capsys, *arguments):
