@@ -35,6 +35,7 @@ from ocp_ros.util.settings import ConfigurationError, from_nested
 import pytest
 from test_training import TINY
 
+pytestmark = pytest.mark.usefixtures('quick_lookahead')
 FAST = EngineConfig('fast', 32, 0.5)
 TURNS = 5
 #: In room 8, 7.0 x 7.5 m.
@@ -46,11 +47,6 @@ spacing: 0.6
 keep_out: [{box: [[2.8, 2.8, 0], [4.0, 4.0, 3]]}]
 regions: [{name: corner, box: [[0, 0, 0], [2, 2, 2]], weight: 2.0}]
 """
-
-
-@pytest.fixture(scope='module', autouse=True)
-def quick(quick_lookahead):
-    """Plan on few points."""
 
 
 @pytest.fixture

@@ -37,6 +37,7 @@ from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.annealing import between
 import pytest
 
+pytestmark = pytest.mark.usefixtures('quick_lookahead')
 MAX_STEP, MAX_RANGE, MARGIN, TURNS = 0.5, 3.0, 0.1, 6
 NEAR = CameraModel(max_range=MAX_RANGE)
 D455 = SENSORS['realsense_d455'].model
@@ -46,11 +47,6 @@ START, PLACED = np.array([6.0, 2.0, 1.9]), (2.0, 10.0)
 PLANNERS = {
     'lookahead': Lookahead, 'greedy step': GreedyStep,
     'guided lookahead': lambda *settings: Lookahead(*settings, guide=GreedyStep(*settings))}
-
-
-@pytest.fixture(scope='module', autouse=True)
-def quick(quick_lookahead):
-    """Plan on few points."""
 
 
 def made(name):
@@ -77,8 +73,7 @@ def beside(x):
 
 def aimed(yaw, **limits):
     """Return how a rig of one camera that looks one way stands."""
-    return lambda position: RigState(
-        np.array([[*position, yaw, 0.2, 0.0]]), (D455,), 1, **limits)
+    return lambda position: RigState(np.array([[*position, yaw, 0.2, 0.0]]), (D455,), 1, **limits)
 
 
 @pytest.mark.parametrize('name', PLANNERS)
@@ -124,33 +119,34 @@ def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
         assert turns(CLOUD, START[None], 0, 30).error == pytest.approx(expected)
 
 
-def rig(turns=True):
-    """Return a rig of two kinds: two that look one way, one that sees all around."""
-    placement = np.zeros((3, 6))
-    placement[:, :3] = START + [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]
-    placement[:, 3] = 0.0, 1.0, 2.0
-    return RigState(placement, (D455, NEAR, D455), 3, turns=turns)
+#: A rig of two kinds: two cameras that look one way, one that sees all around.
+MIXED = RigState(np.hstack([START + [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
+                            [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]]),
+                 (D455, NEAR, D455), 3)
+SPACE = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
+
+
+@pytest.fixture(scope='module')
+def model():
+    """Return a coarse model of the room."""
+    return PartialMap(CLOUD, MIXED.placement[:, :3], 4.0, 2000, 16)
 
 
 def test_a_camera_keeps_its_roll_and_its_kind_with_it():
-    upright = rig()
-    np.testing.assert_array_equal(kinds_of(upright)[0], [0, 1, 0])
-    np.testing.assert_array_equal(kinds_of(rig(turns=False))[0], [0, 1, 2])
-    portrait = upright._replace(placement=upright.placement.copy())
+    np.testing.assert_array_equal(kinds_of(MIXED)[0], [0, 1, 0])
+    np.testing.assert_array_equal(kinds_of(MIXED._replace(turns=False))[0], [0, 1, 2])
+    portrait = MIXED._replace(placement=MIXED.placement.copy())
     portrait.placement[2, 5] = 0.5 * np.pi
     assert (portrait.headings(2, 8, 2)[:, 2] == 0.5 * np.pi).all()
     assert not portrait.headings(0, 8, 2)[:, 2].any()
     np.testing.assert_array_equal(kinds_of(portrait)[0], [0, 1, 2])
 
 
-def test_cameras_take_places_of_their_kind_only():
-    rig_state, rng = rig(), np.random.default_rng(0)
-    model = PartialMap(CLOUD, rig_state.placement[:, :3], 4.0, 2000, 16)
-    space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
-    places = space.placement(space.grid(12))
-    sites = Candidates(model, places, [rig_state.placement], rig_state, np.zeros_like(
-        model.look(START).covered), 0.0)
-    assert len(sites.poses) == 3 + len(places) * (len(directions(rig_state.pitch, 8, 2)) + 1)
+def test_cameras_take_places_of_their_kind_only(model):
+    places, rng = SPACE.placement(SPACE.grid(12)), np.random.default_rng(0)
+    sites = Candidates(model, places, [MIXED.placement], MIXED,
+                       np.zeros_like(model.look(START).covered), 0.0)
+    assert len(sites.poses) == 3 + len(places) * (len(directions(MIXED.pitch, 8, 2)) + 1)
     own = sites.poses[3:]
     headings = {tuple(row[3:]) for row in own[:-len(places)]}
     assert len(headings) == 16 and not own[-len(places):, 4:].any()
@@ -164,12 +160,9 @@ def test_cameras_take_places_of_their_kind_only():
 
 
 @pytest.mark.parametrize(('kinds', 'weight'), [(1, 0.0), (2, 0.01)])
-def test_annealing_agrees_with_its_twin(kinds, weight):
-    rig_state = rig()
-    model = PartialMap(CLOUD, rig_state.placement[:, :3], 4.0, 2000, 16)
-    space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
-    places, unseen = space.placement(space.grid(20)), pack(model.cells % 3 > 0)
-    found = Candidates(model, places, [], RigState.omnidirectional(3) if kinds == 1 else rig_state,
+def test_annealing_agrees_with_its_twin(model, kinds, weight):
+    places, unseen = SPACE.placement(SPACE.grid(20)), pack(model.cells % 3 > 0)
+    found = Candidates(model, places, [], RigState.omnidirectional(3) if kinds == 1 else MIXED,
                        unseen, weight)
     kind_of = [0, kinds - 1, 0]
 
