@@ -14,6 +14,7 @@
 
 """When a turn of real cameras is due, told by a clock that the tests turn by hand."""
 
+from itertools import cycle
 import math
 
 from hypothesis import given
@@ -45,7 +46,7 @@ def clock():
     return Clock()
 
 
-def make(clock, topics=('a', 'b'), arrival_timeout=20.0):
+def make(clock, topics='ab', arrival_timeout=20.0):
     """Return turns of cameras that may be 5 cm off, and clouds that may take 2 s."""
     return Turns(list(topics), WaitLimits(0.05, arrival_timeout, 2.0), clock)
 
@@ -68,6 +69,17 @@ def delivered(turns, stamp, cloud, topics='ab'):
     return taken(turns)
 
 
+def until_due(clock, turns, measured, first_stamp=100.0, topics='a'):
+    """Send what is measured, and clouds, 20 times a second; return when a turn is due: seconds."""
+    began = clock.now
+    while not turns.is_due() and clock.now < began + 60.0:
+        clock.now += 0.05
+        stamp = first_stamp + clock.now
+        turns.on_poses(int(stamp * S), measured(), [np.eye(3)] * 2)
+        delivered(turns, stamp, 'cloud', topics)
+    return clock.now - began
+
+
 @pytest.fixture
 def turns(clock):
     """Return turns after the first one, at 10 s: it sent the cameras from HERE to THERE."""
@@ -79,7 +91,7 @@ def turns(clock):
 
 
 def test_a_camera_is_waited_for_until_it_hangs_as_high_as_it_shall(clock):
-    turns = make(clock, topics=('a',))
+    turns = make(clock, topics='a')
     stands(turns, 10, HERE)
     raised = HERE + [[0.0, 0.0, 0.5], [0.0, 0.0, 0.0]]
     turns.on_command(raised)
@@ -107,7 +119,7 @@ def test_cameras_on_their_last_centimetres_do_not_stand_yet(turns):
 
 
 def test_a_camera_that_still_turns_does_not_stand_yet(clock):
-    turns = make(clock, topics=('a',))
+    turns = make(clock, topics='a')
     for tick in range(8):
         turned = [rotation_matrix(0.04 * tick, 0.0, 0.0)] * 2
         turns.on_poses(10 * S + tick * S // 20, HERE, turned)
@@ -137,19 +149,12 @@ def test_a_rig_that_says_once_where_it_is_stands_there(clock, turns):
 
 
 def test_poses_that_are_never_still_stop_nothing(clock, turns):
-    for tick in range(50):
-        clock.now += 0.05
-        stamp = 11 + tick / 20
-        turns.on_poses(int(stamp * S), THERE + [0.03 * (-1) ** tick, 0.0, 0.0])
-        delivered(turns, stamp, tick)
-        assert turns.is_due() == (clock.now >= 2.05)
-        if turns.is_due():
-            break
-    assert turns.is_due()
+    shaken = cycle([THERE + [0.03, 0.0, 0.0], THERE - [0.03, 0.0, 0.0]])
+    assert until_due(clock, turns, lambda: next(shaken), 11.0, 'ab') == pytest.approx(2.05)
 
 
 def test_who_did_not_send_the_cameras_waits_until_they_stand(clock):
-    turns = make(clock, topics=('a',))
+    turns = make(clock, topics='a')
     stands(turns, 10, HERE)
     assert delivered(turns, 10, 'here', 'a') == [('a', 'here')] and turns.is_due()
     # Somebody else sends them elsewhere.
@@ -161,7 +166,7 @@ def test_who_did_not_send_the_cameras_waits_until_they_stand(clock):
 
 
 def test_a_topic_with_two_clocks_does_not_stop_the_others(clock):
-    turns = make(clock, topics=('a', 'b', 'c'))
+    turns = make(clock, topics='abc')
     stands(turns, 100, HERE)
     played = 0
     for tick in range(200):
@@ -335,35 +340,24 @@ def test_a_little_disorder_is_no_jump(turns):
 
 
 def test_noisy_poses_stop_no_turn_and_their_mean_counts(clock):
-    rng, turns, due, sigma = np.random.default_rng(1), make(clock, topics=('a',)), [], 0.03
-    for turn, (goal, following) in enumerate([(HERE, THERE), (THERE, HERE)] * 2):
-        began = clock.now
-        for _ in range(400):
-            clock.now += 0.05
-            turns.on_poses(int((100 + clock.now) * S),
-                           goal + rng.normal(0.0, sigma, HERE.shape), [np.eye(3)] * 2)
-            delivered(turns, 100 + clock.now, turn, 'a')
-            if turns.is_due():
-                break
-        due.append(clock.now - began)
+    rng, turns, sigma = np.random.default_rng(1), make(clock, topics='a'), 0.03
+    for goal, following in [(HERE, THERE), (THERE, HERE)] * 2:
+        assert until_due(clock, turns,
+                         lambda at=goal: at + rng.normal(0.0, sigma, HERE.shape)) < 5.0
         measured, rotations = turns.mean_poses
         assert not turns.overdue and np.abs(measured - goal).max() < 0.7 * sigma
         assert len(rotations) == 2
         turns.on_command(following, height_changes=np.zeros(2, dtype=bool))
-    assert max(due) < 5.0
 
 
 def test_poses_that_are_all_over_the_place_do_not_stop_the_first_turn(clock):
-    rng, turns = np.random.default_rng(2), make(clock, topics=('a',), arrival_timeout=math.inf)
-    while not turns.is_due() and clock.now < 60.0:
-        clock.now += 0.1
-        turns.on_poses(int((100 + clock.now) * S), HERE + rng.normal(0.0, 0.5, HERE.shape))
-        delivered(turns, 100 + clock.now, 1, 'a')
-    assert turns.is_due() and turns.overdue and turns.no_command_sent and clock.now < 25.0
+    rng, turns = np.random.default_rng(2), make(clock, topics='a', arrival_timeout=math.inf)
+    assert until_due(clock, turns, lambda: HERE + rng.normal(0.0, 0.5, HERE.shape)) < 25.0
+    assert turns.overdue and turns.no_command_sent
 
 
 def test_rotations_are_averaged(clock):
-    turns = make(clock, topics=('a',))
+    turns = make(clock, topics='a')
     for tick in range(20):
         turned = [rotation_matrix(0.5 + 0.01 * (-1) ** tick, 0.2, 0.0)] * 2
         turns.on_poses(10 * S + tick * S // 20, HERE, turned)
@@ -407,14 +401,8 @@ def test_whatever_happened_a_rig_that_works_gets_its_turn(seed):
             turns.on_command(THERE)
         elif what == 5:
             turns.drop_clouds()
-    # From now on everything is as it should be, for the time of one turn.
-    for tick in range(40):
-        clock.now += 0.1
-        turns.on_poses(50 * S + tick * S // 10, THERE)
-        delivered(turns, 50 + tick / 10, 'good')
-        if turns.is_due():
-            break
-    assert turns.is_due()
+    # From now on everything is as it should be.
+    assert until_due(clock, turns, lambda: THERE, 50.0 - clock.now, 'ab') < 4.0
 
 
 def test_a_cloud_that_was_taken_too_soon_is_taken_again_for_a_while(clock):
