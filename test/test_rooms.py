@@ -19,8 +19,8 @@ import subprocess
 import sys
 
 from benchmarks.room_likeness import generated, shares_of_kinds, summary
-from conftest import made_room, refused
-from hypothesis import given, settings, strategies
+from conftest import for_any, made_room, refused
+from hypothesis import strategies
 from matplotlib.image import imread
 import numpy as np
 from ocp_ros.cli import main as cli
@@ -75,8 +75,7 @@ def test_other_seeds_give_other_rooms_of_all_kinds():
     assert {plan.kind for plan in plans} == set(ROOM_KINDS)
 
 
-@settings(deadline=None, max_examples=5)
-@given(seed=SEEDS)
+@for_any(5, seed=SEEDS)
 def test_a_generated_room_is_a_furnished_room(seed):
     plan, scene = plan_of(seed), generate_room(seed, 6000)
     assert (plan.size >= [1.8, 3.5, 2.5]).all() and (plan.size <= [15.0, 15.0, 3.5]).all()
@@ -131,8 +130,7 @@ def test_what_no_tripod_sees_is_not_scanned():
     assert (both[[0, 4]] > 0.0).all() and both[4] > 0.1
 
 
-@settings(deadline=None, max_examples=20)
-@given(seed=SEEDS)
+@for_any(20, seed=SEEDS)
 def test_rays_are_blocked_as_sampled_ones_are(seed):
     """A twin that walks along each ray in small steps."""
     rng = np.random.default_rng(seed)
@@ -173,8 +171,7 @@ def test_windows_return_nothing():
     assert {SOLID_KINDS[k] for k in np.unique(kinds)} == {'ceiling', 'floor', 'wall', 'clutter'}
 
 
-@settings(deadline=None, max_examples=5)
-@given(seed=SEEDS, flip=strategies.tuples(strategies.booleans(), strategies.booleans()))
+@for_any(5, seed=SEEDS, flip=strategies.tuples(strategies.booleans(), strategies.booleans()))
 def test_a_mirrored_room_is_the_room_in_a_mirror(seed, flip):
     plan = plan_of(seed)
     there = mesh_of(plan).vertices.reshape(-1, 8, 3)
