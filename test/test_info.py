@@ -89,8 +89,8 @@ CASES = ROOT.parent / 'shared' / 'data' / 'cases'
 BOX = (6.0, 4.5, 2.7)
 #: Floor and ceiling, metres, and size, of rooms as users have them; the right answer is known.
 ROOMS = {
-    'slab_0.2.ply': (0.0, 2.7, BOX), 'thick_walls.obj': (0.0, 2.7, BOX),
-    'bim.obj': (0.0, 2.7, None), 'studio.obj': (0.0, 4.0, (8.0, 8.0, 4.0)),
+    'slab_0.2.ply': (0.0, 2.7, BOX), 'bim.obj': (0.0, 2.7, None),
+    'studio.obj': (0.0, 4.0, (8.0, 8.0, 4.0)),
     'cell_m.stl': (0.0, 3.2, None), 'box.stl': (0.0, 2.5, (6.0, 4.0, 2.5)),
     'yup_corridor.glb': (0.0, 2.6, (8.0, 1.6, 2.6)), 'class7.las': (0.0, 2.7, BOX),
     'feet_wkt.las': (0.0, 2.7, BOX), 'viewpoint.pcd': (0.0, 2.7, None),
@@ -98,13 +98,13 @@ ROOMS = {
 
 
 @cache
-def read(name, **options):
+def read(name):
     """Read a room as users have them, once; skip the test where it is absent."""
     if not CASES.is_dir():
         pytest.skip(f'{CASES} is not there')
     with warnings.catch_warnings():
         warnings.simplefilter('ignore', SceneWarning)
-        return load_scene(CASES / name, max_points=30_000, **options)
+        return load_scene(CASES / name, max_points=30_000)
 
 
 @pytest.mark.parametrize('name', ROOMS)
