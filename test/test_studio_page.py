@@ -18,7 +18,7 @@ from contextlib import closing
 from pathlib import Path
 import re
 
-from conftest import HUNG, wait_until
+from conftest import HUNG, made_room, wait_until
 import numpy as np
 from ocp_ros.geometry.cameras import Pose, rotation_matrix
 from ocp_ros.report.facts import metres
@@ -95,7 +95,7 @@ def test_a_camera_is_dragged_by_its_handle(opened, page):
     wait_until(lambda: page._details_shown)
     # The handles have to be drawn before a person can take them.
     tab.wait_for_timeout(1000)
-    start, end = (pixel_of(client, pose[:3] + away * left) for away in (0.4, 1.0))
+    start, end = (pixel_of(client, pose[:3] + away * left) for away in (0.4, 1.5))
     tab.mouse.move(*start)
     tab.mouse.down()
     for share in np.linspace(0.1, 1.0, 10):
@@ -202,11 +202,11 @@ def test_a_search_is_started_and_stopped_by_keyboard(opened, page):
     wait_until(lambda: page.task is None)
 
 
-def test_the_guide_fits_a_phone(browser, studio_room):
+def test_the_guide_fits_a_phone(browser):
     server, url = start_server(port=0)
     pressed = []
     guide = GuidePage(server, pressed.append)
-    guide.set_cloud(studio_room[0].points)
+    guide.set_cloud(made_room(3, 3000).points)
     guide.poses = [Pose.of(np.array([2.0, 3.0, 1.5, 0.5 * k, 0.1, 0.0])) for k in range(4)]
     guide.targets = [Pose.of(np.array([2.0 + k, 4.0, 1.8, 1.0, 0.2, 0.0])) for k in range(4)]
     guide.expectation, guide.status = 'expected: less error', 'not final: turn 1 of 5'
