@@ -21,7 +21,7 @@ import numpy as np
 from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.neighbours import nearest
-from ocp_ros.scenes.scene import check_points, Scene, SceneError
+from ocp_ros.scenes.scene import check_points, Scene, SceneError, turned
 from ocp_ros.scenes.scene_files import load_scene, SceneWarning
 from ocp_ros.scenes.up_axis import likely_up, likely_up_axis, map_from_file, UP_AXES, up_of
 import pytest
@@ -44,6 +44,16 @@ def test_spacing_is_the_distance_to_the_nearest_other_point():
     distance = np.linalg.norm(points[:, None] - points[None], axis=2)
     np.fill_diagonal(distance, np.inf)
     np.testing.assert_allclose(Scene(points).spacing, distance.min(axis=1), rtol=1e-4)
+
+
+def test_a_turned_room_keeps_the_distances_of_the_room():
+    for asked_before in (False, True):
+        scene = Scene(ROOM)
+        if asked_before:
+            assert scene.spacing.any()
+        rotated = turned(scene, 30.0)
+        np.testing.assert_array_equal(rotated.spacing, Scene(ROOM).spacing)
+        assert rotated.diameter == Scene(ROOM).diameter
 
 
 def test_estimated_normals_stand_on_the_surface():

@@ -65,7 +65,7 @@ from ocp_ros.training.value_fit import (
     values_at,
     ValueSet,
 )
-from ocp_ros.training.value_states import play_states, shapes_of, StateTask, TrueRoom, TUNING
+from ocp_ros.training.value_states import play_states, shapes_of, StateTask, TrueRoom
 from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
 import pytest
 import torch
@@ -93,8 +93,8 @@ def room():
 def small(small):
     """Label few places in those few states."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(value_states, 'PLACES', 60)
-        patch.setattr(value_states, 'AIMED_PLACES', 30)
+        patch.setattr(value_states, 'TUNING', replace(
+            value_states.TUNING, places=60, aimed_places=30))
         yield
 
 
@@ -338,7 +338,7 @@ def test_labels_of_headings_are_what_the_true_room_loses(room, small):
     assert len(true.poses) == 8 * len(true.places)
     assert np.allclose(true.poses[:8, :2], true.places[0])
     assert np.allclose(true.poses[:8, 3], yaws_of(8))
-    assert np.allclose(true.poses[:, 4], TUNING.aimed_pitch)
+    assert np.allclose(true.poses[:, 4], value_states.TUNING.aimed_pitch)
     values = true.values([11])
     assert values[26] == pytest.approx(loss_of_error(true, 11, 26), abs=1e-4)
     assert np.ptp(values.reshape(-1, 8), axis=1).max() > 0.01
