@@ -42,7 +42,7 @@ import numpy as np  # noqa: E402
 # Nothing here that takes long to import: the process that hands out the tests reads this too, and
 # the others begin when it has done so.
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER  # noqa: E402
-from ocp_ros.util.settings import ConfigurationError  # noqa: E402
+from ocp_ros.util.settings import ConfigurationError, UserError  # noqa: E402
 import pytest  # noqa: E402
 
 #: Seconds after which what a test waits for has hung. No test waits as long, on whatever machine:
@@ -137,6 +137,19 @@ def checkpoint(small_agent):
     return random_checkpoint(small_agent)
 
 
+@pytest.fixture
+def model(checkpoint, tmp_path):
+    """Return the path of random weights."""
+    checkpoint.save(tmp_path / 'random.safetensors')
+    return str(tmp_path / 'random.safetensors')
+
+
+@pytest.fixture(scope='session', autouse=True)
+def logs(tmp_path_factory):
+    """Let stable-baselines3 leave its logs where they are cleared away."""
+    os.environ['SB3_LOGDIR'] = str(tmp_path_factory.mktemp('sb3'))
+
+
 def random_checkpoint(agent, seed=0, **known):
     """Return a checkpoint with random weights."""
     from ocp_ros.policy.checkpoint import Checkpoint
@@ -163,6 +176,13 @@ def batch(*encoded):
     import torch
     return {name: torch.from_numpy(np.stack([one[name] for one in encoded]))
             for name in encoded[0]}
+
+
+def store(model, before, after, action, reward, done=False, info=None):
+    """Put a move of one environment into the replay of soft actor-critic."""
+    seen = ({name: value[None] for name, value in one.items()} for one in (before, after))
+    model.replay_buffer.add(*seen, np.asarray(action, np.float32)[None],
+                            np.array([float(reward)]), np.array([done]), [info or {}])
 
 
 @pytest.fixture(scope='session')
@@ -296,9 +316,8 @@ class Probe:
 
     def send_turn(self, stamp, points, poses):
         """Publish a turn: points (N, 3) and a PoseArray, which gets the stamp in nanoseconds."""
-        from ocp_ros.ros.interface.conversions import cloud_to_msg, ns_to_stamp
-        from std_msgs.msg import Header
-        poses.header = Header(stamp=ns_to_stamp(stamp), frame_id='map')
+        from ocp_ros.ros.interface.conversions import cloud_to_msg
+        poses.header = header_at(stamp)
         self.poses.publish(poses)
         self.clouds.publish(cloud_to_msg(points, poses.header))
 
@@ -312,6 +331,20 @@ class Probe:
                     if stamp_to_ns(message.header.stamp) == stamp]
         self.graph.until(found)
         return found()[-1]
+
+
+def header_at(stamp, frame='map'):
+    """Return the header of a message with a stamp in nanoseconds."""
+    from ocp_ros.ros.interface.conversions import ns_to_stamp
+    from std_msgs.msg import Header
+    return Header(stamp=ns_to_stamp(stamp), frame_id=frame)
+
+
+def warnings_of(node):
+    """Return the list of all that a node warns of from now on; a log leaves out repetitions."""
+    heard = []
+    node.get_logger().warning = lambda text, **throttled: heard.append(text)
+    return heard
 
 
 def status_of(node):
@@ -366,6 +399,17 @@ def small():
         yield
 
 
+@pytest.fixture(scope='module')
+def quick_lookahead():
+    """Let lookahead compare few candidates on few points."""
+    from ocp_ros.online import lookahead
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(lookahead, 'TUNING', replace(
+            lookahead.TUNING, max_positions=100, candidate_model=(2000, 16),
+            refining_model=(4000, 32), proposals=64, pipelined_proposals=32))
+        yield
+
+
 def wait_until(holds):
     """Wait for a condition that another thread fulfils."""
     end = time.monotonic() + HUNG
@@ -379,6 +423,12 @@ def run_python(code, *arguments, **variables):
     return subprocess.run(
         [sys.executable, '-c', code, *map(str, arguments)], text=True, capture_output=True,
         timeout=HUNG, env={**os.environ, 'PYTHONPATH': str(ROOT), **variables})
+
+
+def for_any(examples=10, **strategies):
+    """Try a test with some examples of what strategies of hypothesis draw."""
+    from hypothesis import given, settings
+    return lambda test: settings(max_examples=examples, deadline=None)(given(**strategies)(test))
 
 
 def rows_for(protocol, task):
@@ -458,6 +508,56 @@ def blank_report(folder, judged):
     yield folder / 'report.png'
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Leave the pictures of a report blank."""
+    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw_pages', blank_report)
+
+
+@pytest.fixture
+def room_folder(tmp_path, monkeypatch):
+    """Work in a folder with the scan of a room of about 8 x 8 m, ``room.ply``."""
+    from ocp_ros.scenes.scene_files import save_scene
+    save_scene(made_room(8, 2000), tmp_path / 'room.ply')
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture(scope='session')
+def studio_room():
+    """Return a small room with a mesh, and its description."""
+    from ocp_ros.rooms.scene_source import room_named
+    return room_named('3', 2000)
+
+
+@pytest.fixture(scope='session')
+def spread_cameras(studio_room):
+    """Return the state of a studio that has spread three cameras over a room: that takes long."""
+    from ocp_ros.rig.rig_file import rig_of
+    from ocp_ros.studio.model import Studio
+    mount = {'on': 'free', 'height': [1.5, 2.2]}
+    return Studio(*studio_room, rig_of(3, 'realsense_d455', mount=mount)).state
+
+
+@pytest.fixture
+def studio(studio_room, spread_cameras):
+    """Return a studio with three cameras."""
+    from ocp_ros.studio.model import Studio
+    return Studio(*studio_room, spread_cameras.rig, spread_cameras.poses)
+
+
+@pytest.fixture
+def page(studio, tmp_path):
+    """Yield the page of a studio and its URL."""
+    from ocp_ros.studio.folder import Folder
+    from ocp_ros.studio.page import Page
+    from ocp_ros.studio.server import start_server
+    server, url = start_server(port=0)
+    page = Page(server, studio, Folder(tmp_path))
+    yield page, url
+    page.close()
+
+
 @contextmanager
 def refused_in_one_sentence(place, remedy=''):
     """Expect an error of a single sentence that begins with a place and has a remedy."""
@@ -466,6 +566,17 @@ def refused_in_one_sentence(place, remedy=''):
     message = str(caught.value)
     assert '\n' not in message and message.startswith(place), message
     assert remedy in message and 'found' in message and 'expected' in message, message
+
+
+def refusal(path, read=None, **options):
+    """Return the one sentence with which a file is refused, as a room if nothing else is said."""
+    from ocp_ros.scenes.scene_files import load_scene
+    with pytest.raises(UserError) as caught:
+        (read or load_scene)(path, **options)
+    message = str(caught.value)
+    assert path.name in message and 'found' in message and 'expected' in message, message
+    assert '\n' not in message and len(message) < 2500, message
+    return message
 
 
 def refused(capsys, *arguments):
@@ -501,40 +612,3 @@ def write_half(path):
     path.write_bytes(content[:len(content) // 2])
 
 
-#: Files that are no room, by what they are: name, how to write it, what its error says.
-BAD_ROOMS = {
-    'not there': ('none.ply', lambda path: None, 'none.ply: found no such file', 'check the path'),
-    'a folder': ('folder.ply', lambda path: path.mkdir(), 'found a folder', 'give the path'),
-    'of a kind nobody knows': ('room.rcp', lambda path: path.write_text('x'), "suffix '.rcp'",
-                               'CloudCompare'),
-    'empty': ('empty.ply', lambda path: path.write_bytes(b''), 'empty.ply: found an empty file',
-              'copy or export it again'),
-    'no ply': ('room.ply', lambda path: path.write_text('hello\n'), 'room.ply: found content',
-               'copy or export it again'),
-    'a ply that broke off': ('half.ply', write_half, 'half.ply: found content', 'export it again'),
-    'a ply without vertices': ('faces.ply', lambda path: path.write_text(
-        'ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\n'
-        'end_header\n3 0 1 2\n'), 'faces.ply: found content', 'export it again'),
-    'a word in a line': ('word.xyz', lambda path: path.write_text(
-        '1 2 3\n' * 4 + '1 two 3\n' + '1 2 3\n' * 200), 'line 5', 'correct the line or delete it'),
-    'a line that broke off': ('line.xyz', lambda path: path.write_text(
-        '1 2 3 4 5 6\n' * 200 + '1 2 3 4'), 'line.xyz: found 4 numbers', 'export it again'),
-    'two columns': ('two.npy', lambda path: np.save(path, scan()[:, :2]), 'two.npy: found float32',
-                    'save it so'),
-    'not a number': ('nan.npy', lambda path: np.save(path, np.where(scan() > 3, np.nan, scan())),
-                     'nan.npy: found', 'remove them first'),
-    'hardly any points': ('few.npy', lambda path: np.save(path, scan()[:50]), 'few.npy: found 50',
-                          'use a denser scan'),
-    'millimetres': ('mm.npy', lambda path: np.save(path, 1000.0 * scan()), 'mm.npy: found',
-                    '--scale 0.001'),
-    'a point': ('small.npy', lambda path: np.save(path, 0.01 * scan()), 'small.npy: found',
-                '--scale, 1000'),
-    'flat': ('flat.npy', lambda path: np.save(path, scan() * [1, 1, 0]), 'flat.npy: found',
-             'more than one wall'),
-    'pickled': ('pickled.npy', lambda path: np.save(path, np.array([{}], dtype=object)),
-                'pickled.npy: found', 'export it again'),
-    'all alike': ('alike.npy', lambda path: np.save(path, np.tile(scan()[::40][:60], (5, 1))),
-                  'alike.npy: found 60 points', 'denser scan'),
-    'nothing but NaN': ('all.npy', lambda path: np.save(path, np.full((300, 3), np.nan)),
-                        'all.npy: found', 'remove them first'),
-}

@@ -17,9 +17,15 @@
 from dataclasses import replace
 import json
 
-from conftest import assert_same, batch, made_room, observation, random_checkpoint, ROOT
-from hypothesis import given
-from hypothesis import settings as budget
+from conftest import (
+    assert_same,
+    batch,
+    for_any,
+    made_room,
+    observation,
+    random_checkpoint,
+    ROOT,
+)
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, MAP, PAPER
@@ -28,7 +34,7 @@ from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.networks import ExtractionUnit, Extractor
 from ocp_ros.policy.observation_cloud import encode, MAX_OTHERS
 from ocp_ros.policy.policy import Policy
-from ocp_ros.policy.sampling import ball_query, farthest_points
+from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.training.augmentation import SYMMETRIES, turned_observation
@@ -40,6 +46,7 @@ import torch
 
 AGENT = AgentConfig(CLOUD, points=128, keys_1=16, group_1=8, radius_1=2.0, keys_2=8, group_2=8,
                     radius_2=4.0, channels=16, hidden=32, pooled=24)
+seeds = st.integers(0, 2 ** 32 - 1)
 
 
 @pytest.fixture(scope='module')
@@ -57,6 +64,44 @@ def corners(cloud):
     """Return places near two corners of a room, and at both its height."""
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     return [[*(low + 0.8)[:2], 1.5], [*(high - 0.8)[:2], 1.5]]
+
+
+@for_any(25, seed=seeds, count=st.integers(1, 60), wanted=st.integers(1, 40))
+def test_farthest_points_agree_with_their_twin(seed, count, wanted):
+    points = np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32)
+    chosen = [0]
+    for _ in range(wanted - 1):
+        nearest = ((points[:, None] - points[chosen][None]) ** 2).sum(-1).min(axis=1)
+        chosen.append(int(nearest.argmax()))
+    found = farthest_points(points, wanted)
+    distances = ((points[:, None] - points[found][None]) ** 2).sum(-1)
+    expected = ((points[:, None] - points[chosen][None]) ** 2).sum(-1)
+    # Equal distances may be chosen in either order; how far apart the choices are may not differ.
+    np.testing.assert_allclose(np.sort(distances.min(1)), np.sort(expected.min(1)), atol=1e-5)
+
+
+@pytest.mark.parametrize('query', [ball_query, nearest_in_ball])
+@for_any(25, seed=seeds, radius=st.floats(0.1, 3.0), size=st.integers(1, 12))
+def test_the_points_of_a_ball_agree_with_their_twin(query, seed, radius, size):
+    points = np.random.default_rng(seed).normal(size=(50, 3)).astype(np.float32)
+    keys = np.arange(0, 50, 7)
+    for key, group in zip(keys, query(points, keys, radius, size), strict=True):
+        away = np.linalg.norm((points - points[key]).astype(np.float64), axis=1)
+        order = np.argsort(away) if query is nearest_in_ball else np.arange(50)
+        near = order[away[order] <= radius][:size].tolist()
+        # Points on the very rim may fall to either side in single precision.
+        if not (np.abs(away - radius) < 1e-5).any():
+            assert group.tolist() == near + near[:1] * (size - len(near))
+
+
+def test_sampling_and_grouping_count_beyond_sixteen_bits():
+    points = np.zeros((40000, 3), dtype=np.float32)
+    points[-2:, 0] = 7.0, 9.0
+    keys = farthest_points(points, 3)
+    assert keys.tolist() == [0, 39999, 39998]
+    assert ball_query(points, keys, 1.0, 2).tolist() == [[0, 1], [39999] * 2, [39998] * 2]
+    assert nearest_in_ball(points, keys, 3.0, 2).tolist() == [
+        [0, 1], [39999, 39998], [39998, 39999]]
 
 
 def test_the_observation_cache_is_what_the_units_compute_on(small_agent, cloud):
@@ -80,7 +125,7 @@ def test_an_extraction_unit_is_a_shared_perceptron_and_a_maximum():
     torch.testing.assert_close(unit(points, None, centres, groups)[0], expected)
 
 
-@pytest.mark.parametrize('cameras', [1, 2, 4, 7])
+@pytest.mark.parametrize('cameras', [1, 7])
 def test_one_set_of_weights_serves_any_number_of_cameras(small_agent, cloud, cameras):
     places = cloud.mean(axis=0) + np.random.default_rng(0).uniform(-1.0, 1.0, (cameras, 3))
     moves = Policy(random_checkpoint(small_agent)).act(cloud, places)
@@ -186,16 +231,6 @@ def test_symmetries_turn_the_ways_to_other_cameras(cloud):
         np.testing.assert_array_equal(turned['marks'][0], seen['marks'])
 
 
-def test_a_policy_plays_camera_by_camera_as_it_was_trained(cloud):
-    policy, places = Policy(random_checkpoint(AGENT, seed=3)), np.array(corners(cloud))
-    moves = policy.act(cloud, places, 1, 30)
-    told = Encoder(AGENT).turn(cloud, places, 1, 30)
-    expected = np.zeros_like(moves)
-    for camera in (1, 0):
-        expected[camera] = told.move(camera, policy.choose(told.inputs(camera))[0])
-    np.testing.assert_allclose(moves, expected, atol=1e-6)
-
-
 def test_the_network_of_the_paper_reads_cloud_box_and_all_cameras(small_agent):
     agent = replace(small_agent, inputs=PAPER)
     encoded = batch(observation(agent))
@@ -231,10 +266,15 @@ def test_a_checkpoint_comes_back_as_it_went(small_agent, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ['m.json', 'm.safetensors']
 
 
-@given(data=st.data())
-@budget(max_examples=60, deadline=None)
-def test_a_damaged_blob_is_refused_and_nothing_else_happens(small_agent, data):
-    blob = bytearray(random_checkpoint(small_agent, updates=1).to_bytes())
+@pytest.fixture(scope='module')
+def blob(small_agent):
+    """Return random weights as bytes."""
+    return random_checkpoint(small_agent, updates=1).to_bytes()
+
+
+@for_any(40, data=st.data())
+def test_a_damaged_blob_is_refused_and_nothing_else_happens(blob, data):
+    blob = bytearray(blob)
     if data.draw(st.booleans()):
         blob = blob[:data.draw(st.integers(0, len(blob) - 1))]
     else:
@@ -251,12 +291,11 @@ def test_a_damaged_blob_is_refused_and_nothing_else_happens(small_agent, data):
 
 @pytest.mark.parametrize(('name', 'value'), [
     ('updates', 'Infinity'), ('updates', 'NaN'), ('updates', '"many"'), ('updates', '[1]'),
-    ('updates', '-1'), ('updates', '1' + 300 * '0'), ('run', f'"{"x" * 101}"'),
-    ('run', 'null'), ('provenance', '7'), ('config', '[]'), ('format', 'null'),
-    ('config', '{"points": 1e999}'), ('config', '{"hidden": 4096}'),
+    ('updates', '-1'), ('updates', 'true'), ('updates', '1' + 300 * '0'),
+    ('run', f'"{"x" * 101}"'), ('run', 'null'), ('provenance', '7'), ('config', '[]'),
+    ('format', 'null'), ('config', '{"points": 1e999}'), ('config', '{"hidden": 4096}'),
     ('provenance', '[' * 5000 + ']' * 5000)])
-def test_a_card_with_odd_values_is_refused_and_nothing_else_happens(small_agent, name, value):
-    blob = random_checkpoint(small_agent).to_bytes()
+def test_a_card_with_odd_values_is_refused(blob, name, value):
     body = 8 + int.from_bytes(blob[:8], 'little')
     header = json.loads(blob[8:body])
     card = json.loads(header['__metadata__'][METADATA_KEY])
@@ -264,16 +303,12 @@ def test_a_card_with_odd_values_is_refused_and_nothing_else_happens(small_agent,
              for key, item in card.items()]
     header['__metadata__'][METADATA_KEY] = '{' + ', '.join(parts) + '}'
     text = json.dumps(header).encode()
-    try:
-        found = Checkpoint.from_bytes(len(text).to_bytes(8, 'little') + text + blob[body:])
-    except CheckpointError as error:
-        assert 'found' in str(error) and 'expected' in str(error)
-    else:
-        assert (name, found.run) == ('run', 'None')
+    with pytest.raises(CheckpointError, match='found .*expected'):
+        Checkpoint.from_bytes(len(text).to_bytes(8, 'little') + text + blob[body:])
 
 
 @pytest.mark.parametrize(('bias', 'words'), [
-    (None, 'missing .*mu.bias'), (torch.zeros(5), 'mu.bias .*float32'),
+    (None, 'missing.*mu.bias'), (torch.zeros(5), 'mu.bias'),
     *((torch.full((2,), wrong), 'mu.bias') for wrong in (torch.nan, -torch.inf, 3e38, -1e5))])
 def test_weights_of_another_network_are_refused(small_agent, bias, words):
     weights = {**random_checkpoint(small_agent).weights, 'mu.bias': bias}

@@ -17,7 +17,7 @@
 from copy import deepcopy
 
 from benchmarks.drills.live_rig import BODY, OPTICAL, Rig
-from conftest import box_room, counted, HUNG
+from conftest import box_room, counted, header_at, HUNG, SMALL
 from geometry_msgs.msg import PoseArray, Quaternion
 import numpy as np
 from ocp_ros.geometry.cameras import (
@@ -37,13 +37,11 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_cloud,
     msg_to_poses,
     msg_to_positions,
-    ns_to_stamp,
     positions_to_msg,
     stamp_to_ns,
 )
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.policy.turns import STEADY_NS, Turns, WaitLimits
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
@@ -55,16 +53,21 @@ from scipy.spatial import cKDTree
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 
-SMALL = {'scene__points': 3000, 'engine__preset': 'fast', 'engine__error_rows': 32,
-         'engine__coverage_cell': 0.5, 'rig__sensors': 'realsense_d455'}
+pytestmark = pytest.mark.usefixtures('quick_lookahead')
+AIMED = {**SMALL, 'rig__sensors': 'realsense_d455'}
 RIG = """
 cameras: [{sensor: realsense_d455, count: 4}]
 mount: {on: plane, height: 1.9}
 keep_clear: 0.1
 pitch: [10, 60]
 """
+MIXED = """
+cameras: [{sensor: realsense_d455}, {sensor: omnidirectional}]
+fixed: [{sensor: realsense_d455, position: [1.0, 1.0, 1.9], yaw: 40}]
+"""
 LIMITS = np.deg2rad([10.0, 60.0])
 HEADINGS = np.array([[0.4, 0.1, 0.0], [-2.0, 0.2, 0.1], [3.0, 1.2, -0.3]])
+PLACES = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9], [1.0, 1.0, 1.9]])
 
 
 @pytest.fixture
@@ -76,9 +79,21 @@ def rig_file(tmp_path):
     return write
 
 
-def test_a_command_turns_the_body_of_a_camera_and_its_optical_frame_with_it():
+@pytest.fixture
+def poses():
+    """Return where three cameras are and how they are turned."""
+    return positions_to_msg(PLACES, Header(), HEADINGS)
+
+
+@pytest.fixture
+def robot(probe):
+    """Return the probe as a rig that sends turns and hears commands."""
+    probe.send = lambda stamp, poses: probe.send_turn(stamp, box_room().points, poses)
+    return probe
+
+
+def test_a_command_turns_the_body_of_a_camera_and_its_optical_frame_with_it(poses):
     """Forward is x of the body and z of the optical frame, up is z and -y."""
-    poses = positions_to_msg(np.zeros((3, 3)), Header(), HEADINGS)
     found = move_poses(poses, np.ones((3, 3)), {1: np.array([np.pi / 2, 0.3, 0.0])})
     for camera in (0, 2):
         assert found.poses[camera].orientation == poses.poses[camera].orientation
@@ -91,32 +106,15 @@ def test_a_command_turns_the_body_of_a_camera_and_its_optical_frame_with_it():
     np.testing.assert_array_equal(msg_to_positions(found), np.ones((3, 3)))
 
 
-def test_cameras_without_a_rig_file_stay_turned_as_they_are(robot):
-    robot.start()
-    poses = positions_to_msg(PLACES, Header(), HEADINGS)
+def test_cameras_without_a_rig_file_stay_turned_as_they_are(robot, poses):
+    robot.start_policy()
     robot.send(1, poses)
     assert [pose.orientation for pose in robot.command(1).poses] == [
         pose.orientation for pose in poses.poses]
 
 
-@pytest.fixture
-def robot(probe):
-    """Return the probe as a rig that sends turns and hears commands."""
-    probe.start = probe.start_policy
-    probe.send = lambda stamp, poses: probe.send_turn(stamp, box_room().points, poses)
-    return probe
-
-
-MIXED = """
-cameras: [{sensor: realsense_d455}, {sensor: omnidirectional}]
-fixed: [{sensor: realsense_d455, position: [1.0, 1.0, 1.9], yaw: 40}]
-"""
-PLACES = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9], [1.0, 1.0, 1.9]])
-
-
-def test_only_cameras_that_look_one_way_and_may_be_moved_are_turned(robot, rig_file):
-    robot.start(rig_file=rig_file(MIXED), turns=2)
-    poses = positions_to_msg(PLACES, Header(), HEADINGS)
+def test_only_cameras_that_look_one_way_and_may_be_moved_are_turned(robot, rig_file, poses):
+    robot.start_policy(rig_file=rig_file(MIXED), turns=2)
     for stamp in (1, 2, 3, 4):
         robot.send(stamp, poses)
         found = robot.command(stamp)
@@ -131,7 +129,7 @@ def test_only_cameras_that_look_one_way_and_may_be_moved_are_turned(robot, rig_f
 def test_what_cameras_in_place_see_is_shown_although_nobody_sends_their_poses(
         graph, probe, robot, rig_file):
     probe.listen(PointCloud2, topics.COVERAGE_CLOUD, qos.LATCHED)
-    policy = robot.start(rig_file=rig_file(MIXED))
+    policy = robot.start_policy(rig_file=rig_file(MIXED))
     seen = []
     for stamp, places in enumerate((PLACES[:2], PLACES), start=1):
         headings = HEADINGS[:len(places)].copy()
@@ -145,9 +143,9 @@ def test_what_cameras_in_place_see_is_shown_although_nobody_sends_their_poses(
     assert seen[0] == seen[1] and counted(policy, 'turns_answered') == 2
 
 
-def test_poses_that_do_not_say_how_a_camera_is_turned_are_refused(robot, rig_file, capfd):
-    policy = robot.start(rig_file=rig_file(MIXED))
-    poses = positions_to_msg(PLACES, Header(), HEADINGS)
+def test_poses_that_do_not_say_how_a_camera_is_turned_are_refused(
+        robot, rig_file, poses, capfd):
+    policy = robot.start_policy(rig_file=rig_file(MIXED))
     # An omnidirectional camera needs no orientation.
     poses.poses[1].orientation = Quaternion(x=0.0, y=0.0, z=0.0, w=0.0)
     robot.send(1, poses)
@@ -162,13 +160,13 @@ def test_poses_that_do_not_say_how_a_camera_is_turned_are_refused(robot, rig_fil
     robot.command(4)
 
 
-def test_aiming_that_fails_leaves_cameras_turned_as_they_are(robot, rig_file, monkeypatch, capfd):
-    policy = robot.start(rig_file=rig_file(MIXED))
+def test_aiming_that_fails_leaves_cameras_turned_as_they_are(
+        robot, rig_file, poses, monkeypatch, capfd):
+    policy = robot.start_policy(rig_file=rig_file(MIXED))
 
     def fail(*turn):
         raise ZeroDivisionError('by 0')
 
-    poses = positions_to_msg(PLACES, Header(), HEADINGS)
     with monkeypatch.context() as patched:
         patched.setattr(policy._decider.step, 'aim', fail)
         robot.send(1, poses)
@@ -184,7 +182,7 @@ def sim(graph, probe):
     probe.listen(PoseArray, topics.CAMERA_POSES, qos.LOOP)
 
     def start(**parameters):
-        probe.sim = graph.add(SimNode, **{**SMALL, **parameters})
+        probe.sim = graph.add(SimNode, **{**AIMED, **parameters})
         probe.commands = probe.publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
         graph.until(lambda: probe.received[topics.CAMERA_POSES])
         return probe.sim, deepcopy(probe.last(topics.CAMERA_POSES))
@@ -227,20 +225,6 @@ class TurnedRig(Rig):
         self.send()
 
 
-def test_a_live_turn_waits_until_cameras_are_turned():
-    turns = Turns(['a'], WaitLimits(0.05, 20.0, 2.0, arrival_angle=0.1), lambda: 0.0)
-    here = np.array([[1.0, 1.0, 1.9], [3.0, 1.0, 1.9]])
-    now = [rotation_matrix(0.0), rotation_matrix(1.0)]
-    turns.on_poses(1, here, now)
-    turns.on_command(here, {1: rotation_matrix(1.5)})
-    assert not turns.cameras_stand
-    turns.on_poses(2, here, [rotation_matrix(2.0), rotation_matrix(1.3)])
-    assert not turns.cameras_stand
-    for stamp in (3, 3 + STEADY_NS):
-        turns.on_poses(stamp, here, [rotation_matrix(2.0), rotation_matrix(1.45)])
-    assert turns.cameras_stand and turns.standing_begin.stamp == 3
-
-
 def test_who_moves_cameras_by_hand_is_told_how_to_turn_them(graph, probe, rig_file):
     """The first pose of each camera is known, so the turn in the words leads to the command."""
     probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
@@ -249,7 +233,7 @@ def test_who_moves_cameras_by_hand_is_told_how_to_turn_them(graph, probe, rig_fi
               rig_file=rig_file('cameras: [{sensor: realsense_d455}]'))
     poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
     clouds = probe.publisher(PointCloud2, 'points', qos.LOOP)
-    header, now = Header(stamp=ns_to_stamp(5), frame_id='map'), np.array([1.0, 0.5, 0.0])
+    header, now = header_at(5), np.array([1.0, 0.5, 0.0])
     points = box_room().points
     # All that is known is in front of the camera, so there is much to look around for.
     body = (points - PLACES[0]) @ Pose.of(np.append(PLACES[0], now)).rotation
@@ -308,7 +292,7 @@ def test_a_simulated_rig_ends_better_where_it_turns_and_stays_within_the_limits(
         probe.listen(PoseArray, topic, qos.LOOP)
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
     sim = graph.add(SimNode, seed=3, scene__seed=8, rig__tilt=0.3, episode__turns=10,
-                    resend_period=0.2, **SMALL)
+                    resend_period=0.2, **AIMED)
     first = sim.episode.turn
     graph.add(PolicyNode, turns=10, rig_file=rig_file(), max_turn=max_turn)
     placement = msg_to_poses(probe.last(topics.PLACEMENT))

@@ -15,6 +15,7 @@
 """The shape of the tree: who may import whom, and files that must agree."""
 
 import ast
+from functools import cache
 import re
 import sys
 import xml.etree.ElementTree as ElementTree
@@ -36,6 +37,7 @@ ONLY = {
     'viser': {'studio'}, 'websockets': {'studio'}, 'benchmarks': set()}
 
 
+@cache
 def imports(path):
     """Return the full names of all modules that a file imports, anywhere in it."""
     found = set()

@@ -22,12 +22,10 @@ import stat
 
 from benchmarks.drills.file_fuzz import read_one
 from benchmarks.drills.hostile_files import hostile_files, Listener, outcome_of, SECRET
-from benchmarks.drills.spoilt_files import gltf_of
 from conftest import box_room, made_room, run_python
 import numpy as np
 from ocp_ros.report.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.rig_file import load_rig, rig_of
-from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.bags.bag_files import Bag
 from ocp_ros.scenes import scene_cache
 from ocp_ros.scenes.scene_cache import load_cached
@@ -38,14 +36,13 @@ from ocp_ros.util.files import FileSet, recover, sha256_of_file, write_atomicall
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 
-#: Files that take long to be refused, or a reader that is slow to start.
+#: What takes long to be refused, or has a reader that is slow to start.
 SLOW = ('glTF', 'OBJ')
 SLOW_BAGS = ('bag_message_bomb', 'bag_file_bomb', 'bag_chunk_bomb')
 
 
 @pytest.fixture(scope='module')
 def listener():
-    """Return a listener on the loopback."""
     made = Listener()
     yield made
     made.close()
@@ -53,7 +50,6 @@ def listener():
 
 @pytest.fixture(scope='module')
 def hostile(listener, tmp_path_factory):
-    """Return files that are made to do harm."""
     return hostile_files(tmp_path_factory.mktemp('hostile'), listener.port)
 
 
@@ -73,14 +69,6 @@ def test_no_file_of_any_kind_does_harm(hostile, listener):
     assert len(hostile) > 30
     for one in hostile:
         assert outcome_of(one, listener) in ('read', 'refused'), one.path
-
-
-def test_a_mesh_may_have_its_numbers_in_a_file_beside_it(tmp_path):
-    document, buffer = gltf_of(generate_room(3, 300).mesh, [{'mesh': 0}])
-    document['buffers'][0]['uri'] = 'numbers.bin'
-    (tmp_path / 'a.gltf').write_text(json.dumps(document))
-    (tmp_path / 'numbers.bin').write_bytes(buffer)
-    assert len(load_scene(tmp_path / 'a.gltf')) > 100_000
 
 
 CONFINED = """
@@ -153,58 +141,58 @@ def test_a_node_takes_no_profile_from_the_current_folder(domain, tmp_path, monke
     assert ended.returncode == 0 and 'XML' not in ended.stderr + ended.stdout
 
 
+NAMES = ('a', 'b', 'c', 'mark')
+
+
+def write_set(folder, text, names):
+    """Write a set of files with the same text."""
+    with FileSet(folder, NAMES, 'mark') as files:
+        for name in names:
+            write_atomically(files.aside / name, text)
+
+
 def killed_at(moment, folder):
     """Write a second set of files in a process that ends at a renaming; return whether it did."""
     child = os.fork()
     if child == 0:
-        count, plain = 0, (os.rename, os.replace)
+        moments = iter(range(1, moment))
 
         def watched(rename):
             def renamed(*given, **more):
-                nonlocal count
-                count += 1
-                if count == moment:
+                if next(moments, None) is None:
                     os._exit(9)
                 return rename(*given, **more)
             return renamed
 
-        os.rename, os.replace = map(watched, plain)
+        os.rename, os.replace = watched(os.rename), watched(os.replace)
         write_set(folder, 'new', ('a', 'c', 'mark'))
         os._exit(0)
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 9
 
 
-def write_set(folder, text, names):
-    """Write a set of files with the same text."""
-    with FileSet(folder, ('a', 'b', 'c', 'mark'), 'mark') as files:
-        for name in names:
-            write_atomically(files.aside / name, text)
-
-
 def test_a_kill_leaves_one_set_of_files_or_the_other(tmp_path):
-    found = set()
+    old, new = dict.fromkeys(('a', 'b', 'mark'), 'old'), dict.fromkeys(('a', 'c', 'mark'), 'new')
+    found = []
     for moment in range(1, 20):
         folder = tmp_path / str(moment)
         folder.mkdir()
         (folder / 'mine').write_text('stays')
-        write_set(folder, 'old', ('a', 'b', 'mark'))
+        write_set(folder, 'old', old)
         killed = killed_at(moment, folder)
-        recover(folder, ('a', 'b', 'c', 'mark'), 'mark')
+        recover(folder, NAMES, 'mark')
         texts = {path.name: path.read_text() for path in folder.iterdir()}
-        assert texts.pop('mine') == 'stays'
-        assert texts in ({'a': 'old', 'b': 'old', 'mark': 'old'},
-                         {'a': 'new', 'c': 'new', 'mark': 'new'})
-        found.add((killed, texts['mark']))
+        assert texts.pop('mine') == 'stays' and texts in (old, new)
+        found.append((killed, texts['mark']))
         if not killed:
             break
-    assert found == {(True, 'old'), (True, 'new'), (False, 'new')}
+    assert set(found) == {(True, 'old'), (True, 'new'), (False, 'new')}
 
 
 @pytest.mark.parametrize('plant', ['pipe', 'file', 'link', 'empty', 'null', 'nested', 'others'])
 def test_what_somebody_has_left_in_a_folder_of_results_does_no_harm(tmp_path, plant):
-    folder, names = tmp_path / 'folder', ('a', 'b', 'c', 'mark')
+    folder, old = tmp_path / 'folder', dict.fromkeys(('a', 'b', 'mark'), 'old')
     folder.mkdir()
-    write_set(folder, 'old', ('a', 'b', 'mark'))
+    write_set(folder, 'old', old)
     complete = folder / '.ocp_complete'
     if plant == 'pipe':
         os.mkfifo(complete)
@@ -219,9 +207,8 @@ def test_what_somebody_has_left_in_a_folder_of_results_does_no_harm(tmp_path, pl
             'empty': '[]', 'null': 'null', 'nested': '[' * 9000,
             'others': '["mark", "../mine"]'}[plant])
     (tmp_path / 'mine').write_text('stays')
-    recover(folder, names, 'mark')
-    assert {name: (folder / name).read_text() for name in ('a', 'b', 'mark')} == dict.fromkeys(
-        ('a', 'b', 'mark'), 'old')
+    recover(folder, NAMES, 'mark')
+    assert {name: (folder / name).read_text() for name in old} == old
     write_set(folder, 'new', ('c', 'mark'))
     assert not complete.exists() and (folder / 'c').read_text() == 'new'
     assert not (folder / 'a').exists() and (tmp_path / 'mine').read_text() == 'stays'
@@ -254,7 +241,6 @@ def test_a_pipe_has_no_checksum(tmp_path):
 
 
 def read_rig(folder, **document):
-    """Write a rig file and read it."""
     (folder / 'rig.json').write_text(json.dumps(document))
     return load_rig(folder / 'rig.json')
 
@@ -262,8 +248,8 @@ def read_rig(folder, **document):
 @pytest.mark.parametrize(('ranges', 'angles'), [
     ((30, 40), (90, 60)), ((30, 40), (360, 180)), ((0, 0.06), (90, 60))])
 def test_a_camera_that_sees_nothing_is_refused_before_the_search(tmp_path, ranges, angles):
-    blind = dict(zip(('min_range', 'max_range', 'horizontal_fov', 'vertical_fov'),
-                     (*ranges, *angles)), name='blind')
+    blind = {'name': 'blind', 'min_range': ranges[0], 'max_range': ranges[1],
+             'horizontal_fov': angles[0], 'vertical_fov': angles[1]}
     rig = read_rig(tmp_path, cameras=[{'sensor': 'realsense_d455'}, blind], keep_clear=0.1,
                    mount={'on': 'walls', 'height': 2.0})
     with pytest.raises(ConfigurationError, match=f'blind.* {ranges[1]:g} m'):

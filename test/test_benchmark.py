@@ -12,13 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Comparisons of planners: ``ocp benchmark`` with one protocol, ``ocp evaluate`` room by room."""
+"""Comparisons of planners by ``ocp benchmark`` and ``ocp evaluate``, and the laboratory."""
 
 from dataclasses import replace
 import json
 
-from benchmarks.benchmark_report import main as write_report
-from conftest import Here, rows_for
+from benchmarks import (
+    benchmark_report,
+    engine,
+    engine_bench,
+    few_turns,
+    fused_bench,
+    results,
+)
+from conftest import Here, made_room, rows_for
 import numpy as np
 from ocp_ros.cli import main as cli
 from ocp_ros.compare import comparison
@@ -71,18 +78,18 @@ def test_no_test_room_is_a_training_room():
 
 
 def test_a_turned_room_is_the_room_turned():
-    scene = generate_room(4, 2000)
+    scene = make_room('4', 0, 2000)
     quarter = turned(scene, 90.0)
     np.testing.assert_allclose(quarter.points[:, 0], -scene.points[:, 1], atol=1e-5)
     np.testing.assert_allclose(quarter.mesh.vertices[:, 1], scene.mesh.vertices[:, 0], atol=1e-5)
     np.testing.assert_allclose(make_room('4', 60, 2000).points[:50],
-                               turned(make_room('4', 0, 2000), 60).points[:50])
+                               turned(scene, 60).points[:50])
 
 
 def test_a_folder_of_scans_is_a_set_of_rooms(tmp_path):
     with pytest.raises(SceneError, match='found no scans'):
         rooms_in(tmp_path)
-    np.save(tmp_path / 'b.npy', generate_room(1, 2000).points)
+    np.save(tmp_path / 'b.npy', made_room(8, 2000).points)
     (tmp_path / 'notes.md').write_text('nothing')
     (tmp_path / 'notes.txt').write_text('scanned on monday')
     with pytest.raises(SceneError, match='notes.txt'):
@@ -225,7 +232,7 @@ def test_intervals_and_ranks_tell_planners_apart():
 
 @pytest.mark.system
 def test_the_command_compares_and_writes_results(tmp_path, capsys):
-    np.save(tmp_path / 'small.npy', generate_room(1, 2500).points)
+    np.save(tmp_path / 'small.npy', made_room(8, 2000).points)
     arguments = ['benchmark', '--rooms', str(tmp_path), '--planners',
                  'random,greedy_error,greedy_step', '--budgets', '8,20', '--seeds', '1',
                  '--workers', '1', '--out', str(tmp_path / 'out')]
@@ -260,10 +267,10 @@ def test_options_that_cannot_be_are_refused(tmp_path, monkeypatch, capsys, argum
 
 def test_another_scan_under_the_same_name_is_another_room(tmp_path):
     task = BenchmarkTask(str(tmp_path / 'a.npy'), 0.0, 'random')
-    np.save(task.room, generate_room(1, 2000).points)
+    np.save(task.room, made_room(8, 2000).points)
     before = comparison.task_file_stem(task)
     assert comparison.task_file_stem(task) == before
-    np.save(task.room, generate_room(2, 2100).points)
+    np.save(task.room, made_room(8, 1500).points)
     assert comparison.task_file_stem(task) != before
 
 
@@ -322,7 +329,7 @@ def test_planners_are_compared_for_a_rig_file(tmp_path, capsys):
     assert all(control[0]['lower_bound'] <= row['exact'] + 1e-9 for row in control)
     summary = json.loads((tmp_path / 'out' / 'summary.json').read_text())
     assert (summary['rig'], summary['cameras']) == ('rig.yaml', 2)
-    assert write_report([str(tmp_path / 'out')]) == 0
+    assert benchmark_report.main([str(tmp_path / 'out')]) == 0
     written = (tmp_path / 'out' / 'README.md').read_text()
     assert 'rig.yaml' in written and '| rig search | ' in written
     assert 'anytime.png' not in written and (tmp_path / 'out' / 'rooms.png').exists()
@@ -369,10 +376,9 @@ def test_pairs_say_who_is_better_and_whether_it_is_chance():
 
 @pytest.mark.system
 def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
-    scans = []
-    for seed in (8, 9):
-        save_scene(generate_room(seed, 1500), tmp_path / f'{seed}.ply')
-        scans.append(str(tmp_path / f'{seed}.ply'))
+    scans = [str(tmp_path / f'{seed}.ply') for seed in (8, 9)]
+    for seed, scan in zip((8, 9), scans):
+        save_scene(generate_room(seed, 1500), scan)
     command = ['evaluate', '--planners', 'greedy_step,greedy_coverage', '--budgets', '20',
                '--cameras', '1,2', '--workers', '1', '--out', str(tmp_path / 'out'), '--rooms']
     assert cli.main([*command, *scans]) == 0
@@ -391,7 +397,7 @@ def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
 def test_evaluate_takes_a_rig_file_and_weights(tmp_path, capsys):
     rig, scan = tmp_path / 'rig.yaml', tmp_path / '8.ply'
     rig.write_text('cameras: [{sensor: realsense_d455}]\nmount: {on: ceiling}\n')
-    save_scene(generate_room(8, 1500), scan)
+    save_scene(made_room(8, 1500), scan)
     command = ['evaluate', '--rig', str(rig), '--workers', '1', '--budgets', '5', '--out',
                str(tmp_path / 'out'), '--rooms', str(scan), '--planners']
     assert cli.main([*command, 'greedy_step,random']) == 0
@@ -403,3 +409,77 @@ def test_evaluate_takes_a_rig_file_and_weights(tmp_path, capsys):
     again = [*command, 'learned', '--model', 'nowhere', '--out', str(tmp_path / 'other')]
     assert cli.main(again) == 2
     assert 'nowhere' in capsys.readouterr().err
+
+
+@pytest.fixture
+def recorded(tmp_path, monkeypatch):
+    """Return what reads a result that was recorded, in a folder of its own."""
+    monkeypatch.setattr(results, 'FOLDER', tmp_path / 'results')
+    return lambda name: json.loads((tmp_path / 'results' / f'{name}.json').read_text())
+
+
+def test_the_engine_is_measured(recorded, monkeypatch, capsys):
+    monkeypatch.setattr(engine_bench, 'MIDDLE', 2000)
+    # It plays for seconds, however small the room is.
+    monkeypatch.setattr(engine_bench, 'speed', lambda: dict.fromkeys(engine_bench.SPEEDS, 1.0))
+    monkeypatch.setitem(engine.EXTENTS, 'smoke', engine_bench.Extent((2000,), 1, 1, (2000,)))
+    monkeypatch.setitem(engine.FUSED_EXTENTS, 'smoke', fused_bench.FusedExtent((2000,), 1, 40, 3))
+    assert engine.main(['--preset', 'smoke', '--record']) == 0
+    found = recorded('engine')
+    assert found['command'] == 'python -m benchmarks.engine --preset smoke --record'
+    rows = {row['method'].split()[0]: row for row in found['visibility']}
+    assert rows.keys() == {'fine', 'fast', 'paper', 'embree', 'numpy', 'hidden_point_removal'}
+    assert rows['embree']['f1'] == 1.0 and rows['numpy']['f1'] == rows['fast']['f1'] > 0.6
+    assert [row['method'] for row in found['fused'][:4]] == ['fine', 'fast', 'paper', 'mesh']
+    assert 'evaluations_per_s: ' in capsys.readouterr().out
+
+
+def test_few_turns_are_played_once_and_summed_up(tmp_path, monkeypatch):
+    played = []
+
+    def play(protocol, task):
+        episode = protocol.simulation.episode
+        played.append((task.planner, episode.turns, episode.max_step))
+        error = episode.turns + (task.planner == 'greedy_step')
+        return [{'depth_error': float(error), 'seconds_per_turn': 0.01}]
+
+    monkeypatch.setattr(few_turns, 'run_task', play)
+    monkeypatch.setattr(few_turns, 'start_error', lambda protocol, room, rotation: 2.5)
+    monkeypatch.setattr(few_turns, 'WorkerPool', Here)
+    out = tmp_path / 'few.json'
+    command = ['--rooms', '8', '--lengths', '2x1,3x0.5', '--planners', 'greedy_step,lookahead',
+               '--first', 'lookahead', '--truths', '0', '--out', str(out), '--cameras']
+    few_turns.main([*command, '2'])
+    assert played == [('greedy_step', 2, 1.0), ('lookahead', 2, 1.0),
+                      ('greedy_step', 3, 0.5), ('lookahead', 3, 0.5)]
+    record = json.loads(out.read_text())
+    assert record['command'] == (
+        'python -m benchmarks.few_turns --rooms SCAN ... --lengths 2x1,3x0.5 --planners '
+        'greedy_step,lookahead --cameras 2 --truths 0')
+    # The cameras began at 2.5 m.
+    assert record['summary']['2x1']['greedy_step']['worse'] == 1
+    assert record['summary']['3x0.5']['lookahead']['ratio_to_best'] == pytest.approx(1.5)
+    del record['rooms']['8, 0']['errors']['3x0.5']['lookahead']
+    out.write_text(json.dumps(record))
+    played.clear()
+    few_turns.main([*command, '2'])
+    assert played == [('lookahead', 3, 0.5)]
+    with pytest.raises(ConfigurationError, match="found .*'cameras': 2.*name another file"):
+        few_turns.main([*command, '3'])
+
+
+def test_a_comparison_is_reported(tmp_path, recorded, monkeypatch):
+    monkeypatch.setattr(comparison, 'run_task', rows_for)
+    monkeypatch.setattr(comparison, 'WorkerPool', Here)
+    protocol = Protocol(rooms=('8',), planners=('random', 'tdsa', 'greedy_step'), budgets=(5, 30),
+                        seeds=1, points=2000, judged_points=2500)
+    comparison.compare(protocol, tmp_path, 'ocp benchmark')
+    assert benchmark_report.main([str(tmp_path), '--record', 'benchmark']) == 0
+    text = (tmp_path / 'README.md').read_text()
+    assert '    ocp benchmark\n' in text and '| random | scores | 2.10 |' in text
+    for picture in ('rooms.png', 'anytime.png', 'placements.png'):
+        assert f'({picture})' in text
+        assert (tmp_path / picture).stat().st_size > 10000
+    assert 'depth error' in (tmp_path / 'placements.html').read_text()
+    found = recorded('benchmark')
+    assert found['command'] == 'ocp benchmark' and found['commit'] and found['points'] == 2000

@@ -41,8 +41,8 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.splits import VALIDATION
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.search.registry import PLANNERS
-from ocp_ros.search.scorer import Scorer
+from ocp_ros.search.planner import Scores
+from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
@@ -101,7 +101,7 @@ def clouds(draw):
     return (points + rng.uniform(-20.0, 20.0, 3) * [1.0, 1.0, 0.0]).astype(np.float32)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=40)
 @given(clouds(), strategies.floats(0.01, 1.5), strategies.floats(0.0, 0.5),
        strategies.integers(0, 1000))
 def test_every_place_of_a_plane_keeps_its_distance(points, clearance, margin, seed):
@@ -119,11 +119,12 @@ def test_every_place_of_a_plane_keeps_its_distance(points, clearance, margin, se
     drawn = plane.random(rng, 20)
     moved = plane.moved(drawn, rng.normal(0.0, 0.7, (20, 2)), 0.5)
     assert np.linalg.norm(moved - drawn, axis=1).max() <= 0.5 + 1e-9
-    places = np.concatenate([drawn, moved, plane.grid(60), plane.inside(anywhere),
+    inside = plane.inside(anywhere)
+    places = np.concatenate([drawn, moved, plane.grid(60), inside,
                              plane.reflected(anywhere)])
     assert plane.contains(places).all()
     assert distances(points, places).min() >= clearance - ROUNDING
-    np.testing.assert_array_equal(plane.inside(plane.inside(anywhere)), plane.inside(anywhere))
+    np.testing.assert_array_equal(plane.inside(inside), inside)
 
 
 @settings(deadline=None, max_examples=40)
@@ -142,7 +143,7 @@ def test_exactly_the_cells_are_closed_that_a_ball_reaches(seed, clearance, edge)
         assert abs(away - clearance) < 1e-6 or cells[i, j] == (away > clearance)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=40)
 @given(strategies.integers(0, 2 ** 31), strategies.sampled_from([0.02, 0.1, 0.5]))
 def test_a_place_moves_into_the_nearest_open_cell(seed, share):
     rng = np.random.default_rng(seed)
@@ -193,12 +194,8 @@ def test_cameras_of_different_heights_keep_it_at_each_of_them():
     assert FreePlane.of(points, 1.9, 3, MARGIN, 0.15).contains(np.array([3.0, 3.0]))
 
 
-def test_a_camera_walks_round_a_panel_and_leaves_where_it_must_not_be(parted):
+def test_a_camera_leaves_where_it_must_not_be(parted):
     plane = FreePlane.of(parted, HEIGHT, 3, MARGIN, 0.15)
-    rng, ended = np.random.default_rng(3), []
-    for _ in range(200):
-        ended.append(plane.moved(plane.random(rng), rng.normal(0.0, 0.6, (3, 2)), 0.5))
-    assert distances(parted, np.concatenate(ended)).min() >= 0.15 - ROUNDING
     # In the panel: out of it, the way that was asked for; who holds still is left there.
     inside = np.tile([3.0, 2.0], (3, 1))
     moved = plane.moved(inside, np.array([[0.5, 0.0], [-0.05, 0.0], [0.0, 0.0]]), 0.5)
@@ -212,28 +209,28 @@ def test_a_camera_walks_round_a_panel_and_leaves_where_it_must_not_be(parted):
         thick.moved(inside, np.tile([0.3, 0.0], (3, 1)), 0.5), inside + [0.3, 0.0])
 
 
-@pytest.mark.parametrize('name', ['random', 'regular_grid', 'greedy_coverage', 'greedy_swap',
-                                  'tdsa', 'bpso', 'bee_colony', 'differential_evolution',
-                                  'cma_es'])
-def test_no_planner_puts_a_camera_at_a_surface(validation, name):
-    simulator = Simulator(Scene(validation, 'validation'), SimulationConfig(
-        RigConfig(cameras=3), EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0)))
-    space = FreePlane.of(validation, simulator.height, 3, MARGIN)
-    score, asked = Scorer(simulator), []
+@pytest.mark.parametrize('name', planner_names(SCORES))
+def test_no_planner_puts_a_camera_at_a_surface_or_off_the_floor(validation, name):
+    plane, asked = FreePlane.of(validation, HEIGHT, 3, MARGIN), []
+    # Cameras are asked for where none may be: in the panel and beyond the walls.
+    wanted = np.array([plane.low - 1.0, 0.5 * (plane.low + plane.high), plane.high + 1.0])
 
-    def remembered(placements):
+    def score(placements):
         asked.extend(placements)
-        return score(placements)
+        errors = np.array([np.linalg.norm(wanted[:, None] - placement[:, :2], axis=2).min(axis=1)
+                           .sum() if len(placement) else 20.0 for placement in placements])
+        return Scores(errors, -errors)
 
-    solve(PLANNERS[name].make(space, np.random.default_rng(0), 60), remembered, 60)
+    solve(PLANNERS[name].make(plane, np.random.default_rng(0), 300), score, 300)
     places = np.concatenate(asked)
+    assert plane.contains(places[:, :2]).all()
     assert cKDTree(validation).query(places)[0].min() >= CLEARANCE - ROUNDING
 
 
 def test_lookahead_keeps_it_from_what_it_has_seen(validation):
     config = SimulationConfig(
         RigConfig(cameras=3), EngineConfig(preset='fast', error_rows=16, coverage_cell=1.0),
-        EpisodeConfig(turns=10))
+        EpisodeConfig(turns=5))
     problem = PlaneProblem(Simulator(Scene(validation, 'validation'), config))
     episode, seen = Episode(problem, np.random.default_rng(0)), []
     online = Lookahead(*settings_of(config.episode, problem.rig, np.random.default_rng(1)))

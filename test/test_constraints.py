@@ -19,6 +19,7 @@ from dataclasses import replace
 from conftest import box_room, box_sides, l_shaped, made_room, MOUNTS
 from hypothesis import given, settings, strategies
 import numpy as np
+from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.sensors import SENSORS
@@ -27,19 +28,21 @@ from ocp_ros.rooms.generator import plan_of
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.util.settings import ConfigurationError
 import pytest
+from scipy.spatial import cKDTree
 
 ALL_MOUNTS = {**MOUNTS, 'wall at a height': {'on': 'walls', 'height': 2.0},
               'free': {'on': 'free', 'height': [1, 2.2]}}
 D455 = SENSORS['realsense_d455'].model
+#: An empty box, an L, a scanned and a turned room; their floors at several heights.
+ROOMS = 'box', 'L', 'office', 'turned', 'low'
 
 
 @pytest.fixture(scope='module')
 def rooms():
-    """Return an empty box, an L, a scanned and a turned room; their floors at several heights."""
+    """Return the scenes of ROOMS."""
     office = made_room(3, 8000)
     low = Scene(office.points - np.array([3.0, 40.0, 5.0]), 'low')
-    return {'box': box_room(), 'L': l_shaped(), 'office': office, 'turned': turned(office, 33.0),
-            'low': low}
+    return dict(zip(ROOMS, (box_room(), l_shaped(), office, turned(office, 33.0), low)))
 
 
 @pytest.fixture(scope='module')
@@ -66,8 +69,8 @@ def level(*position, yaw=0.0, pitch=0.0):
 
 
 @pytest.mark.parametrize('mount', ALL_MOUNTS)
-@pytest.mark.parametrize('room', ['box', 'L', 'office', 'turned', 'low'])
-@pytest.mark.parametrize('sensor', ['d455', 'omnidirectional', 'vlp16'])
+@pytest.mark.parametrize(('room', 'sensor'), [
+    ('L', 'd455'), ('turned', 'omnidirectional'), ('low', 'vlp16')])
 def test_every_candidate_is_allowed_and_breaks_nothing(rooms, room, mount, sensor):
     allowed = allowed_of(rooms[room], mount, sensor, pitch=[5, 50])
     model = allowed.rig.models[0]
@@ -83,14 +86,13 @@ def test_every_candidate_is_allowed_and_breaks_nothing(rooms, room, mount, senso
     assert (above > low - 0.02).all() and (above < high + 0.02).all()
 
 
-@settings(deadline=None, max_examples=30)
+@settings(deadline=None, max_examples=20)
 @given(spacing=strategies.floats(0.0, 2.0), keep_clear=strategies.floats(0.0, 0.5),
        low=strategies.floats(-20.0, 60.0), most=strategies.integers(1, 200),
-       mount=strategies.sampled_from(sorted(ALL_MOUNTS)), number=strategies.integers(0, 4))
-def test_candidates_obey_whatever_is_asked(rooms, spacing, keep_clear, low, most, mount, number):
-    room = list(rooms.values())[number]
-    middle = room.bounds.mean(axis=0)
-    allowed = allowed_of(room, mount, spacing=spacing, keep_clear=keep_clear,
+       mount=strategies.sampled_from(sorted(ALL_MOUNTS)), room=strategies.sampled_from(ROOMS))
+def test_candidates_obey_whatever_is_asked(rooms, spacing, keep_clear, low, most, mount, room):
+    middle = rooms[room].bounds.mean(axis=0)
+    allowed = allowed_of(rooms[room], mount, spacing=spacing, keep_clear=keep_clear,
                          pitch=[low, low + 10.0], keep_out=[{'box': [
                              (middle - [1.0, 0.5, 9.0]).tolist(), (middle + 9.0).tolist()]}])
     poses = allowed.candidates(D455, most)
@@ -125,9 +127,8 @@ def test_cameras_on_walls_look_into_the_room(rooms):
         poses = allowed_of(rooms[name], 'walls').candidates(D455, 400)
         ahead = poses[:, :3] + 0.5 * np.column_stack(
             [np.cos(poses[:, 3]), np.sin(poses[:, 3]), np.zeros(len(poses))])
-        points = rooms[name].points
-        before, after = (np.array([np.linalg.norm(points - place, axis=1).min()
-                                   for place in places]) for places in (poses[:, :3], ahead))
+        near = cKDTree(rooms[name].points)
+        before, after = (near.query(places)[0] for places in (poses[:, :3], ahead))
         assert (before < 0.2).all() and np.mean(after > before) > 0.95
 
 
@@ -137,8 +138,8 @@ def test_cameras_on_walls_look_into_the_room(rooms):
     ('plane', level(7, 2, 1.9), ['not above floor']),
     ('plane', level(3, 2, 1.9, pitch=80), ['(pitch)']),
     ('plane', level(3, 2, 1.9, pitch=-5), ['(pitch)']),
-    ('ceiling', level(3, 2, 2.7), []), ('ceiling', level(3, 2, 2.6), []),
-    ('ceiling', level(3, 2, 2.3), ['mount.on']), ('ceiling', level(0.1, 2, 2.7), ['keep_clear']),
+    ('ceiling', level(3, 2, 2.6), []), ('ceiling', level(3, 2, 2.3), ['mount.on']),
+    ('ceiling', level(0.1, 2, 2.7), ['keep_clear']),
     ('rods', level(3, 2, 2.0), []), ('rods', level(3, 2, 2.2), ['mount.height']),
     ('walls', level(0.1, 2, 2.0), []), ('walls', level(3, 3.85, 2.0), []),
     ('walls', level(0.6, 2, 2.0), ['mount.on']),
@@ -199,17 +200,13 @@ def test_a_place_inside_a_cabinet_is_not_in_the_air(furnished):
 
 def judged_places(seed):
     """Judge places in a generated room: how deep in solids, allowed, and over the floor."""
-    room, plan = made_room(seed, 15000), plan_of(seed)
-    allowed = allowed_of(room, 'free')
+    room = made_room(seed, 15000)
+    allowed = allowed_of(room)
     low, high = room.bounds
-    places = np.random.default_rng(0).uniform(low, high, (4000, 3))
-    places = places[(places[:, 2] > low[2] + 1.0) & (places[:, 2] < low[2] + 2.2)]
-    depth = np.full(len(places), -np.inf)
-    for solid in plan.solids:
-        cosine, sine = np.cos(solid.yaw), np.sin(solid.yaw)
-        way = (places - solid.centre) @ np.array(
-            [[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        depth = np.maximum(depth, (0.5 * solid.size - np.abs(way)).min(axis=1))
+    places = np.random.default_rng(0).uniform(
+        low + [0.0, 0.0, 1.0], [*high[:2], low[2] + 2.2], (2000, 3))
+    depth = np.max([(0.5 * solid.size - np.abs((places - solid.centre) @ rotation_matrix(
+        solid.yaw))).min(axis=1) for solid in plan_of(seed).solids], axis=0)
     good = allowed.allowed(np.hstack([places, np.zeros_like(places)]), D455)
     return np.column_stack([depth, good, allowed.space.contains(places[:, :2])])
 

@@ -21,10 +21,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.api import plan, score
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, pack
 from ocp_ros.report.findings import evaluate_placement
 from ocp_ros.rig.rig_file import Calibratable, rig_of
-from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.covisibility import air_share, covisibility
@@ -36,6 +36,7 @@ import pytest
 
 #: Points along a line two metres in front of cameras that stand on another line.
 POINTS = np.column_stack([np.linspace(0.0, 9.9, 100), np.full(100, 2.0), np.zeros(100)])
+FAST = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16))
 
 
 def view(x: float, first: int, last: int) -> View:
@@ -43,12 +44,6 @@ def view(x: float, first: int, last: int) -> View:
     seen = np.zeros(100, dtype=bool)
     seen[first:last] = True
     return View(pack(seen), pack(np.zeros(1, dtype=bool)), np.array([x, 0.0, 0.0]))
-
-
-@pytest.fixture(scope='module')
-def room():
-    """Return a room."""
-    return generate_room(7, 8000)
 
 
 def test_what_is_seen_under_a_wide_angle_is_not_shared():
@@ -84,31 +79,31 @@ def test_a_chain_connects_and_a_gap_says_how_much_is_missing():
 
 def test_a_plan_connects_its_cameras_and_says_so(room):
     """Three narrow cameras in a room: without the key they spread, with it they are linked."""
-    settings, engine = {'mount': {'on': 'walls'}, 'pitch': [0, 60]}, SimulationConfig().engine
-    free, linked = (rig_of(3, 'd455', **settings, **more)
+    free, linked = (rig_of(3, 'd455', pitch=[20, 40], **more)
                     for more in ({}, {'calibratable': {'overlap': 0.5, 'angle': 45}}))
-    found = {}
-    for rig in (free, linked):
-        plan = RigPlanner(room, rig, engine, Budget(None, 1200)).plan(rig)
-        problem = Problem.of(room, linked)
-        found[rig] = evaluate_placement(problem, plan.answer.poses), plan
-    spread, near = found[free], found[linked]
-    assert len(spread[0]['scores']['calibratable']['groups']) > 1
-    assert [line.partition(':')[0] for line in spread[0]['broken']] == ['calibratable']
-    assert near[0]['broken'] == [] and near[1].evaluation.connected
-    assert spread[1].evaluation.depth_error <= near[1].evaluation.depth_error + 1e-3
-    links = near[0]['scores']['calibratable']
+
+    def planned(rig):
+        planner = RigPlanner(room, rig, FAST.engine, Budget(evaluations=400))
+        found = planner.plan(rig)
+        return planner, found, evaluate_placement(Problem.of(room, linked, FAST),
+                                                  found.answer.poses)
+
+    (_, spread, spread_findings), (planner, near, findings) = planned(free), planned(linked)
+    assert len(spread_findings['scores']['calibratable']['groups']) > 1
+    assert [line.partition(':')[0] for line in spread_findings['broken']] == ['calibratable']
+    assert findings['broken'] == [] and near.evaluation.connected
+    assert spread.evaluation.depth_error <= near.evaluation.depth_error + 1e-3
+    links = findings['scores']['calibratable']
     assert len(links['groups']) == 1 and sum(pair['linked'] for pair in links['pairs']) >= 2
     assert all(pair['overlap'] >= 0.5 for pair in links['pairs'] if pair['linked'])
     # Nothing is proved of plans that have to be calibratable.
-    planner = RigPlanner(room, linked, engine, Budget(None, 200))
-    plan = planner.certified(planner.plan(linked), Budget(1.0))
-    assert plan.certificate is None and 'calibratable' in plan.uncertain
+    certified = planner.certified(near, Budget(1.0))
+    assert certified.certificate is None and 'calibratable' in certified.uncertain
 
 
 def test_the_loss_counts_what_is_missing(room):
     rig = rig_of(2, 'd455', calibratable={'overlap': 0.2})
-    problem, free = Problem.of(room, rig), Problem.of(room, rig_of(2, 'd455'))
+    problem, free = (Problem.of(room, asked, FAST) for asked in (rig, rig_of(2, 'd455')))
     poses = problem.region.candidates(rig.cameras[0].model, 400)
     rng, missing = np.random.default_rng(0), []
     for _ in range(20):
@@ -123,9 +118,8 @@ def test_the_loss_counts_what_is_missing(room):
 
 
 @pytest.mark.parametrize(('more', 'words'), [
-    ({'calibratable': {'overlap': 0}}, 'overlap.*above 0'),
-    ({'calibratable': {'overlap': 1.5}}, 'overlap.*at most 1'),
-    ({'calibratable': {'angle': 200}}, 'angle.*180'), ({'calibratable': {'share': 0.3}}, 'share'),
+    ({'calibratable': {'overlap': 0}}, 'overlap'), ({'calibratable': {'overlap': 1.5}}, 'overlap'),
+    ({'calibratable': {'angle': 200}}, 'angle'), ({'calibratable': {'share': 0.3}}, 'share'),
     ({'calibratable': True}, 'calibratable'), ({'air': {'angle': 150}}, 'air.angle'),
     ({'air': {'seen_by': 3}}, r'regions\[0\].air.seen_by'),
     ({'air': {}, 'box': [[1, 1, 1], [1.01, 1.01, 1.01]]}, 'no air')])
@@ -137,15 +131,15 @@ def test_what_cannot_be_calibrated_or_watched_is_refused(more, words):
         plan(box_room(), {**rig, **more}, evaluations=10)
 
 
-@settings(deadline=None, max_examples=60)
-@given(seed=st.integers(0, 9999), cameras=st.integers(1, 6), seen_by=st.integers(1, 4),
+@settings(deadline=None, max_examples=20)
+@given(seed=st.integers(0, 9999), cameras=st.integers(1, 5), seen_by=st.integers(1, 4),
        angle=st.floats(0.0, 100.0))
 def test_air_counts_where_enough_cameras_look_from_enough_directions(
         seed, cameras, seen_by, angle):
     rng = np.random.default_rng(seed)
-    cells, positions = rng.uniform(0, 4, (300, 3)), rng.uniform(0, 4, (cameras, 3))
-    seen = rng.random((cameras, 300)) < 0.7
-    numbers = np.flatnonzero(rng.random(300) < 0.3)
+    cells, positions = rng.uniform(0, 4, (100, 3)), rng.uniform(0, 4, (cameras, 3))
+    seen = rng.random((cameras, 100)) < 0.7
+    numbers = np.flatnonzero(rng.random(100) < 0.5)
     views = [View(no_bits(0), pack(some), position) for some, position in zip(seen, positions)]
     ways = cells[None] - positions[:, None]
     ways /= np.linalg.norm(ways, axis=2, keepdims=True)

@@ -83,7 +83,9 @@ def test_the_examples_of_files_can_be_read_and_all_their_keys_are_explained(tmp_
 def test_the_python_examples_run(tmp_path, monkeypatch, capsys, page, holds):
     save_scene(Scene(made_room(1, 3000).points, 'room'), tmp_path / 'room.ply')
     monkeypatch.chdir(tmp_path)
-    exec(python_example(page), {})
+    code = re.search(r'((?:    (?:from ocp_ros|import ).*\n)+\n(?:    .*\n)+)',
+                     (ROOT / page).read_text()).group(1)
+    exec(re.sub('^    ', '', code, flags=re.M), {})
     assert holds(*map(float, capsys.readouterr().out.split()))
 
 
@@ -120,13 +122,6 @@ def test_links_folders_modules_and_targets_exist():
     assert not [fault for page in PAGES for fault in absent(page)]
 
 
-def python_example(page):
-    """Return the first Python example of a page."""
-    text = (ROOT / page).read_text()
-    code = re.search(r'((?:    (?:from ocp_ros|import ).*\n)+\n(?:    .*\n)+)', text).group(1)
-    return re.sub('^    ', '', code, flags=re.M)
-
-
 def yaml_example(page, first):
     """Return the YAML of a page that begins with a line."""
     lines = (ROOT / page).read_text().split(f'    {first}', 1)[1].splitlines()
@@ -157,8 +152,9 @@ CHEAP = {('score',), ('view',), ('rooms', 'list'), ('rooms', 'make'), ('rooms', 
 
 
 def test_every_command_in_the_documentation_can_be_read():
+    parser = cli.build_parser()
     for command in commands():
-        cli.build_parser().parse_args(command)
+        parser.parse_args(command)
     assert {command[0] for command in commands()} == {
         'plan', 'info', 'score', 'calibrate', 'view', 'room', 'rooms', 'train', 'evaluate',
         'benchmark', 'replay', 'studio'}
@@ -188,25 +184,20 @@ def test_every_cheap_command_in_the_documentation_runs(command, tmp_path, monkey
     assert capsys.readouterr().out.strip()
 
 
-def templates():
-    """Return every text in the package's code, with dots for what is filled in."""
-    found = set()
-    for path in (ROOT / 'ocp_ros').rglob('*.py'):
-        for node in ast.walk(ast.parse(path.read_text())):
-            if isinstance(node, ast.JoinedStr):
-                found.add(''.join(part.value if isinstance(part, ast.Constant) else '...'
-                                  for part in node.values))
-            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
-                found.add(node.value)
-    return found
-
-
 def test_every_sentence_of_the_troubleshooting_is_still_in_the_code():
     text = ''.join((DOCS / 'tasks' / page).read_text()
                    for page in ('troubleshooting.md', 'troubleshooting_nodes.md'))
     quoted = re.findall(r'^\| `(.+?)` \|', text, re.M)
     assert len(quoted) > 15
-    known = templates()
+    # Every text in the package's code, with dots for what is filled in.
+    known = set()
+    for path in (ROOT / 'ocp_ros').rglob('*.py'):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.JoinedStr):
+                known.add(''.join(part.value if isinstance(part, ast.Constant) else '...'
+                                  for part in node.values))
+            elif isinstance(node, ast.Constant) and isinstance(node.value, str):
+                known.add(node.value)
     for sentence in quoted:
         parts = re.escape(sentence).replace(re.escape('...'), '.+')
         assert any(re.search(parts, template) for template in known), sentence
@@ -215,13 +206,10 @@ def test_every_sentence_of_the_troubleshooting_is_still_in_the_code():
 def test_no_page_has_comments_or_more_than_1500_words():
     for page in PAGES:
         text = (ROOT / page).read_text()
-        assert '<!--' not in text and words(text) <= 1500, page
-
-
-def words(text):
-    """Return how many words a reader of a page meets: numbers and addresses are none."""
-    seen = re.sub(r'\]\([^)]*\)', ' ', text)
-    return sum(bool(re.search(r'[^\W\d_]', part)) for part in seen.replace('|', ' ').split())
+        # Numbers and addresses are no words.
+        seen = re.sub(r'\]\([^)]*\)', ' ', text).replace('|', ' ')
+        words = sum(bool(re.search(r'[^\W\d_]', part)) for part in seen.split())
+        assert '<!--' not in text and words <= 1500, page
 
 
 def test_the_index_lists_every_page():

@@ -12,30 +12,87 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The simulated rig: moves, rewards, episodes and the Gymnasium environment."""
+"""The simulated rig: what placements are worth, moves, rewards, episodes, the environment."""
 
 from dataclasses import replace
 import warnings
 
-from conftest import made_room
+from conftest import for_any, made_room
 from gymnasium.utils.env_checker import check_env
-from hypothesis import given
-from hypothesis import settings as budget
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.packed_bits import Subset
+from ocp_ros.geometry.packed_bits import pack, Subset
 from ocp_ros.rig.motion import bounded_moves, kept_inside
 from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.search.scorer import Scorer
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import PlaneProblem
-from ocp_ros.simulation.reward import potential, reward
+from ocp_ros.simulation.objective import MUST_SEE_COST
+from ocp_ros.simulation.problem import PlaneProblem, Problem
+from ocp_ros.simulation.reward import reward
 from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.settings import ConfigurationError
 import pytest
 from stable_baselines3.common.env_checker import check_env as check_env_sb3
+
+SMALL = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5))
+seeds = st.integers(0, 2 ** 32 - 1)
+FIXED = [{'sensor': 'kinect_v2', 'position': [4.0, 4.0, 2.2], 'yaw': 200, 'pitch': 20}]
+REGIONS = [{'name': 'a', 'box': [[0, 0, -1], [4, 4, 9]], 'weight': 2.0, 'must_see': 0.9},
+           {'name': 'b', 'polygon': [[4, 4], [7, 4], [7, 7]], 'weight': 0.5}]
+POSES = np.array([[2.0, 2.0, 1.9, 0.3, 0.4, 0.0], [5.0, 5.0, 1.9, 3.0, 0.5, 0.0],
+                  [4.0, 3.0, 1.9, 1.5, 0.6, 0.0]])
+
+
+@pytest.fixture(scope='module')
+def simulator(room):
+    """Return the engine for a small room."""
+    return Simulator(room, SMALL)
+
+
+def two_rooms(room, **options):
+    """Return an environment of two small rooms."""
+    return CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128,
+                              **options)
+
+
+@pytest.fixture
+def env(room):
+    """Return such an environment of four cameras."""
+    return two_rooms(room)
+
+
+@pytest.fixture
+def few(room):
+    """Return one of one to four cameras in rooms that are turned."""
+    return two_rooms(room, fewest=1, rotations=(0.0, 30.0, 60.0, 90.0))
+
+
+def episode_of(room, cameras, sensors, tilt):
+    """Return an episode with a rig of cameras that do not see all around."""
+    rig = RigConfig(cameras=cameras, sensors=sensors, tilt=tilt)
+    simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
+    return Episode(PlaneProblem(simulator), np.random.default_rng(0))
+
+
+def seen_by(simulator, pose, camera):
+    """Return which points a camera sees: (N,) bool, in the scene's order."""
+    return Subset(simulator.look(pose, camera).seen, simulator.visibility.order).mask
+
+
+def play(env, seed, turns=6):
+    """Return everything an episode of random actions gives."""
+    rng = np.random.default_rng(seed)
+    observation, info = env.reset(seed=seed)
+    record = [(observation, 0.0, False, False, info)]
+    for _ in range(turns):
+        record.append(env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)))
+    return record
 
 
 @pytest.mark.parametrize('name', ['env', 'few'])
@@ -50,9 +107,8 @@ def test_the_checkers_of_gymnasium_and_stable_baselines3_find_nothing(request, n
 
 
 def test_a_seed_and_its_actions_determine_an_episode(env, room):
-    other = CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128)
     record = play(env, 11)
-    for one, two in zip(record, play(other, 11), strict=True):
+    for one, two in zip(record, play(two_rooms(room), 11), strict=True):
         assert all(np.array_equal(one[0][key], two[0][key]) for key in one[0])
         assert one[1:] == two[1:]
     assert not np.array_equal(record[-1][0]['camera_positions'],
@@ -69,32 +125,6 @@ def test_an_episode_is_truncated_and_each_step_explains_its_reward(room):
                 'depth_error', 'worst_depth_error', 'scene', 'step'} <= info.keys()
 
 
-SMALL = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32, coverage_cell=0.5))
-seeds = st.integers(0, 2 ** 32 - 1)
-
-
-@pytest.fixture(scope='module')
-def simulator(room):
-    """Return the engine for a small room."""
-    return Simulator(room, SMALL)
-
-
-@pytest.fixture
-def env(room):
-    """Return an environment of two small rooms."""
-    return CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128)
-
-
-def play(env, seed, turns=6):
-    """Return everything an episode of random actions gives."""
-    rng = np.random.default_rng(seed)
-    observation, info = env.reset(seed=seed)
-    record = [(observation, 0.0, False, False, info)]
-    for _ in range(turns):
-        record.append(env.step(rng.uniform(-1, 1, env.action_space.shape).astype(np.float32)))
-    return record
-
-
 def test_the_room_its_rotation_and_the_cameras_can_be_chosen(env, few):
     assert env.reset(options={'scene': 1})[1]['scene'] == 'room-12'
     seen, info = few.reset(seed=3, options={'rotation': 90.0, 'cameras': 2})
@@ -106,13 +136,6 @@ def test_the_room_its_rotation_and_the_cameras_can_be_chosen(env, few):
     drawn = [few.reset(seed=3, options=options)[1]['scene'].partition('@')[0]
              for options in ({}, {'rotation': 90.0}, {'cameras': 1})]
     assert len(set(drawn)) == 1
-
-
-@pytest.fixture
-def few(room):
-    """Return an environment of one to four cameras in rooms that are turned."""
-    return CameraPlacementEnv([room, made_room(12, 2000)], SMALL, observation_points=128,
-                              fewest=1, rotations=(0.0, 30.0, 60.0, 90.0))
 
 
 def test_how_many_cameras_there_are_is_drawn_and_padded(env, few):
@@ -158,8 +181,7 @@ def test_where_nothing_is_seen_the_cameras_are_all_that_is_known(room):
     np.testing.assert_allclose(observation['bounds'][0], observation['camera_positions'].min(0))
 
 
-@given(seed=seeds, scale=st.floats(0.0, 100.0))
-@budget(max_examples=30, deadline=None)
+@for_any(30, seed=seeds, scale=st.floats(0.0, 100.0))
 def test_cameras_stay_in_the_room_and_what_was_observed_stays_observed(simulator, seed, scale):
     rng = np.random.default_rng(seed)
     episode = Episode(PlaneProblem(simulator), rng)
@@ -175,8 +197,7 @@ def test_cameras_stay_in_the_room_and_what_was_observed_stays_observed(simulator
         assert (turn.positions[:, 2] == simulator.height).all()
 
 
-@given(seed=seeds)
-@budget(max_examples=15, deadline=None)
+@for_any(15, seed=seeds)
 def test_one_camera_more_never_sees_less_and_a_moved_one_costs_one_view(simulator, seed):
     positions = np.random.default_rng(seed).uniform(*simulator.scene.bounds, (4, 3))
     fewer, more = simulator.evaluate(positions[:2]), simulator.evaluate(positions[:3])
@@ -210,9 +231,8 @@ def test_cameras_start_near_the_centre_at_their_height_above_the_floor(room):
 
 
 def test_cameras_are_turned_with_a_move_and_stay_so(room):
-    rig = RigConfig(cameras=2, sensors='realsense_d455', tilt=0.2)
-    simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
-    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
+    episode = episode_of(room, 2, 'realsense_d455', 0.2)
+    simulator = episode.simulator
     moves, headings = np.array([[0.1, 0.0], [0.0, 0.2]]), np.array([[1, 0.3, 0], [2, 0.1, 0.2]])
     before = episode.turn.headings
     np.testing.assert_array_equal(episode.move(moves).headings, before)
@@ -231,33 +251,24 @@ def test_each_camera_of_a_mixed_rig_sees_with_its_own_model(room):
     rig = RigConfig(cameras=2, sensors='omnidirectional, realsense_d435')
     simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
     middle = np.append(room.bounds.mean(axis=0)[:2], 1.9)
-    whole, part = (Subset(simulator.look(middle, k).seen, simulator.visibility.order)
-                   for k in (0, 1))
+    whole, part = (seen_by(simulator, middle, k) for k in (0, 1))
     x, y, _ = (room.points - middle).T
-    assert 0 < len(part) < 0.3 * len(whole)
-    assert (np.abs(np.arctan2(y, x))[part.mask] <= np.deg2rad(43.6)).all()
+    assert 0 < part.sum() < 0.3 * whole.sum()
+    assert (np.abs(np.arctan2(y, x))[part] <= np.deg2rad(43.6)).all()
     assert [model.max_range for model in simulator.models] == [4.0, 3.0]
-    turned = np.append(middle, [np.pi / 2, 0.0, 0.0])
-    seen = Subset(simulator.look(turned, 1).seen, simulator.visibility.order).mask
+    seen = seen_by(simulator, np.append(middle, [np.pi / 2, 0.0, 0.0]), 1)
     assert seen.any() and (y[seen] > 0.0).all()
     with pytest.raises(ValueError, match='3 cameras'):
         simulator.evaluate(np.tile(middle, (3, 1)))
 
 
-def test_cameras_above_the_ceiling_are_refused(room):
-    with pytest.raises(SceneError, match='rig.height'):
-        Simulator(room, SimulationConfig(rig=RigConfig(height=9.0)))
-
-
 def test_the_cameras_of_an_episode_look_outwards(room):
-    rig = RigConfig(cameras=4, sensors='azure_kinect_wfov', tilt=0.4)
-    simulator = Simulator(room, SimulationConfig(engine=SMALL.engine, rig=rig))
-    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
+    episode = episode_of(room, 4, 'azure_kinect_wfov', 0.4)
+    evaluate, positions = episode.simulator.evaluate, episode.turn.positions
     headings = episode.turn.headings
-    placement = np.hstack([episode.turn.positions, headings])
     np.testing.assert_allclose(np.rad2deg(headings[:, 0]), [0, 90, 180, 270])
-    assert episode.turn.depth_error == simulator.evaluate(placement).depth_error
-    alike = simulator.evaluate(np.hstack([episode.turn.positions, 0.0 * headings]))
+    assert episode.turn.depth_error == evaluate(np.hstack([positions, headings])).depth_error
+    alike = evaluate(np.hstack([positions, 0.0 * headings]))
     assert len(alike.seen) < 0.8 * len(episode.observed)
 
 
@@ -274,20 +285,6 @@ def test_threads_change_nothing(room, preset):
         assert np.array_equal(view.covered, simulator.look(pose).covered)
 
 
-def test_the_potential_reward_telescopes(simulator):
-    rng = np.random.default_rng(4)
-    episode = Episode(PlaneProblem(simulator), rng)
-    first, total = episode.turn, 0.0
-    for _ in range(5):
-        total += episode.move(rng.uniform(-0.2, 0.2, (4, 2))).terms.reward
-
-    def value(turn):
-        return potential(turn.space_coverage, turn.depth_error, simulator.volume,
-                         simulator.depth_error.worst)
-
-    assert total == pytest.approx(value(episode.turn) - value(first))
-
-
 def test_the_papers_reward_is_its_formula():
     config = RewardConfig(kind='paper', coverage=0.02, depth_error=1.0, penalty=-2.0)
     terms = reward((10.0, 5.0), (25.0, 4.5), False, 100.0, 50.0, config)
@@ -296,7 +293,7 @@ def test_the_papers_reward_is_its_formula():
     assert reward((10.0, 5.0), (25.0, 4.5), True, 100.0, 50.0, config).reward == -8.0
 
 
-@given(actions=st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=1, max_size=6))
+@for_any(actions=st.lists(st.tuples(st.floats(-1, 1), st.floats(-1, 1)), min_size=1, max_size=6))
 def test_no_move_is_longer_than_the_longest_step(actions):
     moves = bounded_moves(np.array(actions), 0.5)
     assert np.linalg.norm(moves, axis=1).max() <= 0.5 + 1e-12
@@ -311,9 +308,8 @@ def test_a_box_narrower_than_its_margins_keeps_its_middle():
     assert outside
 
 
-def test_the_shares_of_the_cameras_add_up_to_the_reward_of_the_turn(room):
-    config = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
-    episode = Episode(PlaneProblem(Simulator(room, config)), np.random.default_rng(0))
+def test_the_shares_of_the_cameras_add_up_to_the_reward_of_the_turn(simulator):
+    episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
     rng = np.random.default_rng(1)
     for turn in range(3):
         before = episode.turn
@@ -324,6 +320,124 @@ def test_the_shares_of_the_cameras_add_up_to_the_reward_of_the_turn(room):
         # The first one alone has moved when its share is told.
         alone = before.positions.copy()
         alone[order[0]] = episode.turn.positions[order[0]]
-        judged = episode.simulator.evaluate(alone)
+        judged = simulator.evaluate(alone)
         assert shares[0].delta_depth_error == pytest.approx(
             before.depth_error - judged.depth_error)
+
+
+def objective_of(room, **more):
+    """Judge three D455 and a Kinect that hangs already."""
+    rig = rig_of(3, 'd455', fixed=FIXED, **more)
+    return Problem.of(room, rig, SMALL).objective
+
+
+def flags_of(objective):
+    """Return who sees which point: (4, N) bool."""
+    placement = [*POSES, *objective.rig.fixed_poses]
+    return np.array([seen_by(objective.simulator, pose, k) for k, pose in enumerate(placement)])
+
+
+@pytest.mark.parametrize('least', [1, 2, 3])
+def test_a_point_counts_where_enough_cameras_see_it(room, least):
+    objective = objective_of(room, seen_by=least, regions=REGIONS)
+    simulator, flags = objective.simulator, flags_of(objective)
+    worth = objective.evaluate(POSES)
+    enough = flags.sum(axis=0) >= least
+    assert np.array_equal(worth.seen.mask, enough) and enough.any()
+    error = simulator.depth_error(pack(enough[simulator.visibility.order]))
+    assert worth.depth_error == error
+    inside = [(room.points[:, :2] <= 4.0).all(axis=1) & (room.points[:, :2] >= 0.0).all(axis=1),
+              (room.points[:, 0] < 7.0) & (room.points[:, 1] > 4.0)
+              & (room.points[:, 0] > room.points[:, 1])]
+    shares = [enough[part].mean() for part in inside]
+    np.testing.assert_allclose(worth.regions, shares)
+    loss = (error / simulator.depth_error.worst + 2.0 * (1.0 - shares[0])
+            + 0.5 * (1.0 - shares[1]) + MUST_SEE_COST * max(0.9 - shares[0], 0.0))
+    assert worth.loss == pytest.approx(loss)
+
+
+def test_without_regions_the_loss_is_the_error_and_all_is_as_the_engine_says(room):
+    objective = objective_of(room)
+    worth, simulator = objective.evaluate(POSES), objective.simulator
+    plain = simulator.evaluate(np.concatenate([POSES, objective.rig.fixed_poses]))
+    assert worth.depth_error == plain.depth_error
+    assert worth.space_coverage == plain.space_coverage
+    assert worth.loss == worth.depth_error / simulator.depth_error.worst
+    assert objective_of(room, seen_by=2).evaluate(POSES).space_coverage < worth.space_coverage
+
+
+@pytest.mark.parametrize('least', [1, 2])
+def test_overlap_and_what_each_camera_adds(room, least):
+    objective = objective_of(room, seen_by=least)
+    views, flags = objective.look(POSES), flags_of(objective)
+    counts = flags.sum(axis=0)
+    assert objective.overlap(views) == [
+        np.sum(counts == 0), np.sum(counts == 1), np.sum(counts == 2), np.sum(counts >= 3)]
+    found = objective.contributions(views)
+    assert len(found) == 4
+    error = objective.judge(views).depth_error
+    for k, contribution in enumerate(found):
+        assert contribution.only == np.mean(flags[k] & (counts == 1))
+        without = np.delete(flags, k, axis=0).sum(axis=0) >= least
+        bits = pack(without[objective.simulator.visibility.order])
+        assert contribution.depth_error == pytest.approx(
+            objective.simulator.depth_error(bits) - error)
+        assert contribution.depth_error >= 0.0
+
+
+@pytest.mark.parametrize('least', [1, 2])
+def test_one_more_camera_is_judged_as_if_it_hung_there(room, least):
+    objective = objective_of(room, seen_by=least)
+    views = objective.look(POSES)
+    errors = objective.with_one_more(views[:2], views)
+    np.testing.assert_allclose(
+        errors, [objective.judge([*views[:2], view]).depth_error for view in views])
+    assert errors.max() <= objective.judge(views[:2]).depth_error
+
+
+def test_nobody_sees_nothing(room):
+    rig = rig_of(2, 'd455', seen_by=2)
+    objective = Problem.of(room, rig, SMALL).objective
+    worth = objective.judge([])
+    assert worth.depth_error == objective.simulator.depth_error.worst and worth.loss == 1.0
+    assert len(worth.seen) == 0 and worth.space_coverage == 0.0
+    assert objective.overlap([]) == [len(room), 0, 0, 0] and objective.contributions([]) == []
+    alone = objective.contributions(objective.look(POSES[:1]))
+    assert alone[0].depth_error == 0.0 and alone[0].only > 0.0
+
+
+def test_the_engine_takes_models_of_ones_own(room):
+    rig = rig_of(1, 'd455', fixed=FIXED)
+    own = replace(rig.cameras[0].model, max_range=4.0, horizontal_fov=0.7)
+    rig = replace(rig, cameras=(rig.cameras[0]._replace(model=own), *rig.cameras))
+    simulator = Simulator(room, SMALL, rig.models)
+    assert simulator.models == (own, SENSORS['realsense_d455'].model, SENSORS['kinect_v2'].model)
+    few, many = (seen_by(simulator, POSES[0], k).sum() for k in (0, 1))
+    assert 0 < few < 0.5 * many
+
+
+def test_cameras_that_see_alike_share_what_was_seen(room, monkeypatch):
+    simulator = objective_of(room).simulator
+    assert [simulator.kind(k) for k in range(4)] == [0, 0, 0, 3]
+    looks, look = [], simulator.look
+    monkeypatch.setattr(simulator, 'look', lambda pose, camera: looks.append(camera) or look(
+        pose, camera))
+    score = Scorer(simulator)
+    placement = np.concatenate([POSES, objective_of(room).rig.fixed_poses])
+    one, = score([placement]).error
+    other, = score([placement[[1, 2, 0, 3]]]).error
+    assert one == other and len(looks) == 4
+    score([placement[[0, 1, 3, 2]]])
+    assert len(looks) == 6
+    alike = RigConfig(cameras=2, sensors='kinect_v2')
+    assert Simulator(room, SimulationConfig(alike, SMALL.engine)).kind(1) == 0
+
+
+@pytest.mark.parametrize(('more', 'words'), [
+    ({'regions': [{'name': 'far', 'box': [[40, 0, 0], [41, 1, 1]]}]}, r'regions\[0\]'),
+    ({'mount': {'on': 'plane', 'height': 9}}, 'mount.height')])
+def test_a_region_without_points_and_a_height_without_a_room_are_refused(room, more, words):
+    with pytest.raises(ConfigurationError, match=words):
+        objective_of(room, **more)
+    with pytest.raises(SceneError, match='rig.height'):
+        Simulator(room, SimulationConfig(rig=RigConfig(height=9.0)))

@@ -20,10 +20,7 @@ from types import ModuleType
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 import numpy as np
 from ocp_ros.geometry.cameras import Pose, rotation_matrix
-from ocp_ros.ros.interface.conversions import (
-    MessageError,
-    ns_to_stamp,
-)
+from ocp_ros.ros.interface.conversions import MessageError, ns_to_stamp
 from ocp_ros.ros.interface.frames import LiveRig, points_in_range, transform_cloud, Transforms
 import pytest
 from std_msgs.msg import Header
@@ -56,12 +53,10 @@ def test_a_cloud_in_the_frame_of_the_poses_stays_as_it_is(no_tf2, frame):
 
 @pytest.mark.parametrize(('frame', 'row', 'expected'), [
     # One metre ahead: camera 0 looks along y, camera 1 straight down.
-    ('camera_0', [1, 0, 0], [1, 3, 1.9]), ('/camera_0', [1, 0, 0], [1, 3, 1.9]),
-    ('camera_0', [0, 1, 0], [0, 2, 1.9]), ('camera_1', [1, 0, 0], [4, 2, 0.9]),
-    ('camera_0_optical', [0, 0, 1], [1, 3, 1.9]),
+    ('/camera_0', [1, 0, 0], [1, 3, 1.9]), ('camera_0', [0, 1, 0], [0, 2, 1.9]),
+    ('camera_1', [1, 0, 0], [4, 2, 0.9]), ('camera_1_optical', [0, 0, 1], [4, 2, 0.9]),
     # To the right in the image, and down in it.
-    ('camera_0_optical', [1, 0, 0], [2, 2, 1.9]), ('camera_0_optical', [0, 1, 0], [1, 2, 0.9]),
-    ('camera_1_optical', [0, 0, 1], [4, 2, 0.9])])
+    ('camera_0_optical', [1, 0, 0], [2, 2, 1.9]), ('camera_0_optical', [0, 1, 0], [1, 2, 0.9])])
 def test_a_cloud_of_a_camera_is_placed_by_its_pose(no_tf2, frame, row, expected):
     found, seen_from = transform_cloud(points([0, 0, 0], row), frame, RIG, no_tf2)
     np.testing.assert_allclose(found, [expected], atol=1e-6)
@@ -72,12 +67,8 @@ def test_a_cloud_of_a_camera_is_placed_by_its_pose(no_tf2, frame, row, expected)
 @pytest.mark.parametrize('frame', ['camera_2', 'camera_00002', 'camera_-1', 'camera_0_depth', '',
                                    'odom', 'camera_' + '9' * 5000])
 def test_a_frame_that_nobody_knows_is_refused_with_what_to_do(no_tf2, frame):
-    with pytest.raises(MessageError, match='frame .*map.*camera_<i>_optical.*0 to 1.*tf2_ros'):
+    with pytest.raises(MessageError, match='map.*camera_<i>_optical.*0 to 1.*tf2_ros'):
         transform_cloud(points([1, 0, 0]), frame, RIG, no_tf2)
-
-
-class Unknown(Exception):
-    """What the fake tf2 raises."""
 
 
 @pytest.fixture
@@ -89,15 +80,15 @@ def tf2(monkeypatch):
 
         def lookup_transform(self, target, source, time):
             if source not in known:
-                raise Unknown(f'{source} does not exist')
+                raise LookupError(f'{source} does not exist')
             assert target == 'map' and time.nanoseconds == 0
             return known[source]
 
         def clear(self):
             known.clear()
 
-    module.Buffer, module.TransformException = Buffer, Unknown
-    module.TransformListener = lambda buffer, node: (buffer, node)
+    module.Buffer, module.TransformException = Buffer, LookupError
+    module.TransformListener = lambda buffer, node: None
     monkeypatch.setitem(sys.modules, 'tf2_ros', module)
     return known, Transforms(None)
 
@@ -106,7 +97,7 @@ def transform(stamp=0, xyz=(5.0, 0.0, 1.0), xyzw=(0.0, 0.0, 1.0, 1.0)):
     """Return a transform, a quarter of a turn to the left unless told otherwise."""
     found = TransformStamped(header=Header(stamp=ns_to_stamp(stamp), frame_id='map'))
     found.transform.translation = Vector3(**dict(zip('xyz', xyz)))
-    found.transform.rotation = Quaternion(**dict(zip(('x', 'y', 'z', 'w'), xyzw)))
+    found.transform.rotation = Quaternion(**dict(zip('xyzw', xyzw)))
     return found
 
 
@@ -124,18 +115,16 @@ def test_tf2_is_asked_for_other_frames(tf2, stamp):
     _, seen_from = transform_cloud(points([1, 0, 0]), 'lidar', RIG, transforms)
     np.testing.assert_allclose(seen_from, [[4.0, 2.0, 1.7]])
     transforms.clear()
-    with pytest.raises(MessageError, match='lidar does not exist'):
+    with pytest.raises(MessageError, match="'lidar'"):
         transform_cloud(points([1, 0, 0]), 'lidar', RIG, transforms)
 
 
 @pytest.mark.parametrize(('spoilt', 'words'), [
-    (None, 'lidar does not exist'), (transform(stamp=9), 'older than the poses'),
-    (transform(xyz=(np.nan, 0.0, 0.0)), 'nan'),
+    (transform(stamp=9), 'older'), (transform(xyz=(np.nan, 0.0, 0.0)), 'nan'),
     (transform(xyzw=(0.0, 0.0, 0.0, 0.0)), 'quaternion')])
 def test_a_transform_that_is_of_no_use_is_refused(tf2, spoilt, words):
     known, transforms = tf2
-    if spoilt is not None:
-        known['lidar'] = spoilt
+    known['lidar'] = spoilt
     with pytest.raises(MessageError, match=f"'lidar'.*{words}"):
         transform_cloud(points([1, 0, 0]), 'lidar', RIG, transforms)
 
@@ -161,13 +150,11 @@ def test_points_with_the_axes_of_the_other_convention_are_refused(no_tf2, optica
     rng = np.random.default_rng(0)
     depth = rng.uniform(0.6, 6.0, 500)
     aside, down = (rng.uniform(-slope, slope, 500) * depth for slope in (0.9, 0.5))
-    body = np.column_stack([depth, aside, down]).astype(np.float32)
-    z_ahead = np.column_stack([aside, down, depth]).astype(np.float32)
-    right, wrong = (z_ahead, body) if optical else (body, z_ahead)
-    names = ('camera_0_optical', 'camera_0') if optical else ('camera_0', 'camera_0_optical')
-    assert len(transform_cloud(right, names[0], RIG, no_tf2)[0]) == 500
-    with pytest.raises(MessageError, match=f"name the frame '{names[1]}'"):
-        transform_cloud(wrong, names[0], RIG, no_tf2)
+    clouds = {'camera_0': np.column_stack([depth, aside, down]),
+              'camera_0_optical': np.column_stack([aside, down, depth])}
+    frame, other = sorted(clouds, reverse=optical)
+    with pytest.raises(MessageError, match=f"'{other}'"):
+        transform_cloud(clouds[other].astype(np.float32), frame, RIG, no_tf2)
     # What sees all around has no side ahead.
-    around = rng.normal(size=(500, 3)).astype(np.float32)
-    assert len(transform_cloud(around, names[0], RIG, no_tf2)[0]) == 500
+    for cloud in (clouds[frame], rng.normal(size=(500, 3))):
+        assert len(transform_cloud(cloud.astype(np.float32), frame, RIG, no_tf2)[0]) == 500

@@ -43,7 +43,7 @@ def voxels(points, edge):
 
 
 @given(added=st.lists(clouds(), max_size=5), voxel=VOXELS, most=st.integers(MIN_POINTS, 200))
-@budget(max_examples=60, deadline=None)
+@budget(max_examples=30, deadline=None)
 def test_it_is_bounded_whatever_is_added_and_has_one_point_per_voxel(added, voxel, most):
     fused = FusedCloud(voxel, most)
     for cloud in added:
@@ -78,7 +78,7 @@ def test_the_first_point_of_a_voxel_is_kept_and_voxels_grow_no_more_than_they_mu
 
 
 @given(added=st.lists(clouds(), min_size=1, max_size=4), voxel=VOXELS)
-@budget(max_examples=60, deadline=None)
+@budget(max_examples=30, deadline=None)
 def test_a_kept_point_is_near_every_point_while_nothing_is_thinned_again(added, voxel):
     fused, before = FusedCloud(voxel, 10000), np.empty((0, 3), np.float32)
     for cloud in added:

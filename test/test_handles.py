@@ -14,10 +14,11 @@
 
 """Handles in RViz: nodes offer them where interactive_markers is there, and obey them."""
 
+from functools import partial
 import sys
 
 from benchmarks.drills.live_rig import episode_in, MAP, Rig
-from conftest import HUNG, made_room, SMALL
+from conftest import counted, HUNG, made_room, SMALL
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 import numpy as np
 from ocp_ros.rig.rig_file import rig_of
@@ -88,7 +89,7 @@ def test_a_handle_has_an_arrow_and_a_ring_for_each_axis():
 def test_a_handle_moves_a_simulated_camera_while_the_policy_is_paused(graph, hand):
     sim = graph.add(SimNode, rig__cameras=2, episode__turns=30, **SMALL)
     policy = graph.add(PolicyNode, planner='lookahead')
-    graph.until(lambda: policy._counts['turns_answered'] >= 1)
+    graph.until(lambda: counted(policy, 'turns_answered') >= 1)
     hand.call(SetBool, 'policy_node/pause', data=True)
     graph.until(lambda: sim._stamp in policy._turns.poses)
     before = sim.episode.turn.positions.copy()
@@ -98,13 +99,12 @@ def test_a_handle_moves_a_simulated_camera_while_the_policy_is_paused(graph, han
     np.testing.assert_allclose(sim.episode.turn.positions, before + [[0, 0, 0], [0.2, 0, 0]],
                                atol=1e-6)
     hand.call(SetBool, 'policy_node/pause', data=False)
-    answered = policy._counts['turns_answered']
-    graph.until(lambda: policy._counts['turns_answered'] > answered)
+    answered = counted(policy, 'turns_answered')
+    graph.until(lambda: counted(policy, 'turns_answered') > answered)
 
 
 def test_a_handle_gives_a_live_camera_another_target(graph, hand, room):
-    rig = graph.add(lambda **kwargs: Rig(
-        episode_in(room), (MAP,) * 3, **{**kwargs, 'parameter_overrides': []}))
+    rig = graph.add(partial(Rig, episode_in(room), (MAP,) * 3))
     rig.obeys = False
     policy = graph.add(PolicyNode, planner='lookahead', manual=True, turns=9,
                        cloud_topics='points_0,points_1,points_2', cloud_timeout=HUNG)
@@ -112,13 +112,13 @@ def test_a_handle_gives_a_live_camera_another_target(graph, hand, room):
     target = rig.target.copy()
     here = Point(**dict(zip('xyz', (rig.positions[2] + [0.4, 0.0, 0.0]).tolist())))
     hand.drag(2, Pose(position=here, orientation=Quaternion(w=float('nan'))),
-              lambda: policy._counts['refused_messages'])
+              lambda: counted(policy, 'refused_messages'))
     assert np.array_equal(rig.target, target)
     target[2] = rig.positions[2] + [0.4, 0.0, 0.0]
     hand.drag(2, Pose(position=here, orientation=rig.commands[-1].poses[2].orientation),
               lambda: np.allclose(rig.target, target))
-    assert policy._counts['turns_answered'] == 1
-    graph.until(lambda: rig.go() or policy._counts['turns_answered'] >= 2)
+    assert counted(policy, 'turns_answered') == 1
+    graph.until(lambda: rig.go() or counted(policy, 'turns_answered') >= 2)
 
 
 def test_a_node_that_ends_removes_its_handles(graph, hand):
@@ -137,8 +137,7 @@ def view(graph):
     rig = rig_of(2, 'realsense_d455', mount={'on': 'free'})
     problem = Problem.of(made_room(8, 2000), rig, SimulationConfig())
     poses = np.array([[2.0, 2.0, 1.8, 0.0, 0.1, 0.0], [3.0, 2.0, 1.8, 2.0, 0.1, 0.0]])
-    return graph.add(lambda **kwargs: ViewNode(
-        problem.objective, poses, **{**kwargs, 'parameter_overrides': []}))
+    return graph.add(partial(ViewNode, problem.objective, poses))
 
 
 def test_a_view_of_a_placement_moves_its_cameras_as_commanded(graph, probe, view):

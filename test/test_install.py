@@ -14,6 +14,8 @@
 
 """The installed wheel works from every folder, and launch files describe what they say."""
 
+from collections import namedtuple
+from functools import partial
 import importlib.util
 import os
 from pathlib import Path
@@ -24,9 +26,9 @@ import site
 import subprocess
 import sys
 import tarfile
+from types import ModuleType, SimpleNamespace
 
-from conftest import HUNG, ROOT
-import launch_stand_in
+from conftest import HUNG, ROOT, wait_until
 import pytest
 
 #: What stands beside the sources of somebody who works on them, and is no part of them.
@@ -111,12 +113,8 @@ def test_nodes_of_the_wheel_play_and_end(installed, elsewhere, domain, name, how
             [installed / 'bin' / name], stdout=file, stderr=subprocess.STDOUT,
             env={**environment, 'ROS_DOMAIN_ID': str(domain), 'PYTHONUNBUFFERED': '1'})
     try:
-        while READY not in log.read_text():
-            assert node.poll() is None, log.read_text()
-            try:
-                node.wait(timeout=0.1)
-            except subprocess.TimeoutExpired:
-                continue
+        wait_until(lambda: READY in log.read_text() or node.poll() is not None)
+        assert node.poll() is None, log.read_text()
         node.send_signal(how)
         assert node.wait(timeout=HUNG) == 0, log.read_text()
         assert 'Traceback' not in log.read_text()
@@ -178,11 +176,67 @@ def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
     assert len(started) == nodes and all(isinstance(node, Node) for node in started)
 
 
+# As much of ROS's launch system as executes the launch files of this package where launch_ros is
+# not installed, as with ROS from PyPI: classes have the names and the arguments of the real ones.
+DeclareLaunchArgument = namedtuple('DeclareLaunchArgument', 'name default_value description')
+LaunchDescription = namedtuple('LaunchDescription', 'entities')
+Node = namedtuple('Node', 'package executable output namespace parameters arguments condition',
+                  defaults=('log', None, (), (), None))
+OpaqueFunction = namedtuple('OpaqueFunction', 'function')
+ParameterValue = namedtuple('ParameterValue', 'value value_type')
+
+
+class LaunchConfiguration(namedtuple('LaunchConfiguration', 'name')):
+    """An argument of a launch file."""
+
+    def perform(self, context):
+        """Return its text."""
+        return context.launch_configurations[self.name]
+
+
+STAND_IN = {
+    'ament_index_python.packages': {'get_package_share_directory': lambda name: str(ROOT)},
+    'launch': {'LaunchDescription': LaunchDescription, 'LaunchContext': SimpleNamespace},
+    'launch.actions': {'DeclareLaunchArgument': DeclareLaunchArgument,
+                       'OpaqueFunction': OpaqueFunction},
+    'launch.conditions': {'IfCondition': partial(ParameterValue, value_type=bool)},
+    'launch.substitutions': {'LaunchConfiguration': LaunchConfiguration},
+    'launch_ros': {}, 'launch_ros.actions': {'Node': Node},
+    'launch_ros.parameter_descriptions': {'ParameterValue': ParameterValue}}
+
+
 @pytest.fixture
 def launched(monkeypatch):
-    """Return what executes a launch file by a stand-in for ROS's launch system."""
-    launch_stand_in.install(monkeypatch)
-    return lambda name, **given: launch_stand_in.started(description_of(name), **given)
+    """Return what executes a launch file: executable, namespace and parameters of each node."""
+    for name, contents in STAND_IN.items():
+        module = ModuleType(name)
+        vars(module).update(contents)
+        monkeypatch.setitem(sys.modules, name, module)
+
+    def start(file, **given):
+        context, found = SimpleNamespace(launch_configurations=given), []
+
+        def evaluated(value):
+            if isinstance(value, dict):
+                return {name: evaluated(one) for name, one in value.items()}
+            if isinstance(value, ParameterValue):
+                text = value.value.perform(context)
+                return {'true': True, 'false': False}[text] if value.value_type is bool else (
+                    value.value_type(text))
+            return value.perform(context) if isinstance(value, LaunchConfiguration) else value
+
+        for entity in description_of(file).entities:
+            if isinstance(entity, DeclareLaunchArgument):
+                assert isinstance(entity.default_value, str) and entity.description
+                given.setdefault(entity.name, entity.default_value)
+                continue
+            nodes = entity.function(context) if isinstance(entity, OpaqueFunction) else [entity]
+            found += [(node.executable, evaluated(node.namespace),
+                       [evaluated(entry) for entry in node.parameters])
+                      for node in nodes if node.condition is None or evaluated(node.condition)]
+        return found
+
+    return start
 
 
 def test_what_is_not_given_is_as_the_parameter_file_has_it(launched):

@@ -18,9 +18,8 @@ from contextlib import suppress
 from dataclasses import replace
 from shutil import copytree, ignore_patterns
 import threading
-import time
 
-from conftest import assert_same, HUNG, observation
+from conftest import assert_same, HUNG, observation, wait_until
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.training.encoded_environment import encoded_space
@@ -31,7 +30,7 @@ from ocp_ros.training.experience import (
     from_bytes,
     to_bytes,
 )
-from ocp_ros.training.learner import Learner, LearnerConfig
+from ocp_ros.training.learner import BURST_STEPS, Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Assembler, Reward, Transition
 from ocp_ros.util.settings import ConfigurationError
@@ -55,18 +54,10 @@ def filled(learner, agent, count):
     return learner
 
 
-def until(predicate, learner, timeout=HUNG):
-    """Let a learner's thread work until something has happened."""
-    deadline = time.monotonic() + timeout
-    while not predicate():
-        assert time.monotonic() < deadline, 'nothing happened within the time limit'
-        learner._thread.join(timeout=0.05)
-
-
 def test_a_learner_trains_from_transitions_and_leaves_whole_checkpoints(agent, tmp_path):
     config = LearnerConfig(folder=str(tmp_path), publish_every=4, save_every=8)
     learner = filled(Learner(config, agent, SAC), agent, 40)
-    until(lambda: learner.updates >= 28, learner)
+    wait_until(lambda: learner.updates >= 28)
     replay = learner.model.replay_buffer
     assert (replay.rewards[:40] == 1.0).all() and not replay.dones[:40].any()
     weights = learner.take_weights()
@@ -88,7 +79,7 @@ def test_a_learner_trains_from_transitions_and_leaves_whole_checkpoints(agent, t
 def test_a_learner_reports_its_failure(small_agent, tmp_path):
     learner = Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SAC)
     learner.add(transition(replace(small_agent, points=32)))
-    until(lambda: learner.failure is not None, learner)
+    wait_until(lambda: learner.failure is not None)
     learner.close()
 
 
@@ -162,7 +153,7 @@ def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_age
     """What a killed process leaves is what is in its folder, copied while it works."""
     config = LearnerConfig(folder=str(tmp_path / 'a'), publish_every=4, save_every=8)
     learner = filled(Learner(config, small_agent, SAC), small_agent, 37)
-    until(lambda: learner.updates >= 24, learner)
+    wait_until(lambda: learner.updates >= 24)
     # Files that are being written have other names until they are whole, which may go meanwhile.
     copytree(tmp_path / 'a', tmp_path / 'b', ignore=ignore_patterns('.*'))
     (tmp_path / 'b' / '.state.safetensors.abc').write_bytes(b'torn')
@@ -178,7 +169,7 @@ def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_age
     assert not list((tmp_path / 'b').rglob('*.abc'))
     # It publishes its weights, and goes on.
     assert again.take_weights().updates >= 16
-    until(lambda: not again._burst_is_due(), again)
+    wait_until(lambda: again.behind < BURST_STEPS)
     most = max(kept, again.transitions) - SAC.learning_starts
     assert kept - SAC.learning_starts - 4 < again.updates <= most
     for one in (learner, again):
@@ -206,13 +197,13 @@ def test_a_learner_says_so_when_there_is_no_room(small_agent, tmp_path, monkeypa
 def test_a_learner_whose_transitions_are_lost_waits_for_new_ones(small_agent, tmp_path):
     config = LearnerConfig(folder=str(tmp_path))
     learner = filled(Learner(config, small_agent, SAC), small_agent, 24)
-    until(lambda: learner.updates >= 12, learner)
+    wait_until(lambda: learner.updates >= 12)
     learner.close()
     (tmp_path / 'replay.safetensors').unlink()
     again = Learner(config, small_agent, SAC)
     assert (again.transitions, again.updates, again.behind) == (24, 12, -12)
     filled(again, small_agent, 16)
-    until(lambda: again.updates >= 16, again)
+    wait_until(lambda: again.updates >= 16)
     again.close()
     assert again.failure is None and (again.transitions, again.updates) == (40, 16)
 
@@ -229,7 +220,12 @@ def test_a_learner_of_other_transitions_or_summed_rewards_is_refused(small_agent
 
 
 def test_an_experience_comes_back_and_one_that_lies_is_refused(agent):
-    made, expected, together = stamped(agent, 4)
+    together = 1 if agent.one_by_one else 4
+    made = Experience(7, 3, np.ones((4, 3)), [
+        Choice(observation(agent, seed), np.full((together, 2), 0.5, np.float32))
+        for seed in range(4 // together)])
+    expected = {name: (space.shape, space.dtype)
+                for name, space in encoded_space(agent).spaces.items()}
     blob, rng = to_bytes(made), np.random.default_rng(0)
     found = from_bytes(blob, expected, together)
     assert found[:2] == (7, 3) and np.array_equal(found.targets, made.targets)
@@ -254,13 +250,3 @@ def test_an_experience_comes_back_and_one_that_lies_is_refused(agent):
         with suppress(ExperienceError):
             found = from_bytes(bytes(torn), expected, together)
             assert all(np.isfinite(choice.actions).all() for choice in found.choices)
-
-
-def stamped(agent, cameras, stamp=7):
-    """Return a made-up experience, and what is expected of its arrays."""
-    together = 1 if agent.one_by_one else cameras
-    choices = [Choice(observation(agent, seed), np.full((together, 2), 0.5, np.float32))
-               for seed in range(cameras // together)]
-    expected = {name: (space.shape, space.dtype)
-                for name, space in encoded_space(agent).spaces.items()}
-    return Experience(stamp, 3, np.ones((cameras, 3)), choices), expected, together

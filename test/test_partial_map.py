@@ -24,7 +24,15 @@ from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.online import partial_map
 from ocp_ros.online.greedy_step import GreedyStep, MOVES, POINTS, ROWS
 from ocp_ros.online.observed_turn import ObservedTurns
-from ocp_ros.online.partial_map import KeptModel, PartialMap, smallest_rectangle
+from ocp_ros.online.partial_map import (
+    cells_of_the_air,
+    KeptModel,
+    LookHistory,
+    NO_CELL,
+    PartialMap,
+    smallest_rectangle,
+    thinned,
+)
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import SceneError, turned
 import pytest
@@ -41,8 +49,7 @@ def room():
 def placed(room, cameras=3):
     """Return places near the middle of a room: (K, 3) metres."""
     middle = np.append(room.bounds.mean(axis=0)[:2], 1.9)
-    offsets = [[0, 0], [1.0, 0.3], [-0.8, 0.5], [0.3, -0.9], [-0.5, -0.6], [1.2, 1.1]]
-    return middle + np.pad(np.array(offsets[:cameras], dtype=float), ((0, 0), (0, 1)))
+    return middle + np.array([[0.0, 0.0, 0.0], [1.0, 0.3, 0.0], [-0.8, 0.5, 0.0]])[:cameras]
 
 
 def test_a_model_is_kept_while_little_is_added(room):
@@ -79,17 +86,23 @@ def test_a_kept_model_follows_other_rules_and_sees_as_one_made_by_them(room, mon
     np.testing.assert_array_equal(fine.covered, made.look(positions[0]).covered)
     assert (fine.seen != fast.seen).any()
     kept(room.points, positions, FAST)
-    np.testing.assert_array_equal(model.look(positions[0]).seen, fast.seen)
+    again = model.look(positions[0])
+    np.testing.assert_array_equal(again.seen, fast.seen)
     # It does not keep what it saw without end.
     monkeypatch.setattr(partial_map, 'MAX_VIEWS', 2)
-    for step in range(5):
+    for step in range(1, 5):
         model.look(positions[0] + 0.01 * step)
-    assert len(model._views) <= 2
+    assert model.look(positions[0]) is not again
+
+
+def new_turns():
+    """Return turns that have observed nothing yet."""
+    return ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)
 
 
 def observed(cloud, positions, turn=0):
-    """Return what is known at a turn."""
-    return ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)(cloud, positions, turn, 30)
+    """Return what is known at a turn of somebody who has observed nothing before."""
+    return new_turns()(cloud, positions, turn, 30)
 
 
 def test_a_camera_that_has_chosen_is_where_it_will_be_for_the_others(room):
@@ -111,8 +124,7 @@ def test_a_camera_that_has_chosen_is_where_it_will_be_for_the_others(room):
 
 
 def test_where_cameras_have_been_is_remembered_until_the_episode_ends(room):
-    turns = ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)
-    first = placed(room, 1)
+    turns, first = new_turns(), placed(room, 1)
     last = first + [[1.0, 0.8, 0.0]]
     shares = [turns(room.points, place, turn, 30).unseen_share
               for turn, place in enumerate((first, last, first))]
@@ -124,8 +136,8 @@ def test_where_cameras_have_been_is_remembered_until_the_episode_ends(room):
 
 @pytest.mark.parametrize('kind', flat_clouds())
 def test_what_is_no_room_is_refused_and_where_cameras_were_counts(kind, room):
-    turns = ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)
-    positions, away = placed(room, 1), placed(room, 1) + [[1.0, 0.8, 0.0]]
+    turns, positions = new_turns(), placed(room, 1)
+    away = positions + [[1.0, 0.8, 0.0]]
     with pytest.raises(SceneError):
         turns(flat_clouds()[kind].astype(np.float32), positions, 0, 30)
     assert turns(room.points, away, 1, 30).unseen_share < observed(
@@ -147,7 +159,7 @@ def test_the_greedy_step_takes_the_best_move_by_the_engine(room):
     assert min(errors) < known.error
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(width=st.floats(0.5, 20.0), share=st.floats(0.1, 1.0), degrees=st.floats(0.0, 360.0),
        seed=st.integers(0, 1000))
 def test_the_smallest_rectangle_is_that_of_a_turned_one(width, share, degrees, seed):
@@ -161,7 +173,7 @@ def test_the_smallest_rectangle_is_that_of_a_turned_one(width, share, degrees, s
     assert away.min(axis=0).max() < 1e-6 * width and away.min(axis=1).max() < 1e-6 * width
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 10000))
 def test_the_smallest_rectangle_holds_all_points_and_none_is_smaller(seed):
     points = np.random.default_rng(seed).normal(size=(30, 2)) @ [[2.0, 0.3], [0.0, 1.0]]
@@ -194,10 +206,10 @@ def test_a_corner_that_nobody_has_seen_belongs_to_the_room(degrees, corner):
     cloud = scene.points[away > 1.2]
     seen = np.stack([cloud.min(axis=0), cloud.max(axis=0)])
     assert np.abs(seen - scene.bounds).max() > 0.5
-    model = model_of(cloud, looking([[2.5, 2.0], [3.5, 2.2]], degrees))
+    model, whole = (model_of(points, looking([[2.5, 2.0], [3.5, 2.2]], degrees))
+                    for points in (cloud, scene.points))
     np.testing.assert_allclose(model.bounds, scene.bounds, atol=0.15)
     # Cells are those of the whole box: as many as when all was seen.
-    whole = model_of(scene.points, looking([[2.5, 2.0], [3.5, 2.2]], degrees))
     assert np.count_nonzero(model.cells >= 0) == pytest.approx(
         np.count_nonzero(whole.cells >= 0), rel=0.1)
 
@@ -217,3 +229,57 @@ def test_a_room_that_was_seen_whole_keeps_its_box(room):
     model = model_of(room.points, placed(room))
     np.testing.assert_allclose(model.bounds, room.bounds, atol=0.1)
     assert set(model_of(room.points, placed(room, 1)).cells) == set(model.cells)
+
+
+def test_cells_keep_their_numbers_while_the_bounds_grow():
+    small = np.array([[-1.2, 0.3, 0.0], [2.1, 3.0, 2.5]])
+    large = small + [[-1.7, -0.4, -0.1], [3.3, 0.2, 0.6]]
+    centres, numbers, edge = cells_of_the_air(small)
+    more, more_numbers, _ = cells_of_the_air(large)
+    assert edge == 0.5
+    assert len(set(more_numbers)) == len(more_numbers) > len(numbers)
+    place = {number: tuple(centre) for number, centre in zip(more_numbers, more)}
+    assert all(place[number] == tuple(centre) for number, centre in zip(numbers, centres))
+    assert (centres >= small[0]).all() and (centres <= small[1]).all()
+
+
+def test_a_huge_cloud_has_no_more_cells_than_it_may():
+    centres, numbers, edge = cells_of_the_air(np.array([[0.0] * 3, [200.0, 150.0, 4.0]]))
+    assert edge > 0.5 and 1000 < len(numbers) <= 20_000 and len(centres) == len(numbers)
+
+
+def test_what_was_covered_stays_covered(room):
+    corner = room.bounds[0] + [0.6, 0.6, 1.9]
+    model, memory = PartialMap(room.points, corner[None], MAX_RANGE, 6000, 32), LookHistory()
+    left = []
+    for position in (corner, room.bounds[1] - [0.6, 0.6, 0.8], corner):
+        memory.visit(position[None])
+        left.append(memory.unseen(model))
+    assert not (left[1] & ~left[0]).any() and (left[1] != left[0]).any()
+    np.testing.assert_array_equal(left[2], left[1])
+
+
+def test_what_was_covered_stays_covered_when_cells_grow():
+    hall = box_room(40.0, 30.0, 4.0).points
+    corner, memory, here = hall[(hall[:, 0] < 20.0) & (hall[:, 1] < 20.0)], LookHistory(), (
+        np.array([[10.0, 10.0, 2.0]]))
+    small, large = (PartialMap(cloud, here, 8.0, 6000, 32) for cloud in (corner, hall))
+    assert (small.edge, large.edge) == (0.5, 1.0)
+    memory.visit(here)
+    memory.unseen(small)
+    fresh = LookHistory()
+    fresh.visit(here)
+    # Whoever saw the whole hall from the beginning remembers nearly the same.
+    one, other = (unpack(found.unseen(large), len(large.cells)) for found in (memory, fresh))
+    seen = ~other & (large.cells != NO_CELL)
+    assert seen.sum() > 300 and (one != other).sum() < 0.25 * seen.sum()
+
+
+def test_thinned_clouds_stay_where_they_were():
+    cloud = np.random.default_rng(0).uniform(0.0, 5.0, (9000, 3)).astype(np.float32)
+    few = thinned(cloud, 500)
+    assert 250 < len(few) <= 500
+    # No corner of the cube is left without points.
+    for corner in np.stack(np.meshgrid([0, 5], [0, 5], [0, 5]), axis=-1).reshape(-1, 3):
+        assert np.linalg.norm(few - corner, axis=1).min() < 1.5
+    assert thinned(few, 500) is few

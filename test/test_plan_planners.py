@@ -15,17 +15,15 @@
 """ocp plan --planner: whoever proposes a placement, every constraint of the rig holds in it."""
 
 from dataclasses import replace
+from functools import cache
 
-from conftest import MOUNTS, printed
+from conftest import made_room, MOUNTS
 from hypothesis import given, settings, strategies
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.feasible_region import FeasibleRegion
-from ocp_ros.rig.placement_file import placement_of, save_placement
+from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import load_rig, rig_of
-from ocp_ros.rooms.generator import generate_room
-from ocp_ros.rooms.scene_source import make_room
-from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.plan import RigScorer
@@ -35,11 +33,10 @@ from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 import pytest
-import yaml
 
-FAST = EngineConfig(preset='fast', error_rows=32)
-EVALUATIONS, TURNS = 30, 6
-#: Room 8 is 7.0 x 7.5 m; the zone is where its cameras begin.
+FAST = EngineConfig(preset='fast', error_rows=16)
+EVALUATIONS, TURNS = 30, 3
+#: Room 8 is about 8 x 8 m; the zone is where its cameras begin.
 RIG = """\
 cameras:
   - {sensor: realsense_d455, count: 2}
@@ -58,29 +55,19 @@ regions:
 
 
 @pytest.fixture(scope='module')
-def files(tmp_path_factory):
-    """Write a room and a rig to a folder."""
-    folder = tmp_path_factory.mktemp('planners')
-    save_scene(generate_room(8, 2000), folder / 'room.ply')
-    (folder / 'rig.yaml').write_text(RIG)
-    return folder
-
-
-@pytest.fixture(scope='module')
-def planned(files):
+def planned(tmp_path_factory):
     """Return a function that plans by name, each planner and seed once."""
-    scene, rig = make_room(str(files / 'room.ply'), 0.0, 25000), load_rig(files / 'rig.yaml')
-    known = {}
+    path = tmp_path_factory.mktemp('planners') / 'rig.yaml'
+    path.write_text(RIG)
+    scene, rig = made_room(8, 2000), load_rig(path)
 
+    @cache
     def plan(name, seed=0, again=0):
-        if (name, seed, again) not in known:
-            online = PLANNERS[name].input_kind == OBSERVED
-            budget = Budget(evaluations=TURNS if online else EVALUATIONS)
-            planner = RigPlanner(scene, rig, FAST, budget, seed, planner=name)
-            known[name, seed, again] = planner.plan(rig)
-        return known[name, seed, again]
+        online = PLANNERS[name].input_kind == OBSERVED
+        budget = Budget(evaluations=TURNS if online else EVALUATIONS)
+        return RigPlanner(scene, rig, FAST, budget, seed, planner=name).plan(rig)
 
-    plan.scene, plan.rig = scene, rig
+    plan.problem = Problem.of(scene, rig, SimulationConfig(engine=FAST))
     return plan
 
 
@@ -97,22 +84,20 @@ def decoder_of(scene, rig, candidates=120):
 
 
 @pytest.mark.parametrize('name', planner_names())
-def test_every_constraint_holds_and_a_file_scores_the_same(planned, files, capsys, name):
-    plan = planned(name)
-    poses, rig = plan.answer.poses, planned.rig
-    assert poses.shape == (3, 6) and FeasibleRegion(planned.scene, rig).broken(poses) == []
+def test_every_constraint_holds_and_a_file_scores_the_same(planned, tmp_path, name):
+    plan, problem = planned(name), planned.problem
+    poses = plan.answer.poses
+    assert poses.shape == (3, 6) and problem.region.broken(poses) == []
     x, y, z = poses[:, :3].T
     assert not ((x > 2.5) & (x < 4.5) & (y > 2.5) & (y < 4.5)).any() and np.ptp(z) < 0.02
     places = np.vstack([poses[:, :3], [6.0, 6.0, 2.0]])
     away = np.linalg.norm(places[:, None] - places[None], axis=2)
     assert away[np.triu_indices(4, 1)].min() >= 1.2 - 0.0011
     assert (np.rad2deg(poses[:2, 4]) >= 9.4).all() and (np.rad2deg(poses[:2, 4]) <= 40.6).all()
-    path = files / f'{name}.yaml'
-    save_placement(path, placement_of(rig, poses, engine=FAST))
-    found = printed(capsys, 'score', files / 'room.ply', path)
-    assert found['broken'] == []
+    save_placement(tmp_path / 'a.yaml', placement_of(problem.rig, poses, engine=FAST))
+    again = problem.objective.evaluate(load_placement(tmp_path / 'a.yaml').poses)
     for key in ('loss', 'depth_error', 'space_coverage'):
-        assert found['scores'][key] == pytest.approx(getattr(plan.evaluation, key), abs=1e-6)
+        assert getattr(again, key) == pytest.approx(getattr(plan.evaluation, key), abs=1e-6)
     assert plan.planner == name and plan.evaluation.loss == plan.answer.loss
 
 
@@ -128,12 +113,12 @@ def test_the_same_seed_gives_the_same_answer_within_the_budget(planned, name):
         assert one.answer.evaluations == TURNS
 
 
-@pytest.mark.parametrize('name', ['random', 'tdsa', 'cma_es', 'lookahead'])
+@pytest.mark.parametrize('name', ['cma_es', 'lookahead'])
 def test_another_seed_gives_another_answer(planned, name):
     assert not np.array_equal(planned(name).answer.poses, planned(name, seed=1).answer.poses)
 
 
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=10)
 @given(mount=strategies.sampled_from(sorted(MOUNTS)), spacing=strategies.floats(0.0, 3.0),
        side=strategies.floats(0.5, 5.0), in_place=strategies.booleans(),
        cameras=strategies.lists(strategies.sampled_from(
@@ -205,16 +190,19 @@ def test_who_leaves_cameras_out_gets_them_hung_where_they_help(furnished):
     rig = rig_of(3, 'omnidirectional')
     decode = decoder_of(furnished, rig)
     assert decode(np.empty((0, 2))) == ()
-    losses = [decode.objective.loss([
-        site.view for site in decode.completed_sites(decode(places))[:n]])
-              for places in (np.array([[1.0, 1.0]]),) for n in (1, 2, 3)]
+    views = [site.view for site in decode.completed_sites(decode(np.array([[1.0, 1.0]])))]
+    losses = [decode.objective.loss(views[:count]) for count in (1, 2, 3)]
     assert losses == sorted(losses, reverse=True) and losses[2] < losses[0]
 
 
-def test_cameras_that_hardly_find_room_hang_packed(furnished):
+@pytest.mark.parametrize('name', ['rig_search', 'cma_es'])
+def test_cameras_that_hardly_find_room_hang_packed(furnished, name):
+    # Four of them fit only near the corners of what the walls leave.
     rig = rig_of(4, mount=MOUNTS['plane'], spacing=2.6)
-    plan = RigPlanner(furnished, rig, FAST, Budget(evaluations=20), planner='cma_es').plan(rig)
-    assert FeasibleRegion(furnished, rig).broken(plan.answer.poses) == []
+    planner = RigPlanner(furnished, rig, FAST, Budget(evaluations=20), planner=name)
+    assert len(planner.pool.packed_sites(rig)) == 4
+    poses = planner.plan(rig).answer.poses
+    assert len(poses) == 4 and FeasibleRegion(furnished, rig).broken(poses) == []
 
 
 def test_planners_are_told_the_loss_and_the_coverage(furnished):
@@ -230,8 +218,7 @@ def test_planners_are_told_the_loss_and_the_coverage(furnished):
     assert scores.space_coverage[0] == worth.space_coverage
 
 
-@pytest.mark.parametrize('name', ['rig_search', 'random', 'greedy_error', 'cma_es', 'learned',
-                                  'lookahead'])
+@pytest.mark.parametrize('name', ['rig_search', 'greedy_error', 'cma_es', 'lookahead'])
 def test_who_has_had_enough_gets_the_best_so_far(furnished, few_candidates, name):
     rig, calls = rig_of(2, 'omnidirectional'), []
     budget = Budget(seconds=3600.0)
@@ -272,20 +259,3 @@ def test_the_clock_cuts_no_episode_short(furnished, few_candidates):
     rig = rig_of(2, 'omnidirectional')
     planner = RigPlanner(furnished, rig, FAST, budget, planner='greedy_step')
     assert planner.plan(rig).answer.evaluations == EpisodeConfig().turns
-
-
-@pytest.mark.system
-def test_the_report_and_the_files_name_the_planner(files, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    room = files / 'room.ply'
-    found = printed(capsys, 'plan', room, '--rig', files / 'rig.yaml', '--planner', 'cma_es',
-                    '--evaluations', 30)
-    assert found['broken'] == [] and found['search']['planner'] == 'cma_es'
-    assert found['search']['loss'] == found['scores']['loss']
-    assert found['search']['evaluations'] == 30
-    data = yaml.safe_load((tmp_path / 'out/plan/placement.yaml').read_text())
-    assert data['created']['planner'] == 'cma_es'
-    scored = printed(capsys, 'score', room, 'out/plan/placement.yaml', '--out', 'b')
-    assert scored['scores'] == found['scores'] and scored['notes'] == []
-    for page in ('out/plan/report.html', 'out/plan/installer.md', 'b/report.html'):
-        assert 'cma_es' in (tmp_path / page).read_text()

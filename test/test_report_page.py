@@ -17,10 +17,11 @@
 from dataclasses import replace
 from itertools import combinations
 
+from conftest import made_room
 from hypothesis import given
 from hypothesis import settings as budget
 from hypothesis import strategies as st
-from matplotlib import font_manager
+from matplotlib import rcParams
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import to_rgb
 from matplotlib.image import imread
@@ -30,13 +31,12 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing import assessment_pictures, report_page, saved_pictures
 from ocp_ros.report.drawing.plan_marks import move_apart
-from ocp_ros.report.drawing.room_drawing import _find_ceiling, _fit_discs
+from ocp_ros.report.drawing.room_drawing import room_of
 from ocp_ros.report.drawing.room_pictures import draw_placement
 from ocp_ros.report.drawing.saved_pictures import shortened, width_of
-from ocp_ros.report.facts import metres
+from ocp_ros.report.facts import count_text, metres
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_from, rig_of
-from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.util.yaml_files import Document
 import pytest
@@ -78,8 +78,7 @@ def middle_of(scene):
 
 
 @pytest.mark.parametrize('count, number, named, together', [
-    (1, 0, False, False), (4, 1, True, False), (6, 2, False, True), (9, 0, True, True),
-    (14, 1, False, True), (20, 1, False, False), (24, 2, True, False), (40, 1, False, False)])
+    (1, 0, False, False), (9, 0, True, True), (20, 1, False, True), (40, 2, True, False)])
 def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number, named, together):
     rng, room = np.random.default_rng(count), rooms[number]
     low, high = room[0].bounds
@@ -115,19 +114,15 @@ def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number
     check_apart([(text.get_text(), text.get_window_extent(renderer)) for text in texts])
 
 
-def test_the_page_is_a4_on_its_side_and_says_what_was_found(rooms, tmp_path):
-    judged = judged_in(rooms[2], rig_of(1, 'd455', pitch=[30, 60]), middle_of(rooms[2][0]))
+def test_the_page_is_a4_on_its_side_and_shows_what_nobody_sees(rooms, tmp_path, recwarn):
+    # Letters that no font has are no reason to complain.
+    scene = replace(rooms[2][0], name='\ue000')
+    judged = judged_in((scene, rooms[2][1]), rig_of(1, 'd455'), middle_of(scene))
     list(report_page.draw_pages(tmp_path / 'new', judged))
+    assert not recwarn.list
     image = imread(tmp_path / 'new' / 'report.png')
     assert image.shape[1] / image.shape[0] == pytest.approx(297 / 210, rel=0.01)
     assert image.shape[1] >= 1700
-    texts = ' '.join(text for text, _ in texts_of(next(report_page.figures_of_pages(judged))))
-    scores = judged.found['scores']
-    for words in ('room-8: 1 camera', metres(scores['depth_error']),
-                  f'{100 * scores["seen"]:.1f} %', 'mm/m²', '1 constraint violated',
-                  'ocp score 1 p.yaml', judged.instructions[0].place):
-        assert words in texts, words
-    # Most of this room is seen by nobody, and shown so.
     none = np.abs(image[..., :3] - to_rgb(assessment_pictures.COUNT_COLOURS[0])).max(axis=2) < 0.1
     assert none.mean() > 0.02
 
@@ -147,26 +142,34 @@ def test_what_is_shown_of_a_placement_is_what_the_engine_says(rooms):
     assert not judged.error_by_point[~judged.missed_points].any()
 
 
-def test_zones_of_a_rig_are_drawn_and_explained_and_the_foot_has_no_path(rooms):
+def test_the_page_says_what_was_found_and_explains_zones_but_names_no_folder(rooms):
     low, high = rooms[2][0].bounds.tolist()
-    rig = rig_of(1, 'd455', keep_out=[{'box': [low, [low[0] + 1.0, low[1] + 1.0, high[2]]]}],
-                 regions=[
-        {'name': 'table', 'box': [low, high], 'weight': 2.0},
-        {'name': 'door', 'box': [low, high], 'must_see': 0.1}])
+    rig = rig_of(1, 'd455', pitch=[30, 60],
+                 keep_out=[{'box': [low, [low[0] + 1.0, low[1] + 1.0, high[2]]]}],
+                 regions=[{'name': 'table', 'box': [low, high], 'weight': 2.0},
+                          {'name': 'door', 'box': [low, high], 'must_see': 0.1}])
     placement = placement_of(rig, middle_of(rooms[2][0]), engine=ENGINE)
     judged = judge(rooms[2][0], placement, rooms[2][1],
                    'ocp score /home/me/a.ply --rig=sub/rig.yaml')
+    page, plan = next(report_page.figures_of_pages(judged)), assessment_pictures.floor_plan_of(
+        judged)
     kinds = {'keep-out zone', 'weighted region', 'must-see region'}
-    for drawn in (next(report_page.figures_of_pages(judged)),
-                  assessment_pictures.floor_plan_of(judged)):
+    texts = {drawn: [text for text, _ in texts_of(drawn)] for drawn in (page, plan)}
+    for drawn, written in texts.items():
         assert kinds <= {patch.get_label() for patch in drawn.axes[0].patches}
-        assert kinds <= {text for text, _ in texts_of(drawn)}
-    text = ' '.join(text for text, _ in texts_of(next(report_page.figures_of_pages(judged))))
-    assert 'a.ply --rig=rig.yaml' in text and '/home' not in text and 'sub/' not in text
+        assert kinds <= set(written)
+    said, scores = ' '.join(texts[page]), judged.found['scores']
+    assert judged.found['broken']
+    for words in ('room-8: 1 camera', metres(scores['depth_error']),
+                  f'{100 * scores["seen"]:.1f} %', 'mm/m²',
+                  f'{count_text(len(judged.found["broken"]), "constraint")} violated',
+                  'ocp score', 'a.ply --rig=rig.yaml', judged.instructions[0].place):
+        assert words in said, words
+    assert '/home' not in said and 'sub/' not in said
 
 
 @given(places=st.integers(1, 30), seed=st.integers(0, 99))
-@budget(max_examples=20, deadline=None)
+@budget(max_examples=8, deadline=None)
 def test_numbers_of_cameras_in_one_place_are_pushed_apart(places, seed):
     at = np.random.default_rng(seed).uniform(0.0, 1.0, (places, 2))
     moved = move_apart(at, 0.3, np.array([[0.5, 0.5]]))
@@ -175,51 +178,19 @@ def test_numbers_of_cameras_in_one_place_are_pushed_apart(places, seed):
     assert distance[np.triu_indices(len(both), 1)].min() > 0.27
 
 
-def font_of(path, family, letter):
-    """Write a font with one letter, a block that is three times as wide as others."""
-    from fontTools.fontBuilder import FontBuilder
-    from fontTools.pens.ttGlyphPen import TTGlyphPen
-    pen = TTGlyphPen(None)
-    pen.moveTo((0, 0))
-    for corner in ((0, 800), (3000, 800), (3000, 0)):
-        pen.lineTo(corner)
-    pen.closePath()
-    made = FontBuilder(1000, isTTF=True)
-    made.setupGlyphOrder(['.notdef', 'block'])
-    made.setupCharacterMap({ord(letter): 'block'})
-    made.setupGlyf({'.notdef': TTGlyphPen(None).glyph(), 'block': pen.glyph()})
-    made.setupHorizontalMetrics({'.notdef': (500, 0), 'block': (3000, 0)})
-    made.setupHorizontalHeader(ascent=800, descent=-200)
-    made.setupNameTable({'familyName': family, 'styleName': 'Regular'})
-    made.setupOS2()
-    made.setupPost()
-    made.save(path)
-
-
-def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(tmp_path, monkeypatch):
-    manager = font_manager.fontManager
-    monkeypatch.setattr(manager, 'ttflist', [
-        one for one in manager.ttflist if one.name not in saved_pictures.FALLBACK_FONTS])
-    before = saved_pictures.font_families()
-    font_of(tmp_path / 'block.ttf', saved_pictures.FALLBACK_FONTS[-1], '\u4f1a')
-    manager.addfont(tmp_path / 'block.ttf')
-    assert saved_pictures.font_families() == [*before, saved_pictures.FALLBACK_FONTS[-1]]
+def test_letters_that_the_usual_font_lacks_are_those_of_an_installed_one(monkeypatch):
+    # A font that comes with matplotlib, and a wide letter of it.
+    monkeypatch.setattr(saved_pictures, 'FALLBACK_FONTS', ('no such font', 'STIXGeneral'))
+    letter = '\u2b33'
+    assert saved_pictures.font_families() == [*rcParams['font.family'], 'STIXGeneral']
     width_of.cache_clear()
     with saved_pictures.fonts_for_all_letters():
-        assert width_of('\u4f1a', 72.0) == pytest.approx(3.0, abs=0.05)
-        usual = width_of('room', 72.0)
+        wide, usual = width_of(letter, 72.0), width_of('room', 72.0)
     width_of.cache_clear()
     with pytest.warns(UserWarning, match='missing from font'):
-        assert width_of('\u4f1a', 72.0) < 1.5
+        assert width_of(letter, 72.0) < 0.9 * wide
     assert width_of('room', 72.0) == usual
     width_of.cache_clear()
-
-
-def test_letters_that_no_font_has_are_no_reason_to_complain(rooms, tmp_path, recwarn):
-    scene = replace(rooms[2][0], name='\ue000')
-    judged = judged_in((scene, rooms[2][1]), rig_of(1, 'd455'), middle_of(scene))
-    list(report_page.draw_pages(tmp_path, judged))
-    assert not recwarn.list and (tmp_path / 'report.png').stat().st_size > 10000
 
 
 @given(text=st.text(st.characters(min_codepoint=32, max_codepoint=0x17f), max_size=60),
@@ -232,7 +203,7 @@ def test_a_shortened_text_is_no_wider_than_allowed(text, width, bold):
         letter if letter.isprintable() else ' ' for letter in text).replace('$', r'\$').split()
 
 
-POINTS = generate_room(1, 3000).points
+POINTS = made_room(1, 3000).points
 CENTRE = np.append(POINTS.mean(axis=0)[:2], 1.9)
 
 
@@ -243,14 +214,14 @@ def paths(turns: int, cameras: int) -> np.ndarray:
     return CENTRE + np.linspace(0.1, 2.0, turns)[:, None, None] * way
 
 
-@pytest.mark.parametrize('turns, cameras', [(1, 1), (5, 4), (3, 16)])
+@pytest.mark.parametrize('turns, cameras', [(1, 1), (3, 16)])
 def test_any_number_of_turns_and_cameras_is_drawn_into_a_new_folder(tmp_path, turns, cameras):
     path = tmp_path / 'new' / 'folder' / 'room.png'
     observed = np.arange(len(POINTS)) % 3 > 0
     draw_placement(path, POINTS, observed, paths(turns, cameras), 4.0, 'room-1', '4 cameras')
     image = imread(path)
     assert image.shape[:2] == (950, 1800)
-    assert len(np.unique(image[..., :3].reshape(-1, 3), axis=0)) > 1000
+    assert len(np.unique(np.round(255.0 * image).astype(np.uint8).view(np.uint32))) > 1000
 
 
 def test_unobserved_points_are_red(tmp_path):
@@ -273,16 +244,12 @@ def test_wrong_input_is_refused(tmp_path, change):
     assert not (tmp_path / 'a.png').exists()
 
 
-def ceiling_of(points):
-    """Return which points belong to the ceiling."""
-    normals, radius = _fit_discs(points)
-    return _find_ceiling(points, normals, 2.5 * np.median(radius))
-
-
 def test_only_the_ceiling_is_taken_off():
-    points = generate_room(1, 8000).points.astype(np.float64)
-    hidden, height = ceiling_of(points), points[:, 2].max()
-    assert hidden[points[:, 2] > height - 0.01].all()
-    assert not hidden[points[:, 2] < height - 0.2].any()
+    points = made_room(1, 8000).points.astype(np.float64)
+    height = points[:, 2].max()
+    kept = room_of(points, points).points[:, 2]
+    assert kept.max() <= height - 0.01
+    assert np.sum(kept < height - 0.2) == np.sum(points[:, 2] < height - 0.2)
     # A room without a ceiling keeps its furniture.
-    assert not ceiling_of(points[points[:, 2] < height - 0.1]).any()
+    open_room = points[points[:, 2] < height - 0.1]
+    assert len(room_of(open_room, open_room).points) == len(open_room)

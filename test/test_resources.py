@@ -36,6 +36,12 @@ LAYOUTS = {
     'colcon': ('install/ocp_ros/lib/python3.12/site-packages', 'install/ocp_ros/share/ocp_ros')}
 
 
+@pytest.fixture(autouse=True)
+def no_index(monkeypatch):
+    """Find nothing through the index of ROS."""
+    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+
+
 def installed(prefix, code, share):
     """Put the module, and what marks the files, where an installer does; return both."""
     module = prefix / code / 'ocp_ros' / 'util' / 'resources.py'
@@ -57,14 +63,12 @@ def loaded(module):
 
 
 @pytest.mark.parametrize('layout', LAYOUTS)
-def test_files_are_found_in_every_layout(tmp_path, monkeypatch, layout):
-    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+def test_files_are_found_in_every_layout(tmp_path, layout):
     module, share = installed(tmp_path, *LAYOUTS[layout])
     assert module.share_folder() == share
 
 
-def test_links_to_files_elsewhere_are_those_of_the_prefix(tmp_path, monkeypatch):
-    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+def test_links_to_files_elsewhere_are_those_of_the_prefix(tmp_path):
     _, share = installed(tmp_path, *LAYOUTS['a virtual environment'])
     package, cache = tmp_path / LAYOUTS['a virtual environment'][0] / 'ocp_ros', tmp_path / 'cache'
     package.rename(cache)
@@ -72,8 +76,7 @@ def test_links_to_files_elsewhere_are_those_of_the_prefix(tmp_path, monkeypatch)
     assert loaded(package / 'util' / 'resources.py').share_folder() == share
 
 
-def test_a_link_to_the_source_tree_has_the_files_of_that_tree(tmp_path, monkeypatch):
-    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+def test_a_link_to_the_source_tree_has_the_files_of_that_tree(tmp_path):
     # As colcon build --symlink-install has it.
     (tmp_path / 'ocp_ros').symlink_to(ROOT / 'ocp_ros')
     assert loaded(tmp_path / 'ocp_ros' / 'util' / 'resources.py').share_folder() == ROOT
@@ -92,8 +95,7 @@ def test_the_index_of_ros_is_asked_last(tmp_path, monkeypatch):
     assert share_folder() == ROOT
 
 
-def test_a_package_that_is_not_whole_says_so(tmp_path, monkeypatch):
-    monkeypatch.delenv('AMENT_PREFIX_PATH', raising=False)
+def test_a_package_that_is_not_whole_says_so(tmp_path):
     module, share = installed(tmp_path, *LAYOUTS['pip --target'])
     shutil.rmtree(share)
     with pytest.raises(FileNotFoundError, match='share/ocp_ros'):

@@ -31,6 +31,7 @@ import numpy as np
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import Protocol
 from ocp_ros.training import train as training
+from ocp_ros.training.run_folder import BEST, CONFIG, PROGRESS, records, REPLAY, ROOMS, STATE
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested, UserError
 from ocp_ros.util.worker_pool import WorkerPool
@@ -41,8 +42,6 @@ from test_training import TINY
 import torch
 
 SETTINGS = {**TINY, 'interactions': 24}
-CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
-BEST, STATE, REPLAY = 'best.safetensors', 'state.safetensors', 'replay.safetensors'
 #: What may befall any file.
 DAMAGES = {
     'empty': lambda content: b'',
@@ -62,30 +61,11 @@ def replaced(old, new):
     return damage
 
 
-def lines(change):
-    """Return a damage of the last line of progress."""
+def tensors(change):
+    """Return a damage of the tensors of a file."""
     def damage(content):
-        *first, last = map(json.loads, content.decode().splitlines())
-        return ''.join(json.dumps(line) + '\n' for line in [*first, change(last)]).encode()
-    return damage
-
-
-def tensors(change, metadata=None):
-    """Return a damage of the tensors of a file, and of its metadata."""
-    def damage(content):
-        header = json.loads(content[8:8 + int.from_bytes(content[:8], 'little')])
         found = safetensors.torch.load(content)
-        return safetensors.torch.save(change(found) or found,
-                                      {**header.get('__metadata__', {}), **(metadata or {})})
-    return damage
-
-
-def card(**changes):
-    """Return a damage of what weights say of themselves."""
-    def damage(content):
-        text = json.loads(content[8:8 + int.from_bytes(content[:8], 'little')])
-        known = json.loads(text['__metadata__']['ocp_ros'])
-        return tensors(lambda found: None, {'ocp_ros': json.dumps({**known, **changes})})(content)
+        return safetensors.torch.save(change(found) or found, {'run': 'as before'})
     return damage
 
 
@@ -104,113 +84,119 @@ def without(start):
     return tensors(change)
 
 
-#: What is damaged, how, and a word of what has to be said of it; nothing where the run goes on.
-CASES = [
-    *((name, what, damage, 'remove the file') for name in (CONFIG, ROOMS, BEST)
+#: What is damaged, and how: the run goes on.
+HARMLESS = [
+    *((name, 'no text', DAMAGES['no text']) for name in (PROGRESS, 'best.json')),
+    *((name, 'gone', None) for name in (CONFIG, ROOMS, PROGRESS, 'best.json', BEST, REPLAY))]
+#: What is damaged, how, and a word of what has to be said of it. Of weights see test_agent.py.
+HARMFUL = [
+    *((name, what, damage, 'remove') for name in (CONFIG, ROOMS)
       for what, damage in DAMAGES.items() if (name, what) != (CONFIG, 'half')),
-    *((PROGRESS, what, damage, '') for what, damage in DAMAGES.items()),
-    ('best.json', 'no text', DAMAGES['no text'], ''),
-    *((STATE, what, damage, 'put it back from a copy') for what, damage in DAMAGES.items()),
-    *((REPLAY, what, damage, 'remove the file') for what, damage in DAMAGES.items()),
-    *((name, 'gone', None, '') for name in (CONFIG, ROOMS, PROGRESS, 'best.json', BEST, REPLAY)),
-    (STATE, 'gone', None, 'put it back from a copy'),
+    # Of tensors nothing else is read: what has no header of theirs is refused by the library.
+    *((name, what, DAMAGES[what], remedy) for what in ('empty', 'half', 'no text')
+      for name, remedy in ((BEST, 'remove'), (STATE, 'copy'), (REPLAY, 'remove'))),
+    (STATE, 'gone', None, 'copy'),
     (CONFIG, 'half', DAMAGES['half'], 'found'),
     (CONFIG, 'another type', replaced(b'interactions: 24', b'interactions: many'), "'many'"),
     (CONFIG, 'NaN', replaced(b'gamma: 0.95', b'gamma: .nan'), 'sac.gamma'),
     (CONFIG, 'huge', replaced(b'gamma: 0.95', b'gamma: 1.0e+300'), 'sac.gamma'),
-    (ROOMS, 'another type', lambda content: b'{"training": 3}', 'remove the file'),
+    (ROOMS, 'another type', lambda content: b'{"training": 3}', 'remove'),
     (ROOMS, 'other rooms', replaced(b'"test": ["', b'"test": ["9'), 'other rooms'),
-    (PROGRESS, 'torn', lambda content: content[:-20], ''),
-    (PROGRESS, 'NaN', lines(lambda line: {**line, 'ratio': float('nan')}), ''),
-    (PROGRESS, 'another type', lines(lambda line: {**line, 'seconds': 'long'}), ''),
-    (PROGRESS, 'missing', lines(lambda line: {'phase': 'sac'}), ''),
-    (PROGRESS, 'huge', lines(lambda line: {**line, 'seconds': 1e999}), ''),
-    (BEST, 'NaN', filled('', float('nan')), 'NaN'), (BEST, 'huge', filled('', 3e38), 'NaN'),
-    (BEST, 'missing', without(''), 'missing'),
-    (BEST, 'another shape', tensors(lambda found: {
-        name: value[:1].contiguous() for name, value in found.items()}), 'float32'),
-    (BEST, 'updates below 0', card(updates=-5), 'updates are -5'),
-    (BEST, 'updates of another type', card(updates=True), 'updates are True'),
-    (BEST, 'a run of another type', card(run=None), 'run is'),
     (STATE, 'NaN in a network', filled('policy', float('nan')), 'policy'),
     (STATE, 'NaN in an optimiser', filled('optimizer', float('nan')), 'optimizer'),
     (STATE, 'NaN in the entropy', filled('log_ent', float('nan')), 'log_ent'),
     (STATE, 'huge', filled('policy', 3e38), 'policy'),
     (STATE, 'a count below 0', filled('counter', -5), 'counter'),
     (STATE, 'a huge count', filled('counter.num', 1 << 60), 'counter.num'),
-    (STATE, 'missing in a network', without('policy'), 'is missing'),
-    (STATE, 'missing in an optimiser', without('optimizer'), 'is missing'),
-    (STATE, 'a count is missing', without('counter'), 'is missing'),
+    (STATE, 'missing in a network', without('policy'), 'policy'),
+    (STATE, 'missing in an optimiser', without('optimizer'), 'optimizer'),
     (STATE, 'an odd key', tensors(lambda found: found.update({
-        'optimizer.actor.x.y.z': torch.zeros(1)})), 'is unknown'),
+        'optimizer.actor.x.y.z': torch.zeros(1)})), 'x.y.z'),
     (STATE, 'a parameter too many', tensors(lambda found: found.update({
-        'optimizer.critic.999.step': torch.zeros(())})), 'is unknown'),
-    (STATE, 'a number as key', tensors(lambda found: found.update({
-        '7': torch.zeros(1)})), 'is unknown'),
+        'optimizer.critic.999.step': torch.zeros(())})), '999'),
     (STATE, 'another shape', tensors(lambda found: {
-        name: value.reshape(-1)[:1].clone() for name, value in found.items()}), ', not torch.'),
+        name: value.reshape(-1)[:1].clone() for name, value in found.items()}), 'not torch'),
     (STATE, 'another type', tensors(lambda found: {
-        name: value.to(torch.float64) for name, value in found.items()}), 'is torch.float64'),
+        name: value.to(torch.float64) for name, value in found.items()}), 'float64'),
     (REPLAY, 'missing', without('rewards'), 'rewards'),
-    (REPLAY, 'an odd key', tensors(lambda found: found.update(odd=torch.zeros(1))), 'is unknown'),
+    (REPLAY, 'an odd key', tensors(lambda found: found.update(odd=torch.zeros(1))), 'odd'),
     (REPLAY, 'another type', tensors(lambda found: found.update(
         rewards=found['rewards'].to(torch.float64))), 'rewards'),
     (REPLAY, 'fewer moves', tensors(lambda found: found.update(
         rewards=found['rewards'][:-1].clone())), 'rewards'),
     (REPLAY, 'huge', filled('rewards', float('inf')), 'rewards'),
     (REPLAY, 'filled too far', filled('filled', 1 << 40), 'found')]
+#: A line of progress.
+LINE = {'phase': 'sac', 'interactions': 24, 'updates': 12, 'seconds': 3.5, 'ratio': 0.8}
 
 
-@pytest.fixture(scope='module')
-def here():
-    """Play in this process."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(training, 'WorkerPool', Here)
-        yield
+def named(cases):
+    """Return cases as parameters that are named by what is damaged, and how."""
+    return [pytest.param(name, *rest, id=f'{name}: {what}') for name, what, *rest in cases]
 
 
-@pytest.fixture(scope='module')
-def begun(here, tmp_path_factory):
-    """Return the folder of a run that has ended, and its checkpoint."""
-    folder = tmp_path_factory.mktemp('begun') / 'run'
-    return folder, training.train(from_nested(TrainingConfig, SETTINGS), folder)
-
-
-@pytest.mark.parametrize(('name', 'damage', 'words'), [
-    (name, damage, words) for name, _, damage, words in CASES],
-                         ids=[f'{name}: {what}' for name, what, _, _ in CASES])
-def test_a_damaged_run_goes_on_or_says_what_is_lost_and_what_to_do(
-        begun, tmp_path, name, damage, words):
-    folder, first = begun
-    copytree(folder, tmp_path / 'run')
-    path = tmp_path / 'run' / name
+def spoil(path, damage):
+    """Damage a file, or remove it where there is no damage."""
     if damage is None:
         path.unlink()
     else:
         path.write_bytes(damage(path.read_bytes()))
-    config = from_nested(TrainingConfig, SETTINGS)
-    if not words:
-        again = training.train(config, tmp_path / 'run')
-        assert again.run == first.run and again.updates > 0
-        # Nothing was left to learn: the best weights are those there were, or the last ones.
-        if name != BEST:
-            assert again.updates == first.updates
-            assert all(torch.equal(again.weights[key], value)
-                       for key, value in first.weights.items())
-        return
-    before = {one: one.read_bytes() for one in (tmp_path / 'run').rglob('*')
+
+
+@pytest.fixture(scope='module')
+def begun(tmp_path_factory):
+    """Return the folder of a run that has ended, and its checkpoint."""
+    folder = tmp_path_factory.mktemp('begun') / 'run'
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(training, 'WorkerPool', Here)
+        return folder, training.train(from_nested(TrainingConfig, SETTINGS), folder)
+
+
+@pytest.fixture
+def run(begun, here, tmp_path):
+    """Return a copy of that folder."""
+    return copytree(begun[0], tmp_path / 'run')
+
+
+@pytest.mark.parametrize(('name', 'damage'), named(HARMLESS))
+def test_a_run_goes_on_where_what_is_damaged_can_be_made_again(begun, run, name, damage):
+    _, first = begun
+    spoil(run / name, damage)
+    again = training.train(from_nested(TrainingConfig, SETTINGS), run)
+    assert again.run == first.run and again.updates > 0
+    # Nothing was left to learn: the best weights are those there were, or the last ones.
+    if name != BEST:
+        assert again.updates == first.updates
+        assert all(torch.equal(again.weights[key], value) for key, value in first.weights.items())
+
+
+@pytest.mark.parametrize(('name', 'damage', 'words'), named(HARMFUL))
+def test_a_run_that_cannot_go_on_says_what_is_lost_and_what_to_do(run, name, damage, words):
+    spoil(run / name, damage)
+    before = {one: one.read_bytes() for one in run.rglob('*')
               if one.is_file() and 'tensorboard' not in one.parts}
     with pytest.raises(UserError) as caught:
-        training.train(config, tmp_path / 'run')
+        training.train(from_nested(TrainingConfig, SETTINGS), run)
     sentence = str(caught.value)
     assert words in sentence and 'found' in sentence and 'expected' in sentence, sentence
-    assert '\n' not in sentence and str(tmp_path / 'run') in sentence
+    assert '\n' not in sentence and str(run) in sentence
     assert all(one.read_bytes() == content for one, content in before.items())
 
 
-@pytest.mark.parametrize('inputs', ['cloud', 'paper'])
-def test_a_run_that_goes_on_has_the_moves_that_it_had(here, tmp_path, monkeypatch, inputs):
-    settings = {**SETTINGS, 'agent': {**SETTINGS['agent'], 'inputs': inputs, 'cameras': 3},
+@pytest.mark.parametrize('line', [
+    b'null', b'[]', b'7', b'[' * 100000, bytes(range(256)), b'{"phase": "sac"}',
+    *(json.dumps({**LINE, **change}).encode() for change in (
+        {'phase': 3}, {'ratio': float('nan')}, {'seconds': 'long'}, {'seconds': float('inf')},
+        {'updates': -1}))])
+def test_lines_of_progress_that_cannot_be_read_are_left_out_with_a_warning(
+        tmp_path, caplog, line):
+    whole = json.dumps(LINE).encode()
+    (tmp_path / PROGRESS).write_bytes(b'\n'.join([whole, line, whole, whole[:-20]]))
+    assert records(tmp_path) == [LINE, LINE] and PROGRESS in caplog.text
+
+
+def test_a_run_that_goes_on_has_the_moves_that_it_had(here, tmp_path, monkeypatch):
+    settings = {**SETTINGS, 'agent': {**SETTINGS['agent'], 'inputs': 'paper', 'cameras': 3},
                 'fewest_cameras': 3}
     training.train(from_nested(TrainingConfig, settings), tmp_path)
     buffers, starts = [], []
@@ -236,13 +222,11 @@ def test_a_run_that_goes_on_has_the_moves_that_it_had(here, tmp_path, monkeypatc
     assert buffers[1].pos == 0 and starts[1] == starts[0] + 24
 
 
-def test_best_weights_that_no_line_tells_of_are_judged_anew(begun, tmp_path):
+def test_best_weights_that_no_line_tells_of_are_judged_anew(begun, run):
     """As after a kill between the weights and their line."""
-    folder, first = begun
-    copytree(folder, tmp_path / 'run')
-    (tmp_path / 'run' / PROGRESS).write_text('')
-    longer = training.train(from_nested(TrainingConfig, {**SETTINGS, 'interactions': 48}),
-                            tmp_path / 'run')
+    _, first = begun
+    (run / PROGRESS).write_text('')
+    longer = training.train(from_nested(TrainingConfig, {**SETTINGS, 'interactions': 32}), run)
     curve = longer.provenance['curve']
     best = min(curve, key=lambda line: line['ratio'])
     ratio = [line['ratio'] for line in first.provenance['curve']
@@ -269,9 +253,7 @@ TASK_DAMAGES = {
     'a mapping': lambda content: b'{}',
     'rows without a checksum': lambda content: json.dumps(json.loads(content)['rows']).encode(),
     'fewer rows': rows(list.pop),
-    'another task': rows(lambda found: found[0].update(planner='random')),
-    'NaN': rows(lambda found: found[0].update(depth_error=float('nan'))),
-    'a placement of words': rows(lambda found: found[0].update(placement='here'))}
+    'NaN': rows(lambda found: found[0].update(depth_error=float('nan')))}
 
 
 @pytest.fixture
@@ -292,11 +274,7 @@ def compared(tmp_path, monkeypatch):
 def test_a_damaged_result_is_found_again_and_the_others_stay(compared, tmp_path, caplog, damage):
     run, played = compared
     expected = run()
-    path = tmp_path / TASK
-    if damage is None:
-        path.unlink()
-    else:
-        path.write_bytes(damage(path.read_bytes()))
+    spoil(tmp_path / TASK, damage)
     played.clear()
     assert run() == expected and played == ['annealing']
     assert ('found no whole result' in caplog.text) == (damage is not None)
@@ -318,14 +296,13 @@ def test_a_result_of_another_task_or_comparison_is_not_taken(compared, tmp_path)
     assert task.read_bytes() == kept
 
 
-@pytest.mark.parametrize('damage', DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_record_of_a_comparison_is_said_to_be_so(compared, tmp_path, damage):
+def test_a_damaged_record_of_a_comparison_is_said_to_be_so(compared, tmp_path):
     run, played = compared
-    expected = run()
-    path = tmp_path / 'protocol.json'
-    path.write_bytes(damage(path.read_bytes()))
-    with pytest.raises(UserError, match='protocol.json'):
-        run()
+    expected, path = run(), tmp_path / 'protocol.json'
+    for name in ('half', 'no text'):
+        spoil(path, DAMAGES[name])
+        with pytest.raises(UserError, match='protocol.json'):
+            run()
     path.unlink()
     played.clear()
     assert run() == expected and not played

@@ -35,8 +35,9 @@ from ocp_ros.util.settings import ConfigurationError, from_nested
 import pytest
 from test_training import TINY
 
+pytestmark = pytest.mark.usefixtures('quick_lookahead')
 FAST = EngineConfig('fast', 32, 0.5)
-TURNS = 6
+TURNS = 5
 #: In room 8, 7.0 x 7.5 m.
 ANCHORED = """\
 cameras: [{sensor: realsense_d455, count: 2}, {sensor: omnidirectional}]

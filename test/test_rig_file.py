@@ -16,6 +16,7 @@
 
 from dataclasses import replace
 import json
+from pathlib import Path
 
 from benchmarks.docs.schemas import FILES
 from conftest import refused_in_one_sentence, ROOT
@@ -79,19 +80,9 @@ def test_a_plain_lens_is_a_pinhole(tmp_path):
                              'max_range: 5}]').models[0]
     # Half the edge over the focal length is the tangent of half the angle.
     assert np.tan([model.horizontal_fov / 2, model.vertical_fov / 2]) == pytest.approx([1.0, 0.75])
-    rig = rig_in(tmp_path, 'cameras: [{sensor: kinect_v2, focal_length: 4.0, '
-                           'sensor_size: [8.0, 6.0]}]')
-    assert rig.models[0].max_range == 4.5 and rig.models[0].horizontal_fov == pytest.approx(
-        np.pi / 2)
-
-
-@pytest.mark.parametrize(('keys', 'place'), [
-    ('focal_length: 4.0', 'focal_length'), ('sensor_size: [8, 6]', 'sensor_size'),
-    ('focal_length: 4.0, sensor_size: [8, 6], vertical_fov: 60', 'vertical_fov'),
-    ('focal_length: 4.0, sensor_size: [8, 0]', 'sensor_size')])
-def test_half_a_lens_is_refused(tmp_path, keys, place):
-    with refused_in_one_sentence(f'rig.yaml: line 1, cameras[0].{place}'):
-        rig_in(tmp_path, f'cameras: [{{{keys}, max_range: 5}}]')
+    model = rig_in(tmp_path, 'cameras: [{sensor: kinect_v2, focal_length: 4.0, '
+                             'sensor_size: [8.0, 6.0]}]').models[0]
+    assert model.max_range == 4.5 and model.horizontal_fov == pytest.approx(np.pi / 2)
 
 
 def test_what_is_left_out_has_defaults(tmp_path):
@@ -140,103 +131,100 @@ def test_a_polygon_holds_as_many_places_as_its_area_says(tmp_path, corners):
     assert zone.contains(points, 0.0).mean() == pytest.approx(area / 16.0, abs=0.02)
 
 
-BAD = {
-    'an unknown key': ('spacing: 0.5', 'spacings: 0.5', 'line 10, spacings'),
-    'an empty list of cameras': (RIG[:RIG.index('fixed')], 'cameras: []\n', 'line 1, cameras'),
-    'an unknown sensor': ('realsense_d455', 'realsense_d456', 'line 2, cameras[0].sensor'),
-    'a count of none': ('count: 3', 'count: 0', 'line 2, cameras[0].count'),
-    'a count of halves': ('count: 3', 'count: 2.5', 'line 2, cameras[0].count'),
-    'too many': ('count: 3', 'count: 63', 'line 1, cameras'),
-    'a unit': ('max_range: 5.0', 'max_range: 5 m', 'line 3, cameras[1].max_range'),
-    'an angle of view of nothing': (
-        'vertical_fov: 60', 'vertical_fov: 0', 'line 3, cameras[1].vertical_fov'),
-    'an angle of view of too much': (
-        'vertical_fov: 60', 'vertical_fov: 181', 'line 3, cameras[1].vertical_fov'),
-    'no angle of view': ('vertical_fov: 60, ', '', 'line 3, cameras[1]'),
-    'ranges that exclude each other': (
-        'min_range: 0.3', 'min_range: 5.0', 'line 3, cameras[1].min_range'),
-    'one number of pixels': ('[640, 480]', '640', 'line 4, cameras[1].resolution'),
-    'no position': ('position: [1.0, 2.0, 2.2], ', '', 'line 6, fixed[0]'),
-    'a flat position': ('[1.0, 2.0, 2.2]', '[1.0, 2.0]', 'line 6, fixed[0].position'),
-    'radians for degrees, as it were': ('pitch: 20', 'pitch: 200', 'line 6, fixed[0].pitch'),
-    'a name twice': ('name: door', 'name: wide', 'line 6, fixed[0].name'),
-    'a name that breaks a table': ('name: door', 'name: "a;b"', 'line 6, fixed[0].name'),
-    'an unknown mount': ('on: walls', 'on: wall', 'line 7, mount.on'),
-    'a mount without what it is on': ('on: walls, ', '', 'line 7, mount'),
-    'a range of heights for a plane': ('on: walls', 'on: plane', 'line 7, mount.height'),
-    'a range the wrong way round': ('pitch: [0, 60]', 'pitch: [60, 0]', 'line 8, pitch'),
-    'a pitch beyond straight down': ('pitch: [0, 60]', 'pitch: 91', 'line 8, pitch'),
-    'nan': ('spacing: 0.5', 'spacing: .nan', 'line 10, spacing'),
-    'nothing': ('spacing: 0.5', 'spacing:', 'line 10, spacing'),
-    'infinity': ('spacing: 0.5', 'spacing: 1e99', 'line 10, spacing'),
-    'a negative weight': ('weight: 3.0', 'weight: -3.0', 'line 15, regions[0].weight'),
-    'a region without a name': ('name: table, ', '', 'line 15, regions[0]'),
-    'a box inside out': (
-        '[[0, 0, 0], [1, 1, 3]]', '[[0, 0, 5], [1, 1, 3]]', 'line 12, keep_out[0].box'),
-    'a box with a height': (
-        '[1, 1, 3]]', '[1, 1, 3]], height: [0, 1]', 'line 12, keep_out[0].height'),
-    'a zone of nothing': ('box: [[0, 0, 0], [1, 1, 3]]', '', 'line 12, keep_out[0]'),
-    'a polygon on a line': ('[2, 1]], height', '[4, 0]], height', 'line 13, keep_out[1].polygon'),
-    'heights the wrong way round': (
-        'height: [0.5, 3.0]', 'height: [3.0, 0.5]', 'line 13, keep_out[1].height'),
-    'a name that ends with a line': ('name: wide', 'name: "wide\\n"', 'line 4, cameras[1].name'),
-    'a box without an inside': ('[1, 1, 3]', '[1, 0, 3]', 'line 12, keep_out[0].box'),
-    'a polygon that crosses itself': (
-        '[[0, 0], [2, 0], [2, 1]], height', '[[0, 0], [2, 0], [0, 1], [2, 1.5]], height',
-        'line 13, keep_out[1].polygon'),
-    'a sensor as a camera': (
-        '{sensor: realsense_d455, count: 3}', 'realsense_d455', 'line 2, cameras[0]'),
-    'a number as a region': (
-        '{name: desk, polygon: [[0, 0], [2, 0], [2, 1]], must_see: 0.5}', '3',
-        'line 16, regions[1]'),
-    'more groups than are read': (
-        '  - {sensor: realsense_d455, count: 3}', '  - {sensor: kinect_v2}\n' * 65,
-        'line 1, cameras'),
-    'a key of two lines': ('spacing: 0.5', '"spa\\ncing": 0.5', "line 10, 'spa\\ncing': found"),
-    'a key that does not end': ('spacing: 0.5', f'{"x" * 999}: 0.5', "line 10, 'xxx"),
-    'a tag of two lines': ('seen_by: 2', 'seen_by: !a%0Ab 2', 'line 17'),
-    'an alias in a list': ('seen_by: 2', 'seen_by: &a 2\nno:\n- 1\n- *a', 'line 20'),
-    'more than one can read': (RIG, f'cameras: [{"1, " * 30000}1]', 'line 1'),
-    'a region twice': ('name: desk', 'name: table', 'line 16, regions[1].name'),
-    'a must that is a word': ('must_see: true', 'must_see: yes', 'line 15, regions[0].must_see'),
-    'more cameras than there are': ('seen_by: 2', 'seen_by: 6', 'line 17, seen_by'),
-    'a key twice': ('seen_by: 2', 'pitch: 10', 'line 17'),
-    'an open bracket': ('seen_by: 2', 'seen_by: [2', 'line 18'),
-    'a zero byte': ('seen_by: 2', 'seen_by: \0', 'line 17'),
-    'a tab': ('seen_by: 2', '\tseen_by: 2', 'line 17'),
-    'an alias': ('seen_by: 2', 'seen_by: &a 2\nkeep: *a', 'line 18'),
-    'a tag': ('seen_by: 2', 'seen_by: !!python/name:os.system 2', 'line 17'),
-    'a list': (RIG, '- 1\n- 2\n', 'line 1'),
-    'an empty file': (RIG, '# nothing\n', 'line 1'),
-    'lists without end': (RIG, '[' * 5000, 'line 1'),
-}
+#: What is changed in RIG, to what, and where the error is said to be.
+BAD = [
+    ('spacing: 0.5', 'spacing: .nan', 'line 10, spacing'),
+    ('spacing: 0.5', 'spacing:', 'line 10, spacing'),
+    ('spacing: 0.5', 'spacing: 1e99', 'line 10, spacing'),
+    ('spacing: 0.5', '"spa\\ncing": 0.5', "line 10, 'spa\\ncing': found"),
+    ('spacing: 0.5', f'{"x" * 999}: 0.5', "line 10, 'xxx"),
+    # Cameras.
+    (RIG[:RIG.index('fixed')], 'cameras: []\n', 'line 1, cameras'),
+    ('{sensor: realsense_d455, count: 3}', 'realsense_d455', 'line 2, cameras[0]'),
+    ('count: 3', 'count: 0', 'line 2, cameras[0].count'),
+    ('count: 3', 'count: 2.5', 'line 2, cameras[0].count'),
+    ('count: 3', 'count: 63', 'line 1, cameras'),
+    ('  - {sensor: realsense_d455, count: 3}', '  - {sensor: kinect_v2}\n' * 65,
+     'line 1, cameras'),
+    ('max_range: 5.0', 'max_range: 5 m', 'line 3, cameras[1].max_range'),
+    ('vertical_fov: 60', 'vertical_fov: 0', 'line 3, cameras[1].vertical_fov'),
+    ('vertical_fov: 60', 'vertical_fov: 181', 'line 3, cameras[1].vertical_fov'),
+    ('vertical_fov: 60, ', '', 'line 3, cameras[1]'),
+    # Half a lens, a lens and its angle, a flat sensor.
+    ('vertical_fov: 60', 'focal_length: 4', 'line 3, cameras[1].focal_length'),
+    ('vertical_fov: 60', 'sensor_size: [8, 6]', 'line 3, cameras[1].sensor_size'),
+    ('horizontal_fov: 90', 'focal_length: 4, sensor_size: [8, 6]',
+     'line 3, cameras[1].vertical_fov'),
+    ('horizontal_fov: 90, vertical_fov: 60', 'focal_length: 4, sensor_size: [8, 0]',
+     'line 3, cameras[1].sensor_size'),
+    ('min_range: 0.3', 'min_range: 5.0', 'line 3, cameras[1].min_range'),
+    ('[640, 480]', '640', 'line 4, cameras[1].resolution'),
+    ('name: wide', 'name: "wide\\n"', 'line 4, cameras[1].name'),
+    # Cameras in place.
+    ('position: [1.0, 2.0, 2.2], ', '', 'line 6, fixed[0]'),
+    ('[1.0, 2.0, 2.2]', '[1.0, 2.0]', 'line 6, fixed[0].position'),
+    ('pitch: 20', 'pitch: 200', 'line 6, fixed[0].pitch'),
+    ('name: door', 'name: wide', 'line 6, fixed[0].name'),
+    # Mount and pitch.
+    ('on: walls, ', '', 'line 7, mount'),
+    ('on: walls', 'on: plane', 'line 7, mount.height'),
+    ('pitch: [0, 60]', 'pitch: 91', 'line 8, pitch'),
+    # Zones and regions.
+    ('[[0, 0, 0], [1, 1, 3]]', '[[0, 0, 5], [1, 1, 3]]', 'line 12, keep_out[0].box'),
+    ('[1, 1, 3]', '[1, 0, 3]', 'line 12, keep_out[0].box'),
+    ('[1, 1, 3]]', '[1, 1, 3]], height: [0, 1]', 'line 12, keep_out[0].height'),
+    ('box: [[0, 0, 0], [1, 1, 3]]', '', 'line 12, keep_out[0]'),
+    ('[2, 1]], height', '[4, 0]], height', 'line 13, keep_out[1].polygon'),
+    ('[2, 1]], height', '[0, 1], [2, 1.5]], height', 'line 13, keep_out[1].polygon'),
+    ('height: [0.5, 3.0]', 'height: [3.0, 0.5]', 'line 13, keep_out[1].height'),
+    ('weight: 3.0', 'weight: -3.0', 'line 15, regions[0].weight'),
+    ('name: table, ', '', 'line 15, regions[0]'),
+    ('must_see: true', 'must_see: yes', 'line 15, regions[0].must_see'),
+    ('name: desk', 'name: table', 'line 16, regions[1].name'),
+    ('{name: desk, polygon: [[0, 0], [2, 0], [2, 1]], must_see: 0.5}', '3',
+     'line 16, regions[1]'),
+    # The text.
+    ('seen_by: 2', 'seen_by: 6', 'line 17, seen_by'),
+    ('seen_by: 2', 'pitch: 10', 'line 17'),
+    ('seen_by: 2', 'seen_by: \0', 'line 17'),
+    ('seen_by: 2', '\tseen_by: 2', 'line 17'),
+    ('seen_by: 2', 'seen_by: !!python/name:os.system 2', 'line 17'),
+    ('seen_by: 2', 'seen_by: !a%0Ab 2', 'line 17'),
+    ('seen_by: 2', 'seen_by: [2', 'line 18'),
+    ('seen_by: 2', 'seen_by: &a 2\nno:\n- 1\n- *a', 'line 20'),
+    (RIG, '- 1\n- 2\n', 'line 1'), (RIG, '# nothing\n', 'line 1'), (RIG, '[' * 5000, 'line 1'),
+    (RIG, f'cameras: [{"1, " * 20000}1]', 'line 1'),
+]
 
 
-@pytest.mark.parametrize(('old', 'new', 'place'), BAD.values(), ids=BAD)
+@pytest.mark.parametrize(('old', 'new', 'place'), BAD, ids=[place for *_, place in BAD])
 def test_a_bad_rig_file_is_refused_in_one_sentence(tmp_path, old, new, place):
     assert old in RIG
     with refused_in_one_sentence(f'rig.yaml: {place}'):
         rig_in(tmp_path, RIG.replace(old, new))
 
 
-@pytest.mark.parametrize(('old', 'new', 'remedy'), [
-    ('spacing: 0.5', 'spacings: 0.5', "'spacing'"), ('max_range', 'max_rang', "'max_range'"),
-    ('cameras:', 'camera:', "'cameras'"), ('realsense_d455', 'd455', "'realsense_d455'"),
-    ('on: walls', 'on: wall', "'walls'"), ('pitch: [0, 60]', 'pitch: [60, 0]', '[0, 60]')])
-def test_what_was_meant_is_named(tmp_path, old, new, remedy):
-    with refused_in_one_sentence('rig.yaml: line', remedy):
+@pytest.mark.parametrize(('old', 'new', 'place', 'remedy'), [
+    ('cameras:', 'camera:', 'line 1, camera', "'cameras'"),
+    ('realsense_d455', 'd455', 'line 2, cameras[0].sensor', "'realsense_d455'"),
+    ('max_range', 'max_rang', 'line 3, cameras[1].max_rang', "'max_range'"),
+    ('on: walls', 'on: wall', 'line 7, mount.on', "'walls'"),
+    ('pitch: [0, 60]', 'pitch: [60, 0]', 'line 8, pitch', '[0, 60]'),
+    ('spacing: 0.5', 'spacings: 0.5', 'line 10, spacings', "'spacing'")])
+def test_what_was_meant_is_named(tmp_path, old, new, place, remedy):
+    with refused_in_one_sentence(f'rig.yaml: {place}', remedy):
         rig_in(tmp_path, RIG.replace(old, new))
 
 
-@pytest.mark.parametrize(('content', 'place'), [
-    (None, ''), (b'cameras:\n- \xff\xfe', 'line 2'), (b'#' * 5_000_000, '')])
-def test_a_file_that_is_no_text_is_refused(tmp_path, content, place):
+@pytest.mark.parametrize(('write', 'place'), [
+    (Path.mkdir, ''), (lambda path: path.write_bytes(b'cameras:\n- \xff\xfe'), 'line 2'),
+    (lambda path: path.write_bytes(b'#' * 1_000_001), ''), (lambda path: None, '')],
+    ids=['a folder', 'bytes', 'a long file', 'nothing'])
+def test_a_file_that_is_no_text_is_refused(tmp_path, write, place):
     path = tmp_path / 'rig.yaml'
-    path.mkdir() if content is None else path.write_bytes(content)
+    write(path)
     with refused_in_one_sentence('', f'rig.yaml: {place}'):
         load_rig(path)
-    with refused_in_one_sentence('', 'none.yaml: '):
-        load_rig(tmp_path / 'none.yaml')
 
 
 def test_a_rig_needs_no_file():
@@ -256,7 +244,7 @@ def test_part_of_a_name_is_enough(name, found):
 
 @pytest.mark.parametrize(('name', 'words'), [
     ('kinect', 'azure_kinect_nfov and azure_kinect_wfov and kinect_v2'),
-    ('d456', 'omnidirectional, '), ('realsense_d456', "'realsense_d455'"), ('', 'expected one')])
+    ('d456', 'omnidirectional, '), ('realsense_d456', "'realsense_d455'"), ('', "''")])
 def test_a_name_that_says_too_little_is_refused(name, words):
     with refused_in_one_sentence('', words):
         sensor_named(name)

@@ -16,13 +16,12 @@
 
 from itertools import combinations
 
-from conftest import blank_report, made_room, printed
+from conftest import made_room, printed
 from hypothesis import given, settings, strategies
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.rig.rig_file import rig_from, rig_of
-from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.pose_grid import PoseGrid
@@ -34,6 +33,7 @@ from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
 from ocp_ros.util.yaml_files import Document
 import pytest
+import yaml
 
 FAST = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16))
 TABLE = {'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]], 'weight': 2.0}
@@ -113,7 +113,7 @@ def test_candidates_that_are_few_for_want_of_time_are_spread_over_the_room():
     assert not few.complete and len(few) < len(whole) and places[1] > 0.8 * places[0]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(data=strategies.data())
 def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
     problem, relaxation, grid, poses = asked
@@ -172,9 +172,10 @@ def test_poses_that_join_later_count():
 
 def test_two_models_are_chosen_by_their_counts_and_nobody_too_near():
     rig = rig_from(Document('rig', {'cameras': [
-        {'sensor': 'realsense_d455', 'count': 2}, {'sensor': 'omnidirectional'}], 'spacing': 1.5}))
+        {'sensor': 'omnidirectional', 'count': 2},
+        {'sensor': 'omnidirectional', 'max_range': 3.0, 'name': 'ball'}], 'spacing': 1.5}))
     problem = Problem.of(made_room(8, 2000), rig, FAST)
-    pool = CandidatePool(problem, 60, max_grid_poses=800)
+    pool = CandidatePool(problem, 60, max_grid_poses=400)
     answer = search(problem, pool, Budget(evaluations=40), 0)
     assert problem.region.broken(answer.poses) == []
     assert answer.certificate.bound <= answer.loss == problem.objective.evaluate(
@@ -199,40 +200,31 @@ def test_every_part_obeys_the_clock(seconds):
         assert answer.certificate.bound <= answer.loss
 
 
-def test_evaluations_make_the_answer_the_same_every_time():
-    problem = problem_of(2)
-    pools = [CandidatePool(problem, 60, max_grid_poses=1000) for _ in range(2)]
-    one, again = (search(problem, pool, Budget(evaluations=60), 3) for pool in pools)
-    assert np.array_equal(one.poses, again.poses) and one.loss == again.loss
-    assert one.certificate.bound == again.certificate.bound
-
-
 def test_off_the_grid_it_is_better_than_on_it():
     problem = problem_of(2)
     pool = CandidatePool(problem, 60, max_grid_poses=1000)
     known = search(problem, pool, Budget(evaluations=400), 0).certificate
     assert known.found < known.on_grid and known.moved > 0.01
-    assert known.bound <= known.found
-
-
-PLAN = ['plan', 'room.ply', '--rig', 'rig.yaml']
+    # The bound is that of the grid.
+    assert known.bound <= known.on_grid
 
 
 @pytest.fixture
-def files(tmp_path, monkeypatch):
-    """Write a room and a rig to the folder that is worked in."""
-    save_scene(made_room(8, 2000), tmp_path / 'room.ply')
-    (tmp_path / 'rig.yaml').write_text(
-        'cameras: [{sensor: realsense_d455, count: 2}]\nspacing: 0.8\n'
-        'regions: [{name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}]\n')
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr('ocp_ros.report.drawing.report_page.draw_pages', blank_report)
-    return tmp_path
+def plan(room_folder, undrawn, capsys):
+    """Return a function that plans two cameras with a region, with more keys and options."""
+    def printed_plan(more, *options):
+        (room_folder / 'rig.yaml').write_text(
+            'cameras: [{sensor: realsense_d455, count: 2}]\nspacing: 0.8\n'
+            f'regions: [{{name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}}]\n{more}')
+        return printed(capsys, 'plan', 'room.ply', '--rig', 'rig.yaml', *options)
+
+    return printed_plan
 
 
 @pytest.mark.parametrize('planner', ['greedy_error', 'rig_search'])
-def test_a_plan_says_how_much_better_others_may_be(files, capsys, planner):
-    found = printed(capsys, *PLAN, '--planner', planner, '--evaluations', '200', '--seconds', '60')
+def test_a_plan_names_its_planner_and_says_how_much_better_others_may_be(
+        plan, room_folder, capsys, planner):
+    found = plan('', '--planner', planner, '--evaluations', 200, '--seconds', 60)
     search = found['search']
     known = search['certificate']
     assert found['broken'] == [] and search['planner'] == planner
@@ -242,11 +234,17 @@ def test_a_plan_says_how_much_better_others_may_be(files, capsys, planner):
     assert f'{known["candidates"]:,}' in known['sentence']
     # A bound is no proof that nothing is better.
     assert ' 0.0 %' not in known['sentence'] and '15 degrees' in known['sentence']
+    written = room_folder / 'out' / 'plan'
+    created = yaml.safe_load((written / 'placement.yaml').read_text())['created']
+    assert created['planner'] == planner
     for page in ('installer.md', 'report.html'):
-        assert known['sentence'] in (files / 'out/plan' / page).read_text()
+        text = (written / page).read_text()
+        assert known['sentence'] in text and planner in text
+    scored = printed(capsys, 'score', 'room.ply', written / 'placement.yaml', '--out', 'scored')
+    assert scored['scores'] == found['scores'] and scored['notes'] == []
+    assert planner in (room_folder / 'scored' / 'report.html').read_text()
 
 
-def test_a_plan_without_a_bound_says_why(files, capsys):
-    (files / 'rig.yaml').write_text((files / 'rig.yaml').read_text() + 'seen_by: 2\n')
-    known = printed(capsys, *PLAN, '--evaluations', '100')['search']['certificate']
+def test_a_plan_without_a_bound_says_why(plan):
+    known = plan('seen_by: 2\n', '--evaluations', 100)['search']['certificate']
     assert known['gap'] is None and 'seen_by: 2' in known['sentence']

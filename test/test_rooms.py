@@ -19,8 +19,8 @@ import subprocess
 import sys
 
 from benchmarks.room_likeness import generated, shares_of_kinds, summary
-from conftest import refused
-from hypothesis import given, settings, strategies
+from conftest import for_any, made_room, refused
+from hypothesis import strategies
 from matplotlib.image import imread
 import numpy as np
 from ocp_ros.cli import main as cli
@@ -44,7 +44,6 @@ SEEDS = strategies.integers(0, 1 << 31)
 
 
 def plan_of(seed):
-    """Return the plan behind a generated room."""
     return draw_plan(np.random.default_rng(seed))
 
 
@@ -56,32 +55,27 @@ def depth_in(points, part):
 
 
 def box_plan(*solids, size=(6.0, 5.0, 3.0)):
-    """Return a room with given solids."""
     return RoomPlan('office', np.array(size), np.random.default_rng(0), list(solids))
 
 
-def test_the_same_seed_gives_the_same_room():
-    first, again = generate_room(5, 3000), generate_room(5, 3000)
+def test_the_same_seed_gives_the_same_room_with_however_many_points():
+    first, again = made_room(5, 3000), generate_room(5, 3000)
     np.testing.assert_array_equal(first.points, again.points)
     np.testing.assert_array_equal(first.mesh.vertices, again.mesh.vertices)
     np.testing.assert_array_equal(first.mesh.triangles, again.mesh.triangles)
     assert first.name == 'room-5'
+    more = generate_room(5, 8000)
+    np.testing.assert_array_equal(first.mesh.vertices, more.mesh.vertices)
+    assert len(first) < len(more)
 
 
 def test_other_seeds_give_other_rooms_of_all_kinds():
-    plans = [plan_of(seed) for seed in range(60)]
-    assert len({tuple(plan.size) for plan in plans}) == 60
+    plans = [plan_of(seed) for seed in range(40)]
+    assert len({tuple(plan.size) for plan in plans}) == 40
     assert {plan.kind for plan in plans} == set(ROOM_KINDS)
 
 
-def test_more_points_are_of_the_same_room():
-    few, many = generate_room(8, 2000), generate_room(8, 8000)
-    np.testing.assert_array_equal(few.mesh.vertices, many.mesh.vertices)
-    assert len(few) < len(many)
-
-
-@settings(deadline=None, max_examples=10)
-@given(seed=SEEDS)
+@for_any(5, seed=SEEDS)
 def test_a_generated_room_is_a_furnished_room(seed):
     plan, scene = plan_of(seed), generate_room(seed, 6000)
     assert (plan.size >= [1.8, 3.5, 2.5]).all() and (plan.size <= [15.0, 15.0, 3.5]).all()
@@ -94,10 +88,10 @@ def test_a_generated_room_is_a_furnished_room(seed):
         assert depth_in(scene.points, part).max() < 0.06
 
 
-@pytest.mark.parametrize('seed', range(6))
+@pytest.mark.parametrize('seed', range(3))
 def test_points_lie_on_the_mesh_exactly_or_with_the_noise_of_a_scan(seed):
     open3d = pytest.importorskip('open3d')
-    exact, scanned = generate_room(seed, 4000, scanned=False), generate_room(seed, 4000)
+    exact, scanned = generate_room(seed, 4000, scanned=False), made_room(seed, 4000)
     rays = open3d.t.geometry.RaycastingScene()
     rays.add_triangles(exact.mesh.vertices, exact.mesh.triangles.astype(np.uint32))
     assert rays.compute_distance(exact.points).numpy().max() < 1e-3
@@ -122,7 +116,6 @@ def test_scans_are_thinner_where_they_look_askance_and_have_holes():
 
 
 def test_what_no_tripod_sees_is_not_scanned():
-    """A wall across the room hides what is behind it from a tripod, and nothing else."""
     wall = make_solid('wall', (3.0, 0.0, 0.0), (3.1, 4.0, 3.0))
     plan = box_plan(wall)
     points = np.array([[5.9, 1.0, 1.0], [5.9, 4.9, 1.0], [1.0, 1.0, 0.0], [3.0, 2.0, 1.0],
@@ -137,8 +130,7 @@ def test_what_no_tripod_sees_is_not_scanned():
     assert (both[[0, 4]] > 0.0).all() and both[4] > 0.1
 
 
-@settings(deadline=None, max_examples=40)
-@given(seed=SEEDS)
+@for_any(20, seed=SEEDS)
 def test_rays_are_blocked_as_sampled_ones_are(seed):
     """A twin that walks along each ray in small steps."""
     rng = np.random.default_rng(seed)
@@ -179,8 +171,7 @@ def test_windows_return_nothing():
     assert {SOLID_KINDS[k] for k in np.unique(kinds)} == {'ceiling', 'floor', 'wall', 'clutter'}
 
 
-@settings(deadline=None, max_examples=10)
-@given(seed=SEEDS, flip=strategies.tuples(strategies.booleans(), strategies.booleans()))
+@for_any(5, seed=SEEDS, flip=strategies.tuples(strategies.booleans(), strategies.booleans()))
 def test_a_mirrored_room_is_the_room_in_a_mirror(seed, flip):
     plan = plan_of(seed)
     there = mesh_of(plan).vertices.reshape(-1, 8, 3)
@@ -197,9 +188,9 @@ def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
     assert 'open office' in capsys.readouterr().out
     assert cli.main(['rooms', 'make', '30', '--points', '3000', '--out', str(tmp_path)]) == 0
     scene = load_scene(tmp_path / 'room-30.ply')
-    np.testing.assert_array_equal(scene.points, generate_room(30, 3000).points)
+    np.testing.assert_array_equal(scene.points, made_room(30, 3000).points)
     mesh = PlyData.read(tmp_path / 'room-30_mesh.ply')
-    assert len(mesh['face']) == len(generate_room(30, 3000).mesh.triangles)
+    assert len(mesh['face']) == len(made_room(30, 3000).mesh.triangles)
     picture = tmp_path / 'sheet.png'
     assert cli.main(['rooms', 'preview', '30', str(tmp_path / 'room-30.ply'), '--points', '3000',
                      '--out', str(picture)]) == 0

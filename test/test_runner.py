@@ -22,6 +22,7 @@ import signal
 import subprocess
 import sys
 
+from conftest import HUNG, run_python
 from ocp_ros.demo.node_processes import free_domain
 from ocp_ros.ros.runtime.network import stay_local, USER_VARIABLES
 from ocp_ros.ros.runtime.node_main import run, undisturbed
@@ -31,9 +32,6 @@ import rclpy
 from rclpy.node import Node
 from rclpy.signals import get_current_signal_handlers_options, SignalHandlerOptions
 from std_msgs.msg import Float64
-
-#: Seconds after which a process that shall end hangs.
-HANGS = 300.0
 
 
 @pytest.fixture(autouse=True)
@@ -57,7 +55,6 @@ def test_a_signal_while_a_node_publishes_ends_it_with_0():
 
 INTERRUPTED = """
 import signal, sys
-from ocp_ros.ros.runtime.network import USER_VARIABLES, stay_local
 from ocp_ros.ros.runtime.node_main import run
 
 def make_node():
@@ -72,7 +69,7 @@ sys.exit(run(make_node, []))
 
 def test_an_interrupt_that_a_library_turns_into_another_error_ends_it_with_0():
     # In a process of its own: rclpy shuts its context down from another thread, at its leisure.
-    done = subprocess.run([sys.executable, '-c', INTERRUPTED], capture_output=True, text=True)
+    done = run_python(INTERRUPTED)
     assert done.returncode == 0, done.stderr
 
 
@@ -127,7 +124,7 @@ print('not here')
 
 
 def test_native_code_that_never_returns_keeps_no_process():
-    done = subprocess.run([sys.executable, '-c', STUCK], capture_output=True, text=True)
+    done = run_python(STUCK)
     assert 'in destroy_node' in done.stderr
     assert (done.returncode, done.stdout) == (1, 'saved\n'), done.stderr
 
@@ -162,7 +159,7 @@ def test_a_node_ends_with_its_parent_and_keeps_its_domain_until_then(tmp_path, e
     assert domain != taken
     parent.kill()
     parent.communicate()
-    assert select.select([ended], [], [], HANGS)[0], 'the node lives on'
+    assert select.select([ended], [], [], HUNG)[0], 'the node lives on'
     os.close(ended)
 
 
@@ -175,6 +172,14 @@ def test_any_other_error_of_the_middleware_is_not_hidden():
     with pytest.raises(rclpy_implementation.RCLError, match='something else'):
         run(make_node, [])
     assert not rclpy.ok()
+
+
+def test_what_a_user_can_put_right_is_told_in_one_sentence(capsys):
+    def make_node():
+        raise SceneError('room.ply: found nothing; expected points')
+
+    assert run(make_node, []) == 2
+    assert capsys.readouterr().err == 'make_node: room.ply: found nothing; expected points\n'
 
 
 @pytest.mark.parametrize('arguments', [
@@ -192,9 +197,8 @@ def test_a_node_that_cannot_be_kept_safe_is_not_started(tmp_path, monkeypatch, c
     (tmp_path / 'enclaves' / 'ocp').mkdir(parents=True)
     assert run(lambda: Node('keyless'), ['--ros-args', '--enclave', '/ocp']) == 2
     assert not rclpy.ok()
-    lines = capsys.readouterr().err.splitlines()
-    assert len([line for line in lines if 'ROS cannot keep it safe' in line]) == 2
-    assert 'Traceback' not in ''.join(lines)
+    err = capsys.readouterr().err
+    assert err.count('keep it safe') == 2 and 'Traceback' not in err
 
 
 @pytest.mark.parametrize(('said', 'value', 'alone', 'reach'), [
@@ -222,7 +226,8 @@ def test_nobody_outside_this_machine_is_heard_unless_asked(monkeypatch, said, va
 
 
 BOUND = """
-import os, socket, struct, sys
+import os, socket, struct
+from contextlib import suppress
 from pathlib import Path
 import rclpy
 from ocp_ros.ros.runtime.network import USER_VARIABLES, stay_local
@@ -234,10 +239,8 @@ rclpy.init()
 node = rclpy.create_node('bound')
 mine = set()
 for number in os.listdir('/proc/self/fd'):
-    try:
+    with suppress(OSError):
         mine.add(os.readlink(f'/proc/self/fd/{number}'))
-    except OSError:
-        pass
 for table in ('udp', 'udp6', 'tcp', 'tcp6'):
     for line in Path('/proc/net', table).read_text().splitlines()[1:]:
         words = line.split()
@@ -252,16 +255,7 @@ rclpy.try_shutdown()
 
 @pytest.mark.skipif(sys.platform != 'linux', reason='sockets are listed by Linux')
 def test_nodes_bind_this_machine_alone():
-    done = subprocess.run([sys.executable, '-c', BOUND], capture_output=True, text=True,
-                          timeout=HANGS, check=False)
+    done = run_python(BOUND)
     assert done.returncode == 0, done.stderr
     # The second is the group of discovery, which is joined on the loopback interface.
     assert set(done.stdout.splitlines()) == {'udp 127.0.0.1', 'udp 239.255.0.1'}
-
-
-def test_what_a_user_can_put_right_is_told_in_one_sentence(capsys):
-    def make_node():
-        raise SceneError('room.ply: found nothing; expected points')
-
-    assert run(make_node, []) == 2
-    assert capsys.readouterr().err == 'make_node: room.ply: found nothing; expected points\n'

@@ -37,7 +37,8 @@ from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.util.annealing import between
 import pytest
 
-MAX_STEP, MAX_RANGE, MARGIN, TURNS = 0.5, 3.0, 0.1, 12
+pytestmark = pytest.mark.usefixtures('quick_lookahead')
+MAX_STEP, MAX_RANGE, MARGIN, TURNS = 0.5, 3.0, 0.1, 6
 NEAR = CameraModel(max_range=MAX_RANGE)
 D455 = SENSORS['realsense_d455'].model
 CLOUD = thinned(box_room(12.0, 4.0).points, 4000)
@@ -48,14 +49,13 @@ PLANNERS = {
     'guided lookahead': lambda *settings: Lookahead(*settings, guide=GreedyStep(*settings))}
 
 
-def made(name, seed=0):
+def made(name):
     """Return a planner."""
-    return PLANNERS[name](np.random.default_rng(seed), MAX_STEP, MAX_RANGE, MARGIN)
+    return PLANNERS[name](np.random.default_rng(0), MAX_STEP, MAX_RANGE, MARGIN)
 
 
 def played(online, sight_at):
     """Let one camera move through a room that is known; return where it was."""
-    online.reset()
     trail = [START]
     for turn in range(TURNS):
         online.set_rig_state(sight_at(trail[-1]))
@@ -69,6 +69,11 @@ def beside(x):
     """Return how a rig of two stands that see all around, one of which is in place."""
     return lambda position: RigState(
         np.array([[*position, 0, 0, 0], [x, 2.0, 1.9, 0, 0, 0]]), (NEAR, NEAR), 1)
+
+
+def aimed(yaw, **limits):
+    """Return how a rig of one camera that looks one way stands."""
+    return lambda position: RigState(np.array([[*position, yaw, 0.2, 0.0]]), (D455,), 1, **limits)
 
 
 @pytest.mark.parametrize('name', PLANNERS)
@@ -88,20 +93,15 @@ def test_a_rig_that_sees_all_around_is_moved_as_if_nothing_were_known_of_it(name
 
 def test_a_camera_that_looks_one_way_and_is_not_turned_stands_where_that_helps():
     """It looks along the room, so it goes back to where it sees most of it."""
-    def towards(yaw):
-        def rig_state(position):
-            return RigState(np.array([[*position, yaw, 0.2, 0.0]]), (D455,), 1, turns=False)
-        return rig_state
-
-    ends = [played(made('lookahead'), towards(yaw))[-1, 0] for yaw in (0.0, np.pi)]
+    ends = [played(made('lookahead'), aimed(yaw, turns=False))[-1, 0] for yaw in (0.0, np.pi)]
     assert ends[0] < START[0] - 0.5 and ends[1] > START[0] + 0.5
 
 
 def test_a_plan_says_how_cameras_are_turned_within_the_limits():
-    online, pitch = made('lookahead'), (0.2, 0.7)
-    played(online, lambda at: RigState(np.array([[*at, 0.0, 0.3, 0.0]]), (D455,), 1, pitch))
-    assert online.headings.shape == (1, 3) and pitch[0] <= online.headings[0, 1] <= pitch[1]
-    assert made('lookahead').headings is None
+    online = made('lookahead')
+    assert online.headings is None
+    played(online, aimed(0.0, pitch=(0.1, 0.7)))
+    assert online.headings.shape == (1, 3) and 0.1 <= online.headings[0, 1] <= 0.7
 
 
 def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
@@ -119,36 +119,37 @@ def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
         assert turns(CLOUD, START[None], 0, 30).error == pytest.approx(expected)
 
 
-def rig(turns=True):
-    """Return a rig of two kinds: two that look one way, one that sees all around."""
-    placement = np.zeros((3, 6))
-    placement[:, :3] = START + [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]
-    placement[:, 3] = 0.0, 1.0, 2.0
-    return RigState(placement, (D455, NEAR, D455), 3, turns=turns)
+#: A rig of two kinds: two cameras that look one way, one that sees all around.
+MIXED = RigState(np.hstack([START + [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]],
+                            [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]]),
+                 (D455, NEAR, D455), 3)
+SPACE = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
+
+
+@pytest.fixture(scope='module')
+def model():
+    """Return a coarse model of the room."""
+    return PartialMap(CLOUD, MIXED.placement[:, :3], 4.0, 2000, 16)
 
 
 def test_a_camera_keeps_its_roll_and_its_kind_with_it():
-    upright = rig()
-    np.testing.assert_array_equal(kinds_of(upright)[0], [0, 1, 0])
-    np.testing.assert_array_equal(kinds_of(rig(turns=False))[0], [0, 1, 2])
-    portrait = upright._replace(placement=upright.placement.copy())
+    np.testing.assert_array_equal(kinds_of(MIXED)[0], [0, 1, 0])
+    np.testing.assert_array_equal(kinds_of(MIXED._replace(turns=False))[0], [0, 1, 2])
+    portrait = MIXED._replace(placement=MIXED.placement.copy())
     portrait.placement[2, 5] = 0.5 * np.pi
     assert (portrait.headings(2, 8, 2)[:, 2] == 0.5 * np.pi).all()
     assert not portrait.headings(0, 8, 2)[:, 2].any()
     np.testing.assert_array_equal(kinds_of(portrait)[0], [0, 1, 2])
 
 
-def test_cameras_take_places_of_their_kind_only():
-    rig_state, rng = rig(), np.random.default_rng(0)
-    model = PartialMap(CLOUD, rig_state.placement[:, :3], 4.0, 2000, 16)
-    space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
-    places = space.placement(space.grid(12))
-    sites = Candidates(model, places, [rig_state.placement], rig_state, np.zeros_like(
-        model.look(START).covered), 0.0)
-    assert len(sites.poses) == 3 + len(places) * (len(directions(rig_state.pitch, 8, 2)) + 1)
+def test_cameras_take_places_of_their_kind_only(model):
+    places, rng = SPACE.placement(SPACE.grid(12)), np.random.default_rng(0)
+    sites = Candidates(model, places, [MIXED.placement], MIXED,
+                       np.zeros_like(model.look(START).covered), 0.0)
+    assert len(sites.poses) == 3 + len(places) * (len(directions(MIXED.pitch, 8, 2)) + 1)
     own = sites.poses[3:]
-    aimed = {tuple(row[3:]) for row in own[:-len(places)]}
-    assert len(aimed) == 16 and not own[-len(places):, 4:].any()
+    headings = {tuple(row[3:]) for row in own[:-len(places)]}
+    assert len(headings) == 16 and not own[-len(places):, 4:].any()
     chosen = sites.choose_greedily()
     values = [sites.value(chosen)]
     for _ in range(3):
@@ -158,14 +159,10 @@ def test_cameras_take_places_of_their_kind_only():
     assert (np.diff(values) <= 0.0).all()
 
 
-@pytest.mark.parametrize('weight', [0.0, 0.01])
-@pytest.mark.parametrize('kinds', [1, 2])
-def test_annealing_agrees_with_its_twin(kinds, weight):
-    rig_state = rig()
-    model = PartialMap(CLOUD, rig_state.placement[:, :3], 4.0, 2000, 16)
-    space = FreePlane.of(CLOUD, 1.9, 3, MARGIN)
-    places, unseen = space.placement(space.grid(20)), pack(model.cells % 3 > 0)
-    found = Candidates(model, places, [], RigState.omnidirectional(3) if kinds == 1 else rig_state,
+@pytest.mark.parametrize(('kinds', 'weight'), [(1, 0.0), (2, 0.01)])
+def test_annealing_agrees_with_its_twin(model, kinds, weight):
+    places, unseen = SPACE.placement(SPACE.grid(20)), pack(model.cells % 3 > 0)
+    found = Candidates(model, places, [], RigState.omnidirectional(3) if kinds == 1 else MIXED,
                        unseen, weight)
     kind_of = [0, kinds - 1, 0]
 

@@ -36,12 +36,6 @@ SIMULATION = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16, 
                               episode=EpisodeConfig(turns=6))
 
 
-@pytest.fixture(autouse=True)
-def logs(tmp_path, monkeypatch):
-    """Let stable-baselines3 leave its logs where they are cleared away."""
-    monkeypatch.setenv('SB3_LOGDIR', str(tmp_path / 'sb3'))
-
-
 def trial(**changes):
     """Return an episode to judge in a small room."""
     return ValidationTrial(**{'room': '8', 'rooms': RoomsConfig(points=2000), 'rotation': 30.0,

@@ -15,6 +15,7 @@
 """Who judges: rays cast at the mesh, unseen points, and an error from all of a room's air."""
 
 from dataclasses import replace
+from functools import cache
 
 from conftest import box_room, box_sides, made_room
 from hypothesis import given, settings
@@ -28,7 +29,6 @@ from ocp_ros.geometry.packed_bits import no_bits, pack, unpack
 from ocp_ros.geometry.visibility import MESH
 from ocp_ros.rig.motion import mounted, MountingErrors
 from ocp_ros.rig.rig_file import rig_of
-from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Mesh, Scene, turned
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.simulation.problem import Problem, space_of
@@ -45,7 +45,7 @@ PANEL = Mesh(np.array([[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]], dtype=np
 
 
 def seen_by_rays(points, pose, model):
-    """Return which points rays reach: (N,) bool."""
+    """Return which points rays reach past the panel: (N,) bool."""
     points = np.asarray(points, dtype=np.float32)
     visibility = RayVisibility(points, points, PANEL)
     seen, covered = no_bits(len(points)), no_bits(len(points))
@@ -82,7 +82,7 @@ def test_the_engine_agrees_with_the_truth_about_a_room(room):
 
 
 def test_a_generated_room_is_judged_on_points_that_no_search_saw_and_a_little_off():
-    room = JudgedRoom('7', 0.0, SMALL, 3000, 4000)
+    room = JudgedRoom('7', 0.0, SMALL, 1500, 2000)
     simulator = room.judge_problem.simulator
     assert simulator.config.engine.preset == MESH
     assert room.search_problem.simulator.config.engine.preset == 'fine'
@@ -101,15 +101,15 @@ def test_a_generated_room_is_judged_on_points_that_no_search_saw_and_a_little_of
 
 
 def test_a_scan_is_judged_on_points_that_are_held_out(tmp_path):
-    path = tmp_path / 'scan.ply'
-    save_scene(Scene(generate_room(7, 4000).points, 'scan'), path)
-    room = judged_room(str(path), 0.0, SMALL)
-    assert judged_room(str(path), 0.0, SMALL) is room
+    path = str(tmp_path / 'scan.ply')
+    save_scene(Scene(made_room(8, 2000).points, 'scan'), path)
+    room = judged_room(path, 0.0, SMALL)
+    assert judged_room(path, 0.0, SMALL) is room
     assert type(room.judge_problem.simulator) is Simulator
     searched, judged = (set(map(tuple, scene.points))
                         for scene in (room.search_scene, room.judge_scene))
     assert not searched & judged
-    assert len(searched) + len(judged) == pytest.approx(4000, rel=0.1)
+    assert len(searched) + len(judged) == pytest.approx(2000, rel=0.1)
     assert abs(len(searched) - len(judged)) <= 1
 
 
@@ -122,12 +122,11 @@ def test_mounting_is_off_by_so_much_and_alike_for_all():
     np.testing.assert_allclose(mounted(placement - 0.5, errors) + 0.5, moved)
 
 
-def error_of(folds, points=None):
-    """Return the depth error of a box with a box in it."""
-    if points is None:
-        points = np.vstack([box_sides([4.0, 3.0, 2.5], [2.0, 1.5, 1.25], 0.15),
-                            box_sides([0.6, 0.5, 1.0], [1.2, 1.0, 0.5], 0.15)])
-    points = points.astype(np.float32)
+@cache
+def error_of(folds):
+    """Return the depth error of a box with a box in it, and its points."""
+    points = np.vstack([box_sides([4.0, 3.0, 2.5], [2.0, 1.5, 1.25], 0.15),
+                        box_sides([0.6, 0.5, 1.0], [1.2, 1.0, 0.5], 0.15)]).astype(np.float32)
     low, high = points.min(axis=0), points.max(axis=0)
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     return points, DepthError(points, np.full(len(points), 0.15, dtype=np.float32),
@@ -144,7 +143,7 @@ def test_seeing_nothing_costs_the_same_and_seeing_all_nothing_whatever_the_folds
     np.testing.assert_array_equal(error.depth_map(0), error_of(1)[1].depth_map(0))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2 ** 31), share=st.floats(0.05, 0.95))
 def test_seeing_more_never_costs_more_in_any_fold(seed, share):
     points, error = error_of(3)
@@ -162,23 +161,17 @@ def test_folds_charge_for_what_a_single_point_saves():
     assert folded(pack(few)) > plain(pack(few))
 
 
-FAST = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
-
-
-@pytest.fixture(scope='module')
-def suite():
-    """Return four rooms of 4 x 4 m around a cross of walls, each with a door to the next."""
+def test_a_camera_in_any_of_several_rooms_takes_from_the_error():
+    """Four rooms of 4 x 4 m around a cross of walls, each with a door to the next."""
     room = box_room(4.0, 4.0).points
     rooms = np.concatenate([room + np.array([4.0 * i, 4.0 * j, 0.0], dtype=np.float32)
                             for i in (0, 1) for j in (0, 1)])
     x, y, z = rooms.T
     doors = (z < 2.1) & (z > 0.05) & (((abs(x - 4.0) < 0.01) & (abs(y % 4.0 - 0.7) < 0.45))
                                       | ((abs(y - 4.0) < 0.01) & (abs(x - 0.7) < 0.45)))
-    return Scene(np.unique(rooms[~doors], axis=0), 'suite')
-
-
-def test_a_camera_in_any_of_several_rooms_takes_from_the_error(suite):
-    simulator = Problem.of(suite, rig_of(2), FAST).simulator
+    suite = Scene(np.unique(rooms[~doors], axis=0), 'suite')
+    simulator = Problem.of(suite, rig_of(2), SimulationConfig(
+        engine=EngineConfig(preset='fast', error_rows=32))).simulator
     worst = simulator.depth_error.worst
     assert {tuple((place[:2] > 4.0).astype(int))
             for place in simulator.depth_error.viewpoints} == {(0, 0), (0, 1), (1, 0), (1, 1)}
@@ -188,7 +181,7 @@ def test_a_camera_in_any_of_several_rooms_takes_from_the_error(suite):
     assert simulator.judge([simulator.look(pose) for pose in everywhere]).depth_error < 0.1 * worst
 
 
-def changes(scene, other, moved, kind='air'):
+def changes(scene, other, moved, kind):
     """Return how much the errors of some placements change in another scan of the same room."""
     config = SimulationConfig(engine=EngineConfig('fine', 32, error_folds=2, viewpoints=kind))
     one, two = Simulator(scene, config), Simulator(other, config)
@@ -201,10 +194,9 @@ def changes(scene, other, moved, kind='air'):
     return np.abs(found)
 
 
-@pytest.mark.parametrize('kind', ['air', 'paper'])
-@pytest.mark.parametrize('seed', [8, 501])
+@pytest.mark.parametrize(('seed', 'kind'), [(501, 'air'), (8, 'paper')])
 def test_the_error_is_that_of_the_room_however_it_was_scanned(seed, kind):
-    scene = generate_room(seed, 12_000)
+    scene = made_room(seed, 12_000)
     found = []
     for angle in (17.0, 45.0):
         rotation = rotation_matrix(np.deg2rad(angle))
@@ -218,7 +210,7 @@ def test_the_error_is_that_of_the_room_however_it_was_scanned(seed, kind):
     assert np.mean(found) <= 0.02 and np.max(found) <= 0.15
 
 
-@pytest.mark.parametrize('seed', [8, 12, 3001])
+@pytest.mark.parametrize('seed', [8, 3001])
 def test_the_five_of_the_paper_are_those_of_the_box_that_a_room_fills(seed):
     scene = made_room(seed, 2500)
     low, high = scene.bounds

@@ -22,6 +22,7 @@ import subprocess
 
 from conftest import HUNG
 import numpy as np
+from ocp_ros.geometry.cameras import in_view, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing.frustum_drawing import edges, reach
@@ -44,6 +45,12 @@ def judged_with(points, **more):
                                      engine=EngineConfig('fast', 32, 0.5)), room, 'ocp score')
 
 
+@pytest.fixture(scope='module')
+def judged():
+    """Return two cameras that are judged in a small room."""
+    return judged_with(1500)
+
+
 def test_the_page_of_a_large_room_is_small_and_says_what_the_engine_says(tmp_path):
     judged = judged_with(45000)
     assert len(judged.scene) > SHOWN
@@ -59,17 +66,16 @@ def test_the_page_of_a_large_room_is_small_and_says_what_the_engine_says(tmp_pat
     assert np.abs(shares - everything).max() < 0.15 and SHOWN / 2 < len(levels) < SHOWN
 
 
-def test_what_can_be_switched_is_what_the_rig_has():
+def test_what_can_be_switched_is_what_the_rig_has(judged):
     names = {layer.name: len(layer.traces) for layer in layers_of(judged_with(1500, **ASKED))
              if layer.traces}
     assert names == {'cameras': 1, 'fields of view': 2, 'ranges': 2,
                      'weighted regions': 1, 'keep-out zones': 1, 'one more camera': 1}
-    plain = {layer.name for layer in layers_of(judged_with(1500)) if layer.traces}
+    plain = {layer.name for layer in layers_of(judged) if layer.traces}
     assert not {'weighted regions', 'keep-out zones'} & plain
 
 
-def test_every_way_to_colour_points_has_a_share_for_each():
-    judged = judged_with(1500)
+def test_every_way_to_colour_points_has_a_share_for_each(judged):
     paints = {paint.name: paint.values for paint in paints_of(judged.scene, judged)}
     assert list(paints)[0] == 'seen by how many cameras' and len(paints) == 4
     for name, values in paints.items():
@@ -93,7 +99,6 @@ def test_walls_are_sorted_by_where_they_face():
 
 @pytest.mark.parametrize('name', SENSORS)
 def test_a_cone_is_drawn_as_a_camera_sees(name):
-    from ocp_ros.geometry.cameras import in_view, rotation_matrix
     model = SENSORS[sensor_named(name)].model
     pose = np.array([1.0, 2.0, 1.5, 0.7, 0.3, 0.0])
     points = edges(model, pose, 2.0)
@@ -113,8 +118,7 @@ BROWSER = shutil.which('chromium') or shutil.which('google-chrome')
 
 
 @pytest.mark.skipif(BROWSER is None, reason='there is no chromium to open the page with')
-def test_a_browser_draws_the_page(tmp_path):
-    judged = judged_with(1500)
+def test_a_browser_draws_the_page(judged, tmp_path):
     write_view(tmp_path / 'view.html', judged.scene, judged)
     done = subprocess.run(
         [BROWSER, '--headless=new', '--no-sandbox', '--use-angle=swiftshader', '--dump-dom',

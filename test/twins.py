@@ -24,12 +24,16 @@ MODELS = {
 }
 
 
+def polar(points, position):
+    """Return offset (N, 3), distance, elevation and azimuth, each (N,)."""
+    d = points.astype(np.float64) - position
+    return (d, np.linalg.norm(d, axis=1), np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1])),
+            np.arctan2(d[:, 1], d[:, 0]))
+
+
 def project(points, position, rotation, model):
     """Return distance (inf where not measured), elevation and azimuth, each (N,)."""
-    d = points.astype(np.float64) - position
-    r = np.linalg.norm(d, axis=1)
-    elevation = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1]))
-    azimuth = np.arctan2(d[:, 1], d[:, 0])
+    d, r, elevation, azimuth = polar(points, position)
     measured = (r >= model.min_range) & (r <= model.max_range) & (r > 0)
     x, y, z = (d @ rotation).T
     if not model.omnidirectional:
@@ -102,34 +106,24 @@ def visible(distance, elevation, azimuth, compensation, shadow):
     return np.isfinite(distance) & (distance <= shadow[row, column] + compensation)
 
 
-def depth_error(points, half_sides, positions, far, rows, seen):
-    """Return the sum over viewpoints of the mean difference of two depth maps."""
-    total = 0.0
-    for position in positions:
-        d = points.astype(np.float64) - position
-        r = np.linalg.norm(d, axis=1)
-        e, a = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1])), np.arctan2(d[:, 1], d[:, 0])
-        full = shadow_map(r, e, a, half_sides, rows, far)
-        part = shadow_map(r[seen], e[seen], a[seen], half_sides[seen], rows, far)
-        total += np.abs(part - full).mean()
-    return total
-
-
 def depth_error_by_point(points, half_sides, positions, far, rows, seen):
-    """Return (N,): of each viewpoint's mean difference, what pixels lose that show the point."""
+    """
+    Return (N,): what the pixels lose that show a point.
+
+    All of it is the sum over viewpoints of the mean difference of two depth maps.
+    """
     lost = np.zeros(len(points))
     for position in positions:
-        d = points.astype(np.float64) - position
-        r = np.linalg.norm(d, axis=1)
-        e, a = np.arctan2(d[:, 2], np.hypot(d[:, 0], d[:, 1])), np.arctan2(d[:, 1], d[:, 0])
-        full = shadow_map(r, e, a, half_sides, rows, far)
-        part = shadow_map(r[seen], e[seen], a[seen], half_sides[seen], rows, far)
-        left = np.ones(full.shape, dtype=bool)
-        for i in np.argsort(r, kind='stable'):
-            shown = np.zeros(full.shape, dtype=bool)
-            shown[covered(r[i], e[i], a[i], half_sides[i], rows)] = True
-            lost[i] += (part - full)[shown & left].sum() / full.size
-            left &= ~shown
+        _, distance, elevation, azimuth = polar(points, position)
+        full, part = (np.full((rows, 2 * rows), far) for _ in range(2))
+        nearest = np.zeros(full.shape, dtype=int)
+        # The nearest point is written last.
+        for i in np.argsort(-distance):
+            mask = covered(distance[i], elevation[i], azimuth[i], half_sides[i], rows)
+            nearest[mask], full[mask] = i, min(distance[i], far)
+            if seen[i]:
+                part[mask] = full[mask]
+        lost += np.bincount(nearest.ravel(), (part - full).ravel(), len(points)) / full.size
     return lost
 
 
