@@ -409,10 +409,11 @@ def test_a_killed_and_restarted_policy_continues_the_episode(graph, model):
     graph.until(lambda: counted(policy, 'step') >= step)
 
 
-@pytest.mark.parametrize('planner', PLANNERS)
+@pytest.mark.parametrize(
+    ('planner', 'turns'), [*((planner, 8) for planner in PLANNERS), ('learned_lookahead', 5)])
 def test_an_episode_over_ros_is_the_episode_of_the_engine(graph, probe, model, checkpoint,
-                                                          planner):
-    needs_weights, turns = planner != 'lookahead', 8
+                                                          planner, turns):
+    needs_weights = planner != 'lookahead'
     sim = graph.add(SimNode, seed=3, resend_period=0.05, episode__turns=turns, **SMALL)
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
     policy = graph.add(PolicyNode, planner=planner, turns=turns, convergence_distance=0.0,

@@ -237,13 +237,15 @@ class Candidates:
         self._covered = (np.array([view.covered for view in views]) | fixed.covered) & unseen
         # Proposals that do not draw among all candidates draw among the 12 nearest.
         self.neighbours = np.zeros((len(views), 12), dtype=np.int64)
-        for candidates in self.of_kind:
-            neighbours = self._neighbours_of(candidates)
+        for candidates, camera in zip(self.of_kind, first_cameras):
+            # The heading of an omnidirectional camera means nothing.
+            weight = 0.0 if rig_state.models[camera].omnidirectional else 0.5
+            neighbours = self._neighbours_of(candidates, weight)
             self.neighbours[candidates, :neighbours.shape[1]] = neighbours
 
-    def _neighbours_of(self, candidates: np.ndarray) -> np.ndarray:
+    def _neighbours_of(self, candidates: np.ndarray, metres_per_radian: float) -> np.ndarray:
         """Return the most similar others for each of C candidates of one kind: (C, n <= N)."""
-        tree = cKDTree(pose_features(self.poses[candidates], metres_per_radian=0.5))
+        tree = cKDTree(pose_features(self.poses[candidates], metres_per_radian))
         ranks = np.arange(2, min(self.neighbours.shape[1] + 1, len(candidates)) + 1)
         _, indices = tree.query(tree.data, ranks)
         return candidates[indices]
