@@ -610,5 +610,3 @@ def write_half(path):
     save_scene(Scene(scan(), 'room'), path)
     content = path.read_bytes()
     path.write_bytes(content[:len(content) // 2])
-
-

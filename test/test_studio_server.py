@@ -117,15 +117,15 @@ def test_the_public_tunnel_is_never_opened(page, monkeypatch):
     assert not opened
 
 
-def shows(name):
-    """Return a function that returns whether a message adds the handles of a camera."""
-    return lambda message: (message['type'], message.get('name')) == (
-        'TransformControlsMessage', f'/cameras/{name}')
+def first_can_be_dragged(message):
+    """Return whether a message adds the second camera: by then the page listens to the first."""
+    return (message['type'], message.get('name')) == (
+        'TransformControlsMessage', '/cameras/realsense_d455_2')
 
 
 def dragged(client, page, height=2.0):
     """Drag a camera, and wait until the room is coloured anew."""
-    client.until(shows('realsense_d455_1'))
+    client.until(first_can_be_dragged)
     middle = page.studio.scene.bounds.mean(axis=0)[:2].tolist()
     client.drag('/cameras/realsense_d455_1', (*middle, height))
     return client.until(paints)
@@ -136,7 +136,7 @@ def test_all_clients_see_what_one_of_them_moves(page):
     clients = [PageClient(url) for _ in range(4)]
     for client in clients:
         client.look()
-        client.until(shows('realsense_d455_1'))
+        client.until(first_can_be_dragged)
     middle = page.studio.scene.bounds.mean(axis=0)[:2].tolist()
     clients[2].drag('/cameras/realsense_d455_1', (*middle, 1.9))
     for client in clients:
@@ -164,7 +164,7 @@ def test_numbers_that_are_none_change_nothing(page):
     before = page.studio.state
     with PageClient(url) as client:
         client.look()
-        client.until(shows('realsense_d455_1'))
+        client.until(first_can_be_dragged)
         for position, wxyz in (((np.nan, 0, 0), (1, 0, 0, 0)), ((1e30, 0, 0), (1, 0, 0, 0)),
                                ((0, 0, 0), (0, 0, 0, 0)), ((0, 0, 0), (np.inf, 0, 0, 0))):
             client.drag('/cameras/realsense_d455_1', position, wxyz)
@@ -229,7 +229,7 @@ def test_the_room_is_shown_as_a_mesh(page):
     page, url = page
     with PageClient(url) as client:
         client.look()
-        client.until(shows('realsense_d455_1'))
+        client.until(first_can_be_dragged)
         client.send('GuiUpdateMessage', uuid=page.panel.room_list._impl.uuid,
                     updates={'value': texts.MESH})
         found = set()
@@ -242,7 +242,7 @@ def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path, u
     panel, studio = page.panel, page.studio
     with PageClient(url) as client:
         client.look()
-        client.until(shows('realsense_d455_1'))
+        client.until(first_can_be_dragged)
 
         def press(handle, value, holds):
             client.send('GuiUpdateMessage', uuid=handle._impl.uuid, updates={'value': value})
