@@ -21,7 +21,7 @@ import re
 from benchmarks.calibration_bench import cast
 from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, MAP, OPTICAL, Rig, S
 from builtin_interfaces.msg import Time
-from conftest import counted, header_at, HUNG, status, warnings_of
+from conftest import counted, farthest_distance, header_at, HUNG, status, warnings_of
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from geometry_msgs.msg import PoseArray
 import numpy as np
@@ -47,7 +47,6 @@ import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-from scipy.spatial import cKDTree
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -83,11 +82,6 @@ def live(graph, probe, room, monkeypatch):
     return probe
 
 
-def off(points, others):
-    """Return how far the farthest of some points is from its nearest among others."""
-    return cKDTree(others).query(points)[0].max()
-
-
 def assert_is_placed(live):
     """Assert that the final placement is where the cameras are."""
     np.testing.assert_allclose(
@@ -120,7 +114,7 @@ def test_a_live_rig_comes_to_its_final_placement(live, room):
     clouds = [msg_to_cloud(message) for message in observations]
     assert all(len(more) >= len(less) for less, more in zip(clouds, clouds[1:]))
     # What the cameras see is where it is, and the sensors' word for nothing is not among it.
-    assert off(clouds[-1], room.points) < 1e-4
+    assert farthest_distance(clouds[-1], room.points) < 1e-4
     assert values['fused_points'] == len(clouds[-1])
 
 
@@ -128,7 +122,7 @@ def test_the_fused_cloud_is_what_cameras_see_whatever_the_frames_of_their_clouds
     rig, _ = live.start((BODY, OPTICAL, MAP))
     expected = rig.episode.observed_cloud
     found = msg_to_cloud(live.last(topics.OBSERVATION))
-    assert off(found, expected) < 1e-4 and off(expected, found) < 1e-4
+    assert farthest_distance(found, expected) < 1e-4 and farthest_distance(expected, found) < 1e-4
 
 
 def test_points_out_of_range_of_their_camera_are_left_out(live):
@@ -219,7 +213,7 @@ def test_a_stray_point_is_left_out(live, room):
 
     rig, policy = live.start()
     rig.spoil = dict.fromkeys(range(CAMERAS), spoil)
-    assert off(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
+    assert farthest_distance(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
     assert counted(policy, 'refused_messages') == 0
 
 
@@ -229,7 +223,7 @@ def test_a_fused_cloud_that_is_no_room_is_begun_anew(live, room):
     policy._live._fused_cloud.add(np.array([[900.0, 0.0, 0.0]]))
     live.graph.until(lambda: counted(policy, 'refused_messages') == 1)
     live.received[topics.OBSERVATION].clear()
-    assert off(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
+    assert farthest_distance(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
 
 
 def test_nobody_says_where_the_cameras_are(live, capfd):

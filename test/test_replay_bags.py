@@ -22,7 +22,7 @@ import struct
 import subprocess
 import sys
 
-from conftest import HUNG, refused, refused_in_one_sentence, ROOT, status_of
+from conftest import farthest_distance, HUNG, refused, refused_in_one_sentence, ROOT, status_of
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.cli.main import build_parser, main
@@ -52,7 +52,6 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
-from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import Image, PointCloud2
 from std_msgs.msg import Header, String
@@ -152,14 +151,9 @@ def optical(clouds):
     return found
 
 
-def off(points, others):
-    """Return how far the farthest of some points is from its nearest among others."""
-    return cKDTree(others).query(points)[0].max()
-
-
 def check_same(found, expected):
     """Assert that a fused cloud shows what was recorded."""
-    assert off(found, expected) < 1e-3 and off(expected, found) < 2e-3
+    assert farthest_distance(found, expected) < 1e-3 and farthest_distance(expected, found) < 2e-3
 
 
 @pytest.fixture
@@ -444,4 +438,4 @@ def test_a_real_bag_of_a_depth_camera(stage):
     body = body[np.linalg.norm(body, axis=1) <= 5.0]
     expected = body @ rotation_matrix(*np.deg2rad([30, 10, 0])).T + [1.0, 1.0, 1.2]
     assert len(found) > 20000
-    assert off(found, expected) < 1e-4
+    assert farthest_distance(found, expected) < 1e-4

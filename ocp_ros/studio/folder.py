@@ -53,8 +53,8 @@ class Folder:
 
         :param name: without suffix.
         :param suffix: of a file; empty for a folder.
-        :raises ConfigurationError: if the name is not 1 to 60 letters, digits, _ and -, or if the
-            path exists and this studio has neither written nor read it.
+        :raises ConfigurationError: if the name is not 1 to 60 letters, digits, _ and -, the first
+            one not -, or if the path exists and this studio has neither written nor read it.
         """
         # No path, no hidden file, no special character.
         if not re.fullmatch(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,59}', name, re.ASCII):
