@@ -272,6 +272,18 @@ def test_the_cameras_of_an_episode_look_outwards(room):
     assert len(alike.seen) < 0.8 * len(episode.observed)
 
 
+@pytest.mark.parametrize('preset', ['fine', 'fast', 'paper', 'mesh'])
+def test_a_rig_sees_in_one_call_what_its_cameras_see_one_by_one(room, preset):
+    rig = RigConfig(cameras=3, sensors='omnidirectional, realsense_d435, azure_kinect_wfov')
+    simulator = Simulator(room, SimulationConfig(engine=EngineConfig(preset), rig=rig))
+    poses = np.array([[*room.bounds.mean(axis=0), yaw, 0.3, 0.1] for yaw in (0.2, -2.0, 3.0)])
+    together = simulator.look_from_all(poses[::-1], [2, 1, 0])[::-1]
+    for camera, (pose, view) in enumerate(zip(poses, together, strict=True)):
+        assert all(map(np.array_equal, view, simulator.look(pose, camera)))
+        assert view.seen.any() and view.covered.any()
+    assert simulator.look_from_all(poses[:0], []) == []
+
+
 @pytest.mark.parametrize('preset', ['fine', 'fast', 'paper'])
 def test_threads_change_nothing(room, preset):
     simulator = Simulator(room, SimulationConfig(

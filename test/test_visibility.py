@@ -23,7 +23,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose, rotation_matrix
 from ocp_ros.geometry.coverage import coverage_grid
 from ocp_ros.geometry.packed_bits import no_bits, Subset
-from ocp_ros.geometry.shadow_maps import mark_visible, projected, splat
+from ocp_ros.geometry.shadow_maps import footprints, mark_visible, projected, splat
 from ocp_ros.geometry.surfels import (
     project_block,
     splat_surfels,
@@ -61,6 +61,11 @@ def distances(inverse_map, rows):
     return 1.0 / inverse_map.reshape(rows + 2, 2 * rows + 2)[1:-1, 1:-1]
 
 
+def columns(points):
+    """Return the coordinates of points (N, 3) in contiguous rows: (3, N)."""
+    return np.ascontiguousarray(points.T)
+
+
 def visibility(points, sizes, normals, preset, places=NOWHERE):
     """Return the visibility of one preset."""
     if preset == 'paper':
@@ -88,7 +93,7 @@ def test_both_projections_agree_with_their_twin(model, seed):
     points, sizes, normals = cloud(seed)
     rng = np.random.default_rng(seed)
     pose = Pose(rng.uniform(-1, 1, 3), rotation_matrix(*rng.uniform(-3, 3, 3)))
-    where, work = projected(points, pose, model.lens), Workspace.of(64, len(points))
+    where, work = projected(columns(points), pose, model.lens), Workspace.of(64, len(points))
     settings = PRESETS['fast']._replace(setback=0.0)
     project_block(Surfels.of(points, normals, sizes), 0, pose.position, model.max_range, settings,
                   work)
@@ -114,17 +119,16 @@ def test_cubes_agree_with_their_twins(seed):
     points, sizes, _ = cloud(seed, count=60)
     # At a pole and beside the other one, where a cube covers whole rows.
     points[:2], sizes[:2] = [[0.0, 0.0, 0.5], [0.1, 0.0, -0.5]], 0.3
-    where = projected(points, HERE, ALL_AROUND.lens)
-    shadow = np.empty((32, 64), np.float32)
-    splat(where, sizes, 0.75, 4.0, shadow)
+    where = projected(columns(points), HERE, ALL_AROUND.lens)
+    inverse_map = splat(where, footprints(where, sizes, 32, 64), 4.0, 32, 64)
     # The twins get the kernel's own single-precision directions, so that cells agree exactly.
-    parts = [np.asarray(part, dtype=np.float64) for part in where]
-    expected = twins.shadow_map(*parts, 0.75 * np.float64(sizes), 32, 4.0)
+    parts = [np.asarray(part, dtype=np.float64) for part in where[:3]]
+    expected = twins.shadow_map(*parts, np.float64(sizes), 32, 4.0)
     # A cell whose centre lies on the rectangle's edge may fall to either side.
-    assert (~np.isclose(shadow, expected, rtol=1e-6)).mean() < 2e-3
-    seen = np.zeros(len(points), dtype=bool)
-    mark_visible(where, 0.2, shadow, seen)
-    assert np.array_equal(seen, twins.visible(*parts, 0.2, shadow))
+    assert (~np.isclose(1.0 / inverse_map, expected, rtol=1e-6)).mean() < 2e-3
+    seen = Subset.none(np.arange(len(points)))
+    mark_visible(where, 0.2, inverse_map, seen.bits)
+    assert np.array_equal(seen.mask, twins.visible(*parts, 0.2, 1.0 / inverse_map))
 
 
 @example(seed=15384)
@@ -229,9 +233,11 @@ def test_degenerate_points_do_no_harm(preset):
     sizes = np.array([1.0, 0.0, 0.0, 50.0, 1.0, 0.1], np.float32)
     normals = np.array([[1, 0, 0], [1, 0, 0], [0, 1, 0], [0, 1, 0], [1, 0, 0], [0, 0, 0]], 'f4')
     lens, rules = ALL_AROUND.lens, PRESETS[preset]
-    shadow = np.empty((rules.rows, 2 * rules.rows), np.float32)
     if preset == 'paper':
-        splat(projected(points, HERE, lens), sizes, rules.cube_scale, lens.max_range, shadow)
+        where = projected(columns(points), HERE, lens)
+        rows = rules.rows
+        shadow = 1.0 / splat(where, footprints(where, sizes, rows, 2 * rows), lens.max_range,
+                             rows, 2 * rows)
     else:
         work = Workspace.of(rules.rows, len(points))
         splat_surfels(Surfels.of(points, normals, sizes), ALL, HERE.position, lens.max_range,

@@ -14,6 +14,7 @@
 
 """Camera models and poses: the field of view of depth cameras, without occlusion."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 import math
 from typing import NamedTuple
@@ -75,6 +76,35 @@ class Pose(NamedTuple):
         """Return the distance and the rotation angle to another pose: metres and radians."""
         return (float(np.linalg.norm(self.position - other.position)),
                 angle_between(self.rotation, other.rotation))
+
+
+class CameraArrays(NamedTuple):
+    """
+    The poses and models of K cameras, for kernels that look from all of them in one call.
+
+    :ivar positions: (K, 3) float64, metres, map frame.
+    :ivar rotations: (K, 3, 3) float64, body frame to map frame.
+    :ivar lenses: (K, 5) float64, the fields of each :class:`Frustum`.
+    """
+
+    positions: np.ndarray
+    rotations: np.ndarray
+    lenses: np.ndarray
+
+    @classmethod
+    def of(cls, cameras: Sequence[tuple[Pose, Frustum]]) -> 'CameraArrays':
+        """Build the arrays of cameras, given the pose and the model of each."""
+        return cls(np.array([pose.position for pose, _ in cameras], dtype=np.float64),
+                   np.array([pose.rotation for pose, _ in cameras], dtype=np.float64),
+                   np.array([lens for _, lens in cameras], dtype=np.float64))
+
+
+@njit(nogil=True, inline='always')
+def camera_of(cameras, number):
+    """Return the :class:`Pose` and the :class:`Frustum` of one of the cameras."""
+    lens = cameras.lenses[number]
+    return (Pose(cameras.positions[number], cameras.rotations[number]),
+            Frustum(int(lens[0]), lens[1], lens[2], lens[3], lens[4]))
 
 
 @dataclass(frozen=True)

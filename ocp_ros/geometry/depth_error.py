@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
 from ocp_ros.geometry.packed_bits import no_bits
-from ocp_ros.geometry.shadow_maps import footprint, projected
+from ocp_ros.geometry.shadow_maps import footprints, projected
 from ocp_ros.util.kernels import njit
 from ocp_ros.util.threads import mapped
 
@@ -52,14 +52,12 @@ def five_viewpoints(corners: np.ndarray, height: float) -> np.ndarray:
 
 
 @njit(cache=True, nogil=True)
-def _list_points(projection, order, half_sides, rows, columns, ends, indices):
+def _list_points(covered, order, columns, ends, indices):
     """
     Write the points that cover each pixel of a map of H rows and W columns, in the given order.
 
-    :param projection: :class:`~ocp_ros.geometry.shadow_maps.Projection` of N points.
+    :param covered: :class:`~ocp_ros.geometry.shadow_maps.Footprints` of N points.
     :param order: (M,) indices of the points to list, the nearest first.
-    :param half_sides: (N,) float32, half the side of each point's cube, metres.
-    :param rows: H.
     :param columns: W.
     :param ends: (H * W,) int64, in and out: the end of each pixel's list in ``indices``, raised by
         one per point.
@@ -67,12 +65,10 @@ def _list_points(projection, order, half_sides, rows, columns, ends, indices):
         counted.
     """
     for i in order:
-        first_row, last_row, first_column, count = footprint(
-            projection.distance[i], projection.elevation[i], projection.azimuth[i],
-            half_sides[i], rows, columns)
-        for row in range(first_row, last_row + 1):
-            for k in range(first_column, first_column + count):
-                cell = row * columns + k % columns
+        first_column = covered.first_column[i]
+        for row in range(covered.first_row[i], covered.last_row[i] + 1):
+            for k in range(first_column, first_column + covered.count[i]):
+                cell = row * columns + k - columns * (k >= columns)
                 if indices.shape[0]:
                     indices[ends[cell]] = i
                 ends[cell] += 1
@@ -293,18 +289,18 @@ class DepthError:
         rows, columns = self.shape
         # The range is so large that rounding never cuts off a far corner of the room.
         lens = CameraModel(max_range=2.0 * self.far).lens
-        projection = projected(points, Pose(position, LEVEL), lens)
+        projection = projected(np.ascontiguousarray(points.T), Pose(position, LEVEL), lens)
+        covered = footprints(projection, half_sides, rows, columns)
         order = np.argsort(projection.distance, kind='stable')
         order = order[np.isfinite(projection.distance[order])]
         counts = np.zeros(rows * columns, dtype=np.int64)
-        _list_points(projection, order, half_sides, rows, columns, counts,
-                     np.empty(0, dtype=np.int32))
+        _list_points(covered, order, columns, counts, np.empty(0, dtype=np.int32))
         starts = np.concatenate([[0], np.cumsum(counts)])
         indices = np.empty(starts[-1], dtype=np.int32)
-        _list_points(projection, order, half_sides, rows, columns, starts[:-1].copy(), indices)
+        _list_points(covered, order, columns, starts[:-1].copy(), indices)
         depth_map = np.full(rows * columns, self.far, dtype=np.float32)
-        covered = counts > 0
-        depth_map[covered] = projection.distance[indices[starts[:-1][covered]]]
+        filled = counts > 0
+        depth_map[filled] = projection.distance[indices[starts[:-1][filled]]]
         if kept is not None:
             in_trees = kept[indices]
             counts = np.diff(np.concatenate([[0], np.cumsum(in_trees)])[starts])

@@ -23,12 +23,15 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.geometry.cameras import Frustum, in_cone, OMNIDIRECTIONAL, Pose
+from ocp_ros.geometry.cameras import camera_of, Frustum, in_cone, OMNIDIRECTIONAL, Pose
+from ocp_ros.geometry.vector_rows import LANES, put_nearer
 from ocp_ros.util.kernels import njit
 
-HALF_PI = 0.5 * np.pi
-TWO_PI = 2.0 * np.pi
-u64 = np.uint64
+f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
+PI, HALF_PI, QUARTER_PI = np.pi, 0.5 * np.pi, 0.25 * np.pi
+TAN_EIGHTH = np.sqrt(2.0) - 1.0
+#: LLVM's fast-math flags: no value here becomes NaN, and the order of a sum does not matter.
+FASTMATH = {'nsz', 'arcp', 'contract', 'afn', 'reassoc'}
 
 
 class CubeSettings(NamedTuple):
@@ -51,195 +54,235 @@ class Projection(NamedTuple):
 
     :ivar distance: (N,) float32, metres; inf for points out of the camera's range or field of
         view.
-    :ivar elevation: (N,) float32, radians; 0 for these points.
-    :ivar azimuth: (N,) float32, radians; 0 for these points.
+    :ivar elevation: (N,) float32, radians.
+    :ivar azimuth: (N,) float32, radians.
+    :ivar elevation_cosine: (N,) float32.
     """
 
     distance: np.ndarray
     elevation: np.ndarray
     azimuth: np.ndarray
+    elevation_cosine: np.ndarray
 
 
-@njit(cache=True, nogil=True)
-def projected(points, pose, lens):
+class Footprints(NamedTuple):
+    """
+    The rectangles of cells that N points cover in a map of H rows and W columns.
+
+    :ivar first_row: (N,) int32, from 0.
+    :ivar last_row: (N,) int32, to H - 1.
+    :ivar first_column: (N,) int32, from 0 to W - 1.
+    :ivar count: (N,) int32, the number of columns, to W; columns beyond the last one continue at
+        the first column of the map.
+    """
+
+    first_row: np.ndarray
+    last_row: np.ndarray
+    first_column: np.ndarray
+    count: np.ndarray
+
+
+@njit(nogil=True, inline='always', fastmath=FASTMATH)
+def _arctan2(y, x):
+    """Return the angle of (x, y), to 1e-11 radians, by a polynomial, which LLVM can vectorise."""
+    x_size, y_size = abs(x), abs(y)
+    low, high = min(x_size, y_size), max(max(x_size, y_size), 1e-300)
+    # Between an eighth and a quarter of pi the angle to a quarter of pi is taken.
+    steep = low > TAN_EIGHTH * high
+    ratio = (low - high if steep else low) / (low + high if steep else high)
+    square = ratio * ratio
+    angle = 0.047186489606509029 * square - 0.084620183188714782
+    angle = angle * square + 0.11041615712244986
+    angle = angle * square - 0.14281689220245003
+    angle = angle * square + 0.199998879078746
+    angle = angle * square - 0.33333332157429613
+    angle = (angle * square + 0.99999999997983069) * ratio
+    angle = angle + QUARTER_PI if steep else angle
+    angle = HALF_PI - angle if y_size > x_size else angle
+    angle = PI - angle if x < 0.0 else angle
+    return -angle if y < 0.0 else angle
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, error_model='numpy')
+def projected(coordinates, pose, lens):
     """
     Return the :class:`Projection` of points: distances and angles along the axes of the map frame.
 
-    :param points: (N, 3) float32, N points, metres, map frame.
+    :param coordinates: (3, N) float32, x, y and z of N points in contiguous rows, metres, map
+        frame.
     :param pose: the camera's :class:`Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     """
-    distance, elevation, azimuth = np.zeros((3, len(points)), dtype=np.float32)
+    xs, ys, zs = coordinates[0], coordinates[1], coordinates[2]
+    distance, elevation, azimuth, elevation_cosine = np.empty((4, len(xs)), dtype=np.float32)
     x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
-    for i in range(points.shape[0]):
-        dx, dy, dz = points[i, 0] - x0, points[i, 1] - y0, points[i, 2] - z0
+    # A loop without branches, so that LLVM vectorises it.
+    for i in range(u64(len(xs))):
+        dx, dy, dz = xs[i] - x0, ys[i] - y0, zs[i] - z0
         level_distance = math.sqrt(dx * dx + dy * dy)
-        r = math.sqrt(level_distance * level_distance + dz * dz)
-        if (r < lens.min_range or r > lens.max_range or r == 0.0
-                or not (lens.kind == OMNIDIRECTIONAL or in_cone(dx, dy, dz, pose, lens))):
-            distance[i] = np.inf
-            continue
-        distance[i] = r
-        elevation[i] = math.atan2(dz, level_distance)
-        azimuth[i] = math.atan2(dy, dx)
-    return Projection(distance, elevation, azimuth)
+        r = math.sqrt(dx * dx + dy * dy + dz * dz)
+        outside = (r < lens.min_range) | (r > lens.max_range) | (r == 0.0)
+        distance[i] = f32(np.inf) if outside else f32(r)
+        elevation[i] = _arctan2(dz, level_distance)
+        azimuth[i] = _arctan2(dy, dx)
+        elevation_cosine[i] = level_distance / max(r, 1e-30)
+    if lens.kind != OMNIDIRECTIONAL:
+        for i in range(len(xs)):
+            if not in_cone(xs[i] - x0, ys[i] - y0, zs[i] - z0, pose, lens):
+                distance[i] = np.inf
+    return Projection(distance, elevation, azimuth, elevation_cosine)
 
 
 def in_reach(points: np.ndarray, pose: Pose, lens: Frustum) -> np.ndarray:
     """Return whether points (N, 3), metres, are in a camera's cone and range: (N,) bool."""
-    return np.isfinite(projected(points, pose, lens).distance)
+    return np.isfinite(projected(np.ascontiguousarray(points.T), pose, lens).distance)
 
 
 @njit(nogil=True, inline='always')
 def _floor(value):
     """Return the floor of a number, without the function call of libm."""
-    whole = int(value)
-    return whole - (value < whole)
+    whole = i32(value)
+    return whole - i32(value < whole)
 
 
 @njit(nogil=True, inline='always')
 def _ceil(value):
     """Return the ceiling of a number, without the function call of libm."""
-    whole = int(value)
-    return whole + (value > whole)
+    whole = i32(value)
+    return whole + i32(value > whole)
 
 
 @njit(nogil=True, inline='always')
 def _wrapped(column, columns):
     """Return a column from -columns to 2 * columns - 1 as one of the map, without a division."""
-    return column + columns * (column < 0) - columns * (column >= columns)
+    return column + columns * i32(column < 0) - columns * i32(column >= columns)
 
 
-@njit(cache=True, nogil=True, inline='always')
-def cell_of(elevation, azimuth, rows, columns):
+@njit(nogil=True, inline='always')
+def _row_of(elevation, rows):
+    """Return the row of the cell of an elevation, radians, in a map of ``rows`` rows."""
+    return min(max(_floor((elevation + HALF_PI) * rows / PI), i32(0)), i32(rows) - i32(1))
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, error_model='numpy')
+def footprints(projection, half_sides, rows, columns):
     """
-    Return the row and the column of the cell of a direction.
+    Return the :class:`Footprints` of points in a map.
 
-    :param elevation: radians.
-    :param azimuth: radians; pi is the same as -pi.
-    :param rows: rows of the map.
-    :param columns: columns of the map.
-    """
-    row = min(max(_floor((elevation + HALF_PI) * rows / np.pi), 0), rows - 1)
-    return row, _wrapped(_floor((azimuth + np.pi) * columns / TWO_PI), columns)
-
-
-@njit(cache=True, nogil=True, inline='always')
-def footprint(distance, elevation, azimuth, half_side, rows, columns):
-    """
-    Return the cells that a point covers: first and last row, first column and column count.
-
-    The point is a cube, so it covers a rectangle of half-width half_side / distance in elevation
+    A point is a cube, so it covers a rectangle of half-width half_side / distance in elevation
     and half_side / (distance cos(elevation)) in azimuth. It covers the cells whose centre lies in
     this rectangle, and always the cell of its centre; a cube that extends over a pole covers full
     rows.
 
-    :param distance: metres.
-    :param elevation: radians.
-    :param azimuth: radians.
-    :param half_side: half the side of the cube, metres.
+    :param projection: :class:`Projection` of N points.
+    :param half_sides: (N,) float32, half the side of each point's cube, metres.
     :param rows: rows of the map.
     :param columns: columns of the map.
-    :returns: four integers. The first column may be negative, or the last one beyond the map: the
-        caller has to wrap the columns.
     """
-    row, _ = cell_of(elevation, azimuth, rows, columns)
-    half_angle = half_side / distance
-    centre_row = (elevation + HALF_PI) * rows / np.pi - 0.5
-    half_rows = half_angle * rows / np.pi
-    first_row = max(min(_ceil(centre_row - half_rows), row), 0)
-    last_row = min(max(_floor(centre_row + half_rows), row), rows - 1)
-    pole_angle = HALF_PI - abs(elevation)
-    half_azimuth = half_angle / max(math.cos(elevation), 1e-6)
-    if half_angle >= pole_angle or half_azimuth >= np.pi:
-        return first_row, last_row, 0, columns
-    centre_column = (azimuth + np.pi) * columns / TWO_PI - 0.5
-    half_columns = half_azimuth * columns / TWO_PI
-    column = _floor(centre_column + 0.5)
-    first_column = min(_ceil(centre_column - half_columns), column)
-    last_column = max(_floor(centre_column + half_columns), column)
-    return first_row, last_row, first_column, min(last_column - first_column + 1, columns)
+    first_row, last_row, first_column, count = np.empty((4, len(half_sides)), dtype=np.int32)
+    rows_per_radian, columns_per_radian = rows / PI, 0.5 * columns / PI
+    all_columns = i32(columns)
+    # A loop without branches, so that LLVM vectorises it.
+    for i in range(u64(len(half_sides))):
+        elevation = np.float64(projection.elevation[i])
+        half_angle = min(np.float64(half_sides[i]) / projection.distance[i], PI)
+        row = _row_of(elevation, rows)
+        centre_row = (elevation + HALF_PI) * rows_per_radian - 0.5
+        half_rows = half_angle * rows_per_radian
+        first_row[i] = max(min(_ceil(centre_row - half_rows), row), i32(0))
+        last_row[i] = min(max(_floor(centre_row + half_rows), row), i32(rows) - i32(1))
+        half_azimuth = half_angle / max(np.float64(projection.elevation_cosine[i]), 1e-6)
+        over_pole = (half_angle >= HALF_PI - abs(elevation)) | (half_azimuth >= PI)
+        centre_column = (projection.azimuth[i] + PI) * columns_per_radian - 0.5
+        half_columns = min(half_azimuth, PI) * columns_per_radian
+        column = _floor(centre_column + 0.5)
+        first = min(_ceil(centre_column - half_columns), column)
+        last = max(_floor(centre_column + half_columns), column)
+        first_column[i] = i32(0) if over_pole else _wrapped(first, all_columns)
+        count[i] = all_columns if over_pole else min(last - first + i32(1), all_columns)
+    return Footprints(first_row, last_row, first_column, count)
 
 
-@njit(cache=True, nogil=True)
-def splat(projection, spacing, cube_scale, empty_depth, shadow_map):
+@njit(cache=True, nogil=True, fastmath=FASTMATH, error_model='numpy')
+def splat(projection, footprints, empty_depth, rows, columns):
     """
-    Fill a shadow map with the distance of the nearest point that covers each cell.
+    Return a shadow map with the inverse distance of the nearest point that covers each cell.
 
     :param projection: :class:`Projection` of N points.
-    :param spacing: (N,) float32, the distance of each point to its nearest neighbour, metres.
-    :param cube_scale: half the side of a point's cube in multiples of its spacing.
-    :param empty_depth: the value of an empty cell, metres; points farther away are left out.
-    :param shadow_map: (H, W) float32, metres, H rows and W columns, out.
+    :param footprints: :class:`Footprints` of these points in the map.
+    :param empty_depth: the depth of an empty cell, metres; points farther away are left out.
+    :param rows: rows of the map, H.
+    :param columns: columns of the map, W.
+    :returns: (H, W) float32, 1/m.
     """
-    rows, columns = shadow_map.shape
-    shadow_map[:] = empty_depth
-    cells = shadow_map.ravel()
-    for i in range(spacing.shape[0]):
-        distance = projection.distance[i]
-        if distance > empty_depth:
+    # Writing a whole vector may go beyond the end of the last row.
+    cells = np.full(rows * columns + LANES, f32(1.0 / empty_depth), dtype=np.float32)
+    for i in range(u64(len(projection.distance))):
+        if projection.distance[i] > empty_depth:
             continue
-        first_row, last_row, first_column, count = footprint(
-            distance, projection.elevation[i], projection.azimuth[i], cube_scale * spacing[i],
-            rows, columns)
-        first = _wrapped(first_column, columns)
-        end = first + count
-        for row in range(first_row, last_row + 1):
-            row_start = row * columns
-            # Unsigned, since an index that may be negative is checked each time.
-            for cell in range(u64(row_start + first), u64(row_start + min(end, columns))):
-                cells[cell] = min(cells[cell], distance)
-            for cell in range(u64(row_start), u64(row_start + end - min(end, columns))):
-                cells[cell] = min(cells[cell], distance)
+        inverse = f32(1.0) / projection.distance[i]
+        first, count = footprints.first_column[i], footprints.count[i]
+        before_edge = min(count, columns - first)
+        for row in range(footprints.first_row[i], footprints.last_row[i] + 1):
+            start = row * columns
+            for k in range(0, before_edge, LANES):
+                put_nearer(cells, u64(start + first + k), inverse, f32(0.0), inverse, inverse,
+                           f32(before_edge - 1 - k))
+            after_edge = count - before_edge
+            for k in range(0, after_edge, LANES):
+                put_nearer(cells, u64(start + k), inverse, f32(0.0), inverse, inverse,
+                           f32(after_edge - 1 - k))
+    return cells[:rows * columns].reshape((rows, columns))
 
 
 @njit(cache=True, nogil=True)
-def mark_visible(projection, compensation, shadow_map, flags):
-    """
-    Set the flags of the points that are visible: distance <= shadow_map[cell] + compensation.
-
-    :param projection: :class:`Projection` of N points from a camera.
-    :param compensation: how much deeper than the map a visible point may be, metres.
-    :param shadow_map: (H, W) float32, metres, of the same camera, see :func:`splat`.
-    :param flags: (N,) bool, in and out: True for visible points, otherwise unchanged.
-    """
-    rows, columns = shadow_map.shape
-    for i in range(flags.shape[0]):
-        distance = projection.distance[i]
-        if distance == np.inf:
-            continue
-        row, column = cell_of(projection.elevation[i], projection.azimuth[i], rows, columns)
-        if distance <= shadow_map[row, column] + compensation:
-            flags[i] = True
-
-
-@njit(cache=True, nogil=True)
-def look_at_cubes(points, spacing, places, pose, lens, settings, seen, covered):
+def look_at_cubes(points, half_sides, places, pose, lens, settings, seen, covered):
     """
     Set the bits of the points and positions that are visible to a camera, without the GIL.
 
-    :param points: (N, 3) float32, N points, metres, map frame.
-    :param spacing: (N,) float32, the distance of each point to its nearest neighbour, metres.
-    :param places: (M, 3) float32, M positions, metres.
+    :param points: (3, N) float32, x, y and z of N points in contiguous rows, metres, map frame.
+    :param half_sides: (N,) float32, half the side of each point's cube, metres.
+    :param places: (3, M) float32, the same of M positions.
     :param pose: the camera's :class:`Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param settings: :class:`CubeSettings`.
     :param seen: uint64, packed bits of the points, in and out.
     :param covered: uint64, packed bits of the positions, in and out; empty to leave them out.
     """
-    shadow_map = np.empty((settings.rows, 2 * settings.rows), dtype=np.float32)
+    rows, columns = settings.rows, 2 * settings.rows
     projection = projected(points, pose, lens)
-    splat(projection, spacing, settings.cube_scale, lens.max_range, shadow_map)
-    _set_visible_bits(projection, settings.compensation, shadow_map, seen)
+    inverse_map = splat(projection, footprints(projection, half_sides, rows, columns),
+                        lens.max_range, rows, columns)
+    mark_visible(projection, settings.compensation, inverse_map, seen)
     if len(covered):
-        _set_visible_bits(projected(places, pose, lens), settings.compensation, shadow_map,
-                          covered)
+        mark_visible(projected(places, pose, lens), settings.compensation, inverse_map,
+                     covered)
 
 
-@njit(nogil=True)
-def _set_visible_bits(projection, compensation, shadow_map, words):
-    """Set the packed bits of the points that are visible; see :func:`mark_visible`."""
-    flags = np.zeros(len(projection.distance), dtype=np.bool_)
-    mark_visible(projection, compensation, shadow_map, flags)
-    for i in range(len(flags)):
-        words[u64(i) >> u64(6)] |= u64(flags[i]) << (u64(i) & u64(63))
+@njit(cache=True, nogil=True)
+def look_at_cubes_from_all(points, half_sides, places, cameras, settings, seen, covered):
+    """
+    Call :func:`look_at_cubes` for K cameras.
+
+    :param cameras: the :class:`~ocp_ros.geometry.cameras.CameraArrays` of these cameras.
+    :param seen: (K, W) uint64, packed bits of the points, a row for each camera, in and out.
+    :param covered: (K, V) uint64, packed bits of the positions, in and out.
+    """
+    for k in range(len(seen)):
+        pose, lens = camera_of(cameras, k)
+        look_at_cubes(points, half_sides, places, pose, lens, settings, seen[k], covered[k])
+
+
+@njit(cache=True, nogil=True, fastmath=FASTMATH, error_model='numpy')
+def mark_visible(projection, compensation, inverse_map, words):
+    """Set the packed bits of points with distance <= 1 / inverse_map[cell] + compensation."""
+    rows, columns = inverse_map.shape
+    cells, number = inverse_map.ravel(), np.empty(len(projection.distance), dtype=np.uint32)
+    for i in range(u64(len(number))):
+        row = _row_of(np.float64(projection.elevation[i]), rows)
+        column = _floor((np.float64(projection.azimuth[i]) + PI) * (0.5 * columns / PI))
+        number[i] = u32(row) * u32(columns) + u32(_wrapped(column, i32(columns)))
+    for i in range(u64(len(number))):
+        distance = projection.distance[i]
+        visible = (distance <= f32(1.0) / cells[number[i]] + compensation) & (distance < np.inf)
+        words[i >> u64(6)] |= u64(visible) << (i & u64(63))

@@ -33,7 +33,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.geometry.cameras import in_cone, OMNIDIRECTIONAL
+from ocp_ros.geometry.cameras import camera_of, in_cone, OMNIDIRECTIONAL
 from ocp_ros.geometry.packed_bits import find_blocks_in_view, POINTS_PER_BLOCK, WORDS_PER_BLOCK
 from ocp_ros.geometry.vector_rows import LANES, put_nearer
 from ocp_ros.util.kernels import njit
@@ -551,6 +551,22 @@ def _add_bits(octets, seen, first):
             byte = (octets[word * u64(8) + k] * u64(0x0102040810204080)) >> u64(56)
             bits |= byte << (k * u64(8))
         seen[first + word] |= bits
+
+
+@njit(cache=True, nogil=True)
+def look_at_surfels_from_all(surfels, bounds, places, place_bounds, cameras, settings, work, seen,
+                             covered):
+    """
+    Call :func:`look_at_surfels` for K cameras.
+
+    :param cameras: the :class:`~ocp_ros.geometry.cameras.CameraArrays` of these cameras.
+    :param seen: (K, W) uint64, packed bits of the points, a row for each camera, in and out.
+    :param covered: (K, V) uint64, packed bits of the positions, in and out.
+    """
+    for k in range(len(seen)):
+        pose, lens = camera_of(cameras, k)
+        look_at_surfels(surfels, bounds, places, place_bounds, pose, lens, settings, work, seen[k],
+                        covered[k])
 
 
 @njit(cache=True, nogil=True)

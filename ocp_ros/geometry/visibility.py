@@ -25,15 +25,18 @@ own memory.
 """
 
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from copy import copy
 
 import numpy as np
-from ocp_ros.geometry.cameras import Frustum, Pose
+from ocp_ros.geometry.cameras import CameraArrays, Frustum, Pose
 from ocp_ros.geometry.packed_bits import block_bounds, no_bits, spatial_order
-from ocp_ros.geometry.shadow_maps import CubeSettings, look_at_cubes
+from ocp_ros.geometry.shadow_maps import CubeSettings, look_at_cubes, look_at_cubes_from_all
 from ocp_ros.geometry.surfels import (
     kept_in_cone,
     look_at_surfels,
+    look_at_surfels_from_all,
     SurfelPlaces,
     Surfels,
     SurfelSettings,
@@ -100,12 +103,30 @@ class SurfelVisibility:
         :param covered: (V,) uint64, packed bits of the positions, in and out; ``NO_BITS`` to leave
             them out.
         """
+        with self._workspace() as work:
+            look_at_surfels(self._surfels, self._bounds, self._places, self._place_bounds, pose,
+                            lens, self.settings, work, seen, covered)
+
+    def look_from_all(self, cameras: CameraArrays, seen: np.ndarray, covered: np.ndarray) -> None:
+        """
+        Do :meth:`look` for K cameras, with no Python between them.
+
+        :param seen: (K, W) uint64, packed bits of the points, a row for each camera, in and out.
+        :param covered: (K, V) uint64, packed bits of the positions, in and out.
+        """
+        with self._workspace() as work:
+            look_at_surfels_from_all(self._surfels, self._bounds, self._places,
+                                     self._place_bounds, cameras, self.settings, work, seen,
+                                     covered)
+
+    @contextmanager
+    def _workspace(self) -> Iterator[Workspace]:
+        """Lend a workspace to a look."""
         try:
             work = self._free_workspaces.pop()
         except IndexError:
             work = Workspace.of(self.settings.rows, max(len(self.order), len(self.place_order)))
-        look_at_surfels(self._surfels, self._bounds, self._places, self._place_bounds, pose, lens,
-                        self.settings, work, seen, covered)
+        yield work
         self._free_workspaces.append(work)
 
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
@@ -141,11 +162,17 @@ class CubeVisibility:
                  settings: CubeSettings) -> None:
         self.settings = settings
         self.order, self.place_order = spatial_order(points), spatial_order(places)
-        self._points, self._spacing = points[self.order], spacing[self.order]
-        self._places = places[self.place_order]
+        self._points = np.ascontiguousarray(points[self.order].T)
+        self._places = np.ascontiguousarray(places[self.place_order].T)
+        self._half_sides = (settings.cube_scale * spacing[self.order]).astype(np.float32)
 
     def look(self, pose: Pose, lens: Frustum, seen: np.ndarray,
              covered: np.ndarray = NO_BITS) -> None:
         """Set the bits of what is visible to a camera; see :meth:`SurfelVisibility.look`."""
-        look_at_cubes(self._points, self._spacing, self._places, pose, lens, self.settings, seen,
-                      covered)
+        look_at_cubes(self._points, self._half_sides, self._places, pose, lens, self.settings,
+                      seen, covered)
+
+    def look_from_all(self, cameras: CameraArrays, seen: np.ndarray, covered: np.ndarray) -> None:
+        """Set the bits for K cameras; see :meth:`SurfelVisibility.look_from_all`."""
+        look_at_cubes_from_all(self._points, self._half_sides, self._places, cameras,
+                               self.settings, seen, covered)

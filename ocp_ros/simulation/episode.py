@@ -69,6 +69,7 @@ class Episode:
         self.simulator = problem.simulator
         self.scene, self.config = self.simulator.scene, self.simulator.config.episode
         self.observed = problem.seen_by_fixed()
+        self._cloud: np.ndarray | None = None
         start = problem.start(
             rng, self.config, len(problem.rig.cameras) if cameras is None else cameras)
         self.turn = self._look(0, start)
@@ -140,6 +141,7 @@ class Episode:
     def _look(self, step: int, poses: np.ndarray) -> Turn:
         """Set views and value to those of poses (K, 6); add the points seen to ``observed``."""
         self.views = self.problem.look(poses)
+        self._cloud = None
         result = self.problem.judge(self.views)
         self.value = result.space_coverage, self.problem.error(result)
         self.observed |= result.seen
@@ -149,4 +151,6 @@ class Episode:
     @property
     def observed_cloud(self) -> np.ndarray:
         """Return all points seen since the episode began: (M, 3) float32, metres, map frame."""
-        return self.scene.points.compress(self.observed.mask, axis=0)
+        if self._cloud is None:
+            self._cloud = self.scene.points.compress(self.observed.mask, axis=0)
+        return self._cloud

@@ -156,7 +156,7 @@ class Objective:
 
         :param poses: (K, 6) metres, map frame, and radians, or (K, 3); fewer rows are allowed.
         """
-        return [self.simulator.look(pose, camera) for camera, pose in enumerate(poses)]
+        return self.simulator.look_from_all(poses, range(len(poses)))
 
     def judge(self, views: Sequence[View]) -> RigEvaluation:
         """

@@ -19,7 +19,7 @@ A :class:`Problem` is a rig in a room; :class:`PlaneProblem` is the case of came
 freely on a plane.
 """
 
-from functools import cached_property
+from functools import cached_property, lru_cache, partial
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
@@ -210,6 +210,7 @@ class PlaneProblem(Problem):
         self.simulator, self.rig = simulator, rig
         self.axes, self.fixed_poses = rig.axes, rig.fixed_poses
         self.models = simulator.models * (len(rig.cameras) // len(simulator.models))
+        self._space = lru_cache(partial(space_of, simulator))
 
     def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
         """
@@ -227,7 +228,7 @@ class PlaneProblem(Problem):
         poses[:, 2] = simulator.height
         poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
         if config.clearance:
-            poses[:, :2] = space_of(simulator, cameras, config).inside(poses[:, :2])
+            poses[:, :2] = self._space(cameras, config).inside(poses[:, :2])
         poses[:, 3:] = outwards(cameras, simulator.config.rig.tilt)
         return poses
 

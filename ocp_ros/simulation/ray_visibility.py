@@ -17,7 +17,7 @@
 from dataclasses import replace
 
 import numpy as np
-from ocp_ros.geometry.cameras import Frustum, Pose
+from ocp_ros.geometry.cameras import camera_of, CameraArrays, Frustum, Pose
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import pack, spatial_order
 from ocp_ros.geometry.shadow_maps import in_reach
@@ -51,6 +51,12 @@ class RayVisibility:
         seen |= self._visible(self._points, pose, lens)
         if len(covered):
             covered |= self._visible(self._places, pose, lens)
+
+    def look_from_all(self, cameras: CameraArrays, seen: np.ndarray, covered: np.ndarray) -> None:
+        """Set the bits for K cameras; see ``SurfelVisibility.look_from_all``."""
+        for camera in range(len(seen)):
+            pose, lens = camera_of(cameras, camera)
+            self.look(pose, lens, seen[camera], covered[camera])
 
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import (
+    CameraArrays,
     CameraModel,
     Frustum,
     LEVEL,
@@ -181,15 +182,34 @@ class Simulator:
         :param pose: a row of a placement, or a pose.
         :param camera: the index of the camera in the rig; unused if all are of one kind.
         """
+        pose, lens = self._aimed(pose, camera)
+        view = View(no_bits(len(self.scene)), no_bits(len(self.grid)), pose.position)
+        self.visibility.look(pose, lens, view.seen, view.covered)
+        return view
+
+    def look_from_all(self, poses: np.ndarray, cameras: Sequence[int]) -> list[View]:
+        """
+        Compute the views of n cameras in one compiled call.
+
+        :param poses: (n, 3) or (n, 6), rows of a placement.
+        :param cameras: the indices (n,) of the cameras in the rig.
+        """
+        if not len(poses):
+            return []
+        aimed = [self._aimed(pose, camera) for camera, pose in zip(cameras, poses)]
+        arrays = CameraArrays.of(aimed)
+        seen, covered = (np.array([no_bits(count)] * len(aimed))
+                         for count in (len(self.scene), len(self.grid)))
+        self.visibility.look_from_all(arrays, seen, covered)
+        return [View(*view) for view in zip(seen, covered, arrays.positions)]
+
+    def _aimed(self, pose: np.ndarray | Pose, camera: int) -> tuple[Pose, Frustum]:
+        """Return the pose and the model of a camera, as kernels take them."""
         lens = self._lenses[self.kind(camera)]
         # The heading of an omnidirectional camera has no effect.
         if lens.kind == OMNIDIRECTIONAL:
             pose = pose._replace(rotation=LEVEL) if isinstance(pose, Pose) else pose[:3]
-        if not isinstance(pose, Pose):
-            pose = Pose.of(pose)
-        view = View(no_bits(len(self.scene)), no_bits(len(self.grid)), pose.position)
-        self.visibility.look(pose, lens, view.seen, view.covered)
-        return view
+        return pose if isinstance(pose, Pose) else Pose.of(pose), lens
 
     def look_around(self, position: np.ndarray, headings: np.ndarray, camera: int = 0
                     ) -> tuple[np.ndarray, np.ndarray]:
@@ -238,7 +258,7 @@ class Simulator:
             raise ConfigurationError(
                 f'placement: found {len(placement)} cameras; expected at most '
                 f'{len(self._lenses)}, one for each camera of the rig')
-        return self.judge([self.look(pose, camera) for camera, pose in enumerate(placement)])
+        return self.judge(self.look_from_all(placement, range(len(placement))))
 
     @staticmethod
     def _checked_poses(poses: Any, name: str, dimensions: int) -> np.ndarray:

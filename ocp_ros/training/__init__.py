@@ -13,3 +13,8 @@
 # limitations under the License.
 
 """Soft actor-critic from stable-baselines3: replay, augmentation, runs, learner."""
+
+import os
+
+# While the threads of a gradient step wait for the next one, environments need the cores.
+os.environ.setdefault('GOMP_SPINCOUNT', '10000')

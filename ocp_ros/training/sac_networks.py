@@ -85,6 +85,17 @@ class CloudFeatures(BaseFeaturesExtractor):
         self._batch = self._features = None
 
 
+class CloudCritic(ContinuousCritic):
+    """Critics whose features get no gradients from the actor's loss, which would drop them."""
+
+    def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return values (B, 1), one array from each critic, of observations and actions (B, A)."""
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not actions.requires_grad):
+            features = self.extract_features(obs, self.features_extractor)
+        inputs = torch.cat([features, actions], dim=1)
+        return tuple(network(inputs) for network in self.q_networks)
+
+
 class DetachedActor(Actor):
     """An actor whose loss does not train the features."""
 
@@ -143,6 +154,13 @@ class CustomPolicy(MultiInputPolicy):
         """Build the critics."""
         arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
         return self.build_critic(**arguments).to(self.device)
+
+
+class PaperPolicy(CustomPolicy):
+    """stable-baselines3's SAC policy, in which actor and critics have extractors of their own."""
+
+    build_actor = Actor
+    build_critic = CloudCritic
 
 
 class CloudPolicy(CustomPolicy):
@@ -290,8 +308,6 @@ def policy_of(agent: AgentConfig, bfloat16: bool) -> tuple[type[MultiInputPolicy
     """
     Return SAC's policy class and its arguments.
 
-    The inputs ``paper`` use the class of stable-baselines3, all others a class of this module.
-
     :param agent: inputs and sizes of the networks.
     :param bfloat16: whether features are computed with 16 bits; only for the inputs ``cloud``.
     """
@@ -301,7 +317,8 @@ def policy_of(agent: AgentConfig, bfloat16: bool) -> tuple[type[MultiInputPolicy
                  'features_extractor_kwargs': {
                      'agent': agent, 'bfloat16': bfloat16 and agent.one_by_one},
                  'net_arch': [agent.hidden, agent.hidden],
+                 'optimizer_kwargs': {'fused': True},
                  'share_features_extractor': agent.one_by_one}
     if agent.one_by_one:
         return CloudPolicy, arguments | {'agent': agent}
-    return MultiInputPolicy, arguments
+    return PaperPolicy, arguments

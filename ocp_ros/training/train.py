@@ -35,7 +35,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.shipped_models import find_model
-from ocp_ros.simulation.environment import CameraPlacementEnv, MAX_PROBLEMS
+from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES_PHASE
@@ -57,6 +57,9 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 import torch
 
 _log = logging.getLogger(__name__)
+#: Largest number of points, over all scenes whose engines are kept in memory: one of 6,000 points
+#: takes 3 to 7 MB, and building it as long as a hundred turns in it.
+MAX_ENGINE_POINTS = 1_000_000
 #: Name of the phase of soft actor-critic in lines of progress.
 SAC_PHASE = 'sac'
 
@@ -245,7 +248,8 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     scenes = Rooms(rooms, config.rooms)
     envs = [CameraPlacementEnv(scenes, config.simulation, fewest=config.fewest_cameras,
                                rotations=config.rooms.angles) for _ in range(config.environments)]
-    problem = lru_cache(MAX_PROBLEMS * len(envs))(envs[0].problem.__wrapped__)
+    problem = lru_cache(max(MAX_ENGINE_POINTS // config.rooms.points, len(envs)))(
+        envs[0].problem.__wrapped__)
     for env in envs:
         env.problem = problem
     return VecMonitor(ThreadedEnvironments([partial(playable, env, config.agent) for env in envs]))
