@@ -24,6 +24,8 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import islice
 import os
+from pathlib import Path
+from tempfile import TemporaryDirectory
 import time
 from typing import Any, NamedTuple
 
@@ -41,6 +43,11 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.training.train import build_model, environments
+from ocp_ros.training.training_config import TrainingConfig
+from ocp_ros.training.training_rooms import room_names
+from ocp_ros.util.settings import from_nested
+from ocp_ros.util.yaml_files import read_plain
 import open3d as o3d
 from rich.console import Console
 from rich.progress import track
@@ -52,7 +59,7 @@ RADII = (200, 300, 500, 1000, 2000)
 SPEEDUPS = ('speedup_vs_hpr', 'speedup_vs_hpr_fine', 'speedup_vs_embree_fine',
             'numpy_twin_speedup')
 SPEEDS = ('env_steps_per_s', 'evaluations_per_s', 'evaluations_per_s_one_moved',
-          'scaling_2_threads')
+          'scaling_2_threads', 'literal_interactions_per_s')
 FIGURES = (*SPEEDUPS, *SPEEDS)
 RANGE = 6.0
 LENS = CameraModel(max_range=RANGE).lens
@@ -293,6 +300,25 @@ def speed(points: int = 25000) -> dict[str, float]:
             'scaling_2_threads': alone / together}
 
 
+def training_speed(warm: int = 16000, timed: int = 8000) -> float:
+    """
+    Return the interactions per second of the training of ``config/train/paper.yaml``.
+
+    :param warm: interactions before the clock starts; most rooms are made in them.
+    :param timed: interactions that are timed.
+    """
+    config = from_nested(TrainingConfig, read_plain(Path('config/train/paper.yaml')).data, 'paper')
+    with TemporaryDirectory() as folder:
+        model = build_model(config, Path(folder))
+        model.set_env(environments(config, room_names(config.rooms, 'training')))
+        model.learn(warm)
+        began, before = time.perf_counter(), model.num_timesteps
+        model.learn(timed, reset_num_timesteps=False)
+        seconds = time.perf_counter() - began
+        model.env.close()
+        return (model.num_timesteps - before) / seconds
+
+
 def scale(points: int) -> dict[str, float]:
     """
     Measure time and memory of one scene of many points with the ``fast`` preset.
@@ -356,5 +382,6 @@ def measure_engine(extent: Extent) -> dict[str, Any]:
         scales = [scale(points) for points in extent.scales]
     finally:
         os.sched_setaffinity(0, cores)
-    return {**summary(rows), **speed(), 'visibility': rows, 'scale': scales,
+    return {**summary(rows), **speed(), 'literal_interactions_per_s': training_speed(),
+            'visibility': rows, 'scale': scales,
             'rooms': extent.rooms, 'positions': extent.positions, 'range': RANGE}

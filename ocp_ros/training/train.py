@@ -302,7 +302,7 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
                 if not any('ratio' in line for line in records(folder)):
                     values.note(VALUES_PHASE, **values.judge(start))
                 return report(values, command)
-        run = Run(_model(config, folder, start), config, folder, pool, progress)
+        run = Run(build_model(config, folder, start), config, folder, pool, progress)
         run.resume()
         learn(run)
         if not (folder / BEST).exists():
@@ -311,8 +311,14 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
         return report(run, command)
 
 
-def _model(config: TrainingConfig, folder: Path, start: Checkpoint | None) -> AgentSac:
-    """Build SAC, whose actor starts from the weights ``start`` if there are any."""
+def build_model(config: TrainingConfig, folder: Path, start: Checkpoint | None = None) -> AgentSac:
+    """
+    Build SAC for a run.
+
+    :param config: settings of the run.
+    :param folder: folder of the run.
+    :param start: weights from which the actor starts; None for random ones.
+    """
     # Gradient steps per step of all environments. If less than 1, there are several steps of the
     # environments per gradient step.
     steps = config.updates_per_turn * config.environments
