@@ -422,7 +422,7 @@ def test_the_engine_is_measured(recorded, monkeypatch, capsys):
     monkeypatch.setattr(engine_bench, 'MIDDLE', 2000)
     # It plays for seconds, however small the room is.
     monkeypatch.setattr(engine_bench, 'speed', lambda: dict.fromkeys(engine_bench.SPEEDS, 1.0))
-    monkeypatch.setattr(engine_bench, 'training_speed', lambda: 1.0)
+    monkeypatch.setattr(engine_bench, 'training_speed', lambda *interactions: 1.0)
     monkeypatch.setitem(engine.EXTENTS, 'smoke', engine_bench.Extent((2000,), 1, 1, (2000,)))
     monkeypatch.setitem(engine.FUSED_EXTENTS, 'smoke', fused_bench.FusedExtent((2000,), 1, 40, 3))
     assert engine.main(['--preset', 'smoke', '--record']) == 0

@@ -43,7 +43,7 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Train a policy, and return its results in the test rooms."""
-    from ocp_ros.policy.checkpoint import card_of
+    # ocp_ros.training sets a variable that torch reads when it is imported.
     from ocp_ros.training.run_folder import read_config
     from ocp_ros.training.train import train
     config = read_config(arguments.config)
@@ -52,6 +52,7 @@ def run(arguments: argparse.Namespace) -> Found:
         config = replace(config, seed=arguments.seed)
         command += f' --seed {arguments.seed}'
     folder_to_write(arguments.out)
+    from ocp_ros.policy.checkpoint import card_of
     outputs = [arguments.model, card_of(arguments.model)] if arguments.model else []
     for path in outputs:
         claim_file(arguments, path, 'weights and their card', '--model')

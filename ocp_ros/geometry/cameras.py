@@ -99,7 +99,7 @@ class CameraArrays(NamedTuple):
                    np.array([lens for _, lens in cameras], dtype=np.float64))
 
 
-@njit(nogil=True, inline='always')
+@njit(cache=True, nogil=True, inline='always')
 def camera_of(cameras, number):
     """Return the :class:`Pose` and the :class:`Frustum` of one of the cameras."""
     lens = cameras.lenses[number]

@@ -16,7 +16,7 @@
 Spherical shadow maps of points as cubes: the distance to the nearest surface in each direction.
 
 A shadow map is an (H, W) float32 array; row = elevation from -pi/2 to pi/2, column = azimuth from
--pi to pi, value = metres. The method is section III-B of arXiv 2110.11106.
+-pi to pi, value = metres or inverse metres. The method is section III-B of arXiv 2110.11106.
 """
 
 import math
@@ -30,8 +30,6 @@ from ocp_ros.util.kernels import njit
 f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
 PI, HALF_PI, QUARTER_PI = np.pi, 0.5 * np.pi, 0.25 * np.pi
 TAN_EIGHTH = np.sqrt(2.0) - 1.0
-#: LLVM's fast-math flags: no value here becomes NaN, and the order of a sum does not matter.
-FASTMATH = {'nsz', 'arcp', 'contract', 'afn', 'reassoc'}
 
 
 class CubeSettings(NamedTuple):
@@ -82,7 +80,7 @@ class Footprints(NamedTuple):
     count: np.ndarray
 
 
-@njit(nogil=True, inline='always', fastmath=FASTMATH)
+@njit(nogil=True, inline='always')
 def _arctan2(y, x):
     """Return the angle of (x, y), to 1e-11 radians, by a polynomial, which LLVM can vectorise."""
     x_size, y_size = abs(x), abs(y)
@@ -103,7 +101,7 @@ def _arctan2(y, x):
     return -angle if y < 0.0 else angle
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def projected(coordinates, pose, lens):
     """
     Return the :class:`Projection` of points: distances and angles along the axes of the map frame.
@@ -121,14 +119,15 @@ def projected(coordinates, pose, lens):
         dx, dy, dz = xs[i] - x0, ys[i] - y0, zs[i] - z0
         level_distance = math.sqrt(dx * dx + dy * dy)
         r = math.sqrt(dx * dx + dy * dy + dz * dz)
-        outside = (r < lens.min_range) | (r > lens.max_range) | (r == 0.0)
-        distance[i] = f32(np.inf) if outside else f32(r)
+        inside = (r >= lens.min_range) & (r <= lens.max_range) & (f32(r) > f32(0.0))
+        distance[i] = f32(r) if inside else f32(np.inf)
         elevation[i] = _arctan2(dz, level_distance)
         azimuth[i] = _arctan2(dy, dx)
         elevation_cosine[i] = level_distance / max(r, 1e-30)
     if lens.kind != OMNIDIRECTIONAL:
         for i in range(len(xs)):
-            if not in_cone(xs[i] - x0, ys[i] - y0, zs[i] - z0, pose, lens):
+            if distance[i] < np.inf and not in_cone(xs[i] - x0, ys[i] - y0, zs[i] - z0, pose,
+                                                    lens):
                 distance[i] = np.inf
     return Projection(distance, elevation, azimuth, elevation_cosine)
 
@@ -164,7 +163,7 @@ def _row_of(elevation, rows):
     return min(max(_floor((elevation + HALF_PI) * rows / PI), i32(0)), i32(rows) - i32(1))
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def footprints(projection, half_sides, rows, columns):
     """
     Return the :class:`Footprints` of points in a map.
@@ -203,7 +202,7 @@ def footprints(projection, half_sides, rows, columns):
     return Footprints(first_row, last_row, first_column, count)
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def splat(projection, footprints, empty_depth, rows, columns):
     """
     Return a shadow map with the inverse distance of the nearest point that covers each cell.
@@ -273,7 +272,7 @@ def look_at_cubes_from_all(points, half_sides, places, cameras, settings, seen, 
         look_at_cubes(points, half_sides, places, pose, lens, settings, seen[k], covered[k])
 
 
-@njit(cache=True, nogil=True, fastmath=FASTMATH, error_model='numpy')
+@njit(cache=True, nogil=True, error_model='numpy')
 def mark_visible(projection, compensation, inverse_map, words):
     """Set the packed bits of points with distance <= 1 / inverse_map[cell] + compensation."""
     rows, columns = inverse_map.shape

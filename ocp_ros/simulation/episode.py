@@ -141,16 +141,16 @@ class Episode:
     def _look(self, step: int, poses: np.ndarray) -> Turn:
         """Set views and value to those of poses (K, 6); add the points seen to ``observed``."""
         self.views = self.problem.look(poses)
-        self._cloud = None
         result = self.problem.judge(self.views)
         self.value = result.space_coverage, self.problem.error(result)
         self.observed |= result.seen
+        self._cloud = None
         return Turn(step, poses[:, :3].copy(), poses[:, 3:].copy(), result.space_coverage,
                     result.depth_error, NO_REWARD, truncated=step >= self.config.turns)
 
     @property
     def observed_cloud(self) -> np.ndarray:
-        """Return all points seen since the episode began: (M, 3) float32, metres, map frame."""
+        """Return all points seen since the episode began: (M, 3) float32, metres; do not change it."""
         if self._cloud is None:
             self._cloud = self.scene.points.compress(self.observed.mask, axis=0)
         return self._cloud

@@ -19,7 +19,7 @@ A :class:`Problem` is a rig in a room; :class:`PlaneProblem` is the case of came
 freely on a plane.
 """
 
-from functools import cached_property, lru_cache, partial
+from functools import cached_property
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
@@ -103,13 +103,14 @@ class Problem:
     @cached_property
     def _start_positions(self) -> dict[CameraModel, np.ndarray]:
         """Return feasible positions (P, 3), metres, for each camera model."""
+        # At most 4000 poses: one heading for omnidirectional cameras, 24 headings for others.
         return {model: self.region.places(
             model, max_count=4000 if model.omnidirectional else 166)[0].positions
             for model in self.rig.placed_models}
 
     @cached_property
     def _centre(self) -> np.ndarray:
-        """Return the room's centre (3,), metres, at the mount's least height, else at the top."""
+        """Return the room's centre (3,), metres, at the mount's least height or at the top."""
         region, heights = self.region, self.rig.mount.heights
         z = region.top if heights is None else region.floor + heights[0]
         return np.array([*self.simulator.scene.bounds.mean(axis=0)[:2], z])
@@ -128,6 +129,7 @@ class Problem:
         occupied = self.fixed_poses[:, :3]
         for camera, target in zip(rig.cameras, targets):
             mounted = self.region.onto_mount(np.array([[*target, centre[2]]]))
+            # The target itself if a camera may be there, and positions all over the room.
             candidates = np.vstack([mounted[self.region.allowed(mounted, camera.model)],
                                     self._start_positions[camera.model]])
             candidates = candidates[satisfies_spacing(candidates, occupied, rig.spacing)]
@@ -157,6 +159,7 @@ class Problem:
         for k, (position, target) in enumerate(zip(poses[:, :3], targets[:, :3])):
             if (target == position).all():
                 continue
+            # Cameras move one after the other: those before this one have moved already.
             others = np.vstack([np.delete(reached, k, axis=0), self.fixed_poses])[:, :3]
 
             def are_allowed(positions: np.ndarray, k: int = k, others: np.ndarray = others
@@ -209,8 +212,10 @@ class PlaneProblem(Problem):
         self.objective = Objective(simulator, rig)
         self.simulator, self.rig = simulator, rig
         self.axes, self.fixed_poses = rig.axes, rig.fixed_poses
+        # The simulator has one model for all cameras, or one for each camera.
         self.models = simulator.models * (len(rig.cameras) // len(simulator.models))
-        self._space = lru_cache(partial(space_of, simulator))
+        #: The feasible region by the distances to walls and surfaces, metres.
+        self._spaces: dict[tuple[float, float], FreePlane] = {}
 
     def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
         """
@@ -228,7 +233,10 @@ class PlaneProblem(Problem):
         poses[:, 2] = simulator.height
         poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
         if config.clearance:
-            poses[:, :2] = self._space(cameras, config).inside(poses[:, :2])
+            key = config.wall_margin, config.clearance
+            if key not in self._spaces:
+                self._spaces[key] = space_of(simulator, cameras, config)
+            poses[:, :2] = self._spaces[key].inside(poses[:, :2])
         poses[:, 3:] = outwards(cameras, simulator.config.rig.tilt)
         return poses
 

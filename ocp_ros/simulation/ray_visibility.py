@@ -31,7 +31,7 @@ class RayVisibility:
     Visibility of points and of positions in the air by rays cast at a mesh.
 
     The class replaces :class:`~ocp_ros.geometry.visibility.SurfelVisibility`, and has the same
-    methods ``look`` and ``narrowed``.
+    methods ``look``, ``look_from_all`` and ``narrowed``.
 
     :param points: (N, 3) float32, metres, map frame: N points on surfaces.
     :param places: (M, 3) float32, metres, map frame: M positions in the air.

@@ -198,6 +198,7 @@ class Simulator:
             return []
         aimed = [self._aimed(pose, camera) for camera, pose in zip(cameras, poses)]
         arrays = CameraArrays.of(aimed)
+        # A row of packed bits for each camera, none of them set.
         seen, covered = (np.array([no_bits(count)] * len(aimed))
                          for count in (len(self.scene), len(self.grid)))
         self.visibility.look_from_all(arrays, seen, covered)
@@ -220,24 +221,25 @@ class Simulator:
         :param headings: (H, 3) yaw, pitch and roll in radians.
         :param camera: the index of the camera in the rig.
         :returns: the n points visible with any heading, (n,) int32 indices in the engine's order,
-            and the headings of each: (n, W) uint64, bit k of word w for heading 64 w + k.
+            and the headings of each: (n, W) uint64, bit k of word w for heading 64 w + k, in as
+            many words W as are needed.
         """
         lens = self._lenses[self.kind(camera)]
         seen = no_bits(len(self.scene))
         around = lens._replace(kind=OMNIDIRECTIONAL)
         self.visibility.look(Pose(position, LEVEL), around, seen)
-        found = np.flatnonzero(unpack(seen, len(self.scene))).astype(np.int32)
-        bits = np.zeros((len(found), -(-len(headings) // 64)), dtype=np.uint64)
-        mark_headings(self.scene.points[self.visibility.order[found]], position,
+        indices = np.flatnonzero(unpack(seen, len(self.scene))).astype(np.int32)
+        bits = np.zeros((len(indices), -(-len(headings) // 64)), dtype=np.uint64)
+        mark_headings(self.scene.points[self.visibility.order[indices]], position,
                       np.array([rotation_matrix(*heading) for heading in headings]), lens, bits)
-        visible = bits.any(axis=1)
-        return found[visible], bits[visible]
+        in_any = bits.any(axis=1)
+        return indices[in_any], bits[in_any]
 
     def judge(self, views: Sequence[View]) -> Evaluation:
         """
         Evaluate cameras, given their views; after the move of one camera, only its view is new.
 
-        :param views: from :meth:`look`, one per camera.
+        :param views: from :meth:`look` or :meth:`look_from_all`, one per camera.
         """
         seen = np.bitwise_or.reduce([view.seen for view in views])
         covered = np.bitwise_or.reduce([view.covered for view in views])
@@ -266,15 +268,15 @@ class Simulator:
         shape = '(K, 3) or (K, 6)' if dimensions == 2 else '(M, K, 3) or (M, K, 6)'
         expected = f'expected {shape}, metres and radians, a row for each camera'
         try:
-            found = np.asarray(poses, dtype=np.float64)
+            array = np.asarray(poses, dtype=np.float64)
         except (TypeError, ValueError) as error:
             raise ConfigurationError(f'{name}: found {type(poses).__name__} that is no array of '
                                      f'numbers; {expected}') from error
-        if found.ndim != dimensions or found.shape[-1] not in (3, 6) or not found.shape[-2]:
-            raise ConfigurationError(f'{name}: found an array of shape {found.shape}; {expected}')
-        if not np.isfinite(found).all():
+        if array.ndim != dimensions or array.shape[-1] not in (3, 6) or not array.shape[-2]:
+            raise ConfigurationError(f'{name}: found an array of shape {array.shape}; {expected}')
+        if not np.isfinite(array).all():
             raise ConfigurationError(f'{name}: found NaN or inf; expected finite numbers')
-        return found
+        return array
 
     def evaluate_many(self, placements: np.ndarray, threads: int = 1) -> np.ndarray:
         """
@@ -287,6 +289,7 @@ class Simulator:
         """
         placements = self._checked_poses(placements, 'placements', dimensions=3)
         with ThreadPoolExecutor(threads) as pool:
+            # The slice leaves out the subset of points seen.
             results = list(pool.map(lambda placement: self.evaluate(placement)[1:], placements))
         return np.array(results).reshape(-1, 2)
 
@@ -302,17 +305,20 @@ class Simulator:
         :param threads: the number of threads.
         """
         poses = np.asarray(poses, dtype=np.float64)
+        # Sort the poses into groups that have the same position.
         position_number = np.unique(poses[:, :3], axis=0, return_inverse=True)[1].ravel()
         order = np.argsort(position_number, kind='stable')
         groups = np.split(order, np.flatnonzero(np.diff(position_number[order])) + 1)
         with ThreadPoolExecutor(threads) as pool:
             views = [view for group_views in pool.map(
                 lambda rows: self._look_from(poses[rows], camera), groups) for view in group_views]
+        # The argsort of an order is its inverse: the views return to the order of the poses.
         return [views[index] for index in np.argsort(order)]
 
     def _look_from(self, poses: np.ndarray, camera: int) -> list[View]:
         """Compute the views of a camera from poses (H, 6) that all have one position."""
         lens, visibility = self._lenses[self.kind(camera)], self.visibility
+        # Clipping saves nothing for these poses, or the visibility has no method for it.
         if len(poses) < 2 or lens.kind == OMNIDIRECTIONAL or not isinstance(
                 visibility, (SurfelVisibility, RayVisibility)):
             return [self.look(pose, camera) for pose in poses]

@@ -36,6 +36,7 @@ from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.simulation.environment import CameraPlacementEnv
+from ocp_ros.simulation.viewpoints import VIEWPOINTS
 from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES_PHASE
@@ -57,9 +58,9 @@ from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 import torch
 
 _log = logging.getLogger(__name__)
-#: Largest number of points, over all scenes whose engines are kept in memory: one of 6,000 points
-#: takes 3 to 7 MB, and building it as long as a hundred turns in it.
-MAX_ENGINE_POINTS = 1_000_000
+#: Largest number of pixels, over the depth maps of all engines that are kept in memory. A pixel
+#: takes about 50 bytes; building an engine takes as long as a hundred turns with it.
+MAX_DEPTH_PIXELS = 25_000_000
 #: Name of the phase of soft actor-critic in lines of progress.
 SAC_PHASE = 'sac'
 
@@ -174,6 +175,7 @@ class TrainingWatch(BaseCallback):
 
     :ivar due: number of interactions of the next evaluation.
     :ivar evaluated: number of interactions at the last evaluation.
+    :ivar task: number of the progress bar, set when the training starts.
     """
 
     def __init__(self, run: Run) -> None:
@@ -228,6 +230,7 @@ class ThreadedEnvironments(DummyVecEnv):
     def _play(self, number: int) -> None:
         """Play a step of one environment, and store its results in the buffers."""
         env = self.envs[number]
+        # The keys of ``info`` are those of stable-baselines3.
         observation, reward, terminated, truncated, info = env.step(self.actions[number])
         info['TimeLimit.truncated'] = truncated and not terminated
         if terminated or truncated:
@@ -248,8 +251,9 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     scenes = Rooms(rooms, config.rooms)
     envs = [CameraPlacementEnv(scenes, config.simulation, fewest=config.fewest_cameras,
                                rotations=config.rooms.angles) for _ in range(config.environments)]
-    problem = lru_cache(max(MAX_ENGINE_POINTS // config.rooms.points, len(envs)))(
-        envs[0].problem.__wrapped__)
+    pixels = VIEWPOINTS * 2 * config.simulation.engine.error_rows ** 2
+    problem = lru_cache(max(MAX_DEPTH_PIXELS // pixels, len(envs)))(envs[0].problem.__wrapped__)
+    # ``problem`` is a cached function: all environments share one cache.
     for env in envs:
         env.problem = problem
     return VecMonitor(ThreadedEnvironments([partial(playable, env, config.agent) for env in envs]))
@@ -299,6 +303,7 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
             values.resume()
             start = learn_values(values)
             if not config.interactions:
+                # The weights are judged once, also if the run is resumed.
                 if not any('ratio' in line for line in records(folder)):
                     values.note(VALUES_PHASE, **values.judge(start))
                 return report(values, command)
