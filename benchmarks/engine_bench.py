@@ -385,6 +385,6 @@ def measure_engine(extent: Extent) -> dict[str, Any]:
         scales = [scale(points) for points in extent.scales]
     finally:
         os.sched_setaffinity(0, cores)
-    return {**summary(rows), **speed(), 'literal_interactions_per_s': training_speed(*extent.interactions),
-            'visibility': rows, 'scale': scales,
+    return {**summary(rows), **speed(), 'visibility': rows, 'scale': scales,
+            'literal_interactions_per_s': training_speed(*extent.interactions),
             'rooms': extent.rooms, 'positions': extent.positions, 'range': RANGE}

@@ -173,10 +173,11 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     planned = PlannedRig(scene, full_rig, task, *task.budgets(), progress)
     assessment = planned.judged(planned.placement(record, 'ocp_ros.plan'))
     search = assessment.found['search']
-    count = assessment.found.get('count')
+    # None if the number of cameras was given.
+    counted = assessment.found.get('count')
     return PlanResult(
         **_result_fields(assessment), gap=search['certificate']['gap'],
-        reached=count and count['reached'],
+        reached=counted and counted['reached'],
         **{name: search[name] for name in ('planner', 'evaluations', 'seconds')})
 
 
@@ -202,7 +203,7 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
     other_rig = None if rig is None else _read_rig(rig, None, sensor)
     full_placement = _read_placement(placement, other_rig, sensor)
     record = full_placement.room
-    # A scan is read as when the placement was written.
+    # A scan is read with the options in the placement; arguments replace them.
     stored_reading = {key: record[key] for key in READING
                       if key in record and isinstance(room, (str, PathLike))}
     max_points = points if points is not None else record.get('points', ROOM_POINTS)
@@ -248,10 +249,10 @@ def _read_room(room: RoomLike, max_points: int, options: dict[str, Any]
 
 def _read_rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
               mount: str | None = None) -> Rig:
-    """Return a rig; with ``'auto'`` one kind of camera, whose number is found later."""
+    """Return a rig; with ``'auto'`` it has one kind of camera, and planning sets the number."""
     auto = isinstance(cameras, str) and cameras == AUTO
     if not auto:
-        # None passes: the rig says the number.
+        # The check accepts None, with which the rig says the number.
         check_whole('cameras', cameras, 1, MAX_CAMERAS)
     count = None if auto else cameras
     if rig is None:
@@ -271,9 +272,8 @@ def _read_rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
         raise ConfigurationError(f'rig: found {type(rig).__name__}; expected the path of a rig '
                                  'file, its content as a mapping, or a rig; see '
                                  'docs/reference/rig.md')
-    if cameras is None:
-        return rig
-    return with_count(rig, int(count or len(rig.cameras)))
+    # With ``'auto'`` the number stays, but a rig with several groups of cameras is refused.
+    return rig if cameras is None else with_count(rig, int(count or len(rig.cameras)))
 
 
 def _read_placement(placement: Any, rig: Rig | None, sensor: str) -> Placement:

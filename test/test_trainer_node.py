@@ -165,7 +165,7 @@ def test_what_is_learned_over_ros_is_what_is_learned_in_one_process(
     # The same episode: where it starts is drawn as the node draws it.
     env.episode = Episode(PlaneProblem(sim.simulator), np.random.default_rng(3))
     if inputs == CLOUD:
-        wrapped._encoder.turns.reset()
+        wrapped._encoder.partial_maps.reset()
     before = wrapped.observation(None) if inputs == PAPER else wrapped._begin()
     policy, rng = Policy(weights), np.random.default_rng(0)
     for found in learned:

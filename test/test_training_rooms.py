@@ -274,3 +274,15 @@ def test_normals_are_kept_and_a_cache_that_cannot_be_written_does_not_matter(
         np.testing.assert_array_equal(scene.normals, expected.normals)
     with pytest.raises(SceneError, match='none.ply'):
         load_cached(tmp_path / 'none.ply')
+
+
+@pytest.mark.parametrize('options', [{}, {'voxel_size': 0.05}])
+def test_a_mesh_from_the_cache_is_as_exact_as_the_one_read(tmp_path, empty_cache, options):
+    path = tmp_path / 'open.obj'
+    corners = [(x, y, z) for z in (0.0, 2.5) for y in (0.0, 3.0) for x in (0.0, 4.0)]
+    # A floor and a wall enclose no air.
+    sides = [(1, 2, 4, 3), (1, 2, 6, 5)]
+    path.write_text(''.join(f'v {x} {y} {z}\n' for x, y, z in corners)
+                    + ''.join(f'f {a} {b} {c} {d}\n' for a, b, c, d in sides))
+    first, again = (load_cached(path, up='z', **options).mesh for _ in range(2))
+    assert first.exact == again.exact == (not options)

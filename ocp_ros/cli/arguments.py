@@ -46,7 +46,7 @@ def whole(low: int, high: int | None = None, name: str = 'a whole number') -> Ca
     expected = f'{low} or more' if high is None else f'{name} from {low} to {high}'
 
     def read(text: str) -> int:
-        # A number of 19 digits is larger than any limit.
+        # -1 is always refused. A number of 19 digits is larger than any limit.
         value = int(text) if text.isdecimal() and len(text) < 19 else -1
         if value < low or (high is not None and value > high):
             raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
@@ -218,6 +218,7 @@ def room_asked(arguments: argparse.Namespace, recorded: dict[str, Any]
     :returns: the room, and its record for placement files.
     """
     from ocp_ros.rooms.scene_source import READING, room_named
+    # Options that are not given are None, or False for flags.
     options = {key: value for key in READING
                if (value := getattr(arguments, key)) is not None and value is not False}
     if options and arguments.room.isdecimal():
@@ -225,6 +226,7 @@ def room_asked(arguments: argparse.Namespace, recorded: dict[str, Any]
             f'--{next(iter(options)).replace("_", "-")}: found it with the generated room '
             f'{arguments.room}; expected a scan, since generated rooms are in metres, z up; leave '
             'it out')
+    # The options in READING are of scans, not of generated rooms.
     keys = ('points',) if arguments.room.isdecimal() else ('points', *READING)
     recorded = {key: recorded[key] for key in keys if key in recorded}
     if (points := getattr(arguments, 'points', None)) is not None:

@@ -104,6 +104,7 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     if arguments.rooms is None and changes.keys() & {'scale', 'up'}:
         raise ConfigurationError('--scale and --up: found no --rooms; expected a folder of scans '
                                  'that they are about; generated rooms are in metres, z up')
+    # A rig file changes the default planners; --planners still replaces them.
     if arguments.rig is not None:
         changes = {'planners': planners_for(rig=True), **changes}
     protocol = replace(PRESETS[arguments.preset], **changes,
@@ -127,6 +128,7 @@ def add_comparison(command: argparse.ArgumentParser) -> None:
 
 def check_cameras(arguments: argparse.Namespace) -> None:
     """Raise an error if options about cameras contradict each other."""
+    # ``ocp evaluate`` has no --sensor and no --mount.
     for option in ('cameras', 'sensor', 'mount'):
         if arguments.rig is not None and (value := getattr(arguments, option, None)) is not None:
             text = ','.join(map(str, value)) if isinstance(value, tuple) else value

@@ -79,6 +79,7 @@ def run(arguments: argparse.Namespace) -> Found:
     from ocp_ros.rig.placement_file import load_placement, save_placement
     from ocp_ros.rig.rig_file import load_rig
     from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
+    # Check the command line and read the inputs. A text of ``--clouds`` is FILE or CAMERA=FILE.
     inputs = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
     written = placement_name, launch_name, figures_name = (
@@ -92,12 +93,14 @@ def run(arguments: argparse.Namespace) -> Found:
     # A generated room has this number of points; 0 stands for all points of a scan.
     points = 120_000 if arguments.room.isdecimal() else 0
     scene, _ = room_asked(arguments, {**placement.room, 'points': points})
+    # Calibrate: cameras without a registration have a reason in ``failures``, or no cloud.
     calibrations, failures = calibrate(ScanSurfaces(scene), placement, clouds)
     built = as_built(placement, calibrations, command_of(arguments.argv))
     rows = [answer_of(placed, calibrations[name]) if name in calibrations else
             {'camera': name, 'refused': failures.get(name, 'it has no cloud')}
             for name, placed in zip(names, placement.cameras)]
     result: Found = {'cameras': rows, 'written': [str(arguments.out / name) for name in written]}
+    # Write the files; the launch file leaves out refused cameras.
     with FileSet(arguments.out, written, figures_name) as files:
         save_placement(files.aside / placement_name, built)
         refused = [row['camera'] for row in rows if row['refused']]
@@ -116,6 +119,7 @@ def show(result: Found) -> None:
     """Print the result of each camera, with its largest deviations in metres and in degrees."""
     from ocp_ros.report.terminal import print_table, wide_console
     console = wide_console()
+    # Of the six deviations, 0 is the largest along an axis, and 3 the largest about an axis.
     rows = [(row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
              ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
              f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°',

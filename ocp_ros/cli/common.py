@@ -56,7 +56,7 @@ class Parser(argparse.ArgumentParser):
     """A parser that raises errors, so that :func:`run` prints them."""
 
     def __init__(self, **options: Any) -> None:
-        # No abbreviations of options: :func:`run` searches ``argv`` for ``--json``.
+        # No abbreviations of options, as :func:`run` searches ``argv`` for ``--json``.
         super().__init__(allow_abbrev=False, **options)
 
     def error(self, message: str) -> NoReturn:
@@ -136,6 +136,7 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
         _check_folder()
         arguments = parser.parse_args(join_up_option(argv))
         arguments.argv = list(argv)
+        # With --json, only the document may be on the standard output.
         with warnings.catch_warnings(), redirect_stdout(sys.stderr) if as_json else nullcontext():
             warnings.showwarning = _print_warning
             result = arguments.run(arguments)
@@ -144,6 +145,7 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
         else:
             arguments.show(result)
         sys.stdout.flush()
+        # A JSON document has the error already.
         if 'error' in result:
             return EXIT_WRONG_INPUT if as_json else _print_error(result['error'], as_json)
     except UsageError as error:
@@ -208,6 +210,7 @@ def _json_value(value: Any) -> Any:
     """Return a value converted to types that JSON has."""
     if isinstance(value, Mapping):
         return {str(key): _json_value(item) for key, item in value.items()}
+    # Arrays and numbers of NumPy.
     if hasattr(value, 'tolist'):
         value = value.tolist()
     if isinstance(value, (list, tuple)):
@@ -242,7 +245,7 @@ def inputs_of(arguments: argparse.Namespace) -> list[Path]:
     paths: list[Any] = []
     for name in ('room', 'rooms', 'placement', 'rig', 'config'):
         value = getattr(arguments, name, None)
-        paths += value if isinstance(value, list) else [value] if value else []
+        paths += value if isinstance(value, list) else ([value] if value else [])
     return [Path(path) for path in paths]
 
 
@@ -284,6 +287,7 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[st
         raise ConfigurationError(
             f'{option}: found the folder {folders[0]}; expected a file there, or nothing; '
             'name another folder, or move that one')
+    # A killed run may have left a complete set of files that are not in the folder itself yet.
     if not folder.is_dir() or _may_replace(arguments, folder) or any(folder.glob(mark)) or (
             complete_set(folder, names, mark)):
         return

@@ -83,7 +83,7 @@ def show(result: Found) -> None:
     from ocp_ros.report.terminal import print_table
     from rich.console import Console
     for cameras, figures in result['cameras'].items():
-        # The first planner is compared with all others.
+        # The first planner is compared with all others. A key may end in a comma and the budget.
         first = next(iter(figures['pairs'])).split(',')[0]
         rows = []
         for name, pair in sorted(figures['pairs'].items(), key=lambda item: item[1]['sum']):
@@ -105,7 +105,8 @@ def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
     check_cameras(arguments)
     for path in arguments.rooms or ():
         check_file(path)
-    counts = (None,) if arguments.rig is not None else arguments.cameras or (None,)
+    # None: the number of cameras in the rig file, or the default one.
+    counts = (None,) if arguments.rig is not None else (arguments.cameras or (None,))
     return [Protocol(
         rooms=tuple(str(path.resolve()) for path in arguments.rooms or ()) or tuple(
             map(str, SETS[arguments.set])),
@@ -121,9 +122,11 @@ def _results_by_room(protocol: 'Protocol', comparison: 'Comparison') -> dict[str
     from ocp_ros.compare.summary import per_room
     rows = comparison.rows
     stems = Counter(Path(room).stem for room in protocol.rooms)
+    # Rooms whose files have the same stem are labelled by their paths.
     labels = {room: Path(room).stem if stems[Path(room).stem] == 1 else room
               for room in protocol.rooms}
     errors = {}
+    # The keys of a dictionary are distinct, and keep their order.
     for planner, budget in dict.fromkeys((row['planner'], row['budget']) for row in rows):
         errors_by_room = per_room(rows, planner, budget, 'depth_error')
         errors[f'{planner}, {budget}'] = {labels[room]: error

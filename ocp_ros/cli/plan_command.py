@@ -111,6 +111,7 @@ def run(arguments: argparse.Namespace) -> Found:
     placement = planned.placement(room, command_of(arguments.argv))
     with _keep_placement(folder, placement) as files:
         assessed = planned.judged(placement, arguments.frame)
+        # After Ctrl-C no report is drawn.
         outputs = write_files(files, assessed, arguments.frame_prefix, brief=budget.stopped)
         return {**assessed.found, **outputs}
 
@@ -127,6 +128,7 @@ def show(result: Found) -> None:
 def task_of(arguments: argparse.Namespace) -> 'PlanTask':
     """Return the settings of the search from a command line."""
     from ocp_ros.report.rig_planning import Counting, PlanTask
+    # The options for counting have the names of these fields. A count of 0 stands for ``auto``.
     counting = {name: value for name in Counting._fields
                 if (value := getattr(arguments, name)) is not None}
     if counting and arguments.count != 0:
@@ -145,8 +147,8 @@ def _keep_placement(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]'
     from ocp_ros.util.files import FileSet
     try:
         with FileSet(folder, WRITTEN, MARK) as files:
-            # At the end, also by Ctrl-C, the file set moves its files into the folder. If this
-            # cannot be written now, the final writing reports the error.
+            # At the end, also by Ctrl-C, the file set moves its files into the folder. If the
+            # placement cannot be written now, the final writing reports the error.
             with suppress(OSError):
                 for name in PLACEMENT_FILES:
                     save_placement(files.aside / name, placement)
@@ -161,7 +163,7 @@ def rig_asked(arguments: argparse.Namespace) -> 'Rig':
     """Return the rig of a command line; with ``--cameras auto``, a rig to count cameras with."""
     from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
-    number = arguments.count
+    number = arguments.count  # 0 for ``auto``, None without the option.
     if arguments.rig is None:
         rig = rig_of(number or CAMERAS, arguments.model, mount={'on': arguments.mount or MOUNT})
         return replace(rig, document=replace(rig.document, name='rig (no file)'))
@@ -176,6 +178,7 @@ def rig_asked(arguments: argparse.Namespace) -> 'Rig':
 @contextmanager
 def _stop_at_ctrl_c(budget: 'Budget') -> Iterator[None]:
     """Let the first Ctrl-C stop the search, and the second one the command."""
+    # Python handles signals in the main thread only.
     if current_thread() is not main_thread():
         yield
         return

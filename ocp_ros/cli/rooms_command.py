@@ -101,6 +101,7 @@ def _preview_rooms(arguments: argparse.Namespace) -> Found:
         if name.isdecimal():
             scenes.append(titled_room(seed_named(name), arguments.points))
         else:
+            # The scale 0.0 and ``file`` mean the unit and the direction that the file says.
             scene = load_cached(name, max_points=arguments.points, scale=arguments.scale or 0.0,
                                 up=arguments.up or 'file', drop_nonfinite=arguments.drop_nonfinite,
                                 all_rooms=arguments.all_rooms)

@@ -34,7 +34,7 @@ def main() -> int:
         interrupts.append(signal_number)
         raise KeyboardInterrupt
 
-    # During imports the process may end at once: no work has begun.
+    # During imports the process may end at once, because no work has begun.
     signal.signal(signal.SIGINT, _stop)
     from ocp_ros.cli.main import main as run
     signal.signal(signal.SIGINT, interrupt)
@@ -47,7 +47,7 @@ def main() -> int:
         code = EXIT_STOPPED
     if interrupts:
         _exit_now(code)
-    # Garbage collection takes half a second at exit.
+    # Avoid the garbage collection at exit, which takes half a second.
     gc.freeze()
     gc.disable()
     return code

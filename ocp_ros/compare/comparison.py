@@ -119,6 +119,7 @@ def run_tasks(protocol: Protocol, folder: Path, workers: int = 0, ray_address: s
             text = json.dumps(rows)
             write_atomically(files[task], json.dumps(
                 {'sha256': _checksum(record, task, text), 'rows': rows}))
+            # As read from the file, so that an interrupted comparison has the same results.
             rows_by_task[task] = json.loads(text)
             progress(len(rows_by_task), len(tasks))
     return [row for task in tasks for row in rows_by_task[task]]
@@ -165,6 +166,7 @@ def _write_or_check_record(folder: Path, protocol: Protocol) -> str:
         'ocp_ros': __version__,
         # The contents of files with the same name may differ.
         'files': {name: sha256_of_file(path) for name, path in files.items()},
+        # Other rooms, rotations and planners are other tasks, whose files have other names.
         **{name: value for name, value in asdict(protocol).items()
            if name not in ('rooms', 'rotations', 'planners')}}
     path = folder / 'protocol.json'

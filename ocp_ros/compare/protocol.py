@@ -84,17 +84,18 @@ def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
     :param up: the axis of the scans that points up.
     :raises SceneError: if there are no scans, or one of them cannot be used.
     """
-    found = [str(path.resolve()) for path in scans_in(folder)]
-    if not found:
+    paths = [str(path.resolve()) for path in scans_in(folder)]
+    if not paths:
         raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
+    # Few points are enough for a check.
     points = 15000
-    for path in found:
+    for path in paths:
         try:
             make_room(path, 0.0, points, scale=scale, up=up)
         except SceneError as error:
             raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
                              'first, or move it out') from error
-    return found
+    return paths
 
 
 def placement_settings(cameras: int | None = None, rig: str | Path | None = None
@@ -161,7 +162,7 @@ class Protocol:
             values = getattr(self, setting)
             if len(set(values)) < len(values):
                 raise ConfigurationError(f'{setting}: found {list(values)}; expected each once')
-        if not 0.0 <= self.scale < np.inf or self.up not in UP_CHOICES:
+        if not (0.0 <= self.scale < np.inf) or self.up not in UP_CHOICES:
             raise ConfigurationError(
                 f'protocol: found scale={self.scale!r} and up={self.up!r}; expected a number '
                 f'of 0 or more and one of {", ".join(UP_CHOICES)}')
@@ -314,27 +315,32 @@ def _prove_optimum(protocol: Protocol, problem: Problem) -> Iterator[Row]:
         return time.process_time() - start_time >= protocol.proving
 
     def add_places(positions: np.ndarray) -> None:
+        # Omnidirectional cameras need one heading at each place.
         headings = [np.zeros((1, 3))] * len(positions)
         grid.add_poses(space.placement(space.inside(positions)), headings)
 
+    # Find the best choice on the grid.
     add_places(space.grid(protocol.candidates))
     relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid], [space.cameras], 0.0,
                                   len(simulator.scene))
     relaxation.raise_bound(should_stop)
     max_choices = 8
     best = relaxation.find_choices(max_choices, rng, should_stop)[0]
+    # One round after the other, places on rings around the best cameras join the grid.
     directions = 8
     angles = np.arange(directions) * (2.0 * np.pi / directions)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    # One round after the other, places on rings around the best cameras join the grid.
     for radius_m in (0.2, 0.1, 0.05, 0.02):
         best_positions = grid.places[[column.place for column in best.columns], :2]
         rings = radius_m * np.concatenate([ring, 0.5 * ring])
         add_places((best_positions[:, None] + rings).reshape(-1, 2))
         relaxation.add_columns(best.columns)
         relaxation.raise_bound(should_stop)
+        # Choices are compared by their loss first.
         best = min([best, *relaxation.find_choices(max_choices, rng, should_stop)])
+    # A loss of 1 is the error without any visible point.
     error_per_loss = simulator.depth_error.worst
+    # Rounding must not raise the bound above the loss.
     bound = min(relaxation.bound, best.loss)
     # With a gap below 0.1 % the placement counts as proved optimal.
     yield {'evaluations': 0, 'seconds': time.process_time() - start_time,
@@ -353,10 +359,12 @@ def _draw_placements(problem: Problem) -> Iterator[Row]:
     else:
         pool = CandidatePool(problem, REFERENCE_PLACES)
         views = pool.union_views(rig)
+    # No placement of these poses has a smaller error than cameras at all of them.
     lower_bound = problem.error(problem.judge(views))
     while True:
         placement = space.placement(space.random(rng)) if rig.free else np.array(
             [site.pose for site in pool.random_sites(rig, rng)])
+        # An empty placement, for which the spacing left too few candidates, is drawn again.
         if len(placement):
             yield {'lower_bound': lower_bound, 'evaluations': 1, 'seconds': 0.0, 'trace': [],
                    'placement': placement}

@@ -113,6 +113,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
     rooms = list(dict.fromkeys(row['room'] for row in rows))
     random_errors = per_room(rows, RANDOM_PLACEMENT, 1, 'depth_error')
     lower_bounds = per_room(rows, RANDOM_PLACEMENT, 1, 'lower_bound')
+    # Here, a run is a planner with a budget, over all seeds.
     runs = planners_and_budgets(rows)
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}
     summary: dict[str, Any] = {'rooms': {}, 'planners': {}, 'rank_tests': {}}
@@ -129,6 +130,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
         'be missed; ratios to so little say nothing: use fewer cameras or a larger room'
         for room in rooms if random_errors[room] > 0.0
         and best_errors[room] < saturated_share * random_errors[room]]
+    # The figures of each planner with each budget.
     random_sum, best_sum = sum(random_errors.values()), sum(best_errors.values())
     for planner, budget in runs:
         values = np.array([errors[planner, budget][room] for room in rooms])
@@ -141,10 +143,13 @@ def summarise(rows: Rows) -> dict[str, Any]:
             'gap_closed': _ratio(random_sum - values.sum(), random_sum - best_sum)}
     if proofs := [row for row in rows if row['planner'] == PROVED_OPTIMUM]:
         summary['exact'] = _proof_figures(rows, proofs, best_errors)
+        # The mean over rotations, summed over rooms.
         bound = sum(row['bound'] for row in proofs) / len(proofs) * len(rooms)
-        for figures in (*(figures for budgets in summary['planners'].values()
-                          for figures in budgets.values()), summary['exact']):
+        # The figures of each planner with each budget, and of the proofs.
+        for figures in (*(run_figures for budgets in summary['planners'].values()
+                          for run_figures in budgets.values()), summary['exact']):
             figures['promised_over_bound'] = _ratio(figures['promised'], bound)
+    # All searches with ray casting have the same budget.
     ray_budget, = {row['budget'] for row in rows if row['planner'] == RAY_SEARCH}
     summary['truth'] = _planner_figures(rows, RAY_SEARCH, ray_budget, best_errors)
     for budget in dict.fromkeys(budget for _, budget in runs):
@@ -156,6 +161,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
 
 def _proof_figures(rows: Rows, proofs: Rows, best_errors: dict[str, float]) -> dict[str, Any]:
     """Return the figures of the placements of column generation, and their optimality gaps."""
+    # A placement without any error has no gap.
     gaps = [_ratio(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
     return {**_planner_figures(rows, PROVED_OPTIMUM, proofs[0]['budget'], best_errors),
             'candidates': proofs[0]['budget'], 'proved': sum(row['proved'] for row in proofs),
@@ -211,7 +217,8 @@ def ranks(errors: dict[str, np.ndarray]) -> dict[str, Any]:
     :returns: ``mean_rank`` by planner (1 is best), ``leader`` (the planner of best mean rank),
         ``friedman_p``, the p-value of the Friedman test that all planners are equal, and
         ``against_leader``, for each planner the p-value of Wilcoxon's signed-rank test against the
-        leader, corrected after Holm. With too few rooms or planners there are no p-values.
+        leader, corrected after Holm. There are no p-values with fewer than five rooms or three
+        planners.
     """
     names = list(errors)
     table = np.array(list(errors.values()))
@@ -222,8 +229,11 @@ def ranks(errors: dict[str, np.ndarray]) -> dict[str, Any]:
     if table.shape[1] < 5 or len(names) < 3:
         return result
     result['friedman_p'] = float(stats.friedmanchisquare(*table).pvalue)
+    # Without any difference from the leader, there is nothing to test.
     others = [k for k in range(len(names)) if k != leader and (table[k] != table[leader]).any()]
     p_values = [float(stats.wilcoxon(table[k], table[leader]).pvalue) for k in others]
+    # Holm: multiply each p-value, the smallest first, by the number of tests left; the results do
+    # not decrease.
     corrected = 0.0
     for rank, k in enumerate(np.argsort(p_values)):
         corrected = max(corrected, min(1.0, (len(p_values) - rank) * p_values[k]))
@@ -240,7 +250,8 @@ def pairs(rows: Rows, first: str) -> dict[str, dict[str, Any]]:
     :returns: by planner, and by budget if there are several: ``sum`` over rooms, metres; ``wins``,
         the number of rooms in which the first planner is better; ``rooms``, their number;
         ``ratio``, the first planner's error divided by the other's, with its 95 % bootstrap
-        ``interval``; and ``p`` of the signed-rank test, None with too few or equal errors.
+        ``interval``; and ``p`` of the signed-rank test, None with fewer than five rooms or only
+        equal errors. The first planner has its last budget.
     """
     runs = planners_and_budgets(rows)
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}

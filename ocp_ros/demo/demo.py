@@ -101,6 +101,7 @@ def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
             progress.console.print(warning, markup=False)
         processes.append(NodeProcess(
             'policy_node', domain, logs / 'policy_node.log', policy_parameters(options)))
+        # The first move waits for the start of policy_node, later moves do not.
         turn_timeout_s = START_TIMEOUT_S
         turns = watcher.turns()[:1]
         while watcher.final_turn() is None:
@@ -116,8 +117,8 @@ def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
 def collect_result(options: argparse.Namespace, watcher: Watcher) -> dict[str, Any]:
     """Return the figures of the episode, as the nodes published them."""
     final_turn = watcher.final_turn()
-    fields = [fields for _, fields in watcher.turns()[:final_turn + 1]]
-    # The first turn waits for the start of the policy.
+    fields = [turn_fields for _, turn_fields in watcher.turns()[:final_turn + 1]]
+    # The time from the start (0) to the first turn (1) includes the start of the policy.
     seconds = [later['received'] - earlier['received']
                for earlier, later in zip(fields[1:-1], fields[2:])]
     scores = {f'{name}_{end}': values[name] for name in ('depth_error', 'space_coverage')

@@ -35,6 +35,7 @@ def free_domain() -> tuple[int, socket.socket]:
         processes inherit the socket: a node that outlives its parent keeps the domain reserved.
     :raises RuntimeError: if all domains are in use.
     """
+    # Only one demo can bind the port of a domain, which is its number above this one.
     first_port = 32768
     for domain in range(1, 101):
         reservation = socket.socket()
@@ -74,6 +75,7 @@ class NodeProcess:
         variables = {'ROS_DOMAIN_ID': str(domain), PARENT_VARIABLE: str(os.getpid()),
                      'PYTHONUNBUFFERED': '1', 'PYTHONFAULTHANDLER': '1'}
         log.parent.mkdir(parents=True, exist_ok=True)
+        # With close_fds=False the node inherits the socket that reserves the domain.
         with open(log, 'wb') as file:
             self.process = subprocess.Popen(
                 arguments, stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL,
@@ -107,7 +109,7 @@ class NodeProcess:
     def wait(self) -> int:
         """Wait for the node to end, and return its exit code; after a minute, kill the node."""
         try:
-            # This is enough also for a busy machine.
+            # A minute is enough also on a busy machine.
             return self.process.wait(timeout=60.0)
         except subprocess.TimeoutExpired:
             self.process.kill()

@@ -55,7 +55,7 @@ def namespaces(pairs: int) -> list[str]:
 
 def pair_parameters(number: int, seed: int, model: str) -> dict[str, dict[str, Any]]:
     """Return the parameters of each node of a pair, by node; each pair has its own room."""
-    # One thread per policy: the other pairs use the other cores.
+    # One thread per policy, because the other pairs use the other cores.
     return {'policy_node': {'model': model, 'explore': True, 'seed': number, 'threads': 1},
             'sim_node': {'scene.seed': seed + number, 'seed': number, 'auto_reset': True}}
 
@@ -103,6 +103,7 @@ def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict
         start_nodes(options, domain, processes)
 
         def is_done() -> bool:
+            # Store a new loss; the trainer reports ``-`` before the first one.
             loss = trainer_value('critic_loss', '-')
             if loss != '-' and losses[-1:] != [float(loss)]:
                 losses.append(float(loss))
@@ -113,6 +114,7 @@ def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict
                 f'{trainer_value("updates")} updates, {swaps} sets of weights arrived'))
             return turns >= options.turns and swaps > 0
 
+        # More pairs take longer to start. In the training, each turn may take a second more.
         timeout_s = START_TIMEOUT_S + 10.0 * options.pairs
         watch.spin_until(lambda: int(trainer_value('turns')) > 1, timeout_s, 'first turns',
                          processes)
@@ -134,6 +136,7 @@ def collect_result(options: argparse.Namespace, watch: Watch, figures: dict[str,
     policies = policy_diagnostics(watch, options.pairs)
     names = ('turns', 'transitions', 'incomplete', 'inconsistent', 'dropped', 'updates',
              'weights_published')
+    # The trainer reports ``turns SOURCE`` for each pair, by namespace.
     sources = {name.removeprefix('turns '): int(value) for name, value in trainer.items()
                if name.startswith('turns ')}
     return {'pairs': options.pairs, **figures, **{name: int(trainer[name]) for name in names},

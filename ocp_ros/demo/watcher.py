@@ -153,7 +153,7 @@ class Watch:
             for process in processes:
                 process.check_running()
             if time.monotonic() > deadline:
-                lines = '; '.join(f'{one.name}: {one.last_line()}' for one in processes)
+                lines = '; '.join(f'{node.name}: {node.last_line()}' for node in processes)
                 raise RuntimeError(
                     f'found no {condition} within {timeout_s:.0f} s; last lines: {lines}')
             self.executor.spin_once(timeout_sec=step_s)

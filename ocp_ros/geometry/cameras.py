@@ -135,6 +135,7 @@ class CameraModel:
             raise ValueError(
                 f'camera ranges: found min_range {self.min_range} m and max_range '
                 f'{self.max_range} m; expected 0 <= min_range < max_range')
+        # 1e-9 is the tolerance for rounding, as in ``omnidirectional``.
         if not (0.0 < self.horizontal_fov <= 2.0 * np.pi + 1e-9
                 and 0.0 < self.vertical_fov <= np.pi + 1e-9):
             raise ValueError(
@@ -155,6 +156,7 @@ class CameraModel:
         half_horizontal, half_vertical = 0.5 * self.horizontal_fov, 0.5 * self.vertical_fov
         if self.omnidirectional:
             kind = OMNIDIRECTIONAL
+        # The tangent of a right angle is infinite.
         elif max(half_horizontal, half_vertical) < 0.5 * np.pi - 1e-6:
             kind = PINHOLE
             half_horizontal, half_vertical = np.tan(half_horizontal), np.tan(half_vertical)
@@ -207,7 +209,7 @@ def heading_of(rotation: np.ndarray) -> np.ndarray:
     x_axis, y_axis, z_axis = rotation.T
     level_length = np.hypot(x_axis[0], x_axis[1])
     pitch = np.arctan2(-x_axis[2], level_length)
-    # The camera looks straight up or down.
+    # The camera looks straight up or down: the y axis, which is level, gives the yaw.
     if level_length < 1e-7:
         return np.array([np.arctan2(-y_axis[0], y_axis[1]), pitch, 0.0])
     return np.array([np.arctan2(x_axis[1], x_axis[0]), pitch, np.arctan2(y_axis[2], z_axis[2])])
@@ -215,7 +217,8 @@ def heading_of(rotation: np.ndarray) -> np.ndarray:
 
 def angle_between(rotation: np.ndarray, other: np.ndarray) -> float:
     """Return the angle between two rotation matrices (3, 3), radians."""
-    # The cosine is inaccurate for small angles, so the sine of half the angle is used.
+    # The cosine is inaccurate for small angles, so the sine of half the angle is used: the norm
+    # of the difference is root 8 times this sine.
     half_angle_sine = np.linalg.norm(rotation - other) / np.sqrt(8.0)
     return float(2.0 * np.arcsin(min(half_angle_sine, 1.0)))
 
@@ -240,6 +243,7 @@ def in_view(x: float, y: float, z: float, lens: Frustum) -> bool:
 @njit(cache=True, nogil=True, inline='always')
 def in_cone(dx: float, dy: float, dz: float, pose: Pose, lens: Frustum) -> bool:
     """Return whether an offset (dx, dy, dz) from a camera, metres, map frame, is in its cone."""
+    # The transposed rotation leads from the map frame to the body frame.
     rotation = pose.rotation
     x = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0] * dz
     y = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1] * dz

@@ -34,6 +34,7 @@ def coverable_cell(bounds: np.ndarray, cell: float) -> float:
     :param cell: the wanted edge of a cell, metres.
     :returns: the edge, metres.
     """
+    # A product of integers could overflow.
     while _counts(bounds, cell).prod(dtype=np.float64) > MAX_CELLS:
         cell *= 2.0
     return cell

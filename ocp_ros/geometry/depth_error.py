@@ -68,10 +68,11 @@ def _list_points(covered, order, columns, ends, indices):
         first_column = covered.first_column[i]
         for row in range(covered.first_row[i], covered.last_row[i] + 1):
             for k in range(first_column, first_column + covered.count[i]):
-                cell = row * columns + k - columns * (k >= columns)
+                # Columns beyond the last one continue at the first one.
+                pixel = row * columns + k - columns * (k >= columns)
                 if indices.shape[0]:
-                    indices[ends[cell]] = i
-                ends[cell] += 1
+                    indices[ends[pixel]] = i
+                ends[pixel] += 1
 
 
 class Trees(NamedTuple):
@@ -110,15 +111,17 @@ def _build_trees(pixels, starts, indices, depths, empty_depth, max_length):
     size = indices.shape[0]
     point, end = np.empty(size, dtype=np.uint32), np.empty(size, dtype=np.uint32)
     gap, rest = np.zeros(size), np.zeros(size)
-    # The nodes of the points of the list that was added last.
+    # The nodes of the points of the list that was added last; it begins at ``path_start``.
     path = np.empty(max_length, dtype=np.int64)
     path_length = path_start = nodes = 0
     for pixel in pixels:
         start, length = starts[pixel], starts[pixel + 1] - starts[pixel]
+        # The number of first points that both lists share; these points have nodes already.
         shared = 0
         while (shared < min(length, path_length)
                and indices[start + shared] == indices[path_start + shared]):
             shared += 1
+        # The subtrees of the other points of the last list end here.
         for k in range(shared, path_length):
             end[path[k]] = nodes
         for k in range(shared, length):
@@ -126,6 +129,7 @@ def _build_trees(pixels, starts, indices, depths, empty_depth, max_length):
             path[k] = nodes
             nodes += 1
         path_length, path_start = length, start
+        # The errors of this pixel if point k is the first visible one, and if none is visible.
         for k in range(length):
             gap[path[k]] += depths[start + k] - depths[start]
         rest[path[length - 1]] += empty_depth - depths[start]
@@ -201,6 +205,7 @@ def unsettled(trees, seen):
             count, node = count + np.uint32(1), node + np.uint32(1)
     ranks[size] = count
     kept = kept[:count]
+    # A subtree of a kept node never ends inside a removed one, so its end has a rank.
     return Trees(trees.point[kept], ranks[trees.end[kept]], trees.gap[kept], rest[:count]), total
 
 
@@ -208,15 +213,16 @@ def unsettled(trees, seen):
 def _add_lost_depth(trees, seen, lost):
     """Add each pixel's error, metres, to ``lost`` (N,) at the nearest point of its list."""
     node = np.uint32(0)
+    # One tree at a time: its root is the nearest point of all its pixels.
     while node < trees.point.shape[0]:
-        first, last = trees.point[node], trees.end[node]
-        while node < last:
+        nearest, tree_end = trees.point[node], trees.end[node]
+        while node < tree_end:
             point = trees.point[node]
             if (seen[point >> np.uint32(6)] >> np.uint64(point & np.uint32(63))) & np.uint64(1):
-                lost[first] += trees.gap[node]
+                lost[nearest] += trees.gap[node]
                 node = trees.end[node]
             else:
-                lost[first] += trees.rest[node]
+                lost[nearest] += trees.rest[node]
                 node += np.uint32(1)
 
 
@@ -248,7 +254,7 @@ class DepthError:
         self._count = len(points)
         self.viewpoints = viewpoints
         self.shape = (rows, 2 * rows)
-        # The paper has five viewpoints.
+        # The paper sums over five viewpoints.
         self.pixels = rows * 2 * rows * len(viewpoints) / 5
         # Half the side of the paper's cube is the spacing of the points. Smaller cubes leave holes
         # in the maps of a whole room.
@@ -258,11 +264,13 @@ class DepthError:
         order = np.argsort(np.linalg.norm(points - viewpoints[0], axis=1), kind='stable')
         fold = np.empty(len(points), dtype=np.int64)
         fold[order] = np.random.default_rng(0).integers(folds, size=len(points))
-        inputs = [(position, fold != number % folds if folds > 1 else None)
+        # Of each viewpoint: its position and the points that it does not leave out.
+        inputs = [(position, (fold != number % folds) if folds > 1 else None)
                   for number, position in enumerate(viewpoints)]
         self._maps, all_trees = [], []
         for trees, depth_map in mapped(
-                lambda one: self._trees_and_map(points, half_sides, *one), inputs):
+                lambda pair: self._trees_and_map(points, half_sides, *pair), inputs):
+            # The indices of nodes go on after the trees of earlier viewpoints.
             end = trees.end + np.uint32(sum(len(earlier.end) for earlier in all_trees))
             all_trees.append(trees._replace(end=end))
             depth_map.setflags(write=False)
@@ -270,11 +278,11 @@ class DepthError:
         self.trees = Trees(*(np.concatenate(field) for field in zip(*all_trees)))
         self.worst = self(no_bits(len(points)))
         if folds > 1:
-            # The error of seeing nothing without folds.
-            worst = sum(float((self.far - depth_map).sum(dtype=np.float64))
-                        for depth_map in self._maps) / self.pixels
-            self.pixels *= self.worst / worst
-            self.worst = worst
+            # The error of seeing nothing without folds, to which the error with folds is scaled.
+            full_worst = sum(float((self.far - depth_map).sum(dtype=np.float64))
+                             for depth_map in self._maps) / self.pixels
+            self.pixels *= self.worst / full_worst
+            self.worst = full_worst
 
     def _trees_and_map(self, points: np.ndarray, half_sides: np.ndarray, position: np.ndarray,
                        kept: np.ndarray | None) -> tuple[Trees, np.ndarray]:
@@ -293,6 +301,7 @@ class DepthError:
         covered = footprints(projection, half_sides, rows, columns)
         order = np.argsort(projection.distance, kind='stable')
         order = order[np.isfinite(projection.distance[order])]
+        # Count the points of each pixel, then list them.
         counts = np.zeros(rows * columns, dtype=np.int64)
         _list_points(covered, order, columns, counts, np.empty(0, dtype=np.int32))
         starts = np.concatenate([[0], np.cumsum(counts)])
@@ -301,6 +310,7 @@ class DepthError:
         depth_map = np.full(rows * columns, self.far, dtype=np.float32)
         filled = counts > 0
         depth_map[filled] = projection.distance[indices[starts[:-1][filled]]]
+        # Leave out the points of the fold, and count the others of each list by cumulated sums.
         if kept is not None:
             in_trees = kept[indices]
             counts = np.diff(np.concatenate([[0], np.cumsum(in_trees)])[starts])
@@ -309,6 +319,8 @@ class DepthError:
         depths = projection.distance[indices]
         pixels = np.flatnonzero(counts)
         # Sorting by the six nearest points makes pixels with the same first points neighbours.
+        # Shorter lists have the key -1; the padding is for the last lists, and lexsort takes the
+        # last key first.
         sort_keys = 6
         padded = np.append(indices, np.zeros(sort_keys, dtype=np.int32))
         keys = [np.where(counts[pixels] > k, padded[starts[pixels] + k], -1)

@@ -69,6 +69,7 @@ def _fit_planes(points, neighbours):
                 for b in range(a, 3):
                     scatter[a, b] += ((points[neighbours[i, k], a] - mean[a])
                                       * (points[neighbours[i, k], b] - mean[b]))
+        # The normal is the axis along which the neighbours are spread least.
         _diagonalise(scatter, axes)
         thinnest = 0
         for a in range(1, 3):
@@ -103,6 +104,7 @@ def _diagonalise(matrix, axes):
             for q in range(p + 1, 3):
                 if matrix[p, q] == 0.0:
                     continue
+                # Rotate axes p and q by the angle that makes entry (p, q) zero.
                 theta = 0.5 * (matrix[q, q] - matrix[p, p]) / matrix[p, q]
                 sign = 1.0 if theta >= 0.0 else -1.0
                 tangent = sign / (abs(theta) + np.sqrt(theta * theta + 1.0))
@@ -111,6 +113,7 @@ def _diagonalise(matrix, axes):
                 matrix[p, p] -= tangent * matrix[p, q]
                 matrix[q, q] += tangent * matrix[p, q]
                 matrix[p, q] = 0.0
+                # The entries of both axes with the third one, in the upper half.
                 third = 3 - p - q
                 low_p, high_p = min(third, p), max(third, p)
                 low_q, high_q = min(third, q), max(third, q)
@@ -136,6 +139,7 @@ def _choose_normals(points, candidates, normals, roughness, spacing):
     :returns: (N, 3) float32 unit vectors.
     """
     chosen = np.empty(points.shape, dtype=np.float32)
+    # A roughness of 1 costs as much as a distance of three spacings.
     roughness_weight = 3.0
     for i in range(points.shape[0]):
         best = candidates[i, 0]

@@ -45,6 +45,7 @@ def spatial_order(points: np.ndarray) -> np.ndarray:
         return np.empty(0, dtype=np.int64)
     low, high = corners_of(points)
     extent = max(float((high - low).max()), 1e-9)
+    # Cells from 0 to 1023 along each axis: 10 bits, which the code interleaves.
     cells = ((points - low) / extent * 1023).astype(np.int64)
     codes = np.zeros(len(points), dtype=np.int64)
     for bit in range(10):
@@ -83,6 +84,8 @@ def find_blocks_in_view(bounds, pose, lens, found):
     side_length = np.sqrt(1.0 + lens.half_horizontal * lens.half_horizontal)
     top_length = np.sqrt(1.0 + lens.half_vertical * lens.half_vertical)
     for b in range(bounds.shape[0]):
+        # Squared: the distance of the camera from the box, and half the box's diagonal. Also the
+        # centre of the box in the camera's body frame.
         squared_gap = squared_radius = x = y = z = 0.0
         for axis in range(3):
             low, high = bounds[b, 0, axis], bounds[b, 1, axis]
@@ -159,6 +162,7 @@ def seen_by(views: Sequence[np.ndarray], max_count: int) -> list[np.ndarray]:
     """
     levels = [np.zeros_like(views[0]) for _ in range(max_count)]
     for view in views:
+        # The highest level comes first, so that a view raises each point by one level only.
         for k in range(max_count - 1, 0, -1):
             levels[k] |= levels[k - 1] & view
         levels[0] |= view

@@ -68,12 +68,14 @@ def nearest_rows(cells):
     """
     rows, columns = cells.shape
     nearest = np.full(cells.shape, NO_ROW, dtype=np.int32)
+    # Upwards: the nearest open cell in this row or a lower one.
     for i in range(rows):
         for j in range(columns):
             if cells[i, j]:
                 nearest[i, j] = i
             elif i > 0:
                 nearest[i, j] = nearest[i - 1, j]
+    # Downwards: an open cell in a higher row replaces that cell if it is nearer.
     for i in range(rows - 2, -1, -1):
         for j in range(columns):
             upper = nearest[i + 1, j]
@@ -100,7 +102,8 @@ def move_into_open_cells(positions, low, edge, nearest):
     for m in range(len(positions)):
         i = int(min(max(math.floor((positions[m, 0] - low[0]) / edge), 0), rows - 1))
         j = int(min(max(math.floor((positions[m, 1] - low[1]) / edge), 0), columns - 1))
-        # The least squared distance of an open cell so far, in cells.
+        # The least squared distance of an open cell so far, in cells, and that cell. Columns are
+        # tried from the nearest on, until their distance alone is too large.
         least, best_row, best_column = rows * rows + columns * columns, i, j
         for gap in range(max(j, columns - 1 - j) + 1):
             if gap * gap > least:
@@ -110,6 +113,6 @@ def move_into_open_cells(positions, low, edge, nearest):
                     squared = gap * gap + (nearest[i, column] - i) ** 2
                     if squared < least or (squared == least and column < best_column):
                         least, best_row, best_column = squared, nearest[i, column], column
-        for k, cell in enumerate((best_row, best_column)):
-            corner = low[k] + edge * cell
+        for k, index in enumerate((best_row, best_column)):
+            corner = low[k] + edge * index
             positions[m, k] = min(max(positions[m, k], corner + inset_m), corner + edge - inset_m)

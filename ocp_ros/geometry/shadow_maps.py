@@ -186,6 +186,7 @@ def footprints(projection, half_sides, rows, columns):
         elevation = np.float64(projection.elevation[i])
         half_angle = min(np.float64(half_sides[i]) / projection.distance[i], PI)
         row = _row_of(elevation, rows)
+        # Rows and columns are measured from the centre of the first cell.
         centre_row = (elevation + HALF_PI) * rows_per_radian - 0.5
         half_rows = half_angle * rows_per_radian
         first_row[i] = max(min(_ceil(centre_row - half_rows), row), i32(0))
@@ -221,6 +222,8 @@ def splat(projection, footprints, empty_depth, rows, columns):
             continue
         inverse = f32(1.0) / projection.distance[i]
         first, count = footprints.first_column[i], footprints.count[i]
+        # Columns up to the right edge of the map; the others continue at the left edge. All cells
+        # get the same value.
         before_edge = min(count, columns - first)
         for row in range(footprints.first_row[i], footprints.last_row[i] + 1):
             start = row * columns
@@ -276,12 +279,12 @@ def look_at_cubes_from_all(points, half_sides, places, cameras, settings, seen, 
 def mark_visible(projection, compensation, inverse_map, words):
     """Set the packed bits of points with distance <= 1 / inverse_map[cell] + compensation."""
     rows, columns = inverse_map.shape
-    cells, number = inverse_map.ravel(), np.empty(len(projection.distance), dtype=np.uint32)
-    for i in range(u64(len(number))):
+    cells, cell_of = inverse_map.ravel(), np.empty(len(projection.distance), dtype=np.uint32)
+    for i in range(u64(len(cell_of))):
         row = _row_of(np.float64(projection.elevation[i]), rows)
         column = _floor((np.float64(projection.azimuth[i]) + PI) * (0.5 * columns / PI))
-        number[i] = u32(row) * u32(columns) + u32(_wrapped(column, i32(columns)))
-    for i in range(u64(len(number))):
+        cell_of[i] = u32(row) * u32(columns) + u32(_wrapped(column, i32(columns)))
+    for i in range(u64(len(cell_of))):
         distance = projection.distance[i]
-        visible = (distance <= f32(1.0) / cells[number[i]] + compensation) & (distance < np.inf)
+        visible = (distance <= f32(1.0) / cells[cell_of[i]] + compensation) & (distance < np.inf)
         words[i >> u64(6)] |= u64(visible) << (i & u64(63))

@@ -232,6 +232,7 @@ def project_block(surfels, number, position, max_range, settings, work):
     setback, range_limit = f32(settings.setback), f32(max_range)
     x0, y0, z0 = f32(position[0]), f32(position[1]), f32(position[2])
     rows_per_radian, radians_per_row = f32(rows) / PI, PI / f32(rows)
+    # Elevation pi / 2 and azimuth pi belong to the last row and column.
     last_row, last_column = f32(rows) - f32(1e-3), f32(2 * rows) - f32(2e-3)
     stride = u32(2 * rows + 2)
     first, count = _block_range(number, surfels.x.shape[0])
@@ -248,6 +249,7 @@ def project_block(surfels, number, position, max_range, settings, work):
         # The normal's component along the horizontal part of the ray, and along the ray.
         normal_level = surfels.nx[i] * cos_a + surfels.ny[i] * sin_a
         incidence = normal_level * cos_e + surfels.nz[i] * sin_e
+        # The factor of the steps of n.u / n.d, see the module; the divisor has a lower limit.
         scale = inverse * radians_per_row
         scale = (scale if incidence >= f32(0.0) else -scale) / max(abs(incidence), MIN_COSINE)
         step_row = (surfels.nz[i] * cos_e - normal_level * sin_e) * scale
@@ -257,6 +259,7 @@ def project_block(surfels, number, position, max_range, settings, work):
         column = min((_arctan2(dy, dx) + PI) * rows_per_radian, last_column)
         work.row[j], work.column[j] = row, column
         work.distance[i] = distance
+        # Cell (r, c) of the map is cell (r + 1, c + 1) with the border.
         work.lower_left[i] = u32(i32(row + HALF)) * stride + u32(i32(column + HALF))
         work.elevation_cosine[j] = max(cos_e, f32(1e-4))
         work.step_row[j], work.step_column[j] = step_row, step_column
@@ -311,6 +314,7 @@ def _splat_quads(discs, stride, work, inverse_map):
         j = discs[k]
         inverse, row, column = work.inverse[j], work.row[j] + HALF, work.column[j] + HALF
         step_row, step_column = work.step_row[j], work.step_column[j]
+        # With half a cell at least, a disc fills one of the four cells or more.
         radius_rows = max(work.radius_rows[j], HALF)
         radius_columns = max(work.radius_columns[j], HALF)
         first_row, first_column = i32(row), i32(column)
@@ -325,6 +329,7 @@ def _splat_quads(discs, stride, work, inverse_map):
         values[2, k] = _clamped(value + step_row, inverse) if in_next_row & in_column else zero
         values[3, k] = (_clamped(value + step_row + step_column, inverse)
                         if in_next_row & in_next_column else zero)
+    # Discs may share cells, so this loop is not vectorised.
     for k in range(len(discs)):
         cell = u64(work.quad_cell[k])
         next_cell = cell + u64(stride)
@@ -363,6 +368,7 @@ def _splat_ellipse(inverse, row, column, cosine, radius, step_row, step_column, 
     half_rows = radius * math.sqrt(max(square_factor / determinant, f32(1e-4)))
     low, high = MIN_INVERSE_RATIO * inverse, MAX_INVERSE_RATIO * inverse
     own_row, own_column = i32(row), i32(column)
+    # -_ceil(-x) is the floor of x.
     first_row = max(min(_ceil(row - half_rows - HALF), own_row), 0)
     last_row = min(max(-_ceil(HALF - row - half_rows), own_row), rows - 1)
     for r in range(first_row, last_row + 1):
@@ -373,6 +379,7 @@ def _splat_ellipse(inverse, row, column, cosine, radius, step_row, step_column, 
             for cell in range(u64((r + 1) * stride + 1), u64((r + 1) * stride + 1 + columns)):
                 inverse_map[cell] = max(inverse_map[cell], value)
             continue
+        # The columns of the ellipse in this row.
         centre = column - centre_step * row_offset
         inside = squared_radius - row_offset * row_offset * determinant
         half_columns = math.sqrt(max(inside, f32(0.0))) * column_scale
@@ -389,6 +396,7 @@ def _splat_ellipse(inverse, row, column, cosine, radius, step_row, step_column, 
                 cell += u64(LANES)
                 value += step_column * f32(LANES)
         else:
+            # These columns go on at the other edge of the map.
             for c in range(first, last + 1):
                 cell = u64((r + 1) * stride + 1 + c % columns)
                 inverse_map[cell] = max(inverse_map[cell], _clamped(value, inverse))
@@ -410,6 +418,7 @@ def splat_surfels(surfels, blocks, position, max_range, settings, work):
     rows, stride = settings.rows, 2 * settings.rows + 2
     inverse_map = work.inverse_map
     inverse_map[:] = ONE / f32(max_range)
+    # Discs of one cell, of up to four cells, and larger ones; each block reuses the workspace.
     for number in blocks:
         project_block(surfels, number, position, max_range, settings, work)
         singles, quads, ellipses = _sort_block(surfels, number, settings, work)
@@ -465,6 +474,7 @@ def locate_block(places, number, position, rows, work):
     """
     x0, y0, z0 = f32(position[0]), f32(position[1]), f32(position[2])
     rows_per_radian, stride = f32(rows) / PI, u32(2 * rows + 2)
+    # These two limits and the offset of half a cell are as in ``project_block``.
     last_row, last_column = f32(rows) - f32(1e-3), f32(2 * rows) - f32(2e-3)
     first, count = _block_range(number, places.x.shape[0])
     for i in range(first, first + count):
@@ -506,6 +516,7 @@ def mark_visible_points(points, blocks, pose, lens, settings, work, seen):
         flags[count:] = 0
         if lens.kind != OMNIDIRECTIONAL:
             _clear_outside_cone(points, first, count, pose, lens, flags)
+        # The octets are the memory of ``flags``.
         _add_bits(work.octets, seen, u64(number) * u64(WORDS_PER_BLOCK))
 
 
@@ -528,11 +539,13 @@ def kept_in_cone(points, bounds, pose, lens, seen):
     :param pose: the camera's :class:`~ocp_ros.geometry.cameras.Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param seen: (W,) uint64, packed bits of the visible points.
-    :returns: (W,) uint64, packed bits of the points in the viewing cone.
+    :returns: (W,) uint64, packed bits of the visible points that are in the viewing cone.
     """
     kept, blocks = np.zeros_like(seen), np.empty(bounds.shape[0], dtype=np.uint32)
+    # One memory with two names: eight points in an octet, a flag of one byte for each point.
     octets = np.empty(POINTS_PER_BLOCK // 8, dtype=np.uint64)
     flags = octets.view(np.uint8)
+    # The call writes the block numbers into ``blocks`` first; the slice then takes those written.
     for number in blocks[:find_blocks_in_view(bounds, pose, lens, blocks)]:
         first, count = _block_range(number, points.x.shape[0])
         flags[:count], flags[count:] = 1, 0
@@ -586,6 +599,7 @@ def look_at_surfels(surfels, bounds, places, place_bounds, pose, lens, settings,
     :param seen: (W,) uint64, packed bits of the points, in and out.
     :param covered: (V,) uint64, packed bits of the positions, in and out.
     """
+    # The call writes the block numbers into ``work.blocks``, and returns how many there are.
     blocks = work.blocks[:find_blocks_in_view(bounds, pose, lens, work.blocks)]
     splat_surfels(surfels, blocks, pose.position, lens.max_range, settings, work)
     mark_visible_points(surfels, blocks, pose, lens, settings, work, seen)

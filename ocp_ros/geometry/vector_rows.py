@@ -50,11 +50,11 @@ def put_nearer(typing, cells, first, value, step, low, high, last):
             return builder.shuffle_vector(
                 first_lane, undefined, ir.Constant(ir.VectorType(integer, LANES), [0] * LANES))
 
-        def call_intrinsic(name, one, other):
+        def call_intrinsic(name, left, right):
             function = cgutils.get_or_insert_function(
                 builder.module, ir.FunctionType(vector, [vector, vector]),
                 f'llvm.{name}.v{LANES}f32')
-            return builder.call(function, [one, other], fastmath=FASTMATH)
+            return builder.call(function, [left, right], fastmath=FASTMATH)
 
         value, step, low, high, last = map(repeat_in_lanes, scalars)
         ramp = ir.Constant(vector, [float(lane) for lane in range(LANES)])
@@ -63,6 +63,7 @@ def put_nearer(typing, cells, first, value, step, low, high, last):
         # An inverse distance of 0 occludes nothing; storing only some lanes would be slow.
         value = builder.select(builder.fcmp_ordered('<=', ramp, last), value,
                                ir.Constant(vector, [0.0] * LANES))
+        # The alignment is that of one cell, 4 bytes: a row may begin anywhere.
         array = cgutils.create_struct_proxy(signature.args[0])(context, builder, cells)
         pointer = builder.bitcast(builder.gep(array.data, [first]), vector.as_pointer())
         nearer = call_intrinsic('maxnum', builder.load(pointer, align=4), value)

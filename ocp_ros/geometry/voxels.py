@@ -78,7 +78,8 @@ def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
 
     :param points: (N, 3), N points, metres.
     :param voxel_size: edge of the cubes, metres.
-    :returns: (M, 3) float32, metres, one point for each of M occupied cubes, in their order.
+    :returns: (M, 3) float32, metres, one point for each of M occupied cubes, sorted by x,
+        then y, then z of the cubes.
     :raises ValueError: if the voxel size is below a millimetre.
     """
     if not voxel_size >= MIN_VOXEL_M:
@@ -118,6 +119,7 @@ def voxel_size_for(points: np.ndarray, max_points: int) -> float:
     trial = np.sqrt(2.0 * (x * y + y * z + z * x) / max_points)
     attempt = 0
     while high / low > 1.02:
+        # Each trial moves one of the limits, since it lies between them.
         trial = np.clip(trial, low * 1.004, high / 1.004)
         attempt += 1
         count = grid.assign_points(trial)
@@ -125,8 +127,9 @@ def voxel_size_for(points: np.ndarray, max_points: int) -> float:
             low = trial
         else:
             high = trial
-        # The number of cubes on a surface falls with the square of their edge. Every fourth step
-        # is a bisection, which converges even if steps by this rule do not.
+        # The number of cubes on a surface falls with the square of their edge. Steps are
+        # 0.5 % too long, so that both limits move. Every fourth step is a bisection, which
+        # converges even if steps by this rule do not.
         trial *= np.sqrt(count / max_points) * (1.005 if count > max_points else 1.0 / 1.005)
         if attempt % 4 == 0:
             trial = np.sqrt(low * high)
@@ -181,6 +184,7 @@ def _rank_voxels(points, corners, edge, slots, ranks, cells):
         y = np.int64(np.floor((points[i, 1] - low[1]) / edge))
         z = np.int64(np.floor((points[i, 2] - low[2]) / edge))
         cell = (x * y_count + y) * z_count + z
+        # The slots after the first one are tried until the cell or an empty slot is found.
         slot = np.int64((np.uint64(cell) * HASH_MULTIPLIER) >> np.uint64(32)) & mask
         while slots[slot] != EMPTY and cells[slots[slot]] != cell:
             slot = (slot + 1) & mask

@@ -43,7 +43,7 @@ YAWS, PITCHES = 8, 2
 @njit(cache=True, nogil=True)
 def _objective_value(seen, covered, trees, pixels, weight):
     """
-    Return the depth error less the bonus for covered unseen cells, metres.
+    Return the depth error less the bonus for covered unseen cells, metres; less is better.
 
     :param seen: (W,) uint64, packed bits of the points that the cameras see.
     :param covered: (V,) uint64, packed bits of the unseen cells that the cameras cover.
@@ -64,8 +64,9 @@ def _union(views):
 @njit(nogil=True)
 def _merge_others(camera, choice, seen, covered, trees):
     """
-    Merge the views of all cameras of a choice but one; parameters as in :func:`_anneal_choice`.
+    Merge the views of all cameras of a choice but one.
 
+    :param camera: the camera that is left out; for all else see :func:`_anneal_choice`.
     :returns: the trees without nodes whose error the merged view decides, the summed error of
         removed trees (metres), and the packed bits (V,) of the cells that the merged view covers.
     """
@@ -92,8 +93,9 @@ def _site_value(site, max_value, others, seen, covered, pixels, weight, values, 
     if not is_exact[site] and values[site] <= max_value:
         open_trees, settled_error, others_covered = others
         bonus = weight * count_bits(others_covered | covered[site])
-        values[site] = (settled_error + lost_depth(
-            open_trees, seen[site], (max_value + bonus) * pixels - settled_error)) / pixels - bonus
+        # Above this limit the summation stops, and the value is a lower bound.
+        limit = (max_value + bonus) * pixels - settled_error
+        values[site] = (settled_error + lost_depth(open_trees, seen[site], limit)) / pixels - bonus
         is_exact[site] = values[site] <= max_value
     return values[site]
 
@@ -117,12 +119,14 @@ def _choose_greedily(seen, covered, trees, pixels, weight, kind_of, sites, start
         is_exact = np.zeros(len(seen), dtype=np.bool_)
         best_site, best_value = -1, np.inf
         kind_sites = sites[starts[kind_of[camera]]:starts[kind_of[camera] + 1]]
+        # Most promising sites first; merge sort keeps the order of sites with equal gains.
         for site in kind_sites[np.argsort(-gains[kind_sites], kind='mergesort')]:
             # A nanometre is the tolerance for rounding.
             if value_before - gains[site] > best_value + 1e-9:
                 break
             value = _site_value(site, best_value, others, seen, covered, pixels, weight, values,
                                 is_exact)
+            # If the value is a lower bound, this is an upper bound of the gain.
             gains[site] = value_before - value
             if value < best_value or (value == best_value and site < best_site):
                 best_site, best_value = site, value
@@ -157,6 +161,7 @@ def _anneal_choice(choice, best_choice, seen, covered, trees, pixels, weight, ki
     """
     best_value = _objective_value(_union(seen[best_choice]), _union(covered[best_choice]), trees,
                                   pixels, weight)
+    # Placeholders that give Numba the type; every entry is computed before its first use.
     others = [(trees, 0.0, covered[0])] * len(choice)
     is_stale = np.ones(len(choice), dtype=np.bool_)
     values = np.empty((len(choice), len(seen)))
@@ -167,8 +172,8 @@ def _anneal_choice(choice, best_choice, seen, covered, trees, pixels, weight, ki
         neighbour_count = min(neighbours.shape[1], last - first - 1)
         if is_stale[camera]:
             others[camera] = _merge_others(camera, choice, seen, covered, trees)
-            values[camera] = -np.inf
-            is_stale[camera], is_exact[camera] = False, False
+            values[camera], is_exact[camera] = -np.inf, False
+            is_stale[camera] = False
         value = _site_value(choice[camera], np.inf, others[camera], seen, covered, pixels, weight,
                             values[camera], is_exact[camera])
         if value < best_value:
@@ -178,11 +183,13 @@ def _anneal_choice(choice, best_choice, seen, covered, trees, pixels, weight, ki
                 site = sites[first + rng.integers(0, last - first)]
             else:
                 site = neighbours[choice[camera], rng.integers(0, neighbour_count)]
+            # The rule of Metropolis as in :func:`~ocp_ros.util.annealing.annealed`.
             max_value = value + temperature * rng.exponential()
             trial_value = _site_value(site, max_value, others[camera], seen, covered, pixels,
                                       weight, values[camera], is_exact[camera])
             if trial_value <= max_value:
                 if site != choice[camera]:
+                    # The caches of all other cameras hold for the old site of this camera.
                     is_stale[:] = True
                     is_stale[camera] = False
                 choice[camera], value = site, trial_value
@@ -217,6 +224,7 @@ class Candidates:
         #: The last three inputs of the objective: trees, divisor of sums, bonus for a cell.
         self._objective = self._error.trees, self._error.pixels, weight
         self.kind_of, first_cameras = kinds_of(rig_state)
+        # Candidates at one position: kind, position (3,), headings (H, 3) and frustum.
         groups = [(kind, pose[:3], pose[None, 3:], lens) for plan in plans
                   for kind, pose, lens in zip(self.kind_of, plan, rig_state.lenses)]
         for kind, camera in enumerate(first_cameras):
@@ -239,13 +247,14 @@ class Candidates:
         self.neighbours = np.zeros((len(views), 12), dtype=np.int64)
         for candidates, camera in zip(self.of_kind, first_cameras):
             # The heading of an omnidirectional camera means nothing.
-            weight = 0.0 if rig_state.models[camera].omnidirectional else 0.5
-            neighbours = self._neighbours_of(candidates, weight)
+            metres_per_radian = 0.0 if rig_state.models[camera].omnidirectional else 0.5
+            neighbours = self._neighbours_of(candidates, metres_per_radian)
             self.neighbours[candidates, :neighbours.shape[1]] = neighbours
 
     def _neighbours_of(self, candidates: np.ndarray, metres_per_radian: float) -> np.ndarray:
         """Return the most similar others for each of C candidates of one kind: (C, n <= N)."""
         tree = cKDTree(pose_features(self.poses[candidates], metres_per_radian))
+        # Rank 1 is the candidate itself.
         ranks = np.arange(2, min(self.neighbours.shape[1] + 1, len(candidates)) + 1)
         _, indices = tree.query(tree.data, ranks)
         return candidates[indices]
@@ -284,7 +293,8 @@ def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:
 
     :returns: (K,) the kind of each camera, and the first camera of each kind.
     """
-    # Angles that do not change, from this column on, must be equal within a kind.
+    # Angles that may not change must be equal within a kind: the roll (column 5 of a pose), or all
+    # angles (from column 3).
     first_kept = 5 if rig_state.turns else 3
     keys = [(lens, () if model.omnidirectional else tuple(pose[first_kept:])) for lens, model, pose
             in zip(rig_state.lenses[:rig_state.movable], rig_state.models, rig_state.placement)]

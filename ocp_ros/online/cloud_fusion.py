@@ -26,8 +26,8 @@ class FusedCloud:
     A point cloud with one point per voxel: the first point that was added in that voxel.
 
     While the cloud has more than ``max_points`` points, the edge of the voxels is doubled and the
-    cloud is thinned. Large voxels are unions of small ones, so every
-    occupied region stays occupied.
+    cloud is thinned. Large voxels are unions of small ones, so every occupied region stays
+    occupied.
 
     :param voxel: first edge of the voxels, metres.
     :param max_points: largest number of points.
@@ -84,7 +84,10 @@ class FusedCloud:
             raise ValueError(
                 f'points: found coordinates up to {np.abs(points).max()} m; expected finite ones '
                 f'within {max_distance:.0f} m of the origin; check the unit and the frame')
+        # With ``np.float64`` NumPy divides in float64; in float32, points near the sides of voxels
+        # would be rounded.
         numbers = cell_numbers(np.floor(points / np.float64(self.edge)).astype(np.int64))
         _, first_indices = np.unique(numbers, return_index=True)
+        # Back from the order of the voxel numbers to that of the points.
         first_indices.sort()
         return points[first_indices], numbers[first_indices]

@@ -96,14 +96,16 @@ class StepConstraints:
         if len(cloud) == 0:
             targets[:, :2] = towards(positions[:, :2], positions[:, :2] + moves, limits.max_step)
             return FilteredTargets(targets, [])
-        # Cameras stay over the observed floor: behind a wall they would see through its back side.
+        # Cameras stay over the observed floor, because behind a wall they would see through its
+        # back.
         plane = FreePlane.around(cloud, positions, limits.wall_margin,
                                  clearance_of(state, limits.clearance))
         targets[:, :2] = plane.moved(positions[:, :2], moves, limits.max_step)
         targets, _ = kept_inside(targets, corners_of(cloud).astype(np.float64),
                                  limits.wall_margin)
         if self.filter is None:
-            # A camera with a frustum may be far outside the observed bounding box.
+            # A camera with a frustum may be far outside the observed bounding box, and its way
+            # back into the box longer than one step.
             targets[:, :2] = towards(positions[:, :2], targets[:, :2], limits.max_step)
             return FilteredTargets(targets, [])
         return self.filter(cloud, positions, targets, limits.max_step,
@@ -140,7 +142,7 @@ class FreeDistances(NamedTuple):
         return cls(pose.position, np.min([np.roll(distances, k) for k in (-1, 0, 1)], axis=0))
 
     def are_free(self, positions: np.ndarray, margin: float) -> np.ndarray:
-        """Return which positions (P, 3) are ``margin`` metres before the first surface: (P,)."""
+        """Return which positions (P, 3) are ``margin`` metres or more before any surface: (P,)."""
         offsets = (positions - self.position)[:, :2]
         return np.linalg.norm(offsets, axis=1) + margin <= self.distances[_sectors(offsets)]
 
@@ -206,6 +208,7 @@ class ConstraintFilter:
         was_prepared = self._is_prepared
         if was_prepared:
             self._is_prepared = False
+            # The region was computed for planned heights; the measured ones may be higher.
             self._region.top = max(self._region.top, float(positions[:, 2].max()) + FREE_ABOVE_M)
         else:
             self._update_region(cloud, positions)
@@ -214,23 +217,25 @@ class ConstraintFilter:
         bounds = np.stack([cloud.min(axis=0), cloud.max(axis=0)]).astype(np.float64)
         fixed = self.rig.fixed_poses[:, :3] if fixed is None else fixed
         chosen, held = positions.copy(), []
+        # A prepared region was computed from an older cloud.
         new_points = cloud if was_prepared else None
         for camera, (rig_camera, position, target) in enumerate(
                 zip(self.rig.cameras, positions, targets, strict=True)):
             others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
-            found = self._nearest(position, target, others, bounds, max_step, new_points)
+            place = self._nearest(position, target, others, bounds, max_step, new_points)
             # A move of at most 1 cm counts as staying.
             is_moving = np.linalg.norm(target - position) > 0.01
-            if found is None and is_moving and state is not None and not was_prepared:
-                found = self._nearest(position, target, others, bounds, max_step, None,
+            if place is None and is_moving and state is not None and not was_prepared:
+                place = self._nearest(position, target, others, bounds, max_step, None,
                                       FreeDistances.of(cloud, state, camera))
-            if found is None:
+            if place is None:
                 held.append(f'{rig_camera.name} stays at {np.round(position, 2).tolist()}: '
                             f'found no feasible position within {max_step:g} m')
             else:
-                chosen[camera] = found
+                chosen[camera] = place
         if held and was_prepared:
-            # The newest points may add feasible positions for cameras that would have to stay.
+            # The newest points may add feasible positions for cameras that would have to stay, so
+            # this call computes the region again: no region is prepared now.
             return self(cloud, positions, targets, max_step, fixed, state)
         return FilteredTargets(chosen, held)
 
@@ -272,6 +277,7 @@ class ConstraintFilter:
         :param free_distances: replace the check for observed floor; None to require this floor.
         """
         if new_points is not None:
+            # Points farther away are not too near to any place that the camera can reach.
             radius = max_step + self.rig.keep_clear + ROUNDING
             offsets = np.abs(new_points[:, :2] - position[:2].astype(np.float32))
             new_points = new_points[(offsets <= radius).all(axis=1)]
@@ -280,6 +286,7 @@ class ConstraintFilter:
             feasible = satisfies_spacing(places, others, self.rig.spacing)
             feasible &= (self._are_inside(places, bounds) if free_distances is None else
                          free_distances.are_free(places, self.rig.keep_clear))
+            # Slower checks only of the places that passed the checks so far.
             feasible[feasible] = self._region.allowed(
                 places[feasible], unknown=free_distances is not None) if feasible.any() else False
             if new_points is not None and feasible.any():
@@ -290,12 +297,13 @@ class ConstraintFilter:
                              lambda places: self._at_height(places, position[2]), are_feasible)
 
     def _at_height(self, places: np.ndarray, height: float) -> np.ndarray:
-        """Return places (P, 3) at a height, or just below the ceiling for a ceiling mount."""
+        """Return places (P, 3) at a height, or just below the ceiling if the mount needs it."""
         places = places.copy()
         places[:, 2] = height
         if self.rig.mount.heights is None and self.rig.mount.on == 'ceiling':
             surface = self._region.surface
             ceiling = surface.height_above(places[:, :2])
+            # Too far below the ceiling, or above it; the height of an unknown ceiling is -inf.
             is_off = ~surface.at(places).on | (ceiling <= places[:, 2])
             mounted = np.where(np.isfinite(ceiling), ceiling - STAND_OFF, height)
             places[is_off, 2] = mounted[is_off]

@@ -37,30 +37,31 @@ class GreedyStep(Online):
 
     def __init__(self, *settings) -> None:
         super().__init__(*settings)
-        self._turns = ObservedTurns(self.max_range, self.wall_margin, self.clearance,
-                                    points=POINTS, rows=ROWS)
+        self._partial_maps = ObservedTurns(self.max_range, self.wall_margin, self.clearance,
+                                           points=POINTS, rows=ROWS)
 
     def reset(self) -> None:
         """Discard the state of the last episode."""
-        self._turns.reset()
+        self._partial_maps.reset()
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
-        self._turns.rig_state = self.rig_state
+        self._partial_maps.rig_state = self.rig_state
         try:
-            known = self._turns(cloud, positions, turn, turns)
+            observed = self._partial_maps(cloud, positions, turn, turns)
         except SceneError:
             return self.random_walk(cloud, positions)
         for camera in order_of(turn, len(positions)):
-            best_move = MOVES[int(np.argmin(_move_values(known, camera, turn / turns)))]
-            position = known.positions[camera]
+            best_move = MOVES[int(np.argmin(_move_values(observed, camera, turn / turns)))]
+            position = observed.positions[camera]
+            # ``bounded_moves`` takes moves in units of the longest step.
             move = bounded_moves(best_move / self.max_step, self.max_step)
-            target = known.space.moved(position[None, :2], move, self.max_step)[0]
-            known.place(camera, np.append(target, position[2]))
-        return (known.positions - positions)[:, :2]
+            target = observed.space.moved(position[None, :2], move, self.max_step)[0]
+            observed.place(camera, np.append(target, position[2]))
+        return (observed.positions - positions)[:, :2]
 
 
-def _move_values(known: ObservedTurn, camera: int, elapsed_share: float) -> np.ndarray:
+def _move_values(observed: ObservedTurn, camera: int, elapsed_share: float) -> np.ndarray:
     """
     Return the objective value after each of a camera's M = 25 ``MOVES``: less is better.
 
@@ -70,18 +71,19 @@ def _move_values(known: ObservedTurn, camera: int, elapsed_share: float) -> np.n
     :param elapsed_share: time steps taken so far, divided by the time steps of the episode.
     :returns: (M,) float64.
     """
-    model, space = known.model, known.space
-    others = known.merge_other_views(camera)
-    new_cells = known.unseen & ~others.covered
-    # Added to compared errors.
+    model, space = observed.model, observed.space
+    others = observed.merge_other_views(camera)
+    new_cells = observed.unseen & ~others.covered
+    # Added to each error and to the largest one, before the former is divided by the latter.
     error_floor = 0.01 * model.depth_error.worst
     max_error = model.depth_error.worst + error_floor
-    positions = space.placement(space.inside(known.positions[camera, :2] + MOVES[1:]))
-    cell_bonus = exploration_bonus(elapsed_share) / known.unseen_count
+    positions = space.placement(space.inside(observed.positions[camera, :2] + MOVES[1:]))
+    cell_bonus = exploration_bonus(elapsed_share) / observed.unseen_count
 
     def value(position: np.ndarray) -> float:
-        view = known.look(camera, position)
+        view = observed.look(camera, position)
         error = (model.depth_error(others.seen | view.seen) + error_floor) / max_error
         return error - cell_bonus * int(count_bits(view.covered & new_cells))
 
-    return np.array([(known.error + error_floor) / max_error, *mapped(value, positions)])
+    # The first move is to stay, without bonus: the cells in the current views are not unseen.
+    return np.array([(observed.error + error_floor) / max_error, *mapped(value, positions)])

@@ -129,6 +129,7 @@ class HeadingPlanner:
         """
         headings = rig_state.placement[:, 3:]
         try:
+            # The feasible region is not used here, so it needs no clearance.
             model, _ = self._kept_model(cloud, rig_state.placement[:rig_state.movable, :3], FAST,
                                         clearance=0.0)
         except SceneError:
@@ -148,7 +149,7 @@ class HeadingPlanner:
     def _search_goals(self, model: PartialMap, rig_state: RigState, targets: np.ndarray,
                       max_turn: float, turn: int, turns: int, hint: np.ndarray | None,
                       interrupted: Callable[[], bool]) -> np.ndarray:
-        """Return the goal headings (C, 3) found; cameras reach them before the episode ends."""
+        """Return goal headings (C, 3) of C cameras, which reach them before the episode ends."""
         headings = rig_state.placement[:, 3:]
         max_angle = max_turn * max(turns - turn, 1)
         search = _Search(model, self._memory.unseen(model), targets, rig_state.lenses,
@@ -158,7 +159,7 @@ class HeadingPlanner:
             search.replace_if_better(self._first_goals(headings, hint, max_angle))
         candidates = {camera: self._candidates(search.goals[camera].heading, headings[camera],
                                                max_angle) for camera in self.aimed}
-        # Two passes over all cameras.
+        # Two passes over all cameras; in each time step another camera is the first one.
         for _ in range(2):
             for camera in np.roll(self.aimed, turn):
                 if interrupted():
@@ -189,6 +190,8 @@ class HeadingPlanner:
 
     def _candidates(self, goal: np.ndarray, heading: np.ndarray, max_angle: float) -> np.ndarray:
         """Return the candidate headings (H, 3) of a camera with a goal (3,) and a heading (3,)."""
+        # All yaws at the pitch of the goal, then the grid of directions; both are relative to the
+        # goal's yaw. The roll is that of the camera.
         at_goal_pitch = self._directions[:YAWS] * [1.0, 0.0, 0.0] + [0.0, goal[1], 0.0]
         grid = np.concatenate([at_goal_pitch, self._directions]) + [goal[0], 0.0, heading[2]]
         return self._allowed(grid, heading, max_angle)
@@ -219,6 +222,7 @@ class _Search:
         self._targets, self._lenses = targets, lenses
         #: Bonus for each covered unseen cell, metres of depth error.
         self._cell_bonus = 0.0
+        #: Views by number and heading of the camera.
         self._views: dict[tuple, View] = {}
         self.goals = self._goals_at(headings)
 
@@ -254,6 +258,7 @@ class _Search:
         """Return the objective value of all goals together, metres; less is better."""
         views = [goal.view for goal in goals]
         union = self._model.together(views)
+        # The union contains the first view, so the bonus of both is that of the union.
         return self._model.depth_error(union.seen) - self._bonus(union, views[0])
 
     def _views_of(self, camera: int, headings: np.ndarray) -> list[View]:

@@ -135,7 +135,9 @@ class Lookahead(PipelinedPlanner):
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
         pipelined = self._ahead(turns)
+        # In a pipelined episode, the survey needs some time steps before the refinement.
         if turn >= TUNING.refining_share * turns - TUNING.survey_turns * pipelined:
+            # The refinement begins as soon as the last part of the survey is done.
             if self._is_surveyed or self._do_survey(cloud, positions, turn, turns):
                 self._refine(cloud, positions, turn, turns)
             return
@@ -180,13 +182,13 @@ class Lookahead(PipelinedPlanner):
         self._candidates = Candidates(model, positions, plans, state, unseen, weight)
         # The poses of the plans are the first candidates.
         choices = np.arange(len(plans) * cameras).reshape(-1, cameras).tolist()
-        if not self._planned(cameras):
+        if not self._has_plan(cameras):
             choices.append(self._candidates.choose_greedily())
         self._choice = min(choices, key=self._candidates.value)
 
     def _current_plans(self, cameras: int) -> list[np.ndarray]:
         """Return a list of the current plan, (K, 6) metres and radians, if any; z is not used."""
-        if not self._planned(cameras):
+        if not self._has_plan(cameras):
             return []
         headings = self._planned_headings() if self.directional else np.zeros((cameras, 3))
         return [np.hstack([self.targets, np.zeros((cameras, 1)), headings])]
@@ -210,6 +212,7 @@ class Lookahead(PipelinedPlanner):
                   for position in positions]
         targets = np.array([
             space.inside(target) for space, target in zip(spaces, self.targets, strict=True)])
+        # Elapsed share of the refinement, which lasts to the end of the episode, for each group.
         first_turn = TUNING.refining_share * turns
         shares = ((turn - first_turn + proposal / proposals) / (turns - first_turn)
                   for proposal in range(0, proposals, TUNING.parallel_proposals))
@@ -231,6 +234,7 @@ class Lookahead(PipelinedPlanner):
         """
         if self._kept_model.made is None:
             self._remaining_survey = self._survey(cloud, positions, turn)
+        # Each item is a part that was just done, see :meth:`_survey`.
         for _ in self._remaining_survey:
             if not self._waits_for_plan(turns, len(positions)):
                 return False
@@ -246,7 +250,7 @@ class Lookahead(PipelinedPlanner):
         """
         self._create_refining_model(cloud, positions, turn)
         model, space = self._kept_model.made
-        # The depth error is computed when it is first needed.
+        # This first access computes the depth error, as a part of its own.
         yield model.depth_error
         self._choose_plan(model, space, self.memory.unseen(model), 0.0,
                           self._current_plans(len(positions)), len(positions))
@@ -324,8 +328,9 @@ class Refinement:
 
     def _temperatures(self, shares: Iterable[float]) -> Iterator[float]:
         """Yield the temperature of each group of proposals, metres."""
+        # The loop sets group and share also for the proposals of the group.
         for self._group, self._share in enumerate(shares):
-            # The temperature is never 0: an error counts as at least 1 mm.
+            # An error counts as at least 1 mm, so the temperature is never 0.
             yield max(self._best_error, 1e-3) * between(*TUNING.temperatures, self._share)
 
     def _move_next(self, plan: Plan, camera: int) -> None:

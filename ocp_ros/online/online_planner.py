@@ -253,14 +253,15 @@ class PipelinedPlanner(Online):
 
     def _waits_for_plan(self, turns: int, cameras: int) -> bool:
         """Return whether the present time step waits for a plan on the newest cloud."""
-        return not (self._ahead(turns) and self._planned(cameras))
+        return not (self._ahead(turns) and self._has_plan(cameras))
 
-    def _planned(self, cameras: int) -> bool:
+    def _has_plan(self, cameras: int) -> bool:
         """Return whether there is a plan for this number of cameras."""
         return self.targets is not None and len(self.targets) == cameras
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
+        # The plan in advance, if it was not computed while the cameras moved.
         self.plan_ahead()
         record_views(self.memory, positions, self.rig_state)
         try:
@@ -281,6 +282,7 @@ class PipelinedPlanner(Online):
             return
         cloud, positions, turn, turns, rig_state = self._next_turn
         self._next_turn = None
+        # The plan is for the poses that the cameras will have.
         current_state = self.rig_state
         self.rig_state = rig_state
         try:

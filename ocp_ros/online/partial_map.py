@@ -76,6 +76,7 @@ class PartialMap:
                  air_radius: float = 0.0) -> None:
         scene = Scene(thinned(cloud, max_points), 'observed cloud')
         corners = smallest_rectangle(scene.points[:, :2])
+        # Cells in the largest possible box; those outside the final box become ``NO_CELL``.
         box = enlarged_box(scene.bounds, corners)
         if air_radius:
             box = enlarged_box(box, positions[:, :2] - air_radius)
@@ -94,6 +95,7 @@ class PartialMap:
             distances = np.linalg.norm(centres[:, None, :2] - positions[None, :, :2], axis=2)
             is_air |= distances.min(axis=1) <= air_radius
         self.points = scene.points[self.visibility.order]
+        # The four test places follow the cells and are none.
         numbers = np.append(np.where(is_air, numbers, NO_CELL), [NO_CELL] * 4)
         self.cells = numbers[self.visibility.place_order]
         self._views: dict[tuple[bytes, Frustum | None], View] = {}
@@ -124,6 +126,7 @@ class PartialMap:
         for camera in np.unique(nearest_cameras):
             view = self.together([])
             self.visibility.look(Pose.of(positions[camera]), lens, view.seen, view.covered)
+            # Back from the order of the bits to that of the places; the tested ones are last.
             covered = np.empty(len(place_order), dtype=bool)
             covered[place_order] = unpack(view.covered, len(place_order))
             are_visible |= covered[-4:] & (nearest_cameras == camera).any(axis=1)
@@ -155,6 +158,7 @@ class PartialMap:
         :param headings: (H, 3) yaw, pitch and roll in radians.
         :param lens: frustum of the camera; None for an omnidirectional camera.
         """
+        # Views of all headings are cut out of one omnidirectional view with the same range.
         full_view = self.look(position, lens and lens._replace(kind=OMNIDIRECTIONAL))
         if lens is None or lens.kind == OMNIDIRECTIONAL:
             return [full_view] * len(headings)
@@ -184,6 +188,8 @@ class PartialMap:
                       ) -> np.ndarray:
         """
         Return the numbers of the cells that K cameras cover together; see :meth:`look`.
+
+        They include ``NO_CELL`` if the cameras cover a place outside the air.
 
         :param cameras: (K, 3) or (K, 6), metres and radians.
         :param lenses: one for each camera; None for omnidirectional cameras.
@@ -321,14 +327,14 @@ def cells_of_the_air(bounds: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]
     """
     Return the cells of a grid whose centres are inside a bounding box.
 
-    :param bounds: (2, 3) metres. The edge is doubled until there are about 20,000 cells
-        at most.
+    :param bounds: (2, 3) metres. The edge is doubled until there are about 20,000 cells at most.
     :returns: centres (C, 3) float32, metres; numbers (C,) int64 of the cells, the same in every
         bounding box with the same edge; and the edge, metres.
     """
     edge = CELL_M
     while np.prod(np.ptp(bounds, axis=0) / edge) > 20_000:
         edge *= 2.0
+    # The centre of cell k is at (k + 0.5) * edge.
     first = np.ceil(bounds[0] / edge - 0.5).astype(np.int64)
     last = np.floor(bounds[1] / edge - 0.5).astype(np.int64)
     axes = [np.arange(first[k], last[k] + 1) for k in range(3)]
@@ -354,6 +360,7 @@ def smallest_rectangle(points: np.ndarray) -> np.ndarray:
     sides = np.roll(hull, -1, axis=0) - hull
     directions = sides / np.linalg.norm(sides, axis=1, keepdims=True)
     normals = np.stack([-directions[:, 1], directions[:, 0]], axis=1)
+    # For each side of the hull, coordinates along the side and across it.
     axes = np.stack([directions, normals], axis=1)
     coordinates = axes @ hull.T
     low, high = coordinates.min(axis=2), coordinates.max(axis=2)
@@ -364,7 +371,7 @@ def smallest_rectangle(points: np.ndarray) -> np.ndarray:
 
 
 def moved_inwards(corners: np.ndarray) -> np.ndarray:
-    """Return the corners (4, 2) of a rectangle moved 0.3 m to its centre: (4, 2) metres."""
+    """Return the corners (4, 2) of a rectangle moved 0.3 m towards its centre: (4, 2) metres."""
     to_centre = corners.mean(axis=0) - corners
     distances = np.linalg.norm(to_centre, axis=1, keepdims=True)
     return corners + to_centre * np.minimum(0.3 / distances, 1.0)
@@ -372,10 +379,10 @@ def moved_inwards(corners: np.ndarray) -> np.ndarray:
 
 def enlarged_box(bounds: np.ndarray, positions: np.ndarray) -> np.ndarray:
     """
-    Return a box enlarged to contain positions; sides that would move by <= 5 cm stay.
+    Return a box enlarged to contain x and y of positions; sides that would move <= 5 cm stay.
 
     :param bounds: (2, 3) metres, the box.
-    :param positions: (P, 2) metres.
+    :param positions: (P, 2) metres; P may be 0.
     :returns: (2, 3) metres.
     """
     larger = bounds.copy()

@@ -28,6 +28,7 @@ from ocp_ros.simulation.episode import Episode
 def state_of(episode: Episode) -> RigState:
     """Return the current state of an episode's rig, fixed cameras included."""
     problem, rig = episode.problem, episode.problem.rig
+    # An episode may place only the first cameras of the rig.
     movable = len(episode.turn.positions)
     models = (*problem.models[:movable], *problem.models[len(rig.cameras):])
     return RigState(episode.placement, models, movable, rig.pitch, clearance=rig.clearance)

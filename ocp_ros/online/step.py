@@ -46,6 +46,7 @@ class OnlineStep:
                  report: Callable[[str], None] | None = None) -> None:
         self.planner, self.limits = planner, limits
         self._report = report
+        # A free rig has no constraints and no headings to choose.
         self.rig = rig = None if rig is None or rig.free else rig
         self.constraints = StepConstraints(limits, rig)
         self.aim = HeadingPlanner.of(rig, limits.wall_margin)
@@ -84,8 +85,8 @@ class OnlineStep:
         headings = self._choose_headings(cloud, state, placement[:, :3], turn, turns)
         for camera, heading in headings.items():
             placement[camera, 3:] = heading
-        is_pipelined = turns >= MIN_PIPELINED_TURNS and turn + 1 < turns
-        if is_pipelined and len(cloud) and self.rig is not None:
+        can_prepare = turns >= MIN_PIPELINED_TURNS and turn + 1 < turns
+        if can_prepare and len(cloud) and self.rig is not None:
             self._next_turn = PlannedTurn(cloud.copy(), placement[:state.movable, :3], turn + 1,
                                           turns, state._replace(placement=placement))
         return Command(placement, list(headings), held)
@@ -100,6 +101,7 @@ class OnlineStep:
             if not np.isfinite(moves).all():
                 raise ValueError('moves of NaN or inf')
             return moves
+        # Reached only after a reported error.
         return np.zeros((state.movable, 2))
 
     def plan_ahead(self, interrupted: Callable[[], bool] = never_interrupted) -> None:
@@ -137,6 +139,7 @@ class OnlineStep:
             headings = self.aim(cloud, state, targets, self.limits.max_turn, turn, turns,
                                 self.planner.headings)
             return {camera: headings[camera] for camera in self.aim.aimed}
+        # Reached only after a reported error.
         return {}
 
     @contextmanager

@@ -65,6 +65,7 @@ class AgentConfig:
 
     def __post_init__(self) -> None:
         """Reject settings without effect, and extraction units that need too much memory."""
+        # Output of a layer for all groups of one observation: up to 32 MiB of float32.
         max_values = 1 << 23
         grouped_points = (self.keys_1 * self.group_1, self.keys_2 * self.group_2)
         for unit, points in enumerate(grouped_points, start=1):

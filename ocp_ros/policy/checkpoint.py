@@ -61,7 +61,7 @@ class Checkpoint:
 
     def __post_init__(self) -> None:
         """Reject weights that do not fit the network or would overflow in it."""
-        # On the meta device: only shapes are compared, nothing is allocated.
+        # Tensors on the meta device need no memory: only their shapes are compared.
         with torch.device('meta'):
             expected = actor_of(self.config).state_dict()
         missing = expected.keys() - self.weights.keys()
@@ -124,6 +124,7 @@ class Checkpoint:
             config = from_nested(AgentConfig, card['config'], source)
             updates = card['updates']
             run = card['run']
+            # ``type`` rejects True too. Nodes publish updates as float64, exact up to 2^53.
             if (type(updates) is not int or not 0 <= updates <= (1 << 53)
                     or not isinstance(run, str) or len(run) > 100):
                 raise ValueError(f'its updates are {updates!r} and its run is {str(run)[:50]!r}')
@@ -137,6 +138,7 @@ class Checkpoint:
         try:
             return cls(config, weights, updates, run, provenance)
         except CheckpointError as error:
+            # The message names the source instead of ``weights``.
             raise CheckpointError(f'{source}: {str(error).removeprefix("weights: ")}') from error
 
     def save(self, path: Path) -> None:
@@ -178,6 +180,7 @@ def read_metadata(blob: bytes) -> dict[str, str]:
     :raises ValueError: if the blob is shorter than its header.
     """
     size = 8  # Bytes of the length.
+    # A blob without a whole length is padded here, and rejected below.
     (length,) = struct.unpack('<Q', blob[:size].ljust(size, b'\0'))
     if length > len(blob) - size:
         raise ValueError(f'{len(blob)} bytes are too few for a header of {length}')

@@ -73,11 +73,12 @@ class EncodedTurn:
         :param action: (2,) the wanted move in x and y, in units of ``max_step``.
         :returns: (2,) the corrected move, which ends over the observed floor, in the same units.
         """
-        step = bounded_moves(action, self._max_step)
+        wanted = bounded_moves(action, self._max_step)
         start = self.positions[camera:camera + 1, :2]
-        end = start + step
+        end = start + wanted
         if self._observed is not None:
-            end = self._observed.space.moved(start, step, self._max_step)
+            end = self._observed.space.moved(start, wanted, self._max_step)
+        # ``start`` is a view of the positions and changes with them below.
         step = (end - start)[0]
         self.positions[camera, :2] = end[0]
         self._has_chosen[camera] = True
@@ -99,15 +100,15 @@ class Encoder:
     :param max_step: longest move of a camera in one time step, metres.
     :param wall_margin: smallest distance of cameras from the observed bounding box, metres.
     :param clearance: smallest distance of cameras from all observed points, metres.
-    :ivar turns: partial maps of the episode, in which points are marked by the cameras that see
-        them.
+    :ivar partial_maps: creates the partial map of each time step; it shows which cameras see each
+        point.
     """
 
     def __init__(self, config: AgentConfig, max_range: float = 4.0, max_step: float = 0.5,
                  wall_margin: float = 0.1, clearance: float = CLEARANCE) -> None:
         self.config = config
         self.max_step = max_step
-        self.turns = ObservedTurns(max_range, wall_margin, clearance, points=6000, rows=16)
+        self.partial_maps = ObservedTurns(max_range, wall_margin, clearance, points=6000, rows=16)
 
     def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> EncodedTurn:
         """
@@ -120,5 +121,5 @@ class Encoder:
         """
         observed = None
         with suppress(SceneError):  # The cloud is too small for a partial map.
-            observed = self.turns(cloud, positions, turn, turns)
+            observed = self.partial_maps(cloud, positions, turn, turns)
         return EncodedTurn(self.config, cloud, observed, positions, self.max_step, turn / turns)

@@ -42,7 +42,7 @@ class Learned(Online):
     def set_rig_state(self, rig_state: RigState | None) -> None:
         """Set the rig state of the policy's encoder too; see :meth:`Online.set_rig_state`."""
         super().set_rig_state(rig_state)
-        self.policy.encoder.turns.rig_state = rig_state
+        self.policy.encoder.partial_maps.rig_state = rig_state
 
     def reset(self) -> None:
         """Discard the state of the last episode."""
@@ -64,6 +64,7 @@ def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | Map
     :param policy: from :func:`ocp_ros.policy.policy.make_policy`.
     :param settings: positional arguments of :class:`~ocp_ros.online.online_planner.Online`.
     """
+    # This import loads torch; an import of the present module alone does not.
     from ocp_ros.policy.policy import ValuePolicy
     if isinstance(policy, ValuePolicy):
         return MapActor(policy, *settings)

@@ -102,7 +102,7 @@ class MapActor(PipelinedPlanner):
     def _map_of(self, known: KnownTurn) -> MapTurn:
         """Return a time step as an observation map, with the current targets of the cameras."""
         positions = known.positions
-        if not self._planned(len(positions)):
+        if not self._has_plan(len(positions)):
             self._target_poses = standing(positions, self.rig_state)
             self._planned_turns = 0
         poses = self._target_poses.copy()
@@ -140,6 +140,7 @@ class MapActor(PipelinedPlanner):
             choices = max(choices, 2 * cameras)
         elif self._planned_turns == 0:
             choices = 1
+        # Each time step begins with other cameras; ``np.resize`` repeats the order if necessary.
         return np.resize(order_of(turn * min_choices, cameras), choices)
 
     def end(self, map_turn: MapTurn) -> np.ndarray:
@@ -183,7 +184,8 @@ class MapActor(PipelinedPlanner):
         map_values = map_turn.model.depth_error.changes(
             [view.seen for view in map_turn.other_views(camera)], [view.seen for view in views],
             ERROR_FLOOR)
-        # The trust in the network's values grows with the unseen share of the air.
+        # The trust in the network's values grows with the unseen share of the air, and is complete
+        # from a share of 0.2.
         trust = float(np.clip(5.0 * _unseen_share(map_turn.model, map_turn.unseen), 0.35, 1.0))
         network_values = interpolate_yaws(values, cells, poses[:, 3])
         scores = trust * network_values + (1.0 - trust) * map_values + costs[cells]
@@ -214,4 +216,5 @@ def _unseen_share(model: PartialMap, unseen: np.ndarray) -> float:
 
 def _mean_nearby(shares: np.ndarray, window: Window) -> np.ndarray:
     """Return the mean of shares (64, 64) in the square of 3 m around each cell."""
+    # Outside the grid, shares count as 0.
     return uniform_filter(shares, max(round(3.0 / window.edge), 1), mode='constant')

@@ -147,6 +147,7 @@ class MapTurn:
         lens = self._lens(camera)
         if lens is None:
             return [self.model.look(pose[:3]) for pose in poses]
+        # The poses at one position form a group, which needs one omnidirectional view.
         starts = np.flatnonzero(np.any(np.diff(poses[:, :3], axis=0), axis=1)) + 1
         return [view for group in np.split(poses, starts)
                 for view in self.model.look_many(group[0, :3], group[:, 3:], lens)]

@@ -75,6 +75,7 @@ def gather(values: Tensor, indices: Tensor) -> Tensor:
     :param values: (B, N, C), N rows of C values.
     :param indices: (B, ...) of rows, from 0 to N - 1.
     """
+    # The numbers of the batch entries, shaped to be broadcast to the indices.
     batch = torch.arange(len(values), device=values.device)
     return values[batch.view(-1, *[1] * (indices.dim() - 1)), indices.long()]
 
@@ -128,8 +129,10 @@ class Extractor(nn.Module):
         self.unit_1 = ExtractionUnit(0 if self.paper else MARKS, config.channels, normed=normed)
         self.unit_2 = ExtractionUnit(config.channels, config.channels, normed=normed)
         self.unit_3 = ExtractionUnit(config.channels, config.pooled, normed=normed)
+        # Features of the cloud, and the key point of the last unit (3).
         self.width = config.pooled + 3
         if self.paper:
+            # Half the size of the room (3), and the positions of the cameras.
             self.width += 3 + 3 * config.cameras
         else:
             hidden = 32
@@ -145,6 +148,7 @@ class Extractor(nn.Module):
         if self.paper:
             return torch.cat([self._cloud(observation, None), half, cameras.flatten(1)], dim=-1)
         camera = cameras[:, 0]
+        # The value at index 3 says whether the other camera exists; see ``OF_OTHERS``.
         others = pooled(self.others(observation['others']), observation['others'][..., 3])
         return torch.cat([
             self._cloud(observation, cameras), camera[:, :2] / half[:, :2].clamp(min=1e-3), camera,
@@ -152,7 +156,12 @@ class Extractor(nn.Module):
             observation['turn']], dim=-1)
 
     def _cloud(self, observation: dict[str, Tensor], centre: Tensor | None) -> Tensor:
-        """Return features of the cloud around a centre (B, 1, 3), and this centre: (B, C' + 3)."""
+        """
+        Return features of the cloud around a centre, and this centre: (B, ``pooled`` + 3).
+
+        :param observation: B encoded observations.
+        :param centre: (B, 1, 3), unit ``length_scale``; None for the mean of the key points.
+        """
         points = observation['points']
         marks = None if self.paper else observation['marks'].to(points.dtype)
         centres_1 = gather(points, observation['keys_1'])
@@ -160,6 +169,7 @@ class Extractor(nn.Module):
         centres_2 = gather(centres_1, observation['keys_2'])
         features_2 = self.unit_2(centres_1, features_1, centres_2, observation['groups_2'])
         centre = centres_2.mean(dim=1, keepdim=True) if centre is None else centre
+        # The only group of the last unit has all key points.
         key_indices = torch.arange(centres_2.shape[1], device=points.device)
         features = self.unit_3(centres_2, features_2, centre,
                                key_indices.expand(*centre.shape[:2], -1))

@@ -63,6 +63,7 @@ def used_part(room: np.ndarray) -> tuple[slice, slice]:
     :param room: (``OF_ROOM``, 64, 64) channels of :class:`ObservationMap`.
     :returns: rows and columns; the number of each is a multiple of 8.
     """
+    # The network has layers at 1/8 of the resolution.
     stride = 8
     inside = room[BOX] > 0
     borders = 2 * round(BORDER_M / EDGE_M)
@@ -107,7 +108,7 @@ def interpolate_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) ->
     steps = yaws * (count / (2.0 * np.pi))
     below = np.floor(steps).astype(np.int64)
     result, above = values[below % count, cells], values[(below + 1) % count, cells]
-    # Cells outside the observed bounding box are inf at all yaws.
+    # Cells outside the observed bounding box are inf at all yaws, and inf - inf would be NaN.
     finite = np.isfinite(result)
     result[finite] += (steps - below)[finite] * (above[finite] - result[finite])
     return result
@@ -180,13 +181,14 @@ class ObservationMap:
         self._air = _AirColumns(model, self.window, floor)
         slices = np.searchsorted(SLICES_M, heights)
         slice_cells = np.where(cells >= 0, cells + slices * CELLS * CELLS, -1)
-        errors = model.depth_error.error_by_point(no_bits(len(model.points)))
-        errors = _cell_sums(self._layer_cells, 2, errors)
+        point_errors = model.depth_error.error_by_point(no_bits(len(model.points)))
+        cell_errors = _cell_sums(self._layer_cells, 2, point_errors)
         self.room = np.concatenate([
             _encode_counts(_cell_sums(slice_cells, len(SLICES_M) + 1)),
-            _encode_error_shares(errors / model.depth_error.worst),
+            _encode_error_shares(cell_errors / model.depth_error.worst),
             _to_uint8(self._air.shares(~unseen, len(AIR_SLICES_M) + 1)),
             self._box_mask(), _draw_spots(self.window, model.depth_error.viewpoints)])
+        #: The first scalar inputs, scaled to about 1.
         self._scalars = ((cameras - 1) / 7.0, max_range / self.window.edge / CELLS,
                          (height - floor) / 3.0, 2.0 * self.window.edge)
 
@@ -203,6 +205,7 @@ class ObservationMap:
         unseen = ~unpack(joint.seen, len(model.points))
         errors = model.depth_error.error_by_point(joint.seen)
         worst = model.depth_error.worst
+        # With this floor, the logarithm in the last scalar input is from -5.3 to 0.
         error = float(errors.sum()) + ERROR_FLOOR * worst
         channels = np.concatenate([
             _encode_counts(_cell_sums(np.where(unseen, self._layer_cells, -1), 2)),

@@ -41,7 +41,7 @@ class Policy:
 
     def reset(self) -> None:
         """Discard the state of the last episode."""
-        self.encoder.turns.reset()
+        self.encoder.partial_maps.reset()
 
     def replaced(self, checkpoint: Checkpoint) -> 'Policy':
         """Return a policy with other weights; it keeps the encoder's state of the episode."""
@@ -83,6 +83,7 @@ class Policy:
         with torch.inference_mode():
             mean, log_std = self.actor(batch)
             if rng is not None:
+                # The draw depends on ``rng`` alone, and the generator of torch does not advance.
                 with torch.random.fork_rng(devices=[]):
                     torch.manual_seed(int(rng.integers(1 << 62)))
                     mean = mean + log_std.exp() * torch.randn_like(mean)
@@ -136,6 +137,7 @@ class ValuePolicy:
         :returns: (2,) float32, x and y from the centre of the map, in units of half its side.
         """
         feasible = torch.from_numpy(inputs['choices'])[None]
+        # The draw depends on ``rng`` alone, and the generator of torch does not advance.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(rng.integers(1 << 62)))
             return CellChoices(_cell_values(self._network, inputs), feasible).sample()[0].numpy()

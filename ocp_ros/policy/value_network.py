@@ -78,6 +78,7 @@ class ValueMap(nn.Module):
         self.to_eighth = nn.Conv2d(quarter, eighth, 3, stride=2, padding=1)
         self.down_3 = _residual_blocks(eighth, blocks[2])
         self.whole = nn.Linear(eighth, eighth)
+        # A pixel shuffle turns these 4 C channels into C channels at twice the resolution.
         self.from_eighth = nn.Conv2d(eighth, quarter * 4, 1)
         self.up_2 = _residual_blocks(quarter, 1)
         self.from_quarter = nn.Conv2d(quarter, half * 4, 1)
@@ -100,6 +101,7 @@ class ValueMap(nn.Module):
         half = self.down_1(self.enter(torch.cat([maps, scalars], dim=1)))
         quarter = self.down_2(self.to_quarter(relu(half)))
         eighth = self.down_3(self.to_eighth(relu(quarter)))
+        # Each cell gets features of the whole map.
         eighth = eighth + self.whole(relu(eighth).mean(dim=(2, 3)))[:, :, None, None]
         quarter = self.up_2(quarter + pixel_shuffle(self.from_eighth(relu(eighth)), 2))
         half = self.up_1(half + pixel_shuffle(self.from_quarter(relu(quarter)), 2))
@@ -127,6 +129,7 @@ class ValueMapNetwork(ValueMap):
             for name, target in self.aimed.named_parameters():
                 source = weights[name]
                 if name == 'enter.weight':
+                    # The first layer has further input channels, those of ``lens``.
                     target[:, :source.shape[1]] = source
                     target[:, source.shape[1]:] = 0.0
                 else:
@@ -160,7 +163,8 @@ class CellChoices:
     """
 
     def __init__(self, values: Tensor, feasible: Tensor) -> None:
-        # Cells outside the used part of the maps are inf and get the smallest logit.
+        # Logits are finite, so that the entropy has no 0 * inf = NaN. Cells outside the used part
+        # of the maps have the value inf; if feasible, they stay above infeasible cells.
         logits = (-values / TEMPERATURE).clamp(min=-1e4).flatten(1)
         logits = logits.masked_fill(feasible.flatten(1) == 0, -1e9)
         self._log_shares = logits.log_softmax(dim=1)

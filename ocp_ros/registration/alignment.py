@@ -132,6 +132,7 @@ def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance:
     offsets = np.einsum('sij,mj->smi', poses.rotations, patches.points)
     positions = offsets + poses.positions[:, None]
     distance, index = surfaces.tree.query(positions, distance_upper_bound=max_distance)
+    # Without a match, the tree returns the distance inf and an index after the last point.
     found = np.isfinite(distance)
     index = np.where(found, index, 0)
     surface_points, normals = surfaces.points[index], surfaces.normals[index]
@@ -139,6 +140,7 @@ def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance:
     if surfaces.oriented:
         found &= facing > 0.0
     else:
+        # Normals of either sign are turned towards the camera.
         normals = np.where(facing[..., None] < 0.0, -normals, normals)
     patch_normals = np.einsum('sij,mj->smi', poses.rotations, patches.normals)
     found &= np.einsum('smi,smi->sm', normals, patch_normals) > MIN_NORMAL_COSINE
@@ -155,6 +157,7 @@ def weights_of(matches: Matches, deviation: np.ndarray, kernel_width: float) -> 
     :param kernel_width: in standard deviations.
     :returns: (S, M) 1/m², for S poses and M measured points; 0 without a match.
     """
+    # The inverse variance of a point, times the kernel 1 / (1 + scaled^2)^2.
     scaled = matches.residuals / (kernel_width * deviation)
     return matches.found / (deviation * (1.0 + scaled * scaled)) ** 2
 
@@ -177,7 +180,7 @@ def aligned_poses(surfaces: Surfaces, patches: Patches, poses: Poses, stage: Ali
     :returns: the final pose for each start pose.
     """
     for number in range(stage.max_steps):
-        # The limits reach their last values after 70 % of the steps.
+        # The limits change geometrically and reach their last values after 70 % of the steps.
         progress = min(number / max(0.7 * stage.max_steps, 1.0), 1.0)
         max_distance, kernel_width = (first * (last / first) ** progress for first, last in (
             stage.max_distances, stage.kernel_widths))
@@ -185,7 +188,7 @@ def aligned_poses(surfaces: Surfaces, patches: Patches, poses: Poses, stage: Ali
         weights = weights_of(matches, patches.deviation, kernel_width)
         steps = best_steps(matches, weights)
         poses = moved_poses(poses, steps)
-        # All steps are shorter than a hundredth of a millimetre.
+        # All steps are shorter than 0.01 mm and 0.01 mrad.
         if progress == 1.0 and np.abs(steps).max() < 1e-5:
             break
     return poses
@@ -203,6 +206,6 @@ def best_steps(matches: Matches, weights: np.ndarray) -> np.ndarray:
     gradient = np.einsum('smi,sm->si', weighted, matches.residuals)
     mean = np.trace(information, axis1=1, axis2=2)[:, None, None] / 6.0
     # A share of the mean information is added in all directions, so that directions without
-    # surfaces stay solvable.
+    # surfaces stay solvable; the constant does so for poses without matches.
     damped = information + (1e-4 * mean + 1e-9) * np.eye(6)
     return -np.linalg.solve(damped, gradient[..., None])[..., 0]

@@ -101,14 +101,14 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
             sentences.append(str(error))
             continue
         start = Pose.of(placed.pose)
-        found = registered_nearby(scan, view, start, placed.camera.model)
-        metres, radians = found.pose.away_from(start)
+        registration = registered_nearby(scan, view, start, placed.camera.model)
+        metres, radians = registration.pose.away_from(start)
         degrees = float(np.rad2deg(radians))
-        if found.mismatched:
-            sentences.append(f'{name} no longer fits the scan: {found.refused}')
-        # More than 2 cm or 1 degree, and three times the expected deviation.
-        elif (metres > max(0.02, 3.0 * found.certainty.metres[0])
-              or degrees > max(1.0, 3.0 * found.certainty.degrees[0])):
+        if registration.mismatched:
+            sentences.append(f'{name} no longer fits the scan: {registration.refused}')
+        # More than 2 cm or 1 degree, and three times the largest expected deviation.
+        elif (metres > max(0.02, 3.0 * registration.certainty.metres[0])
+              or degrees > max(1.0, 3.0 * registration.certainty.degrees[0])):
             sentences.append(
                 f'{name} hangs {metres:.3f} m and {degrees:.1f} degrees from where it is said to '
                 'be; expected it there; call ~/calibrate, or put it back')
@@ -164,9 +164,15 @@ def _at_registered_pose(placed: Placed, found: Mapping[str, Registration]) -> Pl
 
 
 def _with_fixed_poses(rig: Rig, fixed: list[Placed]) -> Rig:
-    """Return a rig with its cameras in place at registered poses."""
+    """
+    Return a rig whose fixed cameras are at registered poses; unchanged if none was registered.
+
+    :param fixed: the fixed cameras, in the order of the rig file.
+    """
+    # ``planned`` is set for cameras at a measured pose only.
     if not any(placed.planned for placed in fixed):
         return rig
+    # The rig is read again from a changed copy of its document.
     data = deepcopy(rig.document.data)
     for entry, placed in zip(data['fixed'], fixed, strict=True):
         entry |= {'position': list(placed.position), **dict(zip(ANGLES, placed.angles))}

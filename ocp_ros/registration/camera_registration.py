@@ -155,11 +155,12 @@ def registered_nearby(scan: ScanSurfaces, view: LiveView, pose: Pose, model: Cam
 
 def _coarse_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> Poses:
     """Return the best of the coarsely registered poses, from start poses around a planned one."""
+    # All start poses are registered with few patches, and the 12 best results with more.
     few_patches, patches = (_sampled(view.patches, count) for count in (160, OUTLINE_PATCHES))
     poses = aligned_poses(scan.coarse, few_patches, _start_poses(start),
                           AlignmentStage((1.0, 0.3), (40.0, 8.0), 14))
     best = np.argsort(-_explained_shares(scan.coarse, few_patches, poses, 5.0), kind='stable')[:12]
-    # Few points rank poses badly, so the result for the planned pose is always included.
+    # Few patches rank poses badly, so the result for the planned pose (0) is always included.
     best = np.union1d(best, 0)
     return aligned_poses(scan.coarse, patches, poses.subset(best),
                          AlignmentStage((0.4, 0.2), (12.0, 5.0), 12))
@@ -172,6 +173,7 @@ def _start_poses(start: Pose) -> Poses:
     near_starts = (0.4, np.deg2rad(15.0), 32)
     wide_starts = (1.1, np.deg2rad(32.0), 64)
     for seed, (metres, radians, count) in enumerate((near_starts, wide_starts)):
+        # Sobol points are spread evenly from 0 to 1; these steps are from -1 to 1.
         unit_steps = 2.0 * qmc.Sobol(6, seed=seed).random(count) - 1.0
         all_steps.append(unit_steps * np.repeat([radians, metres], 3))
     steps = np.concatenate(all_steps)
@@ -188,6 +190,7 @@ def _explained_shares(surfaces: Surfaces, patches: Patches, poses: Poses, kernel
                       ) -> np.ndarray:
     """Return the share of patches that surfaces explain at each of S poses, 0 to 1: (S,)."""
     weight = weights_of(matches_of(surfaces, patches, poses, 0.3), patches.deviation, kernel_width)
+    # A weight times the variance is 1 at distance 0 and decreases to 0.
     return (weight * patches.deviation ** 2).mean(axis=1)
 
 
@@ -200,7 +203,7 @@ def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pos
     distinct: list[Pose] = []
     for k in np.argsort(-scores, kind='stable'):
         pose = Pose(poses.positions[k], poses.rotations[k])
-        # At most 1.6 m and 45 degrees from the start, and not much worse than the best.
+        # At most 1.6 m and 45 degrees from the start, and at most 0.2 worse than the best score.
         if (not _differ(pose, start, (1.6, np.deg2rad(45.0))) and scores[k] > scores.max() - 0.2
                 and len(distinct) < 3 and all(_differ(pose, other) for other in distinct)):
             distinct.append(pose)
@@ -225,6 +228,7 @@ def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel)
     for stage in (AlignmentStage((0.15, 0.08), (4.0, 2.0), 16),
                   AlignmentStage((0.1, 0.08), (2.0, 1.0), 16)):
         surfaces = scan.in_view(pose, model).sided
+        # Sided surfaces are not used if they are fewer than 2 % of the patches.
         if len(surfaces.points) < len(view.patches.points) // 50 + 1:
             break
         pose = _first_pose(aligned_poses(surfaces, view.patches, _as_poses(pose), stage))
@@ -268,7 +272,8 @@ def _best_shift(in_view: SurfacesInView, patches: Patches, pose: Pose) -> tuple[
     surfaces = in_view.every
     matches, weights = _fine_matches(surfaces, patches, pose)
     jacobians = matches.jacobians[0]
-    # The six independent directions in which the pose may be wrong, as steps.
+    # The six independent directions in which the pose may be wrong, as steps: the eigenvectors of
+    # the information matrix.
     directions = np.linalg.eigh((jacobians * weights[0, :, None]).T @ jacobians)[1].T
     # A rotation by one radian counts as 2.5 m.
     arm_m = 2.5
@@ -277,6 +282,7 @@ def _best_shift(in_view: SurfacesInView, patches: Patches, pose: Pose) -> tuple[
     shifts_m = (0.02, 0.04, 0.06, 0.08)
     steps = np.concatenate([[np.zeros(6)], *(sign * shift * directions for sign in (-1.0, 1.0)
                                              for shift in shifts_m)])
+    # Register from the pose itself (number 0) and from the shifted poses.
     starts = Poses(*(np.repeat(values, len(steps), axis=0) for values in _as_poses(pose)))
     few_patches = _sampled(patches, 2000)
     ends = aligned_poses(surfaces, few_patches, moved_poses(starts, steps), FINEST_STAGE)
@@ -284,9 +290,11 @@ def _best_shift(in_view: SurfacesInView, patches: Patches, pose: Pose) -> tuple[
     # The result of a shifted start has to be better by this.
     scores[0] += 1e-3
     if scores.argmax() != 0:
+        # Compare with all patches: the better one of both is the pose.
         best = aligned_poses(surfaces, patches, ends.subset([scores.argmax()]), FINEST_STAGE)
         both = Poses(*(np.concatenate(pair) for pair in zip(_as_poses(pose), best)))
         pose = _first_pose(both.subset([_fit_scores(in_view, patches, both).argmax()]))
+    # Look for another pose, more than 1 cm or 0.5 degrees away, that fits as well.
     distinct = np.array([_differ(Pose(position, rotation), pose, (0.01, np.deg2rad(0.5)))
                          for rotation, position in zip(*ends)])
     other_scores = np.where(distinct, scores, -np.inf)
@@ -298,7 +306,7 @@ def _fit_scores(in_view: SurfacesInView, patches: Patches, poses: Poses) -> np.n
     """
     Return the fit scores of S finely registered poses: (S,), at most 2.
 
-    Surfaces whose scanned side is certain count twice.
+    Surfaces whose scanned side is certain count twice, since ``every`` contains them too.
     """
     return np.sum([_explained_shares(surfaces, patches, poses, FINEST_STAGE.kernel_widths[1])
                    - BEHIND_WEIGHT * _behind_shares(surfaces, patches, poses)
@@ -331,6 +339,7 @@ def _overlap_and_displaced(scan: ScanSurfaces, view: LiveView, pose: Pose) -> tu
     patches = view.patches
     positions = patches.points @ pose.rotation.T + pose.position
     distance, index = scan.fine.tree.query(positions, distance_upper_bound=MAX_MATCH_DISTANCE_M)
+    # Without a match, the tree returns the distance inf and an index after the last point.
     found = np.isfinite(distance)
     index = np.where(found, index, 0)
     normals = scan.normals[index]
@@ -352,6 +361,7 @@ def _behind_shares(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.nda
     farther away.
     """
     matches = matches_of(surfaces, patches, poses, MAX_MATCH_DISTANCE_M)
+    # More than two standard deviations and 6 mm behind the plane, seen from the camera.
     behind = -matches.residuals > 2.0 * patches.deviation + 0.006
     return (matches.found & behind).mean(axis=1)
 

@@ -67,12 +67,14 @@ class LiveView:
     @cached_property
     def _ranges(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the least and the largest distance measured around each cell of directions."""
+        # Cells without a measurement have inf as least and -inf as largest distance.
         low, high = np.full((2, FREE_SPACE_ROWS, 2 * FREE_SPACE_ROWS), np.inf)
         cells = _direction_cells(self.points, self._distance)
         np.minimum.at(low, cells, self._distance)
         high[:] = -np.inf
         np.maximum.at(high, cells, self._distance)
         empty = np.isinf(low)
+        # Columns, the azimuths, continue on the other side of the map; rows do not.
         mode = ('nearest', 'wrap')
         low, high = minimum_filter(low, 3, mode=mode), maximum_filter(high, 3, mode=mode)
         low[empty], high[empty] = np.inf, -np.inf
@@ -121,11 +123,12 @@ def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """
     # Beams are 0.6 degrees wide.
     beam_rows = 300
+    # Directions have twice as many columns as rows.
     row, column = _direction_cells(points, distance, beam_rows)
     beam = row * 2 * beam_rows + column
     order = np.lexsort((distance, beam))
     beam, distance = beam[order], distance[order]
-    # A gap in distance separates surfaces behind each other.
+    # Within a beam, a gap in distance separates surfaces behind each other.
     gaps = np.diff(distance) > 0.03 + 3.0 * standard_deviation(distance[1:])
     group = np.concatenate([[0], np.cumsum((np.diff(beam) != 0) | gaps)])
     count = np.bincount(group)

@@ -81,6 +81,7 @@ def axis_name(axis: np.ndarray) -> str:
         # Lines have no sign: 0 to 180 degrees from x.
         angle = np.rad2deg(np.arctan2(axis[1], axis[0])) % 180.0
         return f'the level line at {angle:.0f} degrees from x'
+    # The largest component is positive; adding 0.0 turns -0.0 into 0.0 for the text.
     axis = axis * np.sign(axis[largest]) + 0.0
     return 'the line ' + ', '.join(f'{value:.2f}' for value in axis)
 
@@ -96,6 +97,7 @@ def estimate_certainty(points: np.ndarray, normals: np.ndarray, matches: Matches
     :param weights: (1, M), see :func:`~ocp_ros.registration.alignment.weights_of`.
     """
     jacobians, weights = matches.jacobians[0], weights[0]
+    # Points of almost no weight are left out.
     used = weights > 1e-9 * max(weights.max(), 1e-9)
     # A block has an edge of a metre and one main axis of the normals.
     cells = np.column_stack([np.floor(points[used]), np.abs(normals[used]).argmax(axis=1)])
@@ -114,9 +116,11 @@ def estimate_certainty(points: np.ndarray, normals: np.ndarray, matches: Matches
         blocks, weights[used] * matches.residuals[0, used] ** 2, count) / total_weight
     # A fifth of the variance within a block is common to its points.
     variance = _block_deviation(matches.residuals[0, used], blocks) ** 2 + 0.2 * mean_square
+    # A whole block counts as one measurement with this variance, a block of few points as less.
     independent = (information * (fill_share / total_weight / variance)[:, None, None]).sum(axis=0)
     covariance = np.linalg.inv(independent + floor)
-    # The jackknife: the step of the pose if each block is left out.
+    # The jackknife: the step of the pose if each block is left out. The floor is converted
+    # from the information of independent blocks to that of all points.
     scale = np.trace(independent) / max(np.trace(information.sum(axis=0)), 1e-30)
     others = information.sum(axis=0) - information
     steps = np.linalg.solve(others + floor / max(scale, 1e-12), gradients[..., None])[..., 0]
@@ -127,7 +131,14 @@ def estimate_certainty(points: np.ndarray, normals: np.ndarray, matches: Matches
 
 
 def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
-    """Return the common deviation of a block, metres, from residuals (M,) and blocks (M,)."""
+    """
+    Return the standard deviation of the error that the points of a block have in common, metres.
+
+    :param residuals: (M,) metres, of M points.
+    :param blocks: (M,) the number of the block of each point.
+    :returns: at least 3 mm.
+    """
+    # The medians of the residuals in whole blocks.
     ends = np.cumsum(np.bincount(blocks))[:-1]
     groups = np.split(residuals[np.argsort(blocks, kind='stable')], ends)
     medians = [np.median(group) for group in groups if len(group) >= WHOLE_BLOCK_POINTS]
@@ -141,5 +152,6 @@ def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
 
 def _principal_axes(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the principal axes as rows, and their standard deviations, largest first."""
+    # ``eigh`` returns ascending eigenvalues, and the eigenvectors as columns.
     values, vectors = np.linalg.eigh(covariance)
     return vectors.T[::-1], np.minimum(np.sqrt(np.maximum(values[::-1], 0.0)), FREE_DEVIATION)

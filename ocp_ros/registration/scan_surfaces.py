@@ -65,7 +65,8 @@ class ScanSurfaces:
         self.oriented = sign != 0.0
         edge = voxel_size_for(scene.points, 100_000)
         if self.oriented:
-            # Both sides of a thin panel share voxels, but belong to different groups.
+            # Six groups, by the main axis of the normal and its sign. Both sides of a thin panel
+            # share voxels, but belong to different groups.
             normals = sign * scene.normals
             axis = np.abs(normals).argmax(axis=1)
             group = 2 * axis + (np.take_along_axis(normals, axis[:, None], 1)[:, 0] > 0.0)
@@ -109,6 +110,7 @@ class ScanSurfaces:
         # holes. So points near thin objects with a similar normal count as thin as well.
         distance, index = cKDTree(self.points[thin]).query(
             self.points, k=4, distance_upper_bound=0.3)
+        # Without such a point, the tree returns the distance inf and an invalid index.
         found = np.isfinite(distance)
         normals = self.normals[thin][np.where(found, index, 0)]
         similar = np.einsum('ij,ikj->ik', self.normals, normals) > 0.9
@@ -122,6 +124,7 @@ class ScanSurfaces:
         :param max_m: the largest distance of the surface, metres.
         """
         step_m = 0.04
+        # Search in balls without gaps along the normal; the first one excludes the point itself.
         radius = max(0.5 * step_m, 1.5 * float(np.median(self._pitch)))
         with_surface = np.zeros(len(self.points), dtype=bool)
         for offset in np.arange(0.5 * step_m + radius, max_m, step_m):
@@ -129,6 +132,7 @@ class ScanSurfaces:
                                                    distance_upper_bound=radius)
             found = np.isfinite(distance)
             cosine = np.einsum('ij,ij->i', self.normals[found], self.normals[index[found]])
+            # Normals towards free space are opposite on the two sides; others have either sign.
             with_surface[found] |= (-cosine if self.oriented else np.abs(cosine)) > 0.9
         return with_surface
 
@@ -140,6 +144,7 @@ class ScanSurfaces:
         :param model: the camera model, for its range.
         """
         seen = Subset.none(self._visibility.order)
+        # The pose may be a few decimetres off, so the range is longer.
         omnidirectional = CameraModel(0.0, model.max_range + 0.5)
         self._visibility.look(pose, omnidirectional.lens, seen.bits)
         kept = seen.mask
@@ -147,6 +152,7 @@ class ScanSurfaces:
         if self.oriented:
             every = self._subset(kept & (facing > 0.0) & ~self._thin)
             return SurfacesInView(every, every)
+        # The other side lies against the normal if the normal faces the camera, else along it.
         sided = (np.where(facing > 0.0, *self._two_sided)
                  | self._outermost_from(pose.position, np.sign(facing)))
         return SurfacesInView(self._subset(kept & sided), self._subset(kept))
@@ -170,6 +176,7 @@ class ScanSurfaces:
         cell_deg = 6.0
         row = np.rad2deg(np.arcsin(offsets[:, 2] / np.maximum(distance, 1e-6))) // cell_deg
         column = np.rad2deg(np.arctan2(offsets[:, 1], offsets[:, 0])) // cell_deg
+        # Rows and columns are from -30 to 30, so each pair gives another number.
         cell = np.unique(row * 1000.0 + column, return_inverse=True)[1]
         # The last point of each cell, by distance, is its farthest.
         order = np.lexsort((distance, cell))
@@ -213,6 +220,9 @@ def _thinned(points: np.ndarray, edge: float, given_normals: np.ndarray | None =
     normals = edge_aware_normals(merged, neighbours).astype(np.float64)
     if given_normals is not None:
         wanted = given_normals[cKDTree(points).query(merged)[1]]
+        # Flip the normals that point to the other side.
         normals *= np.where(np.einsum('ij,ij->i', wanted, normals) < 0.0, -1.0, 1.0)[:, None]
+    # A disc up to the eighth neighbour has the area of the squares of eight points. An isolated
+    # point is a speck, so its square is limited.
     pitch = distance[:, min(8, distance.shape[1] - 1)] * np.sqrt(np.pi / 8.0)
     return merged, normals, np.minimum(pitch, 4.0 * np.median(pitch)).astype(np.float32)

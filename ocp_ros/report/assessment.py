@@ -106,6 +106,7 @@ class Assessment:
     def error_by_point(self) -> np.ndarray:
         """Return the depth error at each point: (N,) metres; the sum is the depth error."""
         errors = np.empty(len(self.scene))
+        # The engine sorts the points; ``order`` has the number of each in the scene.
         visible = self.objective.evaluate(self.placement.poses).seen
         errors[visible.order] = self.objective.simulator.depth_error.error_by_point(visible.bits)
         return errors
@@ -178,7 +179,7 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     engine = placement.engine
     notes = []
     if engine.preset == MESH and scene.mesh is None:
-        # Rays cannot be cast without a mesh: score as `ocp plan` promises.
+        # Rays cannot be cast without a mesh, so use the preset of `ocp plan` for such scans.
         engine = replace(engine, preset=PROMISING.preset)
         notes = [f'the placement was planned by rays cast at a mesh, and {scene.name} is none; '
                  f'the scores are those of the preset {engine.preset}']
@@ -186,6 +187,7 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
     created = created_by(command, placement.created.get('planner', ''))
     assessed = Assessment.of(problem, replace(placement, rig=rig, room=room, created=created),
                              frame)
+    # If cameras were measured at other poses than planned, add the scores of the plan.
     if (planned := placement.planned_poses) is not None:
         assessed.found['planned'] = scores_of(problem.objective, problem.look(planned))
     loss = assessed.found['scores']['loss']
@@ -199,6 +201,7 @@ def _mismatch_notes(placement: Placement, room: dict[str, Any], loss: float) -> 
     if placement.room.get('sha256') not in (None, room['sha256']):
         return ['the file was made for another scan; the scores in the file are not those of '
                 'this scan']
+    # The note shows six decimals; smaller differences are not visible in it.
     if isinstance(recorded, float) and abs(recorded - loss) > 1e-6:
         return [f'the file has the objective value {recorded:.6f}; found {loss:.6f}: '
                 'rig, points or engine are not those that it was scored with']

@@ -59,17 +59,18 @@ def instructions_for(placed: Placed, distances: Sequence[Distance], sides: Seque
     :param frame: frame of the coordinates.
     """
     height = f'{100.0 * (placed.position[2] - floor):.0f} cm above the floor'
+    # The name of the sensor is empty for a camera whose parameters are given directly.
     return Instructions(placed.camera.name, placed.camera.sensor or 'own',
                         _distances_text(distances), height, _pan_text(placed, sides),
                         _tilt_text(placed), coordinates_text(placed, frame))
 
 
 def _distances_text(distances: Sequence[Distance]) -> str:
-    """Return the distances to near walls in words, or that there is no near wall."""
+    """Return the distances to near walls in words; if there are fewer than two, say so."""
     texts = [f'{100.0 * distance.metres:.0f} cm {"beyond" if distance.beyond else "from"} wall '
              f'{distance.letter}' for distance in distances]
     if len(texts) < 2:
-        other = 'other ' * len(texts)
+        other = 'other ' if texts else ''
         texts.append(f'no {other}wall within {MAX_DISTANCE_M:.0f} m: use x, y, z')
     return ', '.join(texts)
 
@@ -86,11 +87,14 @@ def aim_text(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor
     """
     if placed.camera.model.omnidirectional:
         return ''
+    # The optical axis is x of the body frame.
     axis = rotation_matrix(*placed.pose[3:])[:, 0]
     offsets = scene.points - placed.pose[:3]
     depths = offsets @ axis
     axis_distances = np.linalg.norm(offsets - depths[:, None] * axis, axis=1)
     min_distance_m, tolerance_m, surface_depth_m = 0.3, 0.08, 0.3
+    # The axis meets the surface near a point if it is not farther away than ``pitch``, the edge
+    # of the square of surface that the point stands for.
     candidates = np.flatnonzero((depths > min_distance_m)
                                 & (axis_distances <= np.maximum(scene.pitch, tolerance_m)))
     if len(candidates) == 0:
@@ -125,7 +129,9 @@ def lens_text(model: CameraModel) -> str:
 
 def coordinates_text(placed: Placed, frame: SourceFrame) -> str:
     """Return the position of a camera in a frame as text, to the millimetre."""
+    # Three decimals of a metre; a unit ten times smaller needs one decimal less.
     decimals = max(0, 3 + round(np.log10(frame.scale)))
+    # Adding 0 turns -0.0 into 0.0.
     return ', '.join(f'{value + 0.0:.{decimals}f}' for value in np.round(
         frame.to_source(placed.position), decimals))
 
@@ -135,12 +141,14 @@ def _pan_text(placed: Placed, walls: Sequence[ReferenceWall]) -> str:
     if placed.camera.model.horizontal_fov >= 2.0 * np.pi - 1e-9:
         return 'any heading'
     yaw, pitch, _ = placed.angles
-    # If a camera looks straight up or down, the pan is the direction of the top of the picture.
+    # If a camera looks straight down or up, the pan is the direction of the top of the picture:
+    # the yaw if the camera looks down (positive pitch), the opposite direction if it looks up.
     vertical_degrees = 85.0
     pan = np.deg2rad(yaw + (180.0 if pitch < -vertical_degrees else 0.0))
     direction = np.array([np.cos(pan), np.sin(pan)])
     wall = max(walls, key=lambda wall: wall.outward @ direction)
     x, y = wall.outward
+    # The angle from the outward direction of the wall to the pan, by its sine and cosine.
     left_degrees = np.rad2deg(np.arctan2(x * direction[1] - y * direction[0],
                                          wall.outward @ direction))
     facing = f'top of the picture to wall {wall.letter}' if abs(pitch) > vertical_degrees else (

@@ -43,9 +43,10 @@ WRITTEN = (*PLACEMENT_FILES, 'cameras.csv', 'cameras.launch.py', 'cameras.urdf.x
            'curve.png')
 #: Name of the frame with the axes of the room's scan, in metres.
 SCAN_FRAME = 'scan'
-#: Columns of ``cameras.csv``: metres and degrees.
+#: Columns of ``cameras.csv``: degrees and metres; x, y, z are in the requested frame and its unit.
 CSV_COLUMNS = ('number', 'name', 'sensor', 'frame', 'link', 'x', 'y', 'z', 'yaw', 'pitch', 'roll',
                'mount', 'horizontal_fov', 'vertical_fov', 'min_range', 'max_range')
+#: Link and joint of a frame: link, joint name, parent in quotes, child, xyz in metres, rpy in rad.
 JOINT_TEMPLATE = """    <link name="%s"/>
     <joint name="%s_joint" type="fixed">
       <parent link=%s/>
@@ -70,6 +71,7 @@ def write_files(files: FileSet, assessed: Assessment, prefix: str = '', brief: b
     try:
         for path in chain(export(files.aside, assessed, prefix),
                           () if brief else reports(files.aside, assessed)):
+            # At the end the files are moved from ``aside`` to ``folder``.
             paths.append(str(files.folder / path.name))
     except OSError as error:
         return {'written': paths, 'error': (
@@ -97,6 +99,7 @@ def export(folder: Path, assessed: Assessment, prefix: str = '') -> Iterator[Pat
     for name in PLACEMENT_FILES:
         save_placement(folder / name, placement)
         yield folder / name
+    # In metres, map = rotation @ scan - shift; a scan as parent frame needs the inverse.
     link = link_between(FRAME, SCAN_FRAME, source.rotation, -source.shift)
     if not assessed.data_frame.is_map:
         placement = placement_in_scan_axes(placement, source)
@@ -117,7 +120,8 @@ def export(folder: Path, assessed: Assessment, prefix: str = '') -> Iterator[Pat
 
 
 def reports(folder: Path, assessed: Assessment) -> Iterator[Path]:
-    """Write the PNG pages, the HTML page and, after a count, error by cameras; yield paths."""
+    """Write the PNG pages, the HTML page and, if cameras were counted, the curve; yield paths."""
+    # These imports are slow, as in :func:`export`.
     from ocp_ros.report.drawing import assessment_pictures, report_page
     from ocp_ros.report.viewer import write_view
     yield from report_page.draw_pages(folder, assessed)
@@ -180,6 +184,7 @@ def csv_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
     :param prefix: prefix of frame names.
     """
     file = io.StringIO()
+    # ``numbers_of`` also has the resolution, which has no column and is ignored.
     writer = csv.DictWriter(file, CSV_COLUMNS, extrasaction='ignore', lineterminator='\n')
     writer.writeheader()
     for number, placed in enumerate(placement.cameras, start=1):
@@ -222,6 +227,7 @@ def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = ''
     :param prefix: prefix of frame names.
     :param omitted: names of cameras to leave out.
     """
+    # The launch file is Python, so each transform is written as a tuple of Python.
     lines = [(link.parent, link.child, *map(float, link.position),
               *(round(angle, 9) for angle in link.angles))
              for link in (*links, *camera_links(placement, prefix, omitted))]
@@ -231,6 +237,7 @@ def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = ''
 
 def xacro_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '') -> str:
     """Return a xacro macro with links and joints for the same frames as :func:`launch_of`."""
+    # The root frame is the parameter of the macro.
     root = '${parent}'
     joints = ''
     for link in (*(link._replace(parent=root) for link in links),

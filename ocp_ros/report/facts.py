@@ -32,7 +32,7 @@ from ocp_ros.rig.placement_file import ANGLES
 from ocp_ros.search.registry import OBSERVED, planner_names
 from ocp_ros.util.terminal_text import printable
 
-#: Matches the folders before a file name, in a word of a command line.
+#: Matches the folders before a file name, in a word of a command line such as --out=folder/name.
 FOLDER_PATTERN = re.compile(r'(?<![^=])[^=]*/(?=[^/])')
 #: Column heads of the table of regions.
 REGION_COLUMNS = ('region', 'seen', 'required', 'satisfied')
@@ -57,7 +57,7 @@ class CameraFacts(NamedTuple):
     :ivar name: name of the camera.
     :ivar position: x, y, z in metres, map frame.
     :ivar angles: yaw, pitch, roll in degrees.
-    :ivar reduction: depth error that the rig has more without this camera.
+    :ivar reduction: increase of the depth error if this camera is left out.
     :ivar only: share of the points that only this camera sees.
     """
 
@@ -155,6 +155,7 @@ def page_facts_of(assessed: Assessment) -> PageFacts:
         f'made by {strip_folders(created["command"])}' if 'command' in created else '',
         created.get('date', ''),
         f'ocp_ros {created["version"]}' if 'version' in created else '']))
+    # If the scan has the coordinates of the map, readers know the frame as that of the scan.
     return PageFacts(
         **vars(facts_of(assessed.found)),
         title=f'{scene.name}: {count_text(len(cameras), "camera")}',
@@ -177,7 +178,8 @@ def score_figures(scores: Mapping[str, Any], expected: Mapping[str, float]) -> l
     :param expected: from :func:`~ocp_ros.report.findings.expected`, for the room itself.
     """
     viewers = 'a camera' if scores['seen_by'] == 1 else f'{scores["seen_by"]} cameras'
-    seen_twice = sum(count for cameras, count in scores['overlap'].items() if cameras not in '01')
+    # The keys of ``overlap`` are '0', '1', '2' and '3 or more' cameras.
+    seen_twice = sum(count for key, count in scores['overlap'].items() if key not in ('0', '1'))
     return [
         Figure('depth error', metres(scores['depth_error']),
                f'{metres(scores["depth_error_of_nothing"])} without cameras'),
@@ -196,6 +198,7 @@ def _figures(findings: Mapping[str, Any]) -> list[Figure]:
                Figure('missed', percent(missed['share']),
                       f'no candidate sees {percent(missed["hopeless"])}')]
     if regions := scores['regions']:
+        # The region with the largest shortfall.
         worst = min(regions, key=lambda region: region['seen'] - region['must_see'])
         figures.append(Figure(
             'regions', f'{sum(region["met"] for region in regions)} of {len(regions)} met',
@@ -210,6 +213,7 @@ def _figures(findings: Mapping[str, Any]) -> list[Figure]:
                               f'on {certificate["candidates"]:,} candidate poses'))
     if one_more := findings['one_more']:
         place = ', '.join(f'{value:.1f}' for value in one_more['position'])
+        # By rounding, a gain of 0 may be a little below 0.
         figures.append(Figure('one more camera', f'-{metres(max(one_more["gain"], 0.0))}',
                               f'depth error, at {place}'))
     return figures
@@ -258,6 +262,7 @@ def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:
         return
     search = findings['search']
     loss, random, bound = search['loss'], search['random'], search['everywhere']['loss']
+    # Planners from observed points evaluate time steps, which are called turns in ROS.
     kind = 'turns' if search['planner'] in planner_names(OBSERVED) else 'placements'
     yield (f'{search["planner"]}: {search["evaluations"]:,} {kind} in {search["seconds"]:.1f} s'
            + ('; stopped by Ctrl-C' if search['stopped'] else ''))
@@ -267,6 +272,7 @@ def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:
                f'{random["median"]:.4f}, best {random["best"]:.4f}')
     yield (f'lower bound {bound:.4f}: the objective value with a camera at each of the '
            f'{search["candidates"]:,} candidates')
+    # By rounding, the bound may be a little above the objective value.
     if loss > 0.0:
         yield (f'{percent(min(bound / loss, 1.0))} of the objective value is not visible from any '
                'candidate')
@@ -285,6 +291,7 @@ def count_sentence(count: Mapping[str, Any]) -> str:
 
 def strip_folders(command: str) -> str:
     """Return a command line whose file names have no folders."""
+    # A command with an unclosed quotation mark cannot be split into words.
     try:
         words = shlex.split(command)
     except ValueError:

@@ -17,9 +17,9 @@ Findings on a placement: scores, violated constraints, missed points, one more c
 
 A search fits the placement to the scan, so the depth error in the room itself is mostly a little
 larger than the error on the scan. If the scan has no ceiling or floor, the error on the scan does
-not include what the cameras miss there. The ratio of both errors was measured in generated rooms,
-whose meshes are known. :func:`expected` reads the ratios from ``promise.json``, which
-``benchmarks/promise.py`` writes.
+not include what the cameras miss there. The ratio of both errors, each plus an offset, was
+measured in generated rooms, whose meshes are known. :func:`expected` reads the ratios and the
+offset from ``promise.json``, which ``benchmarks/promise.py`` writes.
 """
 
 from collections.abc import Sequence
@@ -120,8 +120,9 @@ def _calibration_links(objective: Objective, views: Sequence[View]) -> dict[str,
     names = [camera.name for camera in objective.rig.all_cameras]
     count = len(covisibility.shares)
     movable = count - len(objective.fixed)
-    # Two fixed cameras are no pair.
+    # Fixed cameras come last; two of them are no pair.
     pairs = [(i, k) for i in range(movable) for k in range(i + 1, count)]
+    # The tree connects all cameras by the best pairs, which are listed even if not linked.
     tree = {tuple(sorted(link)) for link in covisibility.tree}
     return {'calibratable': {
         'overlap': required.overlap, 'angle': float(np.rad2deg(required.angle)),
@@ -150,6 +151,7 @@ def _group_sentences(scores: dict[str, Any]) -> list[str]:
     links = scores.get('calibratable', {'groups': []})
     if len(links['groups']) < 2:
         return []
+    # With several groups, the pairs of the tree that connect them are listed and not linked.
     unlinked = [pair for pair in links['pairs'] if not pair['linked']]
     best = max(unlinked, key=lambda pair: pair['overlap'])
     first, second = best['cameras']
@@ -175,14 +177,17 @@ def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> 
     objective, simulator, rig = problem.objective, problem.simulator, problem.rig
     evaluation = objective.judge(views)
     models = [rig.models.index(model) for model in rig.placed_models]
-    count = 480 // len(models)
+    # All models together have at most 480 candidates.
+    max_count = 480 // len(models)
     # For each camera model the best candidate: depth error with it, camera and pose.
     best = []
+    # Points that the placement or any candidate sees.
     visible = evaluation.seen.bits.copy()
     for number in models:
         try:
-            candidates = problem.region.candidates(rig.models[number], count)
+            candidates = problem.region.candidates(rig.models[number], max_count)
         except ConfigurationError:
+            # This model has no feasible pose.
             continue
         candidates = candidates[satisfies_spacing(candidates[:, :3], poses[:, :3], rig.spacing)]
         candidate_views = simulator.look_many(candidates, number)
@@ -213,17 +218,19 @@ def _largest_cells(points: np.ndarray, total: int) -> list[dict[str, Any]]:
 
     :param points: (M, 3) metres, M points.
     :param total: number of points of which the result gives shares.
-    :returns: for each cube the share of the points, and their ``low`` and ``high`` corner.
+    :returns: for each cube the share of the points, and the ``low`` and ``high`` corner of the box
+        around its points, metres.
     """
     edge_m = 1.0
     if len(points) == 0:
         return []
     points = points.astype(np.float64)
-    cells = np.floor((points - points.min(axis=0)) / edge_m).astype(int)
-    _, cell, sizes = np.unique(cells, axis=0, return_inverse=True, return_counts=True)
+    cubes = np.floor((points - points.min(axis=0)) / edge_m).astype(int)
+    _, numbers, sizes = np.unique(cubes, axis=0, return_inverse=True, return_counts=True)
     largest = []
     for number in np.argsort(-sizes, kind='stable')[:3]:
-        inside = points[cell.ravel() == number]
+        # In some versions of NumPy, the numbers have a second axis.
+        inside = points[numbers.ravel() == number]
         largest.append({'share': float(sizes[number] / total),
                         'low': np.round(inside.min(axis=0), 2).tolist(),
                         'high': np.round(inside.max(axis=0), 2).tolist()})
@@ -232,13 +239,16 @@ def _largest_cells(points: np.ndarray, total: int) -> list[dict[str, Any]]:
 
 @cache
 def _ratio_table() -> dict[str, Any]:
-    """Return the table of ratios: depth error in the room itself / on the scan."""
+    """Return the table of ``promise.json``: ratios of errors, each plus ``offset``."""
     return json.loads(files(__package__).joinpath('promise.json').read_text())
 
 
 def ratios_for(error: float, worst: float, missing: Sequence[str]) -> list[float]:
     """
-    Return the smallest, the median and the largest ratio of the error in the room to the scan's.
+    Return the low, the median and the high ratio of the error in the room to that on the scan.
+
+    The ratios are those of both errors plus the offset of the table, see :func:`expected`. In nine
+    of ten rooms the ratio was between the low and the high one.
 
     :param error: depth error on the scan, metres.
     :param worst: depth error without any visible point, metres.
@@ -248,6 +258,7 @@ def ratios_for(error: float, worst: float, missing: Sequence[str]) -> list[float
         if surface in _ratio_table():
             return _ratio_table()[surface]['ratios']
     levels = _ratio_table()['levels']
+    # A level begins where the error is the share ``from`` of the worst error.
     number = np.searchsorted([level['from'] for level in levels], error / worst, side='right')
     return levels[max(int(number) - 1, 0)]['ratios']
 
@@ -263,6 +274,7 @@ def expected(error: float, worst: float, missing: Sequence[str] = ()) -> dict[st
     :returns: ``depth_error``, ``low`` and ``high``, metres; in nine of ten rooms the error was
         between ``low`` and ``high``.
     """
+    # The ratios are those of both errors plus an offset, since ratios of small errors say little.
     offset = _ratio_table()['offset'] * worst
     low, median, high = (float(np.clip(ratio * (error + offset) - offset, 0.0, worst))
                          for ratio in ratios_for(error, worst, missing))
@@ -272,6 +284,7 @@ def expected(error: float, worst: float, missing: Sequence[str] = ()) -> dict[st
 def missing_surface_notes(missing: Sequence[str]) -> list[str]:
     """Return a note on the effect of each missing surface on the expected error."""
     table = _ratio_table()
+    # ``times`` is the smallest and the largest ratio of the errors themselves, without the offset.
     return [f'without the {surface} in the scan, what the cameras miss there is not known: in '
             f'{table[surface]["plans"]} rooms whose {surface} was left out the true depth '
             f'error was {table[surface]["times"][0]:.1f} to {table[surface]["times"][1]:.1f}'

@@ -32,6 +32,7 @@ from ocp_ros.util.terminal_text import printable
 def escape_markdown(text: str) -> str:
     """Return a text, which may come from a file, as one line of Markdown without markup."""
     # Characters that begin or end markup within a line; an underscore between letters does not.
+    # The colon of http://, the dot of www. and @ would make a link of the text around them.
     markup = r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@'
     return re.sub(markup, r'\\\g<0>', escape(printable(text), quote=False))
 
@@ -51,6 +52,7 @@ def installer_page(assessed: Assessment, plan: str) -> str:
               'plane': 'on stands, poles or rods, all at one height',
               'free': 'on stands, poles or rods'}
     corner_position = assessed.frame.to_source(np.append(assessed.corner.position, floor)).round(2)
+    # Optional sentences of the page.
     surfaces = ', '.join(wall.description(assessed.walls, floor)
                          for wall in assessed.references.inner)
     mount = f'**Mount.** The cameras are {mounts[rig.mount.on]}. The room is ' \
@@ -63,6 +65,7 @@ def installer_page(assessed: Assessment, plan: str) -> str:
         doubts=''.join(f'**Check first:** {escape_markdown(doubt)}.\n\n'
                        for doubt in facts.doubts),
         inner_walls=f' Other surfaces to measure from: {surfaces}.' if surfaces else '',
+        # A mount that the rig file does not give is not named.
         mount=mount if 'mount' in rig.document.data else '',
         level='' if all(placed.camera.model.omnidirectional for placed in cameras) else advice,
         frame=facts.frame, corner=assessed.corner.letters,
@@ -72,6 +75,7 @@ def installer_page(assessed: Assessment, plan: str) -> str:
         lenses='\n'.join(f'- {escape_markdown(placed.camera.name)}: '
                          + '; '.join(filter(None, (lens_text(placed.camera.model), aim)))
                          for placed, aim in zip(cameras, assessed.aims)),
+        # The depth error on the scan, the expected one, and the share of seen points.
         figures='; '.join(f'{label} {value} ({remark})'
                           for label, value, remark in facts.figures[:3]),
         certificate=f' {escape_markdown(facts.certificate)}'.rstrip(),

@@ -86,7 +86,8 @@ class PlanTask:
         if seconds is None and self.evaluations is None:
             seconds = 60.0 if self.counting is None else 15.0
         if seconds is None or self.planner == RIG_SEARCH:
-            # The search of ``RIG_SEARCH`` includes the proof.
+            # No time is set aside for the proof if there is no limit of time, or if the search
+            # includes the proof, as that of ``RIG_SEARCH`` does.
             return Budget(seconds, self.evaluations), seconds
         proof_share = 0.25
         return Budget((1.0 - proof_share) * seconds, self.evaluations), proof_share * seconds
@@ -112,7 +113,7 @@ class PlannedRig:
                  proof_seconds: float | None = None, progress: Progress | None = None) -> None:
         self.task = task
         self.budget = budget
-        # A mesh gives the exact occlusion of its points by ray casting.
+        # If the points lie exactly on a mesh, rays cast at the mesh give their exact occlusion.
         has_exact_mesh = scene.mesh is not None and scene.mesh.exact
         self.engine = with_rays(PROMISING, scene) if has_exact_mesh else PROMISING
         self.planner = RigPlanner(scene, rig, self.engine, budget, task.seed, progress,
@@ -128,6 +129,7 @@ class PlannedRig:
 
     def _plans_by_count(self, rig: Rig, counting: Counting) -> Iterator[RigPlan]:
         """Yield plans with an increasing number of cameras until one reaches the target."""
+        # With fewer cameras no point would be seen by enough cameras.
         first = max(rig.seen_by - len(rig.fixed), 1)
         for plan in self.planner.count_up(lambda count: with_count(rig, count), first,
                                           max(counting.most, first)):
@@ -152,7 +154,7 @@ class PlannedRig:
         :param placement: from :meth:`placement`.
         :param frame: requested frame of files, ``'map'`` or ``'source'``; None for the default.
         """
-        # If the number of cameras was counted: the error by number, and the number.
+        # If the search chose the number of cameras, add the scores of each number, and the choice.
         count_findings = {} if self.task.counting is None else {
             'curve': curve_rows(self.plans), 'count': self._count_data()}
         assessed = Assessment.of(self.planner.problem(self.best.rig), placement, frame,
@@ -173,6 +175,7 @@ class PlannedRig:
         """Return figures of the search, and values to compare the result with, as plain data."""
         plan = self.best
         random = plan.random
+        # ``everywhere`` has the values with a camera at each candidate, which are lower bounds.
         return {'planner': plan.planner, 'seed': self.task.seed,
                 'loss': plan.evaluation.loss, 'searches': sorted(plan.answer.losses),
                 'evaluations': plan.answer.evaluations, 'seconds': round(plan.seconds, 2),
@@ -198,6 +201,7 @@ def certificate_data(proof: Certificate | None, reason: str = '') -> dict[str, A
     spacing = f'{proof.step:.2g} m' + (f' and {proof.turn:g} degrees' if proof.turn else '')
     gain = (f'; moving off this grid gained {100.0 * proof.moved:.1f} %'
             if proof.moved >= MIN_GAP_PERCENT / 100.0 else '')
+    # The properties ``gap`` and ``moved`` are added, since ``asdict`` has the fields only.
     return {'sentence': f'No placement on {proof.candidates:,} candidate poses ({spacing} apart, '
                         f'closer around the cameras) is better by more than '
                         f'{gap_percent(proof.gap):.1f} %{gain} (computed '
@@ -215,5 +219,6 @@ def curve_rows(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
 
 
 def gap_percent(gap: float) -> float:
-    """Return an optimality gap in per cent, rounded up to tenths: it stays an upper limit."""
+    """Return an optimality gap in per cent, rounded up to tenths, so that it is an upper limit."""
+    # Without the 0.01, rounding errors of the gap could raise an exact tenth to the next one.
     return max(ceil(1000.0 * gap - 0.01) / 10.0, MIN_GAP_PERCENT)

@@ -41,6 +41,7 @@ def facts_of(scene: Scene) -> dict[str, Any]:
     """
     floor, source = floor_height(scene), scene.source
     ceiling = ceiling_of(scene).points
+    # The floor for one camera at the top of the room, without margin and clearance.
     space = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0)
     return {
         'name': scene.name, 'points': len(scene), 'spacing': float(np.median(scene.spacing)),
@@ -66,6 +67,7 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
     steep_degrees = 30.0
     if len(air.cells(float(scene.bounds[:, 2].mean()))) == 0:
         return {}
+    # Depth maps from viewpoints inside the room.
     places = viewpoints_of(scene)
     # In these depth maps of 64 rows a point is a cube, whose half side is 0.75 point spacings.
     maps = DepthError(scene.points, 0.75 * scene.pitch, scene.diameter, places, 64)
@@ -77,8 +79,11 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
     side[:] = np.round(azimuth / 90.0).astype(int) % 4
     side[elevation > steep_degrees] = SIDES.index('above')
     side[elevation < -steep_degrees] = SIDES.index('below')
+    # The solid angle of a pixel is proportional to the cosine of its elevation.
     weights = np.repeat(np.cos(np.deg2rad(elevation)), columns)
+    # The share of the maps in which a pixel is empty; an empty pixel has the depth ``far``.
     open_shares = np.mean([maps.depth_map(k) >= maps.far for k in range(len(places))], axis=0)
+    # For each side, the sum of the solid angles that are open, and of all.
     open_angles, totals = (np.bincount(side.ravel(), angles, len(SIDES))
                            for angles in (weights * open_shares.ravel(), weights))
     return {'all': float(open_angles.sum() / totals.sum()),
@@ -87,6 +92,7 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
 
 def room_rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the name and the value in words of each fact in data of :func:`facts_of`."""
+    # A smaller share would be written as 0 %.
     min_open_share = 0.005
     units = {1.0: 'metres', 0.001: 'millimetres', 0.01: 'centimetres', 0.0254: 'inches',
              0.3048: 'feet'}
@@ -108,6 +114,7 @@ def room_rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
         ('openings', 'no inside was found' if not openings else
          f'{100.0 * openings["all"]:.0f} % of the view from inside meets no surface '
          f'({open_sides or "no side is open"})'),
+        # The shift is subtracted from the coordinates of the file.
         ('file', f'unit: {unit}; up: {source["up"]}' + (
             f'; moved by {", ".join(f"{-value:.0f}" for value in source["shift"])} m'
             if any(source['shift']) else ''))]

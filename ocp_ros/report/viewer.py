@@ -91,18 +91,21 @@ def write_view(path: str | Path, scene: Scene, assessed: Assessment | None = Non
     points = scene.points.astype(np.float64)
     indices = choose_indices(len(points), SHOWN)
     groups, facing = groups_of(points[indices])
-    groups = [indices[group] for group in groups]
+    # The last group is the ceiling, a layer that is invisible at first.
+    *groups, ceiling = (indices[group] for group in groups)
     paints = paints_of(scene, assessed)
-    layers = [Layer('ceiling', [_point_trace(points[groups.pop()], '#a3aeb6')], shown=False)]
+    layers = [Layer('ceiling', [_point_trace(points[ceiling], '#a3aeb6')], shown=False)]
     layers += [layer for layer in layers_of(assessed) if layer.traces] if assessed else []
     figure = go.Figure([_point_trace(points[group], PALE_INK) for group in groups])
-    numbers = []
+    # Of each layer, the numbers of its traces in the figure, for the switch of the layer.
+    trace_numbers = []
     for layer in layers:
-        numbers.append(list(range(len(figure.data), len(figure.data) + len(layer.traces))))
+        trace_numbers.append(list(range(len(figure.data), len(figure.data) + len(layer.traces))))
         figure.add_traces([trace.update(visible=layer.shown) for trace in layer.traces])
     _set_axes(figure, scene)
     plot = figure.to_html(full_html=False, include_plotlyjs=True, div_id='view',
                           config={'displaylogo': False, 'responsive': True})
+    # The data of the script in the page.
     data = {'facing': facing, 'paints': [
         {'scale': paint.scale, 'values': [_base64_of(paint.values[group]) for group in groups]}
         for paint in paints]}
@@ -110,14 +113,15 @@ def write_view(path: str | Path, scene: Scene, assessed: Assessment | None = Non
     write_atomically(path, fill_template(
         'viewer.html', title=escape(title), subtitle=escape(subtitle),
         paints='\n'.join(map(_paint_switch, paints, range(len(paints)))),
-        layers='\n'.join(map(_layer_switch, layers, numbers)), plot=plot, data=json.dumps(data),
-        tables='' if assessed is None else '\n'.join(tables_of(assessed))))
+        layers='\n'.join(map(_layer_switch, layers, trace_numbers)), plot=plot,
+        data=json.dumps(data), tables='' if assessed is None else '\n'.join(tables_of(assessed))))
 
 
 def _set_axes(figure: go.Figure, scene: Scene) -> None:
     """Set the axes to the room, in metres, and the viewer above a corner."""
     low, high = scene.bounds
     margin = 0.03 * float((high - low).max())
+    # With a constant ``uirevision``, plotly keeps the user's view when the picture changes.
     figure.update_layout(
         template='plotly_white', margin={'l': 0, 'r': 0, 'b': 0, 't': 0}, showlegend=False,
         uirevision='kept', scene={
@@ -135,35 +139,42 @@ def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
     :returns: six arrays of indices: the points that are always visible, those of the walls that
         face each of four directions, and the ceiling; and these four directions, x and y.
     """
+    # The numbers of the points take the place of their colours, to see which points are left.
     room = room_of(points, np.arange(len(points))[:, None])
     directions = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
     votes = room.inward[:, :2] @ np.array(directions).T
-    # The inward vector of a wall has a length of 0.3 or more along its direction.
+    # The number of each point's direction; -1 for points that are always visible. The inward
+    # vector of a wall has a length of more than 0.3 along its direction.
     wall = np.where(votes.max(axis=1) > 0.3, votes.argmax(axis=1), -1)
     indices = room.colours[:, 0]
     groups = [indices[wall == k] for k in range(-1, 4)]
+    # The ceiling is the points that ``room_of`` has removed.
     return [*groups, np.setdiff1d(np.arange(len(points)), indices)], directions
 
 
 def paints_of(scene: Scene, assessed: Assessment | None) -> list[Paint]:
     """Return the ways to colour the points of a scene; the page opens with the first way."""
     low, high = np.percentile(scene.points[:, 2], [2.0, 98.0])
+    # Adding 0 turns -0.0 into 0.0.
     height_labels = tuple(f'{value + 0.0:.1f} m' for value in np.round([low, high], 1))
     height = Paint('height', heights_of(scene.points), _colour_scale(HEIGHT_COLOURS),
                    end_labels=height_labels)
     if assessed is None:
         return [height]
     bands = len(COUNT_COLOURS)
+    # The middle of the band of each count; see :func:`_banded_paint`.
     counts = (np.minimum(assessed.counts, bands - 1) + 0.5) / bands
     errors = 1000.0 * assessed.error_by_point
     high_error = float(np.percentile(errors[errors > 0.0], 98.0)) if (errors > 0.0).any() else 1.0
-    # Points without any error have the plain colour.
+    # Points without any error have the plain colour. The colours of errors begin at 0.004, about
+    # one step of the values, which the page has as bytes.
     error_scale = [[0.0, PLAIN_COLOUR], *([max(share, 0.004), colour]
                                           for share, colour in _colour_scale(ERROR_COLOURS))]
     return [_banded_paint('seen by how many cameras', counts,
                           tuple(zip(COUNT_NAMES, COUNT_COLOURS))),
             _banded_paint('what is missed', assessed.missed_points.astype(float),
                           (('seen', PLAIN_COLOUR), ('missed', COUNT_COLOURS[0]))),
+            # The square root spreads the small errors.
             Paint('depth error', np.sqrt(np.minimum(errors / high_error, 1.0)), error_scale,
                   end_labels=('0', f'{high_error:.2g} mm or more at a point')), height]
 
@@ -247,6 +258,7 @@ def _line_trace(points: np.ndarray, colour: str, label: str) -> go.Scatter3d:
 
 def _range_trace(centre: Sequence[float], radius: float, colour: str) -> go.Mesh3d:
     """Return the trace of an omnidirectional camera's range, a sphere."""
+    # Points every ten degrees; with ``alphahull=0`` plotly draws their convex hull.
     azimuth, elevation = np.meshgrid(np.linspace(-np.pi, np.pi, 37),
                                      np.linspace(-np.pi / 2, np.pi / 2, 19))
     cosine = np.cos(elevation)
@@ -310,6 +322,7 @@ def tables_of(assessed: Assessment) -> Iterator[str]:
     yield '<h2>How to mount the cameras</h2>'
     rows = []
     for number, (texts, camera) in enumerate(zip(assessed.instructions, facts.cameras), start=1):
+        # The sensor is left out if the name of the camera begins with it.
         sensor = '' if texts.name.startswith(texts.sensor) else f' ({texts.sensor})'
         mounting = '; '.join((texts.place, texts.height, texts.pan, texts.tilt))
         rows.append((str(number), f'{texts.name}{sensor}: {mounting}', texts.coordinates,

@@ -85,6 +85,7 @@ def nearest_corner(sides: Sequence[ReferenceWall], place: np.ndarray) -> Corner:
     """
     corners = []
     for first, second in zip(sides, [*sides[1:], sides[0]]):
+        # Neighbouring sides are perpendicular, so this place is on both.
         position = first.offset * first.outward + second.offset * second.outward
         is_incomplete = not (first.stands and second.stands)
         corners.append((is_incomplete, np.linalg.norm(position - place),
@@ -107,6 +108,8 @@ def walls_around(scene: Scene) -> list[ReferenceWall]:
     outwards = [forward, right, -forward, -right]
     # 0.3 % of the points may lie outside the room, seen through doors and windows.
     edges = [np.percentile(plan_points @ outward, 100.0 - 0.3) for outward in outwards]
+    # Opposite sides have opposite outward directions, so the sum of their offsets is the distance
+    # between them, which is the length of the other two sides.
     spans = [edges[1] + edges[3], edges[0] + edges[2]] * 2
     sides = [_outermost_wall(plan_points[is_upright], outward, edge, span)
              for outward, edge, span in zip(outwards, edges, spans)]
@@ -127,8 +130,10 @@ def _wall_direction(normals: np.ndarray, areas: np.ndarray) -> float:
     tolerance_degrees = 5.0
     angles = np.rad2deg(np.arctan2(normals[:, 1], normals[:, 0])) % 90.0
     counts, _ = np.histogram(angles, bins, (0.0, 90.0), weights=areas)
+    # Two bins may share a peak, so sum three neighbouring bins; 90 degrees are the same as 0.
     best = np.argmax(counts + np.roll(counts, 1) + np.roll(counts, -1))
     direction = (best + 0.5) * 90.0 / bins
+    # Differences of directions that repeat every 90 degrees, from -45 to 45.
     deviations = (angles - direction + 45.0) % 90.0 - 45.0
     aligned = np.abs(deviations) <= tolerance_degrees
     if aligned.any():
@@ -141,6 +146,9 @@ def _outermost_wall(points: np.ndarray, outward: np.ndarray, edge: float, span: 
     """
     Find the outermost wall of a side of the room.
 
+    The side is divided into parts of 0.25 m. A wall is a sheet parallel to the side, of thickness
+    :data:`SHEET_M`, that has points in at least the share :data:`MIN_WALL_SHARE` of these parts.
+
     :param points: (M, 2) metres, map frame, M points of walls and furniture.
     :param outward: (2,) unit vector out of the room.
     :param edge: offset of the edge of the scan, metres.
@@ -149,11 +157,14 @@ def _outermost_wall(points: np.ndarray, outward: np.ndarray, edge: float, span: 
     """
     part_length_m, max_inset_m = 0.25, 1.5
     depths = points @ outward
+    # The number of each point's part, along the side.
     parts = np.floor(points @ [-outward[1], outward[0]] / part_length_m)
+    # Move a sheet inwards from outside the edge of the scan.
     for offset in np.arange(edge + SHEET_M, edge - max_inset_m, -0.5 * SHEET_M):
         in_sheet = np.abs(depths - offset) <= 0.5 * SHEET_M
         if len(np.unique(parts[in_sheet])) >= MIN_WALL_SHARE * span / part_length_m:
-            # The points of the wall may extend farther inwards than this step.
+            # The first sheet that is a wall may have only the outer points of this wall, so take
+            # the points of a second sheet around their median.
             in_wall = np.abs(depths - np.median(depths[in_sheet])) <= 0.5 * SHEET_M
             return float(np.median(depths[in_wall])), True
     return float(edge), False
@@ -184,11 +195,11 @@ class InnerWall(NamedTuple):
         :param floor: height of the floor, metres, map frame.
         """
         text = f'{self.letter} (up to {100.0 * (self.top - floor):.0f} cm high'
-        nearest = max(sides, key=lambda side: float(side.outward @ self.outward))
-        if float(nearest.outward @ self.outward) < SAME_WALL_COSINE:
+        parallel = max(sides, key=lambda side: float(side.outward @ self.outward))
+        if float(parallel.outward @ self.outward) < SAME_WALL_COSINE:
             return f'{text}, at an angle)'
-        distance_cm = 100.0 * (nearest.offset - nearest.outward @ self.position)
-        return f'{text}, parallel to wall {nearest.letter} and {distance_cm:.0f} cm from it)'
+        distance_cm = 100.0 * (parallel.offset - parallel.outward @ self.position)
+        return f'{text}, parallel to wall {parallel.letter} and {distance_cm:.0f} cm from it)'
 
 
 class Distance(NamedTuple):
@@ -229,8 +240,9 @@ class WallReferences:
         self.distances = [self._near_walls(np.asarray(position)) for position in positions]
 
     def _near_walls(self, position: np.ndarray) -> list[Distance]:
-        """Measure from the wall that a camera is mounted on, or the nearest, and across to it."""
+        """Return the distances to a camera's own wall, or else the nearest, and to one across."""
         contact = self._standing_points.at(position[None])
+        # Distances and outward directions of walls; first along one direction, then across it.
         if contact.on[0]:
             outward = -contact.normals[0, :2]
             walls = [(float(contact.distances[0]), outward)]
@@ -253,7 +265,7 @@ class WallReferences:
         :param position: (3,) metres, map frame, of the camera.
         :param direction: (2,) unit vector.
         """
-        # The beam of a level laser misses what is higher or lower than this.
+        # A level laser measures to points at most ``level_m`` above or below the camera.
         level_m, plumb_gain_m = 0.3, 1.0
         walls = []
         for outward in (direction, -direction):
@@ -284,8 +296,9 @@ class WallReferences:
         :param low: lower limit of the points that count, metres above the position.
         :param high: upper limit of the points that count, metres above the position.
         """
+        # The normal of the wall is within 20 degrees of the direction or its opposite.
         min_cosine = 0.94
-        # By the noise of the scan, a camera's front may lie this far behind its wall.
+        # With noise in the scan, the front of a mounted camera may lie this far behind its wall.
         behind_m = 0.03
         # A wall may end this far beside the line of measurement.
         end_tolerance_m = 0.05
@@ -294,10 +307,13 @@ class WallReferences:
         facing = np.abs(self._standing_points.normals[:, :2] @ outward) >= min_cosine
         facing &= (low <= heights) & (heights <= high)
         offsets, depths = vectors @ [-outward[1], outward[0]], vectors @ outward
+        # The points in a strip along the line of measurement, the nearest first.
         strip = np.flatnonzero(facing & (np.abs(offsets) <= STRIP_M) & (depths >= -behind_m)
                                & (depths <= MAX_DISTANCE_M + SHEET_M))
         strip = strip[np.argsort(depths[strip], kind='stable')]
         offsets, depths = offsets[strip], depths[strip]
+        # For the sheet that begins at each point, the end. The first sheet with enough points that
+        # the line of measurement meets is the wall.
         ends = np.searchsorted(depths, depths + SHEET_M, side='right')
         for first in np.flatnonzero(ends - np.arange(len(depths)) >= self._min_points):
             sheet = slice(first, ends[first])
@@ -308,7 +324,12 @@ class WallReferences:
         return None
 
     def _find_wall(self, outward: np.ndarray, place: np.ndarray) -> ReferenceWall | InnerWall:
-        """Return the wall at a place (2,); without a known wall, add one with the next letter."""
+        """
+        Return the wall at a place; if none is known there, add one with the next letter.
+
+        :param outward: (2,) unit vector from the camera to the wall.
+        :param place: (2,) metres, map frame.
+        """
         max_unevenness_m = 0.15
         walls: list[ReferenceWall | InnerWall] = [*self.sides, *self.inner]
         for wall in walls:
@@ -317,6 +338,7 @@ class WallReferences:
                 return wall
         letter = letter_of(len(walls))
         distances = np.linalg.norm(self._standing_points.points[:, :2] - place, axis=1)
+        # The limit includes at least the nearest point.
         is_near = distances <= max(STRIP_M, distances.min())
         top = float(self._standing_points.points[is_near, 2].max())
         self.inner.append(InnerWall(letter, outward, float(outward @ place), place, top))

@@ -91,6 +91,7 @@ class FeasibleRegion:
         self.air = Air(scene, self.space)
         self.surface = self._find_surface()
         self._tree = cKDTree(scene.points)
+        # Cameras in place may be up to 1 m outside the bounding box of the room.
         for fixed in rig.fixed:
             position = fixed.pose[:3]
             if (np.clip(position, scene.bounds[0] - 1.0, scene.bounds[1] + 1.0) != position).any():
@@ -104,6 +105,7 @@ class FeasibleRegion:
         mount, document, height = self.rig.mount, self.rig.document, self.top - self.floor
         if mount.heights is not None and mount.heights[0] >= height:
             given = 'height' in document.data.get('mount', {})
+            # The message proposes 0.7 of the height of the room, which is below its top.
             raise document.error(
                 ('mount', 'height'), f'{round(mount.heights[0], 2):g} m'
                 f'{"" if given else " by default"}',
@@ -133,13 +135,15 @@ class FeasibleRegion:
         :returns: (M, 6): M poses x, y, z, metres, map frame, and yaw, pitch, roll, radians.
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
-        # Steps of yaw and pitch for a few poses.
-        headings = headings_of(self.rig, model, *np.deg2rad((30.0, 19.0)))
-        # Several cameras find room among 48 positions.
+        # Large steps of yaw and pitch, since a search gets few poses.
+        relative_headings = headings_of(self.rig, model, *np.deg2rad((30.0, 19.0)))
+        # There are at least 48 positions, enough for several cameras, or ``max_count`` if less.
+        pose_count = max(max_count, min(48, max_count) * len(relative_headings))
         positions, headings, _ = self._spread_poses(
-            model, headings, max(max_count, min(48, max_count) * len(headings)), MERGE_DISTANCE_M)
+            model, relative_headings, pose_count, MERGE_DISTANCE_M)
         repeated = np.repeat(positions[:, None], headings.shape[1], axis=1)
         poses = np.concatenate([repeated, headings], axis=2).reshape(-1, 6)
+        # If there are more poses than wanted, evenly spaced ones are kept.
         count = min(max_count, len(poses))
         return poses[np.arange(count) * len(poses) // count]
 
@@ -156,15 +160,20 @@ class FeasibleRegion:
             the largest distance of a feasible position from the nearest returned one, metres.
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
-        headings = headings_of(self.rig, model, *DENSE)
-        min_distance = step if len(headings) > 1 else 0.5 * step
-        return self._spread_poses(model, headings, max_count, min_distance)
+        relative_headings = headings_of(self.rig, model, *DENSE)
+        min_distance = step if len(relative_headings) > 1 else 0.5 * step
+        return self._spread_poses(model, relative_headings, max_count, min_distance)
 
-    def _spread_poses(self, model: CameraModel, headings: np.ndarray, max_count: int,
+    def _spread_poses(self, model: CameraModel, relative_headings: np.ndarray, max_count: int,
                       min_distance: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """Return spread feasible positions with headings (H, 3); see :meth:`pose_grid`."""
-        places, distance = self.places(model, max(max_count // len(headings), 1), min_distance)
-        headings = np.repeat(headings[None], len(places.positions), axis=0)
+        """
+        Return spread feasible positions, each with H headings; see :meth:`pose_grid`.
+
+        :param relative_headings: (H, 3), their yaw is relative to ``MountPlaces.inwards``.
+        """
+        places, distance = self.places(
+            model, max(max_count // len(relative_headings), 1), min_distance)
+        headings = np.repeat(relative_headings[None], len(places.positions), axis=0)
         headings[..., 0] += places.inwards[:, None]
         return places.positions, headings, distance
 
@@ -205,7 +214,8 @@ class FeasibleRegion:
             return ': the mount has none above the floor'
         checks = list(self._checks(poses, [model] * len(poses), ROUNDING_M))
         violations = np.sum([check.violated for check in checks], axis=0)
-        # The most poses violate this constraint alone; of equal ones, the most violate it at all.
+        # The constraint that the most poses violate without violating another one. If several are
+        # equal, the one of these that the most poses violate.
         strictest = max(checks, key=lambda check: (
             np.count_nonzero(check.violated & (violations == 1)),
             np.count_nonzero(check.violated)))
@@ -228,6 +238,7 @@ class FeasibleRegion:
             contact = self.surface.at(moved)
             shift = np.where(contact.on, STAND_OFF - contact.distances, 0.0)
             moved += shift[:, None] * contact.normals
+        # Only a ceiling mount has no heights.
         if heights is None:
             z = self.surface.height_above(moved[:, :2]) - STAND_OFF
             moved[:, 2] = np.where(np.isfinite(z), z, moved[:, 2])
@@ -251,7 +262,8 @@ class FeasibleRegion:
             raise ValueError(f'poses: found {len(poses)} cameras; expected at most '
                              f'{len(self.rig.cameras)}, those of the rig that are to be placed')
         chosen = [self.rig.cameras[camera] for camera in cameras]
-        # The known floor may end up to one cell before the walls.
+        # Positions up to one cell beyond the known floor are accepted, since the known floor may
+        # end that far before the walls.
         checks = list(self._checks(poses, [camera.model for camera in chosen], CELL_M))
         sentences = [f'{camera.name}: {check.describe(k)}' for k, camera in enumerate(chosen)
                      for check in checks if check.violated[k]]
@@ -301,11 +313,13 @@ class FeasibleRegion:
 
         :param poses: (M, 6) or (M, 3), see :meth:`allowed`.
         :param models: the camera model of each pose.
-        :param floor_margin: how far beyond the known floor a camera may be, metres.
+        :param floor_margin: how far beyond the known floor a camera may be, metres; if it is more
+            than the tolerance for rounding, ``keep_in`` zones have a tolerance too.
         """
         positions = poses[:, :3]
         contact = None if self.surface is None else self.surface.at(positions)
         yield (over_floor := self._floor_check(positions, contact, floor_margin))
+        # Where there is no floor, free space is not checked as well.
         closed = self.air.closed(positions) & ~over_floor.violated
         yield Check(FREE_SPACE, closed, lambda k: (
             'found a position inside furniture or behind it; expected one in free space; move it '
@@ -354,19 +368,21 @@ class FeasibleRegion:
         clearance = self.rig.keep_clear
         nearest = np.full(len(positions), np.inf)
         pending = np.arange(len(positions))
-        # Some neighbours may belong to the surface that the camera is mounted on.
+        # Without a mounting surface, the nearest point decides. Otherwise some of the nearest
+        # points may belong to that surface, so several are examined.
         count = 1 if contact is None else 16
         while len(pending) and len(points):
             count = min(count, len(points))
             distance, index = tree.query(
                 positions[pending], np.arange(1, count + 1), distance_upper_bound=clearance)
+            # A neighbour beyond the clearance has the distance inf and the index len(points).
             others = np.isfinite(distance)
             more_in_reach = others[:, -1] & (count < len(points))
             if contact is not None:
                 offsets = points[np.minimum(index, len(points) - 1)] - positions[pending, None]
                 others &= ~contact.are_on_surface(pending, offsets)
             nearest[pending] = np.where(others, distance, np.inf).min(axis=1)
-            # If all neighbours so far belong to the mounting surface, more are examined.
+            # More neighbours are examined if all of these belong to the mounting surface.
             pending = pending[more_in_reach & ~others.any(axis=1)]
             count *= 4
         return Check('keep_clear', nearest < clearance - DISTANCE_TOLERANCE_M, lambda k: (
@@ -378,9 +394,10 @@ class FeasibleRegion:
         """Return a search tree of obstacles on the floor below the cameras, seen from above."""
         points = self.scene.points
         height = points[:, 2] - self.floor
-        # Points up to this height above the floor are no obstacles, such as skirting boards.
-        min_m = 0.15
-        obstacles = points[(height > min_m) & (height < self.rig.mount.heights[1] - min_m), :2]
+        # Points this near to the floor are no obstacles, for example those of skirting boards.
+        # Points this near to the height of the cameras are none either.
+        gap_m = 0.15
+        obstacles = points[(height > gap_m) & (height < self.rig.mount.heights[1] - gap_m), :2]
         # One point in each small cell is enough.
         cell_m = 0.02
         return cKDTree(cell_m * np.unique(np.rint(obstacles / cell_m), axis=0))
@@ -388,6 +405,7 @@ class FeasibleRegion:
     def _footprint_check(self, positions: np.ndarray) -> Check:
         """Check that there are no obstacles within the footprint of a tripod."""
         radius = self.rig.mount.footprint
+        # The distance is inf if there is no obstacle within the radius.
         distance, _ = self._obstacle_tree.query(positions[:, :2], distance_upper_bound=radius)
         return Check('mount.footprint', np.isfinite(distance), lambda k: (
             f'found something that stands {distance[k]:.2f} m from the place below it; expected '
@@ -433,6 +451,7 @@ class FeasibleRegion:
         if 'roll' not in self.rig.document.data:
             return
         rolls = np.array(self.rig.rolls)
+        # Differences of angles are wrapped to -180 up to 180 degrees.
         deviation = np.abs((roll[:, None] - rolls + np.pi) % (2.0 * np.pi) - np.pi).min(axis=1)
         offered = ' or '.join(f'{angle:.0f}' for angle in np.rad2deg(rolls))
         # Brackets are turned by hand, so the roll may deviate by 10 degrees.
@@ -456,7 +475,8 @@ def floor_space(scene: Scene, rig: Rig, floor: float, top: float) -> FreePlane:
     :param top: z of the top of the room, metres, map frame.
     """
     max_height = top - floor if rig.mount.heights is None else rig.mount.heights[1]
-    # Only points below the cameras can be floor; so the height is at least a metre.
+    # Floor is searched for among the points below this height only. The height is at least a
+    # metre, so that there are such points below low cameras too.
     return FreePlane.of(scene.points, floor + max(max_height, 1.0), len(rig.cameras), margin=0.0,
                         clearance=0.0)
 

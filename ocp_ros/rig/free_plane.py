@@ -65,6 +65,7 @@ class Floor:
 
     def inside(self, positions: np.ndarray) -> np.ndarray:
         """Return positions (..., 2), metres, moved into the nearest open cells."""
+        # In C order, reshape returns a view, so the function changes ``moved`` itself.
         moved = np.array(positions, dtype=np.float64, order='C')
         move_into_open_cells(moved.reshape(-1, 2), self.low, self.edge, self._nearest)
         return moved
@@ -132,6 +133,7 @@ class Floor:
         if count == 0:
             return None
         sizes = np.bincount(parts.ravel())
+        # Label 0 is that of the closed cells.
         sizes[0] = 0
         large = sizes >= min(MIN_FLOOR_AREA_M2 / self.edge ** 2, sizes.max())
         return replace(self, open=large[parts])
@@ -161,7 +163,8 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     # Radii of the gaps that are filled: the occlusion shadows of furniture, and in sparse scans
     # the space between points.
     radii_cells = (1, 2, 3, 5)
-    # A margin is needed, since gaps at the edge of the grid would not be filled.
+    # The grid has a margin of 4 cells and the largest radius on all sides, since gaps at the edge
+    # of the grid would not be filled.
     indices = indices + max(radii_cells)
     low = low - max(radii_cells) * CELL_M
     cells = np.zeros(corners_of(indices)[1] + max(radii_cells) + 5, dtype=bool)
@@ -181,6 +184,7 @@ def _fill_gaps(cells: np.ndarray, radius: int) -> np.ndarray:
     holes, _ = ndimage.label(ndimage.binary_fill_holes(filled) & ~filled)
     # Holes of more than 10 m2 are not occlusion shadows.
     small = np.bincount(holes.ravel()) * CELL_M ** 2 <= 10.0
+    # Label 0 is that of all cells outside of holes.
     small[0] = False
     return filled | small[holes]
 
@@ -190,6 +194,8 @@ def _largest_part(cells: np.ndarray, radius: int) -> np.ndarray:
     cells = ndimage.binary_erosion(_fill_gaps(cells, radius))
     parts, _ = ndimage.label(cells)
     sizes = np.bincount(parts.ravel())
+    # Label 0 is that of the other cells; if there is no part, it is the largest, and ``cells`` is
+    # False everywhere.
     sizes[0] = 0
     return (parts == np.argmax(sizes)) & cells
 
@@ -198,12 +204,13 @@ def _fine_cells(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor
     """
     Divide a floor, or a whole rectangle, into cells small enough to be closed near surfaces.
 
-    :param floor: the floor; None if it is unknown: all cells of the rectangle are open.
+    :param floor: the floor, in cells of ``CELL_M``; None if it is unknown, then all cells of the
+        rectangle are open.
     :param low: (2,) metres, the lowest corner of the rectangle.
     :param high: (2,) metres, its highest corner.
     :returns: the cells with their centre in the rectangle; None if there are none.
     """
-    # With more cells, larger ones are used.
+    # Cells are made larger until there are at most this many.
     max_cells = 100_000
     if floor is None:
         edge = FINE_CELL_M
@@ -211,6 +218,7 @@ def _fine_cells(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor
             edge *= 2.0
         shape = np.ceil((high - low) / edge).astype(int)
         return Floor(low, np.ones(shape, dtype=bool), edge).cropped_to(low, high)
+    # Only the part of the grid that has open cells is divided.
     rows, columns = (np.flatnonzero(floor.open.any(axis=axis)) for axis in (1, 0))
     cropped = floor.open[rows[0]:rows[-1] + 1, columns[0]:columns[-1] + 1]
     divisions = round(CELL_M / FINE_CELL_M)
@@ -232,7 +240,9 @@ def _next_on_path(cells: Floor, position: np.ndarray, target: np.ndarray, straig
     :param straight: (2,) metres, the end of the straight move; the end nearest to it is chosen.
     :param max_step: the largest length of a move, metres.
     """
-    # A camera more than 60 moves away moves straight on.
+    # From the cells of the first floor, one move reaches the target, from those of the second two
+    # moves, and so on. A shortest path leads to the first floor within reach of the camera. If
+    # more than 60 moves are needed, the camera moves straight on.
     for floor in islice(cells.reachable_floors(target, max_step), 60):
         near = floor.cells_near(position, max_step)
         if near.open.any():
@@ -278,13 +288,15 @@ class FreePlane:
         :param heights: z of the lowest and of the highest camera, metres, if they differ.
         """
         bounds = corners_of(points).astype(np.float64)
+        # The corners of the bounding box, moved inwards by the margin.
         corners, _ = kept_inside(bounds, bounds, margin)
         low, high = corners[:, :2]
         known = floor_of(points, height)
         floor = None if known is None else known.cropped_to(low, high)
         if clearance > 0.0:
-            fine = _fine_cells(floor and known, low, high)
-            open_cells = fine and fine.with_clearance(
+            # A floor without cells in the rectangle counts as unknown.
+            fine = _fine_cells(None if floor is None else known, low, high)
+            open_cells = None if fine is None else fine.with_clearance(
                 points, np.array(heights or (height, height)), clearance)
             if open_cells is not None:
                 return cls(low, high, height, cameras, open_cells, clearance)
@@ -354,7 +366,8 @@ class FreePlane:
         ends = ends.copy()
         for camera in np.flatnonzero(moving & ~self.contains(ends)):
             start = positions[camera]
-            # Shares of a move that are tried in turn if its end is too near to a surface.
+            # The allowed position nearest to the end may be too far away. Therefore shorter and
+            # shorter shares of the move are tried, until such a position is within reach.
             shares = (1.0, 0.75, 0.5, 0.25, 0.0)
             places = self.inside(start + np.outer(shares, ends[camera] - start))
             reachable = np.linalg.norm(places - start, axis=1) <= max_step
@@ -431,7 +444,12 @@ class FreePlane:
         return self.floor or _fine_cells(None, self.low, self.high)
 
     def folded(self, positions: np.ndarray) -> np.ndarray:
-        """Return positions (..., 2) reflected at the rectangle's edges; keeps steps symmetric."""
+        """
+        Return positions (..., 2) reflected at the rectangle's edges.
+
+        So a random step from one position to another stays as likely as the step back.
+        """
+        # Each coordinate goes to and fro over the rectangle; a period has the length of two sizes.
         size = np.maximum(self.size, 1e-12)
         folded = np.mod(positions - self.low, 2.0 * size)
         return self.low + np.minimum(folded, 2.0 * size - folded)
@@ -450,6 +468,8 @@ class FreePlane:
         """
         if self.floor is None:
             return self._rectangle_grid(max_count)
+        # A grid of the whole rectangle with this number of positions has about ``max_count`` that
+        # are allowed. The grid gets coarser until there are at most ``max_count`` of them.
         wanted = max_count * np.prod(self.size) / self.area
         while len(places := self._allowed_grid(int(wanted))) > max_count:
             wanted *= 0.97
@@ -463,6 +483,7 @@ class FreePlane:
     def _rectangle_grid(self, max_count: int) -> np.ndarray:
         """Return a regular grid (M, 2) of at most ``max_count`` positions in the rectangle."""
         size = np.maximum(self.size, 1e-9)
+        # With this number of columns, the cells are about square.
         x_count = max(1, min(max_count, int(np.sqrt(max_count * size[0] / size[1]))))
         counts = x_count, max(1, max_count // x_count)
         axes = [self.low[k] + (np.arange(counts[k]) + 0.5) * size[k] / counts[k] for k in (0, 1)]

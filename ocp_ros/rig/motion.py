@@ -47,6 +47,7 @@ def order_of(turn: int, cameras: int) -> np.ndarray:
 
 def drawn_near(rng: np.random.Generator, count: int, radius: float) -> np.ndarray:
     """Draw offsets (count, 2), metres, uniformly from a disc of a radius in metres."""
+    # The square root makes the density the same near the centre and near the edge.
     length, angle = radius * np.sqrt(rng.random(count)), rng.uniform(-np.pi, np.pi, count)
     return length[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
 
@@ -160,10 +161,11 @@ def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
         return mounted_target[0]
     best = np.empty((0, 3))
     centre = position
-    # Positions from the centre to the edge of a disc, and on the straight line to the target.
+    # The number of steps from the centre of a disc to its edge, and of positions on the straight
+    # line to the target.
     steps = 10
     line = position + np.linspace(0.0, 1.0, steps)[:, None] * (target - position)
-    # The second search is finer, in a smaller disc.
+    # The second search is finer: it is in a smaller disc, around the best position so far.
     for scale in (1.0, 0.15):
         positions = usable_positions(
             np.concatenate([best, _disc_positions(centre, scale * reach, steps), line]))

@@ -65,12 +65,14 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
         positions = positions[space.contains(positions[:, :2])]
         places, z = positions[:, :2], positions[:, 2]
     elif on == 'free':
+        # The levels are 0.3 m apart, or less.
         levels = np.linspace(low, high, int(np.ceil((high - low) / 0.3)) + 1)
         grid = space.grid(max(MAX_POSITIONS // len(levels), 1))
         places = np.repeat(grid, len(levels), axis=0)
         z = np.tile(levels, len(grid))
     else:
         places = space.grid(MAX_POSITIONS)
+    # On a plane or a ceiling, the mount decides the height, which is -inf without a ceiling.
     if on != 'free':
         z = surface.height_above(places) - STAND_OFF if heights is None else np.full(
             len(places), floor + heights[0])
@@ -85,6 +87,7 @@ def _wall_positions(heights: np.ndarray, space: FreePlane, walls: MountSurface,
 
     :param heights: (2,) the lowest and the highest z of cameras, metres.
     :param space: the positions over the floor.
+    :param walls: the points of the walls; their normals may point to either side.
     :param floor: z of the floor, metres.
     """
     low, high = heights
@@ -95,6 +98,7 @@ def _wall_positions(heights: np.ndarray, space: FreePlane, walls: MountSurface,
     if zones:
         offsets = moved_into_nearest(zones, walls.points[used], floor) - walls.points[used]
         used = used[np.linalg.norm(offsets, axis=1) <= band_m]
+    # Of too many points, evenly spaced ones are used.
     used = used[::max(len(used) // MAX_POSITIONS, 1)]
     points, normals = walls.points[used].astype(np.float64), walls.normals[used]
     positions, inwards = [], []
@@ -103,8 +107,10 @@ def _wall_positions(heights: np.ndarray, space: FreePlane, walls: MountSurface,
         if zones:
             moved = moved_into_nearest(zones, moved, floor)
         moved[:, 2] = np.clip(moved[:, 2], low, high)
+        # A side of a wall faces the floor if there is floor 20 cm in front of a camera there.
         faces_floor = space.contains(moved[:, :2] + 2.0 * side * STAND_OFF * normals[:, :2])
         positions.append(moved[faces_floor])
+        # Columns 1 and 0 of the normals are y and x, as arctan2 expects them.
         inwards.append(np.arctan2(*(side * normals[faces_floor, 1::-1]).T))
     return MountPlaces(np.concatenate(positions), np.concatenate(inwards))
 
@@ -122,6 +128,7 @@ def pitches_of(rig: Rig, step: float) -> np.ndarray:
     low, high = rig.pitch
     if 'pitch' not in rig.document.data:
         high = float(np.clip(np.deg2rad(38.0), low, high))
+    # 1e-9 is for rounding errors, which must not add a step.
     return np.linspace(low, high, int(np.ceil((high - low) / step - 1e-9)) + 1)
 
 
@@ -136,6 +143,7 @@ def headings_of(rig: Rig, model: CameraModel, yaw_step: float, pitch_step: float
     """
     if model.omnidirectional:
         return np.zeros((1, 3))
+    # 1e-9 in the next lines is for rounding errors.
     full_turn = 2.0 * np.pi
     # A spinning lidar sees all yaws: only its pitch matters.
     if model.horizontal_fov >= full_turn - 1e-9:
@@ -177,11 +185,11 @@ def choose_spread(positions: np.ndarray, max_count: int, min_distance: float = M
     :returns: the indices of the chosen positions, that nearest to the mean first, and the largest
         distance of a position from the nearest chosen one, metres.
     """
-    nearest = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
-    chosen = [int(np.argmin(nearest))]
+    from_mean = np.linalg.norm(positions - positions.mean(axis=0), axis=1)
+    chosen = [int(np.argmin(from_mean))]
+    # The distance of each position from the nearest chosen one.
     nearest = np.linalg.norm(positions - positions[chosen[0]], axis=1)
     while len(chosen) < max_count and nearest.max() > min_distance:
         chosen.append(int(np.argmax(nearest)))
-        distance = np.linalg.norm(positions - positions[chosen[-1]], axis=1)
-        nearest = np.minimum(nearest, distance)
+        nearest = np.minimum(nearest, np.linalg.norm(positions - positions[chosen[-1]], axis=1))
     return np.array(chosen), float(nearest.max())

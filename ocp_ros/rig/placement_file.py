@@ -86,7 +86,8 @@ class Placement:
     :ivar created: date, command and version, as in the file.
     :ivar frame: the frame of all poses.
     :ivar document: the document that the placement was read from; None if there is none.
-    :ivar key_paths: the keys that lead to each camera in that document.
+    :ivar key_paths: the keys that lead to each camera in that document, in the order of
+        ``cameras``.
     """
 
     cameras: tuple[Placed, ...]
@@ -196,6 +197,7 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
     data = document.data
     if rig is None and 'rig' in data:
         rig = rig_from(document.part('rig'))
+    # Cameras that may be moved come first, then those in place, in whatever order the file has.
     movable, fixed = ([('cameras', k) for k, entry in enumerate(data['cameras'])
                        if (entry.get('mount') == FIXED) == in_place] for in_place in (False, True))
     key_paths = [*movable, *fixed]
@@ -212,6 +214,7 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
     else:
         placed = [_placed(document, keys, camera, rig.mount.on)
                   for keys, camera in zip(movable, rig.cameras)]
+        # Cameras in place come from the rig, since the file may leave them out.
         placed += [_rounded(one.camera, one.pose, FIXED) for one in rig.fixed]
     return Placement(tuple(placed), rig, data.get('room', {}),
                      EngineConfig(**data['engine']) if 'engine' in data else PROMISING,
@@ -265,6 +268,7 @@ def _check_fixed(document: Document, rig: Rig, key_paths: Sequence[Way]) -> None
     """Raise ConfigurationError for cameras in place that differ from those of the rig."""
     for k, keys in enumerate(key_paths):
         data = document.value(*keys)
+        # The number is compared here, since a file may leave out all of these cameras.
         if (len(key_paths) != len(rig.fixed)
                 or not _has_model(document, keys, rig.fixed[k].camera.model)
                 or not _same_pose(pose_of(data), rig.fixed[k].pose)):
@@ -288,22 +292,25 @@ def _same_pose(pose: np.ndarray, other: np.ndarray) -> bool:
 
 def _rig_like(placement: Placement, floor: float) -> Rig:
     """
-    Return a rig for a placement without one, with mount, heights and pitches of its cameras.
+    Return a rig for a placement without one, whose constraints its cameras satisfy.
 
     :param floor: z of the floor, metres.
     """
     placed = placement.cameras
     movable = [one for one in placed if one.mount != FIXED]
+    # A rig has no heights below the floor.
     heights = [max(one.position[2] - floor, 0.0) for one in movable]
     pitches = [one.angles[1] for one in movable if not one.camera.model.omnidirectional]
+    # Cameras with different mounts, or at different heights of a plane, have the mount free.
     mounts = {one.mount for one in movable}
     on = mounts.pop() if len(mounts) == 1 else 'free'
-    mount: dict[str, Any] = {'on': on}
     if on == 'plane' and np.ptp(heights) > POSE_TOLERANCE:
-        mount['on'] = 'free'
+        on = 'free'
+    mount: dict[str, Any] = {'on': on}
     if on != 'ceiling':
-        mount['height'] = heights[0] if mount['on'] == 'plane' else [min(heights), max(heights)]
-    # A camera itself is larger than the 5 cm to keep clear of surfaces.
+        mount['height'] = heights[0] if on == 'plane' else [min(heights), max(heights)]
+    # The pitches are 0 to 60 degrees and include those of all cameras. Real cameras are more than
+    # 5 cm in size, so all of them satisfy this distance to surfaces. A spacing of 0 is no limit.
     data = {
         'cameras': [{'name': one.camera.name, **numbers_of(one.camera)} for one in movable],
         'fixed': [_entry(one, complete=False) for one in placed if one.mount == FIXED],
@@ -316,7 +323,8 @@ def _rig_document(placement: Placement, data: dict[str, Any], lowest: int) -> Do
     """
     Return a document of rig data whose errors name the keys of the placement.
 
-    :param lowest: the number of the lowest camera to be placed, for errors about the height.
+    :param lowest: the index of the lowest camera to be placed, for errors about the mount; it is
+        an index of ``key_paths`` too, where cameras to be placed come first.
     """
     document, key_paths = placement.document, placement.key_paths
     if document is None:
@@ -333,6 +341,7 @@ def numbers_of(camera: Camera) -> dict[str, Any]:
     model: CameraModel = camera.model
     numbers: dict[str, Any] = {'sensor': camera.sensor} if camera.sensor else {}
     for key in ('horizontal_fov', 'vertical_fov'):
+        # Twelve digits: the later ones are rounding errors of degrees computed from radians.
         numbers[key] = float(f'{np.rad2deg(getattr(model, key)):.12g}')
     numbers |= {'min_range': model.min_range, 'max_range': model.max_range}
     if model.resolution is not None:
@@ -362,6 +371,7 @@ def data_of(placement: Placement) -> dict[str, Any]:
             'engine': asdict(placement.engine),
             'rig': placement.rig.document.data if placement.rig else None,
             'scores': placement.scores, 'created': placement.created}
+    # A file has no empty values.
     return {key: value for key, value in data.items() if value}
 
 

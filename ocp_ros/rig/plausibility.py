@@ -74,6 +74,7 @@ def room_notes(scene: Scene) -> list[str]:
         room.
     """
     level, floor = _level_points(scene), floor_height(scene)
+    # The highest points may be stray ones.
     top = float(np.percentile(scene.points[:, 2], 99.5))
     ceiling, tilt_deg = ceiling_of(scene).points, _tilt_deg(scene)
     missing = _missing_names(scene, level, ceiling, tilt_deg)
@@ -111,23 +112,26 @@ def room_notes(scene: Scene) -> list[str]:
 
 def _open_share(scene: Scene, walls: np.ndarray) -> float:
     """Return the share of the floor's edge without wall points (W, 3) nearby; 0 if no floor."""
+    # The height is that of the top of the room, so that all lower points may be floor.
     floor = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0).floor
     if floor is None:
         return 0.0
+    # Holes are filled, so that only the outer edge is left; one row of cells is added around.
     filled = ndimage.binary_fill_holes(np.pad(floor.open, 1))
+    # The centres of the cells at the edge: a half is added, and 1 subtracted for the added row.
     border = floor.low + floor.edge * (np.argwhere(filled & ~ndimage.binary_erosion(filled)) - 0.5)
     distance = cKDTree(walls[:, :2]).query(border)[0] if len(walls) else np.inf
     # Sparse scans do not show every part of a wall, so the limit is larger for them.
     max_distance_m = 0.6 + 3.0 * float(np.median(scene.pitch))
-    return float(np.mean(distance > max_distance_m * np.ones(len(border))))
+    return float(np.mean(distance > max_distance_m))
 
 
 def _level_points(scene: Scene) -> _LevelPoints:
     """Return the points of a room that are on level surfaces."""
     level = np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
     cells = np.floor(scene.points[:, :2] / CELL_M).astype(np.int64)
-    # In sparse scans some cells have no point; each point stands for its square.
     plan_m2 = max(len(np.unique(cells, axis=0)) * CELL_M ** 2, 1e-9)
+    # Each point stands for its square, since in sparse scans some cells have no point.
     areas = scene.pitch[level].astype(np.float64) ** 2
     return _LevelPoints(scene.points[level, 2], areas, plan_m2)
 
@@ -139,15 +143,18 @@ def _area(scene: Scene, points: np.ndarray) -> float:
 
 def _tilt_deg(scene: Scene) -> float:
     """Return the main tilt of the level surfaces in the lower half of a room, degrees."""
+    # Normals may have either sign; all of them are made to point up.
     normals = scene.normals_or_estimate * np.sign(scene.normals_or_estimate[:, 2:])
-    upright = normals[:, 2] > np.cos(np.deg2rad(MAX_LEAN_DEG))
-    upright &= scene.points[:, 2] < scene.bounds[:, 2].mean()
-    normals, areas = normals[upright], scene.pitch[upright].astype(np.float64) ** 2
+    used = normals[:, 2] > np.cos(np.deg2rad(MAX_LEAN_DEG))
+    used &= scene.points[:, 2] < scene.bounds[:, 2].mean()
+    normals, areas = normals[used], scene.pitch[used].astype(np.float64) ** 2
     if len(normals) == 0:
         return 0.0
+    # The main direction is the candidate with the largest area of normals within 3 degrees.
     candidates = normals[np.linspace(0, len(normals) - 1, min(len(normals), 400)).astype(int)]
     votes = ((normals @ candidates.T) > np.cos(np.deg2rad(3.0))).T @ areas
     axis = candidates[int(np.argmax(votes))]
+    # Replace the direction three times by the mean of the normals within 4 degrees of it.
     for _ in range(3):
         similar = normals @ axis > np.cos(np.deg2rad(4.0))
         axis = areas[similar] @ normals[similar]
@@ -159,7 +166,8 @@ def _walls_are_plumb(scene: Scene) -> bool:
     """Return whether the walls of all directions are plumb."""
     normals, areas = scene.normals_or_estimate, scene.pitch.astype(np.float64) ** 2
     upright = np.abs(normals[:, 2]) < np.sin(np.deg2rad(MAX_LEAN_DEG))
-    # The direction perpendicular to the normals of all walls is the vertical of the walls.
+    # The vertical of the walls is the direction perpendicular to their normals: the eigenvector of
+    # the least eigenvalue, which eigh returns first.
     scatter = (normals[upright] * areas[upright, None]).T @ normals[upright]
     vertical = np.linalg.eigh(scatter)[1][:, 0]
     return bool(np.rad2deg(np.arccos(min(abs(float(vertical[2])), 1.0))) < 0.5 * MAX_TILT_DEG)
@@ -167,11 +175,11 @@ def _walls_are_plumb(scene: Scene) -> bool:
 
 def _height_notes(height: float) -> list[str]:
     """Return a note with the likely unit if a height in metres is unusual for a room."""
-    # Rooms are seldom higher.
+    # Few rooms are higher.
     max_height_m = 6.0
     if height <= max_height_m:
         return []
-    # Metres per unit of files whose unit was mistaken for the metre, and the name of the unit.
+    # Units that a reader may take for metres: metres per unit, and the name of the unit.
     units = {0.3048: 'feet', 0.1: 'a unit ten times smaller', 0.01: 'centimetres',
              0.001: 'millimetres', 0.0254: 'inches'}
     # A room is usually 2.1 to 4 m high.
@@ -219,8 +227,9 @@ def _is_overturned(scene: Scene, floor: float, heights: np.ndarray) -> bool:
     min_m, max_m = 0.15, 0.8
     low, high = ((distance > min_m) & (distance < max_m) for distance in (
         scene.points[:, 2] - floor, ceiling - scene.points[:, 2]))
-    # Added to both areas, since small ones are no evidence.
+    # Added to both areas of a ratio, since small areas are no evidence.
     added_m2 = 0.2
+    # More surface low than high, and more wall high than low: both are above 0 in a usual room.
     log_ratios = [np.log((added_m2 + areas[one].sum()) / (added_m2 + areas[other].sum()))
                   for one, other in ((low, high), (high & walls, low & walls))]
     return bool(sum(log_ratios) < -0.45)
@@ -228,13 +237,14 @@ def _is_overturned(scene: Scene, floor: float, heights: np.ndarray) -> bool:
 
 def _in_wall_cells(scene: Scene, steep: np.ndarray, floor: float, ceiling: float) -> np.ndarray:
     """Return whether points are in or beside cells with steep points low and high: (N,) bool."""
+    # The grid has one more cell on each side.
     cells = np.floor((scene.points[:, :2] - scene.bounds[0, :2]) / CELL_M).astype(int) + 1
     height_share = (scene.points[:, 2] - floor) / max(ceiling - floor, 1e-6)
     walls = np.ones(cells.max(axis=0) + 2, dtype=bool)
     # A wall has steep points near both ends of the height of the room.
     end_share = 0.35
     for band in (height_share < end_share, height_share > 1.0 - end_share):
-        found = np.zeros_like(walls)
-        found[tuple(cells[band & steep].T)] = True
-        walls &= ndimage.binary_dilation(found, np.ones((3, 3)))
+        has_steep = np.zeros_like(walls)
+        has_steep[tuple(cells[band & steep].T)] = True
+        walls &= ndimage.binary_dilation(has_steep, np.ones((3, 3)))
     return walls[tuple(cells.T)]

@@ -179,6 +179,7 @@ class Rig:
 
         Their headings change only if the caller changes them.
         """
+        # There is one model for all cameras, or one for each.
         models = config.models * (config.cameras // len(config.models))
         cameras = tuple(Camera(f'camera_{k}', '', model) for k, model in enumerate(models))
         return cls(
@@ -331,6 +332,7 @@ def model_of(document: Document, keys: Way) -> CameraModel:
     given: dict[str, Any] = {
         key: float(np.deg2rad(data[key])) if key.endswith('fov') else data[key]
         for key in MODEL if key in data}
+    # Fields of view replace a focal length with a sensor size.
     given |= _pop_pinhole(document, keys, given)
     if 'resolution' in given:
         given['resolution'] = tuple(given['resolution'])
@@ -341,6 +343,7 @@ def model_of(document: Document, keys: Way) -> CameraModel:
                 raise document.error(
                     keys, f'no {key} and no sensor', MODEL[key]['description'],
                     f'add {key}: {MODEL[key]["examples"][0]:g}, or a sensor')
+        # The defaults of the parameters that need not be given.
         preset = CameraModel()
     elif sensor == OMNIDIRECTIONAL:
         preset, = RigConfig(cameras=1).models
@@ -450,6 +453,7 @@ def names_of(document: Document, key_paths: list[Way]) -> Iterator[str]:
         # Cameras of one group share a name, followed by a number.
         number = '' if totals[stem] == 1 else f'_{used[stem]}'
         name = stem[:MAX_NAME_LENGTH - len(number)] + number
+        # Only cameras of one group, which have the same keys, may be given the same name.
         if name in names or (named and given_at.setdefault(stem, keys) != keys):
             raise document.error((*keys, 'name' if named else 'sensor'), f'the name {stem!r}, '
                                  'which another camera has', 'one of its own',
@@ -498,6 +502,7 @@ def _regions(document: Document, cameras: int) -> Iterator[Region]:
                                  'another region has', 'one of its own', 'give it another name')
         names.add(data['name'])
         must_see = data.get('must_see', False)
+        # As numbers, True is 1 and False is 0.
         share = MUST_SEE_SHARE * must_see if isinstance(must_see, bool) else float(must_see)
         yield Region(data['name'], zone_of(document, ('regions', k)),
                      float(data.get('weight', 1.0)), share, document.where('regions', k),

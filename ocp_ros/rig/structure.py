@@ -62,6 +62,7 @@ class Contact(NamedTuple):
         :param offsets: (L, P, 3) metres, the vectors from each of these positions to P points.
         :returns: (L, P) bool.
         """
+        # The distance from the surface's plane, with a sign; k stands for x, y and z.
         plane_distance = (np.einsum('lpk,lk->lp', offsets, self.normals[indices])
                           + self.distances[indices, None])
         # Points within 8 cm of the plane of a surface belong to the surface.
@@ -92,16 +93,20 @@ class MountSurface:
         """Return the location of M positions (M, 3), metres, relative to the surface."""
         if len(self.points) == 0:
             return Contact(np.zeros((len(positions), 3)), np.full(len(positions), np.inf))
+        # V neighbours of each position. With k as an array, V is an axis also if it is 1.
         count = min(PLANE_POINTS, len(self.points))
         point_distance, index = self._tree.query(positions, k=np.arange(1, count + 1))
+        # In subscripts: m is a position, v a neighbour, and k one of x, y and z.
         point_normals = self.normals[index].astype(np.float64)
         cosine = np.einsum('mvk,mk->mv', point_normals, point_normals[:, 0])
-        # Only points with a similar normal define the plane.
+        # Only points with a normal similar to that of the nearest point define the plane. Its
+        # normal is the mean of theirs, after all of them are turned to the same side.
         used = (np.abs(cosine) >= 0.9) & (point_distance <= point_distance[:, :1] + self.gap)
         normals = np.einsum('mv,mvk->mk', np.sign(cosine) * used, point_normals)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         offsets = positions[:, None] - self.points[index]
         distances = np.einsum('mvk,mk,mv->m', offsets, normals, used) / used.sum(axis=1)
+        # From now on, the normals point to the positions.
         normals *= np.where(distances < 0.0, -1.0, 1.0)[:, None]
         # There is a hole if the nearest point is too far away, or too far away along the surface.
         nearest = point_distance[:, 0]
@@ -117,6 +122,7 @@ class MountSurface:
         :param places: (M, 2), x and y of M positions, metres.
         :returns: (M,) z of the ceiling, metres; -inf where there is none.
         """
+        # With k as an array, the results are (M, count) also if the count is 1.
         count = min(PLANE_POINTS, len(self.points))
         distance, index = self._plan_tree.query(places, k=np.arange(1, count + 1))
         height = np.median(self.points[index, 2], axis=1)
@@ -143,8 +149,10 @@ def floor_height(scene: Scene) -> float:
     level &= z <= low + 0.4 * (high - low)
     if not level.any():
         return float(scene.bounds[0, 2])
+    # Level points from the lowest to the highest.
     heights, areas = np.sort(z[level]), scene.pitch[level][np.argsort(z[level])] ** 2
-    # For the layer that begins at each height, the end, and the area up to its begin.
+    # A layer begins at each point: ``ends`` is the index after its last point. ``area_below`` is
+    # the area of all points before each point.
     ends = np.searchsorted(heights, heights + LAYER_M, side='right')
     area_below = np.concatenate([[0.0], np.cumsum(areas)])
     first = int(np.argmax(area_below[ends] - area_below[:-1]))
@@ -195,7 +203,8 @@ def ceiling_of(scene: Scene) -> MountSurface:
     z = scene.points[:, 2]
     floor = floor_height(scene)
     height = np.percentile(z, 99.0) - floor
-    # A ceiling is at least 2 m above the floor, or 80 % of the height of a lower room.
+    # A ceiling is at most 25 cm below the highest point around it, and at least 2 m above the
+    # floor, or 80 % of the height of a lower room.
     chosen = ((np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL)
               & (z >= top - 0.25) & (z >= floor + min(2.0, 0.8 * height)))
     return _surface(scene, chosen, scene.normals_or_estimate)
@@ -208,6 +217,7 @@ def walls_of(scene: Scene) -> MountSurface:
     :returns: the points of the walls with level normals.
     """
     columns = _Columns(scene)
+    # In columns: the highest point around a wall is searched for within about 0.4 m.
     radius = int(np.ceil(0.4 / columns.edge))
     top = ndimage.maximum_filter(columns.highest(scene.points), 2 * radius + 1)
     floor = floor_height(scene)
@@ -272,9 +282,11 @@ class Air:
         # The ball must not fit through the gaps between the points of a surface.
         self.ball = max(MIN_BALL_M, 1.5 * float(np.median(scene.pitch)))
         free = ndimage.distance_transform_edt(~self.grid.taken(scene.points)) * edge > self.ball
+        # Only cells over the floor are air.
         centres = [self.grid.low[k] + edge * (np.arange(shape[k]) + 0.5) for k in (0, 1)]
         columns = np.stack(np.meshgrid(*centres, indexing='ij'), axis=-1)
         free &= space.contains(columns)[..., None]
+        # Label 0 is that of the cells that are not free. No cell has the label -1.
         parts, count = ndimage.label(free)
         largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else -1
         self._free = parts == largest
@@ -299,6 +311,7 @@ class Air:
     def closed(self, positions: np.ndarray) -> np.ndarray:
         """Return whether positions (M, 3), metres, are out of reach of the ball: (M,) bool."""
         distance = self._distance[tuple(self.grid.cells(positions))]
-        # In a corner of three walls, the centre of the ball stays root 3 radii away.
+        # In a corner of three surfaces, a position that is 0.5 * MIN_BALL_M away from each of them
+        # is this far from the nearest centre of a ball that fits there.
         corner_distance = np.sqrt(3.0) * (self.ball - 0.5 * MIN_BALL_M)
         return distance > max(self.ball + self.grid.edge, corner_distance)

@@ -65,7 +65,7 @@ class Zone:
 
         :param points: (M, 3), M points, metres, map frame.
         :param floor: z of the floor, metres, map frame.
-        :returns: (M, 3) metres, a millimetre from the faces; points inside stay.
+        :returns: (M, 3) metres, a millimetre from the faces; points farther inside stay.
         """
         low, high = self.corners(floor)
         inset = np.minimum(INSET_M, 0.5 * (high - low))
@@ -80,6 +80,7 @@ def _moved_across_edge(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Return points (M, 2) moved to the nearest edge of a polygon (P, 2), a millimetre across."""
     edges = np.roll(corners, -1, axis=0) - corners
     length = np.linalg.norm(edges, axis=1)
+    # The nearest position on each edge, as a share of the edge; k stands for x and y.
     share = np.einsum('mpk,pk->mp', points[:, None] - corners, edges) / length ** 2
     on_edges = corners + np.clip(share, 0.0, 1.0)[..., None] * edges
     edge = np.argmin(np.linalg.norm(on_edges - points[:, None], axis=2), axis=1)
@@ -110,7 +111,8 @@ def grid_positions(zones: Sequence[Zone], low: np.ndarray, high: np.ndarray, flo
     :param low: (3,) metres, map frame, the lowest corner of the box.
     :param high: (3,) metres, its highest corner.
     :param floor: z of the floor, metres, map frame.
-    :param max_count: the largest number of positions, if every zone has at most its equal share.
+    :param max_count: the largest number of positions; the grid of each zone has at most an equal
+        share of it, or one position.
     :param one_level: whether all positions of a zone have the same height.
     :returns: (P, 3) metres.
     """
@@ -121,14 +123,15 @@ def grid_positions(zones: Sequence[Zone], low: np.ndarray, high: np.ndarray, flo
         size = np.minimum(highest, high) - lowest
         if (size < 0.0).any():
             continue
+        # The step grows until the grid is small enough.
         step_m = 0.1
-        count = np.full(3, max_count)
-        while count.prod() > max(max_count / len(zones), 1):
-            count = np.maximum(np.ceil(size / step_m), 1).astype(int)
-            count[2] = 1 if one_level else count[2]
+        counts = np.full(3, max_count)
+        while counts.prod() > max(max_count / len(zones), 1):
+            counts = np.maximum(np.ceil(size / step_m), 1).astype(int)
+            counts[2] = 1 if one_level else counts[2]
             step_m *= 1.2
-        cells = np.stack(np.meshgrid(*map(np.arange, count), indexing='ij'), axis=-1)
-        grid = lowest + size * (cells.reshape(-1, 3) + 0.5) / count
+        cells = np.stack(np.meshgrid(*map(np.arange, counts), indexing='ij'), axis=-1)
+        grid = lowest + size * (cells.reshape(-1, 3) + 0.5) / counts
         positions.append(grid[zone.contains(grid, floor)])
     return np.concatenate(positions)
 
@@ -139,6 +142,7 @@ def _in_polygon(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     (x0, y0), (x1, y1) = corners.T, np.roll(corners, -1, axis=0).T
     # The ray from an inner point along x crosses an odd number of edges.
     crosses_line = (y0 > y) != (y1 > y)
+    # An edge along x divides by 0, but the ray does not cross it.
     with np.errstate(divide='ignore', invalid='ignore'):
         ahead = x < x0 + (y - y0) * (x1 - x0) / (y1 - y0)
     return np.count_nonzero(crosses_line & ahead, axis=1) % 2 == 1

@@ -33,13 +33,15 @@ def build_walls(plan: RoomPlan, l_shape_probability: float) -> None:
     if rng.random() < l_shape_probability:
         cut_width, cut_depth = rng.uniform(0.25, 0.6, 2) * (width, depth)
         if plan.kind == 'hallway':
+            # The two arms of a hallway are 1.8 to 2.8 m wide.
             cut_width, cut_depth = np.array([width, depth]) - rng.uniform(1.8, 2.8, 2)
-        # The inner corner of the L.
+        # The inner corner of the L. A solid box fills the part that is cut out.
         x, y = width - cut_width, depth - cut_depth
         _build_box(plan, (x, y), (width, depth))
         corners = [(0, 0), (width, 0), (width, y), (x, y), (x, depth), (0, depth)]
     else:
         corners = [(0, 0), (width, 0), (width, depth), (0, depth)]
+    # The corners are counter-clockwise, so that the room is on the left of each wall.
     corners = np.array(corners, dtype=np.float64)
     for start, end in zip(corners, np.roll(corners, -1, axis=0)):
         length = float(np.linalg.norm(end - start))
@@ -49,7 +51,7 @@ def build_walls(plan: RoomPlan, l_shape_probability: float) -> None:
 def _build_box(plan: RoomPlan, low: Sequence[float], high: Sequence[float], kind: str = 'wall',
                height: float | None = None) -> None:
     """
-    Build a box over a rectangle of the floor, if this is free.
+    Build a box on a rectangle of the floor, if the rectangle is free.
 
     :param low: (2,) the lowest corner of the rectangle.
     :param high: (2,) its highest corner.
@@ -62,6 +64,7 @@ def _build_box(plan: RoomPlan, low: Sequence[float], high: Sequence[float], kind
 def build_niches(plan: RoomPlan) -> None:
     """Build boxes along one wall, with niches between them."""
     wall = plan.walls[plan.rng.integers(len(plan.walls))]
+    # ``distance`` is that of the next box from the start of the wall.
     depth, distance = plan.rng.uniform(0.2, 0.7), plan.rng.uniform(0.0, 1.0)
     while distance + 0.5 < wall.length:
         width = min(plan.rng.uniform(0.4, 1.6), wall.length - distance)
@@ -80,8 +83,13 @@ def build_columns(plan: RoomPlan, count: int) -> None:
 
 
 def build_partition(plan: RoomPlan, height: float | None = None) -> None:
-    """Build a wall 10 cm thick across 35 to 65 % of the room; None: as high as the room."""
+    """
+    Build a wall 10 cm thick from a side of the room across 35 to 65 % of it.
+
+    :param height: the height of the wall; None for that of the room.
+    """
     rng = plan.rng
+    # The wall is normal to this axis.
     axis = int(rng.integers(2))
     length = rng.uniform(0.35, 0.65) * plan.size[1 - axis]
     middle = rng.uniform(0.3, 0.7) * plan.size[axis]
@@ -96,6 +104,7 @@ def add_beams_and_lamps(plan: RoomPlan) -> None:
     """Add beams, ducts and lamps to the ceiling."""
     room_width, room_depth, height = plan.size
     rng = plan.rng
+    # Beams and ducts run along this axis.
     axis = int(rng.integers(2))
     for _ in range(rng.choice([0, 0, 1, 2, 3])):
         beam_width, beam_height = rng.uniform(0.2, 0.45, 2)
@@ -103,6 +112,7 @@ def add_beams_and_lamps(plan: RoomPlan) -> None:
         low, high = np.array([0.0, 0.0, height - beam_height]), plan.size.copy()
         low[1 - axis], high[1 - axis] = offset, offset + beam_width
         plan.add_box('beam', low, high)
+    # Lamps hang on a grid of 2.4 m; 40 % of its positions stay empty.
     for x in np.arange(1.2, room_width - 0.6, 2.4):
         for y in np.arange(1.2, room_depth - 0.3, 2.4):
             if rng.random() < 0.6:
@@ -111,7 +121,7 @@ def add_beams_and_lamps(plan: RoomPlan) -> None:
 
 
 def add_openings(plan: RoomPlan, doors: int, windows: int, boards: int) -> None:
-    """Add up to a number of doors, some of them open, and of windows and boards."""
+    """Add at most these numbers of doors, windows and boards; some doors are open."""
     for add, count in ((_add_door, doors), (_add_window, windows), (_add_board, boards)):
         for _ in range(count):
             add(plan)
@@ -123,6 +133,7 @@ def _add_door(plan: RoomPlan) -> None:
     is_open = rng.random() < 0.3
     angle = rng.uniform(1.0, 1.8) if is_open else 0.0
     leaf = make_solid('door', (0.0, -0.025, 0.01), (0.9, 0.025, rng.uniform(2.0, 2.15)))
+    # The leaf is rotated about its hinge, the origin, and then moved: a closed one is centred.
     door = moved_piece([leaf], (-0.45, 0.0), angle)
     # Every try places the same door.
     plan.place_at_wall(lambda: door, width=0.95, depth=0.05, front=0.9)
@@ -143,7 +154,8 @@ def _add_window(plan: RoomPlan) -> None:
         plan.add_box('window', (*np.minimum(corner, opposite), bottom),
                      (*np.maximum(corner, opposite), top))
 
-    # Glass gives no returns; a blind, the sill and the frame do.
+    # Glass gives no returns; a blind, the sill and the frame do. The box around the glass
+    # reaches 1 cm out of the wall on both sides, since it has to contain points of the wall.
     if rng.random() < 0.4:
         plan.windows.append(np.array([[*(np.minimum(start, end) - 0.01), low],
                                       [*(np.maximum(start, end) + 0.01), high]]))

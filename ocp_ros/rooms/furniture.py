@@ -97,6 +97,7 @@ def build_desk(rng: np.random.Generator) -> Piece:
     """Build a desk, mostly with drawers, screens and objects on it; its user sits at +y."""
     width, depth = rng.uniform([1.2, 0.65], [1.8, 0.8])
     piece = build_table(rng, width, depth)
+    # The first box of a table is its slab, 4 cm thick.
     top = float(piece[0].centre[2] + 0.02)
     if rng.random() < 0.7:
         piece.append(make_solid('table', (-0.5 * width + 0.06, -0.5 * depth + 0.06, 0.0),
@@ -112,10 +113,17 @@ def build_desk(rng: np.random.Generator) -> Piece:
 
 def scatter_boxes(rng: np.random.Generator, width: float, depth: float, height: float,
                   count: int) -> Piece:
-    """Return boxes at random positions in a rectangle around the origin; lengths in metres."""
+    """
+    Return boxes at random positions on a rectangle around the origin; lengths in metres.
+
+    :param width: the extent of the rectangle along x.
+    :param depth: the extent of the rectangle along y.
+    :param height: the height of the rectangle above the floor.
+    """
     piece = []
     for _ in range(count):
         size = rng.uniform([0.12, 0.12, 0.05], [0.5, 0.4, 0.45])
+        # The centres of the boxes stay 0.2 m away from the edges of the rectangle.
         position = rng.uniform(-0.5, 0.5, 2) * np.maximum([width - 0.4, depth - 0.4], 0.0)
         box = make_solid('clutter', (*(-0.5 * size[:2]), 0.0), (*(0.5 * size[:2]), size[2]))
         piece += moved_piece([box], position, rng.uniform(-0.6, 0.6), height)
@@ -133,6 +141,7 @@ def build_chair(rng: np.random.Generator) -> Piece:
     if rng.random() < 0.5:
         piece += _legs('chair', x - 0.03, x - 0.03, 0.02, seat - 0.06)
     else:
+        # A post on a cross of two bars.
         piece.append(make_solid('chair', (-0.04, -0.04, 0.08), (0.04, 0.04, seat - 0.06)))
         piece.append(make_solid('chair', (-0.28, -0.03, 0.02), (0.28, 0.03, 0.08)))
         piece.append(make_solid('chair', (-0.03, -0.28, 0.02), (0.03, 0.28, 0.08)))

@@ -48,6 +48,7 @@ def generate_room(seed: int, n_points: int = 15000, scanned: bool = True) -> Sce
     check_whole('seed', seed, 0)
     check_whole('n_points', n_points, MIN_POINTS)
     plan = plan_of(seed)
+    # Random numbers of the scan are independent of those of the plan.
     rng = np.random.default_rng([seed, 1])
     points = scan(plan, n_points, rng)[0] if scanned else sample_surfaces(plan, n_points, rng)
     return Scene(points, f'room-{seed}', mesh=mesh_of(plan))
@@ -55,10 +56,13 @@ def generate_room(seed: int, n_points: int = 15000, scanned: bool = True) -> Sce
 
 def mesh_of(plan: RoomPlan) -> Mesh:
     """Return the mesh of a room: its shell (floor, walls, ceiling) and all solids in it."""
+    # The corners of a cube around the origin, in the order of ``BOX_TRIANGLES``.
     unit_corners = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) - 0.5
+    # The shell begins at the origin.
     vertices = [(unit_corners + 0.5) * plan.size]
     for box in plan.solids:
         vertices.append(unit_corners * box.size @ rotation_matrix(box.yaw).T + box.centre)
+    # Each box has eight vertices.
     triangles = BOX_TRIANGLES + 8 * np.arange(len(vertices))[:, None, None]
     return Mesh(np.concatenate(vertices).astype(np.float32),
                 triangles.reshape(-1, 3).astype(np.int32))

@@ -57,6 +57,7 @@ def _add_at_walls(plan: RoomPlan, count: int, build: Callable[..., Piece], low: 
 def _add_desks(plan: RoomPlan, count: int) -> None:
     """Place desks along the walls, each with its chair."""
     def build_workplace() -> Piece:
+        # The chair stands in front of the desk and roughly faces it.
         moved_chair = moved_piece(
             furniture.build_chair(plan.rng), (plan.rng.uniform(-0.25, 0.25), 0.75),
             np.pi + plan.rng.normal(0.0, 0.5))
@@ -89,6 +90,7 @@ def _add_table_with_chairs(plan: RoomPlan, width: float, depth: float, chair_spa
         for side in (-1, 1):
             for x in np.arange(-0.5 * width + 0.5 * chair_spacing, 0.5 * width, chair_spacing):
                 if plan.rng.random() < 0.85:
+                    # Chairs roughly face the table.
                     yaw = (0.0 if side < 0 else np.pi) + plan.rng.normal(0.0, 0.3)
                     position = (x + plan.rng.normal(0, 0.05),
                                 side * (0.5 * depth + plan.rng.uniform(0.0, 0.4)))
@@ -109,7 +111,7 @@ def furnish_office(plan: RoomPlan) -> None:
 
 
 def furnish_conference(plan: RoomPlan) -> None:
-    """Furnish a conference room: a long table, chairs, boards."""
+    """Furnish a conference room: a long table, chairs, boards, cabinets, shelves."""
     rng = plan.rng
     building.add_openings(plan, doors=rng.integers(1, 4), windows=rng.integers(0, 4),
                           boards=rng.integers(1, 3))
@@ -121,18 +123,21 @@ def furnish_conference(plan: RoomPlan) -> None:
 
 
 def furnish_lounge(plan: RoomPlan) -> None:
-    """Furnish a lounge: sofas around low tables, a counter, small tables."""
+    """Furnish a lounge: a counter, sofas, low tables, small tables with chairs, shelves."""
     rng = plan.rng
     building.add_openings(plan, doors=rng.integers(1, 5), windows=rng.integers(1, 4),
                           boards=rng.integers(0, 2))
+    # A cabinet serves as the counter.
     width = rng.uniform(1.5, 3.5)
     plan.place_at_wall(partial(furniture.build_cabinet, rng, width, 0.62, 0.92), width, 0.62, 0.7)
+    # Armchairs and sofas.
     for _ in range(rng.integers(2, 5)):
         width = rng.choice([0.85, 1.6, 2.1])
         plan.place_at_wall(partial(furniture.build_sofa, rng, width), width, depth=0.85, front=0.4)
 
     def build_sofa_with_table() -> Piece:
         sofa = furniture.build_sofa(rng, 1.6)
+        # A low table: only the slab of a table, which is its first box, 0.3 m lower.
         slab = furniture.build_table(rng, 1.0, 0.6)[:1]
         return sofa + moved_piece(slab, (0.0, 1.1), 0.0, height=-0.3)
     for _ in range(rng.integers(0, 3)):
@@ -143,7 +148,7 @@ def furnish_lounge(plan: RoomPlan) -> None:
 
 
 def furnish_hallway(plan: RoomPlan) -> None:
-    """Furnish a hallway: doors, boards and a few cabinets."""
+    """Furnish a hallway: doors, boards, a few cabinets and shelves."""
     rng = plan.rng
     building.add_openings(plan, doors=rng.integers(4, 9), windows=rng.integers(0, 2),
                           boards=rng.integers(0, 4))
@@ -153,13 +158,14 @@ def furnish_hallway(plan: RoomPlan) -> None:
 def furnish_storage(plan: RoomPlan) -> None:
     """Furnish a storage room: rows of bookcases with aisles, cabinets, boxes."""
     rng = plan.rng
-    building.add_openings(plan, doors=1, windows=rng.integers(0, 2),
-                          boards=0)
+    building.add_openings(plan, doors=1, windows=rng.integers(0, 2), boards=0)
+    # Rows run along the longer axis; ``offset`` is the distance of a row from one long wall.
     axis = int(plan.size[1] > plan.size[0])
     length, breadth = plan.size[axis], plan.size[1 - axis]
     offset = rng.uniform(0.9, 1.6)
     while offset + 1.0 < breadth:
         depth, height = rng.uniform(0.4, 0.8), rng.uniform(1.2, 2.3)
+        # A row leaves 1 m of floor at its start and at least 0.6 m at its end.
         position = 1.0
         while position + 1.0 < length - 0.8:
             width = rng.uniform(0.9, 1.2)
@@ -169,6 +175,7 @@ def furnish_storage(plan: RoomPlan) -> None:
                 centre = centre[::-1]
                 yaw += 0.5 * np.pi
             half_extent = 0.5 * rotated_footprint(width, depth, yaw)
+            # A bookcase stands at 85 % of the positions, if ``claim_floor`` can reserve the floor.
             if rng.random() < 0.85 and plan.claim_floor(
                     centre - half_extent, centre + half_extent, clearance=0.0):
                 bookcase = furniture.build_bookcase(rng, width, depth, height)
@@ -180,14 +187,14 @@ def furnish_storage(plan: RoomPlan) -> None:
 
 
 def furnish_open_office(plan: RoomPlan) -> None:
-    """Furnish an open office: groups of desks between screens, columns, shelves."""
+    """Furnish an open office: groups of desks between screens, other desks, shelves, cabinets."""
     rng = plan.rng
     building.add_openings(plan, doors=rng.integers(2, 7), windows=rng.integers(2, 6),
                           boards=rng.integers(0, 3))
     screen_height = rng.choice([1.1, 1.4, 1.7])
 
     def build_desk_group() -> Piece:
-        """Build four desks back to back with a screen between them."""
+        """Build two crossing screens and four desks between them, most with a chair."""
         piece = [make_solid('wall', (-1.9, -0.03, 0.0), (1.9, 0.03, screen_height)),
                  make_solid('wall', (-0.03, -0.9, 0.0), (0.03, 0.9, screen_height))]
         for x in (-0.95, 0.95):
@@ -199,6 +206,7 @@ def furnish_open_office(plan: RoomPlan) -> None:
                         furniture.build_chair(rng), (x, side * rng.uniform(1.15, 1.4)),
                         yaw + np.pi + rng.normal(0.0, 0.5))
         return piece
+    # All groups have the same orientation; there is one for 12.5 m2 of floor.
     half_turns = (0.0,) if rng.random() < 0.5 else (0.5,)
     for _ in range(max(int(0.08 * np.prod(plan.size[:2])), 1)):
         plan.place_freestanding(build_desk_group, width=3.9, depth=3.0, half_turns=half_turns)
@@ -239,6 +247,7 @@ def draw_plan(rng: np.random.Generator) -> RoomPlan:
     name = str(rng.choice(list(ROOM_KINDS), p=[kind.share for kind in ROOM_KINDS.values()]))
     kind = ROOM_KINDS[name]
     plan = RoomPlan(name, rng.uniform(kind.low, kind.high), rng)
+    # A straight hallway; the others are L-shaped.
     if name == 'hallway' and rng.random() < 0.4:
         plan.size[0] = rng.uniform(1.8, 3.2)
         building.build_walls(plan, l_shape_probability=0.0)

@@ -71,6 +71,7 @@ class RoomPlan:
     solids: list[Solid] = field(default_factory=list)
     windows: list[np.ndarray] = field(default_factory=list)
     walls: list[RoomWall] = field(default_factory=list)
+    # Reserved rectangles of the floor: (2, 2) lowest and highest corner, metres.
     _taken: list[np.ndarray] = field(default_factory=list)
 
     def add_box(self, kind: str, low: Sequence[float], high: Sequence[float]) -> None:
@@ -87,6 +88,7 @@ class RoomPlan:
         :returns: whether the rectangle is now reserved.
         """
         low, high = np.minimum(low, high), np.maximum(low, high)
+        # The tolerance of 1e-9 m is for rounding.
         if (low < -1e-9).any() or (high > self.size[:2] + 1e-9).any():
             return False
         for taken in self._taken:
@@ -108,6 +110,7 @@ class RoomPlan:
         for _ in range(MAX_ATTEMPTS):
             yaw = float(self.rng.choice(half_turns)) * np.pi
             half_extent = 0.5 * rotated_footprint(width, depth, yaw)
+            # A piece stays 0.1 m away from the sides of the room.
             if (2.0 * half_extent > self.size[:2] - 0.2).any():
                 continue
             position = self.rng.uniform(0.1 + half_extent, self.size[:2] - 0.1 - half_extent)
@@ -129,6 +132,7 @@ class RoomPlan:
             wall = self.walls[self.rng.integers(len(self.walls))]
             if wall.length < width + 0.1:
                 continue
+            # A piece stays 5 cm away from both ends of its wall.
             distance = self.rng.uniform(0.05, wall.length - width - 0.05)
             corner = wall.start + distance * wall.along + WALL_GAP_M * wall.inward
             opposite = corner + width * wall.along + (depth + front) * wall.inward
@@ -152,6 +156,7 @@ def mirrored_plan(plan: RoomPlan, is_mirrored: np.ndarray) -> RoomPlan:
     :param is_mirrored: (2,) bool, whether x and whether y are reversed.
     """
     size = plan.size[:2]
+    # One mirror reverses the yaw of a box, two mirrors keep it.
     signs = np.where(is_mirrored, -1.0, 1.0)
     solids = []
     for box in plan.solids:

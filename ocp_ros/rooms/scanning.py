@@ -84,6 +84,7 @@ def scan(plan: RoomPlan, n_points: int, rng: np.random.Generator) -> tuple[np.nd
     tripods = _place_tripods(plan, rng)
     patches = _draw_patches(plan, rng)
     surface = _sample_about(n_points, rng, partial(_scanned_surface, plan, tripods, patches))
+    # Errors lie along the ray from the nearest tripod.
     offsets = surface.points[:, None] - tripods[None]
     nearest_tripods = np.argmin((offsets ** 2).sum(axis=2), axis=1)
     rays = offsets[np.arange(len(nearest_tripods)), nearest_tripods]
@@ -110,6 +111,7 @@ def _sample_about(n_points: int, rng: np.random.Generator,
     """Find the pitch (distance of points, metres) that gives about ``n_points``; sample at it."""
     pitch = 0.2
     for _ in range(4):
+        # Trials do not draw from ``rng``. The number of points falls with the squared pitch.
         surface = sample_at_pitch(pitch, np.random.default_rng(0))
         pitch *= np.sqrt(max(len(surface.points), 1) / n_points)
     return sample_at_pitch(pitch, rng)
@@ -133,11 +135,14 @@ def _scanned_surface(plan: RoomPlan, tripods: np.ndarray, patches: np.ndarray, p
     """
     surface = _exposed_surface(plan, pitch, rng)
     densities = sampling_densities(surface.points, surface.normals, tripods, *boxes_of(plan))
+    # Windows in the shell and dark patches return no signal.
     for lowest, highest in plan.windows:
         densities[(surface.solid_numbers < 0)
                   & ((surface.points > lowest) & (surface.points < highest)).all(axis=1)] = 0.0
     for *centre, radius in patches:
         densities[((surface.points - centre) ** 2).sum(axis=1) < radius ** 2] = 0.0
+    # The densest 40 % of the points are all kept. The probability of the others falls with the
+    # root of their density, to 0.4.
     full_density = np.percentile(densities[densities > 0.0], 60.0) if densities.any() else 1.0
     probabilities = np.clip(np.sqrt(densities / full_density), 0.4, 1.0)
     return surface.only((densities > 0.0) & (rng.random(len(probabilities)) < probabilities))
@@ -151,6 +156,7 @@ def surface_of(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> Scanne
     :param rng: the generator for the jitter.
     """
     faces = []
+    # The number -1 stands for the shell of the room.
     for solid_number in range(-1, len(plan.solids)):
         for axis in range(3):
             # The axes along the two faces that are normal to this axis.
@@ -224,6 +230,7 @@ def exposed_points(points, solid_numbers, room_size, centres, half_sizes, yaw_ve
     :param centres: with ``half_sizes`` and ``yaw_vectors``, see :class:`Boxes`.
     :param gap: metres; points within this distance are close.
     """
+    # 1e-6 m are added for rounding, so that points at exactly the distance ``gap`` are close.
     is_exposed = np.ones(len(points), dtype=np.bool_)
     for i in range(len(points)):
         x, y, z = points[i]
@@ -308,8 +315,10 @@ def sampling_densities(points, normals, tripods, centres, half_sizes, yaw_vector
             for k in range(len(centres)):
                 projection = x * directions[k, 0] + y * directions[k, 1] + z * directions[k, 2]
                 distance = centre_distances[k]
+                # The ray misses the bounding sphere, or ends before it.
                 if projection < cone_cosines[k] * length or distance - radii[k] > length:
                     continue
+                # The centre of the box and the ray, from the tripod, in the axes of the box.
                 cosine, sine = yaw_vectors[k]
                 along = directions[k, 0] * cosine + directions[k, 1] * sine
                 across = directions[k, 1] * cosine - directions[k, 0] * sine
@@ -336,6 +345,7 @@ def _enters_box(ray, centre, half_size, end):
     # The ray is inside the box where it is between all three pairs of faces.
     begin = 0.0
     for axis in range(3):
+        # A ray that is parallel to a pair of faces is always or never between them.
         if abs(ray[axis]) < 1e-12:
             if abs(centre[axis]) > half_size[axis]:
                 return False

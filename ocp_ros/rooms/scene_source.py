@@ -108,8 +108,7 @@ def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
     """
     scene = make_room(name, 0.0, points, **reading)
     if name.isdecimal():
-        return scene, {'seed': int(name), 'points': points,
-                       'sha256': sha256_of(scene)}
+        return scene, {'seed': int(name), 'points': points, 'sha256': sha256_of(scene)}
     entry = {'file': name, 'sha256': sha256_of_file(name), 'points': points, **reading,
              'scale': scene.source.scale, 'up': scene.source.up}
     if not scene.source.is_map:

@@ -74,6 +74,7 @@ class GuideNode(ManagedNode):
     def configure(self) -> None:
         """Start the page, its subscriptions, and the clients of the services of the policy."""
         server, self.url = start_server(self.config.host, self.config.port, 'guide')
+        #: Labels of the buttons that were pressed, from the threads of the page.
         self._pressed: deque[str] = deque()
         self.page = GuidePage(server, self._pressed.append)
         #: Values of the arrival limits before they were widened, to be set at the next command;
@@ -93,6 +94,7 @@ class GuideNode(ManagedNode):
         self._reset_client = self.create_client(Trigger, f'{policy}/reset')
         self._set_client = self.create_client(SetParameters, f'{policy}/set_parameters')
         self._get_client = self.create_client(GetParameters, f'{policy}/get_parameters')
+        # Timers on a steady clock run also while /clock stops.
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.create_timer(0.1, self._run_pressed_actions, clock=steady)
         self.create_timer(0.25, self.page.show, clock=steady)
@@ -131,6 +133,7 @@ class GuideNode(ManagedNode):
 
     def _on_instructions(self, message: String) -> None:
         """Show what the next time step is expected to bring."""
+        # The sentence of ExpectedGain begins with this word; without it nothing is shown.
         self.page.expectation = next((line for line in message.data.splitlines()
                                       if line.startswith('expected')), '')
 
@@ -153,7 +156,7 @@ class GuideNode(ManagedNode):
         self._call(self._pause_client, SetBool.Request(data=paused))
 
     def _largest_offsets(self) -> tuple[float, float]:
-        """Return the largest distance and angle of a camera from its target: metres, radians."""
+        """Return the largest distance (m) and angle (radians) to a target; inf if unknown."""
         offsets = [pose.away_from(target)
                    for pose, target in zip(self.page.poses, self.page.targets)]
         return tuple(np.max(offsets, axis=0).tolist()) if offsets else (np.inf, np.inf)
@@ -166,7 +169,8 @@ class GuideNode(ManagedNode):
         """
         # The wider limits exceed the measured values, since the next ones differ a little.
         margin = 1.1
-        max_metres = 1.0
+        # policy_node accepts an arrival distance up to 1 m and an arrival angle up to pi radians.
+        max_metres, max_radians = 1.0, 3.1
         distance, angle = self._largest_offsets()
         if distance * margin > max_metres:
             self.page.show_message(
@@ -174,13 +178,14 @@ class GuideNode(ManagedNode):
                 if distance == np.inf else f'found a camera {distance:.2f} m off; expected at '
                 f'most {max_metres / margin:.2f} m; carry it nearer to its target')
             return
-        # policy_node accepts at most 1 m and pi radians.
-        needed = dict(zip(ARRIVAL_LIMITS, (distance * margin, min(angle * margin, 3.1))))
+        needed = dict(zip(ARRIVAL_LIMITS, (distance * margin, min(angle * margin, max_radians))))
 
         def widen_limits(future: Future) -> None:
             present = {name: value.double_value
                        for name, value in zip(ARRIVAL_LIMITS, future.result().values)}
+            # rclpy responds without any value if the node lacks one of the parameters.
             if len(present) == len(ARRIVAL_LIMITS):
+                # If the limits are wide already, the values from before that are restored later.
                 self._limits_to_restore = self._limits_to_restore or present
                 widened = {name: max(present[name], needed[name]) for name in ARRIVAL_LIMITS}
                 self._set_policy_parameters(**widened, **other_parameters)
@@ -194,6 +199,7 @@ class GuideNode(ManagedNode):
             self.page.show_message(
                 self.page.status or 'found no turn yet; expected one at least; wait')
         else:
+            # policy_node ends when it has played ``turns`` turns; the least value is 1.
             self._arrive(turns=max(int(turn[1]), 1))
 
     def _set_policy_parameters(self, **values: float) -> None:

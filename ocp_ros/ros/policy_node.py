@@ -95,6 +95,7 @@ class PolicyNode(ManagedNode):
     def configure(self) -> None:
         """Read the weights and the rig, and subscribe to the topics; send no command yet."""
         set_threads(self.config.threads)
+        # The planner, and the state of the episode.
         path = None if self.config.needs_no_weights else find_model(self.config.model)
         self._decider = Decider(
             self.config, None if path is None else load_checkpoint(path), self.get_logger())
@@ -110,6 +111,7 @@ class PolicyNode(ManagedNode):
             # With ``explore`` the policy records its choices.
             self._experiences = Experiences(
                 self, lambda: self.policy, self._answer_if_ready)  # type: ignore[return-value]
+        # The source of the turns: live cameras or a simulation.
         if self.config.live_topics:
             self._live = LiveTurns(
                 self, self.config, self._commander, self._decide, lambda: self._is_final,
@@ -125,6 +127,7 @@ class PolicyNode(ManagedNode):
         if self.policy is not None:
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
+        # What a person sees and calls.
         self._views = PolicyViews(self, self._decider.models, live=self._live is not None,
                                   rig_state=self._decider.state if self._decider.rig else None)
         self._handles = CameraHandles(self, self._on_handle)
@@ -204,6 +207,7 @@ class PolicyNode(ManagedNode):
         self._step = info.step
         self._is_last_turn = info.is_last
         if info.answered_poses is not None:
+            # The turn was answered before its data came; ``info.step`` does not count it.
             if self._is_last_turn:
                 self._publish_placement(info.answered_poses)
             self._step += 1
@@ -252,6 +256,7 @@ class PolicyNode(ManagedNode):
         :param cloud: the N points observed so far, (N, 3) float32, metres.
         :param poses: present poses of the cameras.
         :returns: the target poses of the cameras.
+        :raises MessageError: if the turn cannot be used, see :meth:`Decider.check_turn`.
         """
         positions = msg_to_positions(poses)
         self._decider.check_turn(cloud, poses)
@@ -282,6 +287,7 @@ class PolicyNode(ManagedNode):
     def _on_handle(self, camera: int, pose: Pose) -> None:
         """Command a camera to the pose to which a person has dragged its handle."""
         may_command = self.active and not self._commander.must_wait
+        # While the policy explores, it alone moves the cameras: a trainer learns from its choices.
         if not may_command or self._is_final or self._experiences:
             return
         try:
@@ -345,10 +351,10 @@ class PolicyNode(ManagedNode):
 
     def _status(self) -> diagnostics.Status:
         """Return the status of the planner for diagnostics."""
-        message = 'answering turns'
+        message = 'placement is final' if self._is_final else 'answering turns'
         missing_data = self._convergence.missing_data
-        if self._is_final:
-            message = 'placement is final'
+        # One warning is shown, the first of: another node commands, the turns, cameras that stay,
+        # drift, a final placement with gaps.
         warning, live_values = self._live.status() if self._live else (
             diagnostics.warn_of_crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION), {})
         drift_warning, drift_values = self._calibrator.status() if self._calibrator else ('', {})
@@ -370,6 +376,8 @@ class PolicyNode(ManagedNode):
 def has_message(node: Node) -> bool:
     """Return whether a message waits on a subscription of a node; do not read the message."""
     subscriptions = list(node.subscriptions)
+    # As the executor of rclpy does it, but with subscriptions alone and without waiting. The zeros
+    # are the numbers of guard conditions, timers, clients, services and events.
     with node.context.handle:
         wait_set = rclpy_implementation.WaitSet(len(subscriptions), 0, 0, 0, 0, 0,
                                                 node.context.handle)
@@ -394,6 +402,7 @@ def make_placement(poses: PoseArray, decider: Decider, reason: str) -> Placement
         state = decider.state(poses)
         return placement_of(decider.rig, state.placement[:state.movable], created=created,
                             frame=frame)
+    # Without a rig file the cameras are omnidirectional: their angles, degrees, have no meaning.
     model = decider.models[0]
     placed = tuple(Placed(Camera(f'camera_{number}', '', model), tuple(position), (0.0,) * 3,
                           'free')

@@ -152,6 +152,8 @@ class SimNode(ManagedNode):
         header = self._header()
         positions, headings = np.hsplit(self.episode.placement, [3])
         self._sent_poses = positions_to_msg(positions, header, headings)
+        # The messages that are sent again if no command comes. The reward is the first: it shows a
+        # policy that a new episode begins.
         self._turn_messages = (
             (self._reward_publisher, fields_to_msg(self._reward_fields())),
             (self._poses_publisher, self._sent_poses),
@@ -171,10 +173,13 @@ class SimNode(ManagedNode):
         """Return the fields of the reward topic, by name and in their order."""
         turn = self.episode.turn
         stamp, previous = ns_to_stamp(self._stamp), ns_to_stamp(self._previous_stamp)
+        # Episodes end only at their turn limit.
         terminated = False
+        # ``turn.terms`` has the reward, its two changes and its penalty.
         values = (stamp.sec, stamp.nanosec, previous.sec, previous.nanosec, self._episodes,
                   turn.step, *turn.terms, turn.space_coverage, turn.depth_error, terminated,
                   turn.truncated)
+        # The order in which the policy chose the moves that led here; the first turn has none.
         order = order_of(turn.step - 1, len(turn.positions)) if turn.step else ()
         shares = {topics.share_field(number): share.reward
                   for number, share in enumerate(self.episode.shares(order))}
@@ -194,11 +199,11 @@ class SimNode(ManagedNode):
         self._resend_timer.reset()
 
     def _on_command_timeout(self) -> None:
-        """Send the frames and the turn again: its messages or the command may have been lost."""
+        """Send the frames and the turn again: messages of the turn or its answer may be lost."""
         if self.active:
             now = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.config.frame_id)
             self._frames.publish(now, self._camera_poses())
-        # No turn follows the last one, but the policy has to receive that it is the last.
+        # The last turn is sent until it is answered: the policy has to hear that it is the last.
         if self.active and not (self._turn_answered and self.episode.turn.truncated):
             self._counts['resent_turns'] += 1
             self._send_messages()

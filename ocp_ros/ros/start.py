@@ -33,8 +33,9 @@ from typing import NoReturn
 def _run_and_exit(module_name: str) -> NoReturn:
     """Import a module of this package, run its node, and end the process with its exit code."""
     for signal_number in (signal.SIGINT, signal.SIGTERM):
-        # A signal during the import ends the process at once: nothing has to be saved yet. An
-        # error would be wrong: some libraries catch errors during their import as their own.
+        # A signal during the import ends the process at once: nothing has to be saved yet. A
+        # handler that raises an error does not suffice: some libraries catch all errors of their
+        # imports.
         signal.signal(signal_number, lambda *_: os._exit(0))
     exit_code = import_module(f'ocp_ros.ros.{module_name}').main()
     logging.shutdown()

@@ -105,6 +105,7 @@ class TrainerNode(Node):
 
     def _discover(self) -> None:
         """Add namespaces in which a policy explores, and drop silent namespaces."""
+        # Namespaces that the user has named do not change.
         if self.config.sources:
             return
         found_namespaces = [
@@ -167,6 +168,7 @@ class TrainerNode(Node):
 
     def totals(self) -> dict[str, int]:
         """Return the sums of the counts over all sources."""
+        # The last item has all names: the first source is never dropped.
         counts = [self._dropped_counts, *(source.status() for source in self.sources.values())]
         return {name: sum(source_counts[name] for source_counts in counts) for name in counts[-1]}
 

@@ -48,7 +48,7 @@ def array_types(agent: AgentConfig) -> dict[str, tuple[tuple[int, ...], np.dtype
 
 def value_limits(agent: AgentConfig) -> dict[str, tuple[float, float]]:
     """Return the lowest and the highest value of each array of an experience, by its name."""
-    # Actions are in units of the longest step; random actions may be a little longer than 1.
+    # Random actions may be a little longer than 1, the longest step; much longer ones are refused.
     max_action = 10.0
     return {'actions': (-max_action, max_action), **{
         name: (space.low.min(), space.high.max())  # type: ignore[attr-defined]
@@ -98,9 +98,11 @@ class TransitionSource:
         self._store_transition = store_transition
         self._array_types = array_types(agent)
         self._value_limits = value_limits(agent)
+        #: Number of cameras that choose together; None: see :func:`from_bytes`.
         self._cameras_per_choice = None if agent.map else cameras_of(agent)
         self.assembler = Assembler(last=agent.map)
         self.counts = {'transitions': 0, 'refused': 0, 'dropped': 0}
+        #: Stamp of the latest reward, nanoseconds.
         self._newest_stamp = 0
         self.idle_since = time.monotonic()
         self._weights_publisher = node.create_publisher(
@@ -136,6 +138,7 @@ class TransitionSource:
 
     def _on_experience(self, message: UInt8MultiArray) -> list[Transition]:
         """Add the choices of the policy in a turn; return the transitions that are complete."""
+        # A choice of the map actor has 82 kB: two choices of each of 64 cameras have 10.5 MB.
         max_bytes = 1 << 24
         if len(message.data) > max_bytes:
             raise MessageError(f'experience: found {len(message.data)} bytes; expected at most '
@@ -155,12 +158,13 @@ class TransitionSource:
         fields = msg_to_fields(message, names)
         stamp, previous = ns_of(fields, 'stamp'), ns_of(fields, 'previous')
         if stamp < self._newest_stamp:
-            # The simulation was restarted with a reset clock: equal stamps mean other turns now.
+            # The clock of the simulation was set back: a stamp may now be that of a second turn.
             self.assembler.clear()
         self._newest_stamp = stamp
         if fields['step'] < 1:
             # The first turn of an episode has no reward.
             return []
+        # The message has share_0, share_1 and so on, up to the last camera.
         shares = []
         while (name := topics.share_field(len(shares))) in fields:
             shares.append(fields[name])

@@ -77,8 +77,8 @@ class ViewNode(Node):
         """Move the cameras to poses (K, 6), metres and radians, and publish what they see."""
         self.poses = poses
         self._views = self.objective.look(poses)
-        self._rig_view.show_turn(self._header, list(map(CameraPose.of, np.vstack(
-            [poses, self.objective.rig.fixed_poses]))))
+        all_poses = np.vstack([poses, self.objective.rig.fixed_poses])
+        self._rig_view.show_turn(self._header, list(map(CameraPose.of, all_poses)))
         self._cloud_view.show_turn(self._header)
         message = conversions.positions_to_msg(poses[:, :3], self._header, poses[:, 3:])
         self._pose_publisher.publish(message)

@@ -40,9 +40,9 @@ def _rows_from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
                          f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
     for axis in 'xyz':
         _check_rounding(np.ravel(fields[axis]), axis, name)
-    normal_names = ('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')
-    normals = next((names for names in normal_names if all(name in fields for name in names)), ())
-    return np.stack([np.ravel(fields[axis]).astype(np.float64) for axis in (*'xyz', *normals)],
+    candidates = ('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')
+    normals = next((names for names in candidates if all(field in fields for field in names)), ())
+    return np.stack([np.ravel(fields[field]).astype(np.float64) for field in (*'xyz', *normals)],
                     axis=-1)
 
 

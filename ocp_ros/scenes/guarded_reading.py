@@ -20,7 +20,8 @@ from pathlib import Path
 import numpy as np
 from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 
-#: The limits of each kind of file: bytes of memory, the same per byte of the file, and seconds.
+#: The limits of each kind of file: bytes of memory, more bytes of memory per byte of the file, and
+#: seconds.
 READING_COSTS = {
     'e57': ReadingCost(600_000_000, 20, 10), 'las': ReadingCost(600_000_000, 3, 10),
     'mesh': ReadingCost(700_000_000, 40, 20), 'ply': ReadingCost(400_000_000, 40, 10)}
@@ -39,6 +40,7 @@ def read_guarded(kind: str, path: Path, columns: int, max_rows: int,
     :returns: (N, columns) float64.
     :raises ValueError: if the file cannot be read, or exceeds a limit.
     """
+    # Each number takes eight bytes. One byte more is read to notice too many rows.
     max_bytes = 8 * columns * max_rows
     arguments = [kind, str(path.absolute()), *reader_arguments]
     with GuardedProcess('ocp_ros.scenes.reading_process', arguments, READING_COSTS[kind],

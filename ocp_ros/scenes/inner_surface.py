@@ -65,7 +65,8 @@ def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
     :param name: the name of the room in messages.
     :param solids: (S, 2, 3) metres, two opposite corners of each solid box, if nothing else in the
         room is solid; None if the solids are not given.
-    :returns: None if no air is enclosed, as in a mesh of one wall and the floor in front of it.
+    :returns: None if no air is enclosed, as in a mesh of one wall and the floor in front of it, or
+        no face is visible from this air.
     :raises SceneError: if no air is enclosed and the mesh consists of solid bodies: these have
         only an outside.
     """
@@ -73,8 +74,8 @@ def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
     corners = mesh.corners
     area = _total_area(corners)
     max_points = 2_000_000
-    # The air is found between 60 points per square metre, and 150,000 at least. Rows hold a point
-    # on a face and the normal of the face.
+    # Find the air between 60 points per square metre, and 150,000 at least. A row is a point on a
+    # face and the normal of the face.
     coarse_rows = sample_faces(corners, int(np.clip(60.0 * area, 150_000, max_points)))
     air = EnclosedAir.of(coarse_rows[:, :3], float(np.sqrt(area / len(coarse_rows))), solids)
     test_rows = coarse_rows[::len(coarse_rows) // 4000]
@@ -85,6 +86,7 @@ def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
                 'around; expected a room; cut the room out of the model, or add the walls and '
                 'the ceiling that it lacks')
         return None
+    # Estimate with about 4000 test rows how many rows give the wanted number of points.
     is_visible = air.visible_sides(test_rows, rays)
     # The mean number of visible sides per point on a face.
     sides_per_point = float(is_visible.sum(axis=1).mean())
@@ -92,9 +94,10 @@ def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
         return None
     if spacing:
         point_count = min(int(sides_per_point * area / spacing ** 2), point_count)
-    # Five per cent more than the estimate requires.
+    # Take five per cent more than the estimate requires; later thin evenly to the wanted number.
     rows = sample_faces(corners, int(min(1.05 * point_count / sides_per_point, max_points)))
     invisible_share = 1.0 - float(is_visible.any(axis=1).mean())
+    # A face that is visible from both sides gives two points.
     visible_rows = np.vstack([
         np.hstack([_start_points(rows[is_kept], sign), sign * rows[is_kept, 3:]])
         for is_kept, sign in zip(air.visible_sides(rows, rays).T, (1.0, -1.0))])
@@ -151,7 +154,8 @@ def _ray_directions(rows, sign, tilt, rotation):
     along_first, along_second = np.sin(tilt) * np.cos(rotation), np.sin(tilt) * np.sin(rotation)
     for row in range(len(rows)):
         x, y, z = sign * rows[row, 3], sign * rows[row, 4], sign * rows[row, 5]
-        # Two unit vectors along the face, at right angles.
+        # Two unit vectors along the face, at right angles. The first is at a right angle to z too,
+        # or to x if the normal is nearly parallel to z.
         if abs(z) < 0.9:
             length = np.sqrt(x * x + y * y)
             first = (y / length, -x / length, 0.0)
@@ -209,27 +213,30 @@ class EnclosedAir(NamedTuple):
         grid = CellGrid.over(corners_of(points))
         edge = grid.edge
         surface_distance = ndimage.distance_transform_edt(~grid.taken(points)) * edge
-        # Sparse points still close the gaps between them.
+        # The air does not leak through the gaps between sparse points.
         min_distance = max(0.2, 1.5 * spacing)
         is_surface = surface_distance <= 1.5 * spacing
         is_air = surface_distance > min_distance
         # Air has a surface below it.
         is_air &= np.logical_or.accumulate(is_surface, axis=2)
+        # The inside of a given solid is not air.
         for corners in () if solids is None else solids:
             low, high = grid.cells(np.sort(corners, axis=0)).T
             is_air[tuple(slice(a, b + 1) for a, b in zip(low, high))] = False
-        is_roofed = is_air & np.logical_or.accumulate(is_surface[:, :, ::-1], axis=2)[:, :, ::-1]
+        roofed_air = is_air & np.logical_or.accumulate(is_surface[:, :, ::-1], axis=2)[:, :, ::-1]
         # Most of the eight level directions have to end at a surface.
         level_steps = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
         is_enclosed = sum(
             _ends_at_surface(is_surface, x, y).astype(np.int8) for x, y in level_steps) >= 5
-        candidates = [_label_parts(cells & is_enclosed, edge) for cells in (is_roofed, is_air)]
+        candidates = [_label_parts(cells & is_enclosed, edge) for cells in (roofed_air, is_air)]
         # Without the roof condition, rooms without a ceiling are found. With it, hollow furniture
-        # in such a room could count as the room: hence the comparison of volumes.
+        # in such a room could count as the room, so the air under a roof has to be large enough.
         largest_volumes = [volumes.max(initial=0.0) for _, volumes in candidates]
-        parts, volumes = candidates[0 if largest_volumes[0] >= 0.4 * largest_volumes[1] else 1]
+        is_roofed = bool(largest_volumes[0] >= 0.4 * largest_volumes[1])
+        parts, volumes = candidates[0 if is_roofed else 1]
         part_numbers = np.argsort(-volumes, kind='stable')
-        # The largest part comes first. A volume of less than 2 m3 is not a room.
+        # The largest part comes first. A volume of less than 2 m3 is not a room, except in a room
+        # file, which gives the solids.
         part_numbers = part_numbers[volumes[part_numbers] > (2.0 if solids is None else 0.0)]
         if len(part_numbers) == 0:
             return None
@@ -237,7 +244,7 @@ class EnclosedAir(NamedTuple):
         column_distance = edge * ndimage.distance_transform_edt(~room.any(axis=2))
         others = part_numbers[1:]
         return cls(grid, room, column_distance, np.isin(parts, others),
-                   tuple(volumes[others].tolist()), parts is candidates[0][0], min_distance)
+                   tuple(volumes[others].tolist()), is_roofed, min_distance)
 
     def visible_sides(self, rows: np.ndarray, rays: MeshRays) -> np.ndarray:
         """
@@ -258,12 +265,14 @@ class EnclosedAir(NamedTuple):
                 test_rows = rows[remaining]
                 directions = _ray_directions(test_rows, sign, *angles)
                 air_distances = self._air_distance(test_rows[:, :3], directions)
-                # Ray casting is the slowest step: only rays that would reach the air are cast.
+                # A ray reaches the air if the air is nearer than the mesh. Ray casting is the
+                # slowest step, so only rays towards air are cast.
                 is_reached = np.isfinite(air_distances)
                 is_reached[is_reached] = air_distances[is_reached] < rays.lengths(
                     _start_points(test_rows[is_reached], sign), directions[is_reached])
                 is_visible[remaining[is_reached], side] = True
                 remaining = remaining[~is_reached]
+            # In a room with a ceiling, a side counts only if there is a surface above it.
             if self.is_roofed:
                 is_visible[:, side] &= _is_below_surface(rows, sign, is_visible[:, side], rays)
         return is_visible
@@ -343,6 +352,7 @@ def _ends_at_surface(is_surface: np.ndarray, x: int, y: int) -> np.ndarray:
     """
     if x == 0:
         return _ends_at_surface(is_surface.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
+    # Each row takes over the result of the next row on the path, which is complete before it.
     is_ended = is_surface.copy()
     rows = range(1, len(is_surface)) if x < 0 else range(len(is_surface) - 2, -1, -1)
     for row in rows:
@@ -372,7 +382,7 @@ def without_outside(scene: Scene) -> Scene:
     test_cells = cells[np.random.default_rng(0).permutation(len(cells))[:test_count]]
     view_counts = _count_views(scene, air.grid.middles(test_cells))
     invisible_area = areas[view_counts == 0].sum()
-    # From real scans, 8 % of the surface or less was invisible.
+    # In real scans, at most 8 % of the surface was invisible.
     if invisible_area < 0.14 * areas.sum():
         return scene
     is_hidden, is_behind_face = _find_occluded(scene, air)
@@ -392,6 +402,7 @@ def _count_views(scene: Scene, positions: np.ndarray) -> np.ndarray:
     """Return from how many of the positions (M, 3), metres, each point is visible: (N,)."""
     visibility = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch,
                                   np.empty((0, 3), dtype=np.float32), FINE)
+    # An omnidirectional camera whose range covers the room.
     lens = CameraModel(0.0, 2.0 * scene.diameter).lens
     counts = np.zeros(len(scene), dtype=int)
     for position in positions:
@@ -414,6 +425,7 @@ def _find_occluded(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarr
     air_positions = air.grid.middles(air_cells[(slice(None), *air.grid.cells(points))].T)
     air_distances = np.linalg.norm(air_positions - points, axis=1)
     directions = (air_positions - points) / air_distances[:, None]
+    # The nearest air is across the surface, not beside the point along the surface.
     is_across = np.abs(np.einsum('nk,nk->n', directions, scene.normals_or_estimate)) >= 0.7
     tree = cKDTree(points)
     is_hidden = np.zeros(len(points), dtype=bool)

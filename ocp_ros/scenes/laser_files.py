@@ -50,17 +50,18 @@ def read_las_points(path: Path) -> np.ndarray:
     :raises ImportError: if there is no laspy or, for a LAZ file, no lazrs or laszip.
     """
     size = path.stat().st_size
-    count, is_compressed = _declared_count(path, size)
-    if not find_spec('laspy') or is_compressed and not (find_spec('lazrs') or find_spec('laszip')):
+    count, is_laz = _declared_count(path, size)
+    if not find_spec('laspy') or (is_laz and not (find_spec('lazrs') or find_spec('laszip'))):
         raise ImportError('laspy and lazrs; pip install "laspy[lazrs]"')
-    points = read_guarded('las', path, 4, count)
-    if len(points) != count:
-        raise ValueError(f'{len(points):,} of {count:,} points')
-    is_kept = points[:, 3] > 0.0
+    rows = read_guarded('las', path, 4, count)
+    if len(rows) != count:
+        raise ValueError(f'{len(rows):,} of {count:,} points')
+    # The fourth column is 0 for noise and withheld points.
+    is_kept = rows[:, 3] > 0.0
     if not is_kept.all():
         _log.warning('%s: %s points that it calls noise or withheld left out',
                      printable(path.name), f'{np.count_nonzero(~is_kept):,}')
-    return points[is_kept, :3]
+    return rows[is_kept, :3]
 
 
 def las_unit(path: Path) -> tuple[str, float]:
@@ -72,6 +73,7 @@ def las_unit(path: Path) -> tuple[str, float]:
     """
     with path.open('rb') as file:
         header = file.read(LAS_HEADER_BYTES)
+        # The fields that are needed end at byte 104.
         if header[:4] != b'LASF' or len(header) < 104:
             return METRE_UNIT
         header_bytes, = struct.unpack_from('<H', header, 94)
@@ -90,12 +92,13 @@ def las_unit(path: Path) -> tuple[str, float]:
         position += MIN_RECORD_BYTES + body_bytes
         if user_id.rstrip(b'\0') != b'LASF_Projection':
             continue
-        # Record 2112 is the projection as text (WKT).
+        # Record 2112 is the projection as text (WKT). The last of its units of length counts.
         if record_id == 2112:
             matches = wkt_unit.findall(body.decode('latin-1'))
             units = [(name, float(metres)) for name, metres in matches if length_name.search(name)]
             unit = units[-1] if units else unit
         # Record 34735 is the projection as numbers (GeoTIFF keys); key 3076 is the unit of length.
+        # With location 0 the fourth number of a key is its value.
         elif record_id == 34735:
             keys = np.frombuffer(body[:len(body) // 8 * 8], '<u2').reshape(-1, 4)
             unit = next((GEO_KEY_UNITS[code] for key, location, _, code in keys.tolist()
@@ -110,12 +113,14 @@ def _declared_count(path: Path, file_bytes: int) -> tuple[int, bool]:
     if header[:4] != b'LASF' or len(header) < 227:
         raise ValueError('no LAS header')
     offset, record_count, format_id, point_bytes, count = struct.unpack_from('<IIBHI', header, 96)
+    # Byte 25 is the minor version. LAS 1.4 counts the points with eight bytes too.
     if header[25] >= 4:
         count, = struct.unpack_from('<Q', header.ljust(LAS_HEADER_BYTES, b'\0'), 247)
     if offset > file_bytes or MIN_RECORD_BYTES * record_count > offset:
         raise ValueError(f'{record_count:,} records in the {offset:,} bytes before the points')
+    # LAZ sets one of the two highest bits of the format.
     is_compressed = format_id >= 64
-    # Real scans need one byte or more per compressed point.
+    # Real scans need one byte or more per compressed point; a quarter of that is accepted.
     min_bytes = count // 4 if is_compressed else count * point_bytes
     if min_bytes > file_bytes - offset:
         raise ValueError(f'{file_bytes - offset:,} bytes for {count:,} points')
@@ -155,6 +160,7 @@ def _read_xml(path: Path, start: int, length: int) -> bytes:
     # Files with thousands of scans have a tenth of this.
     if length > 50_000_000:
         raise ValueError(f'{length:,} bytes of XML')
+    # Each page ends with a checksum.
     checksum_bytes = 4
     with path.open('rb') as file:
         file.seek(start - start % PAGE_BYTES)
@@ -171,9 +177,9 @@ def _check_xml(content: bytes) -> None:
     """Refuse XML that names other files, or is not UTF-8, so that it cannot be checked."""
     text = content.decode('utf-8')
     encoding = re.match(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)', text)
-    if '\0' in text or encoding and encoding[1].lower() != 'utf-8':
+    if '\0' in text or (encoding and encoding[1].lower() != 'utf-8'):
         raise ValueError('XML that is not UTF-8')
-    # These refer to other files, also on other machines, which the reader would open. XML without
-    # a DOCTYPE has no entities.
+    # These keywords refer to other files, also on other machines, which the reader would open. XML
+    # without a DOCTYPE has no entities.
     if found := re.search('<!DOCTYPE|<!ENTITY|schemaLocation', text, re.IGNORECASE):
         raise ValueError(f'XML with {found[0]}, which names other files')

@@ -45,6 +45,8 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
         many rooms stays whole and gets a remark.
     """
     thin_points = voxel_downsample(points, 0.04)
+    # The corner of the plan, at the height of the floor. The empty margin around the points is for
+    # closing gaps in the floor, which fails at the edge of the plan.
     corner = np.append(thin_points[:, :2].min(axis=0) - 2.0 * MAX_FLOOR_GAP_M,
                        np.percentile(thin_points[:, 2], 1))
     thin_points = thin_points - corner
@@ -52,8 +54,10 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     neighbours = 9
     some_points = thin_points[::max(len(thin_points) // 2000, 1)]
     # The median distance to the eighth neighbour; the first found point is the point itself.
-    point_distance = float(np.median(tree.query(some_points, k=neighbours)[0][:, -1]))
-    cell = max(0.1, 1.5 * point_distance * np.sqrt(np.pi / (neighbours - 1)))
+    neighbour_distance = float(np.median(tree.query(some_points, k=neighbours)[0][:, -1]))
+    # A disc up to the eighth neighbour has the area of the squares of eight points; a cell is 1.5
+    # times as wide as such a square.
+    cell = max(0.1, 1.5 * neighbour_distance * np.sqrt(np.pi / (neighbours - 1)))
     # Rooms cannot be separated with coarser cells, nor on a plan of more than 5000 m2.
     if cell > 0.2 or np.prod(np.ptp(thin_points[:, :2], axis=0)) > 5000.0:
         return scene
@@ -70,13 +74,14 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     other_numbers = [number for number in np.flatnonzero(counts >= 0.02 * len(thin_points))
                      if number != main_number and floor_areas[number] >= 1.0]
     # A scan with many rooms, or without a main one, shows a building.
-    if len(other_numbers) >= 4 or other_numbers and weights[main_number] < 0.45 * weights.sum():
+    if len(other_numbers) >= 4 or (other_numbers and weights.max() < 0.45 * weights.sum()):
         remark = f'{len(other_numbers) + 1} rooms with openings between them: all are planned for'
         return replace(scene, remarks=(*scene.remarks, remark))
     positions = scene.points - corner
     is_kept = ~np.isin(find_rooms(positions), other_numbers)
+    # Points beside the main room that face it are on its own walls, and are kept too.
     is_kept[~is_kept] = _facing_points(positions[~is_kept], rooms == main_number, cell, tree,
-                                       0.6 * point_distance)
+                                       0.6 * neighbour_distance)
     if is_kept.all() or is_kept.sum() < MIN_POINTS:
         return scene
     note = (f'found {len(scene) - is_kept.sum():,} points of another room behind an opening; '
@@ -93,7 +98,8 @@ def _room_finder(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.nd
     :returns: a function from positions (N, 3), metres from the corner of the plan, to room numbers
         (N,).
     """
-    # The two faces of a wall belong to two rooms, so the cells are subdivided.
+    # The two faces of a wall belong to two rooms, so the cells are subdivided, into about four
+    # million cells at most.
     subdivisions = int(np.clip(np.sqrt(4_000_000 / rooms.size), 1, 4))
     nearest_rooms = rooms.repeat(subdivisions, axis=0).repeat(subdivisions, axis=1)
     _, (x, y) = ndimage.distance_transform_edt(nearest_rooms == 0, return_indices=True)
@@ -119,14 +125,16 @@ def _facing_points(points: np.ndarray, is_room: np.ndarray, cell: float, tree: c
     room_distance, (x, y) = ndimage.distance_transform_edt(~is_room, return_indices=True)
     last_cell = np.array(is_room.shape) - 1
     point_cells = tuple(np.clip((points[:, :2] / cell).astype(int), 0, last_cell).T)
-    # Points up to 3.5 cells from the room may be on its walls.
+    # Only points up to 3.5 cells from the room may be on its walls.
     is_facing = room_distance[point_cells] <= 3.5
     room_cells = np.column_stack([x[point_cells], y[point_cells]])[is_facing]
+    # Level unit vectors to the middle of the nearest cell of the room.
     directions = room_cells * cell + 0.5 * cell - points[is_facing, :2]
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-9)
     directions = np.column_stack([directions, np.zeros(len(directions))])
     is_open = np.ones(len(directions), dtype=bool)
-    # The two faces of a wall are at most 0.3 m apart.
+    # The two faces of a wall are at most 0.3 m apart. The first step is longer than the
+    # radius, so that no point finds itself. A gap is inf if no point is within the radius.
     for step in np.arange(1.4 * radius, 0.3, radius):
         gaps, _ = tree.query(points[is_facing] + step * directions, distance_upper_bound=radius)
         is_open &= ~np.isfinite(gaps)
@@ -138,15 +146,15 @@ def _ceiling_height(heights: np.ndarray) -> float:
     """Return the height of the ceiling, given heights of points above the floor, metres."""
     top = float(np.percentile(heights, 99))
     layer_m = 0.1
-    lowest_m = 1.9
-    upper_heights = heights[heights > lowest_m] - lowest_m
+    min_ceiling_m = 1.9
+    upper_heights = heights[heights > min_ceiling_m] - min_ceiling_m
     layer_counts = np.bincount((upper_heights / layer_m).astype(int), minlength=2)
     # The ceiling may lie across the border of two layers.
     layer_counts[1:] += layer_counts[:-1].copy()
     # The layer of the ceiling has three times as many points as the median layer.
     if layer_counts.max() <= 3.0 * np.median(layer_counts):
         return top
-    return min(top, lowest_m + layer_m * (int(layer_counts.argmax()) + 0.5))
+    return min(top, min_ceiling_m + layer_m * (int(layer_counts.argmax()) + 0.5))
 
 
 def _separate_rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
@@ -162,26 +170,30 @@ def _separate_rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.nda
     shape = tuple(cells.max(axis=0) + 1 + int(2.0 * MAX_FLOOR_GAP_M / cell))
     walls, lintels = _walls_and_lintels(points[:, 2], cells, shape, cell)
     floor = _floor(_occupied_cells(cells, shape), cell)
+    # Rooms are the parts of the free floor that are separate if narrow openings are closed.
     is_barrier = walls | lintels
     is_free = floor & ~is_barrier
     barrier_distance = ndimage.distance_transform_edt(~is_barrier) * cell
     # Half the width of the narrowest opening up to the ceiling that still joins two spaces.
     min_half_opening_m = 0.25
     rooms, count = ndimage.label(is_free & (barrier_distance >= min_half_opening_m))
+    # Join rooms that only a beam separates.
     half_width = ndimage.distance_transform_edt(floor & ~walls) * cell
     numbers = np.arange(1, count + 1)
     room_half_widths = np.append(0.0, ndimage.maximum(half_width, rooms, numbers))
     joined = _join_rooms(rooms, lintels, half_width, room_half_widths,
                          min_half_opening_m / cell + 1.5)
-    # A space that is visible only through a door is narrower than the room that it belongs to.
+    # Leave out rooms that are too narrow. Only a strip of the floor behind a door may have been
+    # scanned, so here the width is that between walls, not that of the floor.
     wall_distance = ndimage.distance_transform_edt(~walls) * cell
-    room_half_widths = np.append(0.0, ndimage.maximum(wall_distance, rooms, numbers))
+    max_wall_distances = np.append(0.0, ndimage.maximum(wall_distance, rooms, numbers))
     rooms = joined[rooms]
     is_wide = np.zeros(count + 1, dtype=bool)
-    is_wide[joined[room_half_widths >= MIN_HALF_WIDTH_M]] = True
+    is_wide[joined[max_wall_distances >= MIN_HALF_WIDTH_M]] = True
     rooms[~is_wide[rooms]] = 0
+    # All other free cells join the nearest room, except those that are not connected with a room,
+    # such as the inside of a thick wall.
     _, (x, y) = ndimage.distance_transform_edt(rooms == 0, return_indices=True)
-    # The inside of a thick wall is not a room.
     spaces, _ = ndimage.label(is_free)
     rooms = np.where(np.isin(spaces, spaces[rooms > 0]) & is_free, rooms[x, y], 0)
     return rooms, _wall_shares(rooms, is_barrier)
@@ -225,7 +237,8 @@ def _walls_and_lintels(heights: np.ndarray, cells: np.ndarray, shape: tuple[int,
     extremes = np.full((2, *shape), -np.inf)
     for extreme, sign in zip(extremes, (1.0, -1.0), strict=True):
         np.maximum.at(extreme, tuple(cells[is_in_range].T), sign * heights[is_in_range])
-    # A face is higher than a cell, since a ceiling is flat.
+    # The sum is the height range of the points in a cell. It exceeds the edge of the cell on an
+    # upright face, but not on a flat ceiling.
     faces = occupied_between(lowest, highest) & (extremes.sum(axis=0) >= 1.3 * cell)
     # A lintel is at most a metre from the nearest wall.
     is_near_wall = wall_distance <= 1.0
@@ -272,19 +285,20 @@ def _join_rooms(rooms: np.ndarray, lintels: np.ndarray, half_width: np.ndarray,
     is_inside_wall = ndimage.binary_closing(half_width == 0.0, disc)
     undersides = ndimage.binary_closing(lintels, disc) & ~is_inside_wall
     beams, _ = ndimage.label(lintels | undersides)
-    opening_widths: dict[tuple[int, int], float] = {}
+    half_openings: dict[tuple[int, int], float] = {}
     for number, box in enumerate(ndimage.find_objects(beams), start=1):
         window = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
         is_beam = beams[window] == number
         separated = np.setdiff1d(rooms[window][ndimage.binary_dilation(is_beam, disc)], [0])
-        width = half_width[window][is_beam & lintels[window]].max(initial=0.0)
+        half_opening = half_width[window][is_beam & lintels[window]].max(initial=0.0)
         for pair in combinations(separated.tolist(), 2):
             # The openings of several beams between columns add up.
-            opening_widths[pair] = opening_widths.get(pair, 0.0) + width
-    for (room, other), width in opening_widths.items():
+            half_openings[pair] = half_openings.get(pair, 0.0) + half_opening
+    for (room, other), half_opening in half_openings.items():
         # The width of an opening, as a share of the narrower room, above which both are one room.
-        share = 0.75 if width <= MIN_HALF_WIDTH_M else 0.5
-        if width > room_half_widths[[room, other]].min() * share:
+        share = 0.75 if half_opening <= MIN_HALF_WIDTH_M else 0.5
+        if half_opening > room_half_widths[[room, other]].min() * share:
+            # All rooms that were joined with ``other`` now belong to ``room``.
             joined[joined == joined[other]] = joined[room]
     return joined
 

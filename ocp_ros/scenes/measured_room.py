@@ -83,6 +83,7 @@ def triangles_of(document: Document) -> np.ndarray:
     :raises ConfigurationError: if a box or an opening is not inside the room.
     """
     size = np.array(document.data['size'], dtype=np.float64)
+    # The first two faces of a box are the lower and the upper one.
     floor, ceiling = _box_faces(np.zeros(3), size)[:2]
     quads = [floor, ceiling]
     for wall in WALLS:
@@ -96,12 +97,13 @@ def triangles_of(document: Document) -> np.ndarray:
                 'correct those that are not')
         # A box on the floor has no visible underside.
         quads += list(_box_faces(low, high)[int(low[2] == 0.0):])
+    # A diagonal divides each rectangle into two triangles.
     corners = np.array(quads)
     return np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
 
 
 def _box_faces(low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Return the faces of a box, the lower one first: (6, 4, 3) metres."""
+    """Return the faces of a box, the lower, then the upper one first: (6, 4, 3) metres."""
     is_high = (np.arange(8)[:, None] >> np.arange(3)) & 1
     return np.where(is_high, high, low)[FACES]
 
@@ -125,6 +127,8 @@ def _wall_rectangles(document: Document, wall: str, size: np.ndarray) -> list[np
                 f'{high:g} m up', f'one within its {length:g} x {height:g} m', 'correct it')
         if data['wall'] == wall:
             openings.append((left, right, low, high))
+    # The edges of all openings divide the wall into a grid of rectangles; those outside of all
+    # openings remain.
     edges_along = np.unique([0.0, length, *(edge for opening in openings for edge in opening[:2])])
     edges_up = np.unique([0.0, height, *(edge for opening in openings for edge in opening[2:])])
     rectangles = []
@@ -154,7 +158,8 @@ def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
         return None
     if len(hull.vertices) < CORNERS:
         return None
-    # The two triangles of a flat side have the same normal, within 3 degrees.
+    # ``equations`` holds the normals of the triangles. The two triangles of a flat side have the
+    # same normal, within 3 degrees.
     is_parallel = hull.equations[:, :3] @ hull.equations[:, :3].T >= np.cos(np.deg2rad(3.0))
     return points[hull.simplices], bool((is_parallel.sum(axis=1) >= 2).all())
 

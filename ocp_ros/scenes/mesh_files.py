@@ -92,6 +92,7 @@ def sample_faces(corners: np.ndarray, count: int = MESH_SAMPLES) -> np.ndarray:
         raise ValueError('no faces')
     corners = np.asarray(corners, dtype=np.float64)
     with np.errstate(over='ignore', invalid='ignore'):
+        # The length of this normal is twice the area; only the ratios of areas are used.
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         areas = np.linalg.norm(normals, axis=1)
     is_finite = np.isfinite(areas)
@@ -110,7 +111,7 @@ def _spread_points(corners: np.ndarray, areas: np.ndarray, count: int
     Spread points over triangles, evenly by area.
 
     :param corners: (T, 3, 3), the corners of the triangles.
-    :param areas: (T,) their areas.
+    :param areas: (T,) their areas, in any unit.
     :returns: (N, 3) the points, and (N,) the index of the triangle of each point.
     """
     if len(areas) == 0:

@@ -29,7 +29,8 @@ class MeshRays:
         # Open3D takes long to import, and code that only reads scenes does not need it.
         import open3d as o3d
         self._tensor = o3d.core.Tensor
-        # A ray may end this much before a point: rounding, or three times the noise of a scan.
+        # A ray that ends this much before a point still reaches it. The tolerance allows for
+        # rounding on an exact mesh, otherwise for three times the noise of a scan.
         self._tolerance_m = 0.0005 if mesh.exact else 0.03
         self._scene = o3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(self._tensor(mesh.vertices),

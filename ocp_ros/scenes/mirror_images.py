@@ -30,7 +30,7 @@ from scipy.spatial import cKDTree
 
 
 def without_mirror_images(scene: Scene) -> Scene:
-    """Leave out the points behind mirrors and add a note; return the same scene if none."""
+    """Leave out the points behind mirrors and add a note; without mirrors, change nothing."""
     points, normals = scene.points.astype(np.float64), scene.normals_or_estimate
     areas = scene.pitch.astype(np.float64) ** 2
     # The largest distance in metres of a mirrored point from its counterpart.
@@ -45,11 +45,12 @@ def without_mirror_images(scene: Scene) -> Scene:
         distances = points @ normal - offset
         is_behind = is_kept & (distances > behind_m)
         count = np.count_nonzero(is_behind)
-        if (not 0.005 * len(points) <= count < 0.5 * len(points)
+        if (not (0.005 * len(points) <= count < 0.5 * len(points))
                 or np.median(distances[is_behind]) < 0.5):
-            # Too few points are behind the plane, or they are too near to it.
+            # Too few or too many points are behind the plane, or they are too near to it.
             continue
         # A real passage has about as much floor and wall within 0.4 m of the plane on both sides.
+        # Surfaces that are nearly parallel to the plane do not count.
         crosses_plane = is_kept & (np.abs(normals @ normal) < 0.9)
         count_behind, count_before = (
             np.count_nonzero(crosses_plane & (side > behind_m) & (side < 0.4))
@@ -87,13 +88,14 @@ def _vertical_planes(points: np.ndarray, normals: np.ndarray, areas: np.ndarray
     :param areas: (N,) the area that each point stands for, square metres.
     :returns: for each plane a unit normal (3,), and its product with the points of the plane.
     """
+    # Opposite normals have the same angle.
     steep = np.flatnonzero(np.abs(normals[:, 2]) <= STEEP)
     angles = np.rad2deg(np.arctan2(normals[steep, 1], normals[steep, 0])) % 180.0
     bin_deg = 2.0
     bins = np.round(angles / bin_deg).astype(int) % round(180.0 / bin_deg)
     bin_angles = np.deg2rad(bin_deg * bins)
     offsets = points[steep, 0] * np.cos(bin_angles) + points[steep, 1] * np.sin(bin_angles)
-    # Candidate planes are 10 cm apart.
+    # Candidate planes are 10 cm apart. A cell is an angle and a distance from the origin.
     cells, cell_of_point = np.unique(np.stack([bins, np.floor(offsets / 0.1).astype(int)], axis=1),
                                      axis=0, return_inverse=True)
     cell_areas = np.bincount(cell_of_point, areas[steep], len(cells))

@@ -46,21 +46,23 @@ def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     # With half as many points per cell, most of the neighbours lie in the 27 cells around a point.
     points_per_cell = 0.5 * count
     edge = np.sqrt(max(surface, 1e-12) * points_per_cell / len(points))
-    # A border of empty cells: each cell with points has all its neighbour cells.
+    # A border of empty cells gives each cell with points all its neighbour cells.
     shape = np.floor(size / edge) + 3
+    # The grid of an uneven cloud has many empty cells or crowded ones, so the tree is faster.
     if len(points) > count and np.prod(shape) <= 16.0 * len(points):
         shape = shape.astype(np.int64)
         cells = ((points - low) / edge).astype(np.int64) + 1
         cell_numbers = (cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2]
         cell_counts = np.bincount(cell_numbers, minlength=np.prod(shape))
-        # An uneven cloud has crowded cells, or many empty ones.
         if cell_counts.max() <= 16.0 * points_per_cell:
             order = np.argsort(cell_numbers, kind='stable')
             starts = np.concatenate([[0], np.cumsum(cell_counts)])
+            # Near cells are searched first, so that few points of the others enter a list.
             offsets = np.array(sorted(product((-1, 0, 1), repeat=3), key=np.linalg.norm))
             cell_offsets = offsets @ [shape[1] * shape[2], shape[2], 1]
             distances = np.full((len(points), count), np.inf)
             indices = np.full((len(points), count), len(points))
+            # The parts are searched in parallel.
             part_count = 4
             ends = len(points) * np.arange(part_count + 1) // part_count
             grid = points[order], order, cell_numbers[order], starts, cell_offsets
@@ -108,6 +110,7 @@ def _search_cells(points, order, cell_numbers, starts, cell_offsets, first, end,
             for j in range(starts[cell], starts[cell + 1]):
                 dx, dy, dz = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
                 square = dx * dx + dy * dy + dz * dz
+                # Insert the point into the list, which is sorted by distance.
                 if square < squares[last]:
                     k = last
                     while k > 0 and squares[k - 1] > square:

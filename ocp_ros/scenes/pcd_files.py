@@ -40,11 +40,11 @@ def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
         header, header_lines = _read_header(file)
         body = file.read()
     layout, count = _point_layout(header), int(header['POINTS'][0])
-    # Each number in a text takes two bytes; real binary files need a byte or more per point,
-    # packed or not.
+    # Each number in a text takes two bytes. Real binary files, packed or not, need a byte or more
+    # per point; a quarter of that is accepted.
     file_bytes = path.stat().st_size
-    if count > 4 * file_bytes or header['DATA'] == ['ascii'] and (
-            2 * count * len(layout.names) > file_bytes):
+    if count > 4 * file_bytes or (header['DATA'] == ['ascii']
+                                  and 2 * count * len(layout.names) > file_bytes):
         raise ValueError(f'{count:,} points in {file_bytes:,} bytes')
     if header['DATA'] == ['ascii']:
         fields = _read_ascii(path, layout, header_lines)
@@ -77,6 +77,7 @@ def _move_to_map(fields: dict[str, np.ndarray], viewpoint: list[str], name: str
     if not np.isfinite(pose).all() or not pose[3:].any():
         raise ValueError(f'VIEWPOINT {" ".join(viewpoint)[:60]}')
     points = np.stack([np.ravel(fields[column]).astype(np.float64) for column in 'xyz'], axis=1)
+    # SciPy expects the quaternion as x y z w.
     points = Rotation.from_quat(np.roll(pose[3:], -1)).apply(points) + pose[:3]
     _log.warning('%s: moved by the VIEWPOINT of its header, %s', printable(name),
                  ' '.join(viewpoint))
@@ -116,6 +117,7 @@ def _point_layout(header: dict[str, list[str]]) -> np.dtype:
 
 def _read_ascii(path: Path, layout: np.dtype, header_lines: int) -> dict[str, np.ndarray]:
     """Read the fields of a PCD file in ascii, which has one point per line."""
+    # Of a field with several columns, only the first is read.
     widths = [layout[field].shape[0] for field in layout.names]
     starts = np.cumsum([0, *widths[:-1]]).tolist()
     table = read_table(path, TableFormat(skipped_lines=header_lines, columns=starts))
@@ -149,6 +151,8 @@ def _unpack_lzf(packed: bytes, unpacked_bytes: int) -> bytes:
             output += packed[position:position + control + 1]
             position += control + 1
             continue
+        # A copy is 2 bytes longer than this length, which a further byte extends if it is 7. The
+        # other 5 bits and the last byte are the distance back to its start, less 1.
         length = control >> 5
         if length == 7:
             length += packed[position]

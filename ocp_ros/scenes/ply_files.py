@@ -63,10 +63,11 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
         return {}
     needed_elements = elements[:names.index('vertex') + 1]
     vertices = needed_elements[-1]
+    # The caller refuses vertices without coordinates, and names their columns.
     if not vertices.types.keys() >= set('xyz'):
         return dict.fromkeys(vertices.types, np.empty(0))
     if any(element.has_lists for element in needed_elements):
-        # Each row takes a microsecond or two and 100 bytes.
+        # Reading a row with lists takes a microsecond or two and 100 bytes.
         max_list_rows = 1_000_000
         list_rows = sum(element.count for element in needed_elements if element.has_lists)
         if list_rows > max_list_rows:
@@ -78,6 +79,7 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     if len(needed_elements) == len(elements):
         ply = PlyData.read(str(path))
     else:
+        # With a header that ends after the vertices, plyfile reads nothing after them.
         with path.open('rb') as file:
             file.seek(len(header) + len(b'end_header') + len(end_of_line))
             ply = PlyData.read(io.BytesIO(
@@ -98,7 +100,7 @@ def has_faces(path: Path) -> bool:
 
 def _read_elements(path: Path) -> tuple[bytes, bytes, list[DeclaredElement]]:
     """Return the header, its line ending and its elements; refuse a file too small for them."""
-    # plyfile reads a header byte by byte.
+    # plyfile reads a header byte by byte, so a longer one is refused.
     max_header_bytes = 1 << 18
     with path.open('rb') as file:
         first_bytes = file.read(max_header_bytes)
@@ -115,6 +117,7 @@ def _read_elements(path: Path) -> tuple[bytes, bytes, list[DeclaredElement]]:
         if words[:1] == [b'element'] and len(words) == 3:
             elements.append(DeclaredElement(words[1].decode('ascii'), int(words[2]), {}, position))
         elif words[:1] == [b'property'] and elements:
+            # The last word is the name, the second one the type; a broken line may lack the type.
             elements[-1].types[words[-1].decode('ascii')] = b''.join(words[1:2])
             elements[-1] = elements[-1]._replace(end=position)
     # Each number takes a byte or more, and each row has at least one number.

@@ -63,7 +63,8 @@ def e57_rows(path: str) -> Iterator[np.ndarray]:
 
 def mesh_rows(path: str) -> Iterator[np.ndarray]:
     """Yield the corners (T, 9) of triangles of a mesh, in the unit and the axes of the file."""
-    # The web server of Open3D's viewer is not used, and takes a third of the import time.
+    # Dash, the web server of Open3D's viewer, is not used, and takes a third of the import time.
+    # An empty stand-in replaces it.
     sys.modules['dash'] = SimpleNamespace(html=None, dcc=None, Dash=None)
     import open3d
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
@@ -101,6 +102,7 @@ def _check_rounding(vertices: np.ndarray) -> None:
     vertices = vertices[np.isfinite(vertices).all(axis=1)]
     if len(vertices):
         step = abs(vertices).max() * np.finfo(np.float32).eps
+        # Steps of more than 1 mm for an extent of 10 m are too coarse.
         if step > 1e-4 * np.ptp(vertices, axis=0).max():
             raise ValueError('a mesh so far from the origin that its reader rounds it: move it '
                              'near the origin, or save it as .ply')
@@ -122,11 +124,13 @@ def buffer_files(path: str) -> list[str]:
     if not path.lower().endswith(('.gltf', '.glb')):
         return []
     document = Path(path).read_bytes()
+    # A GLB file begins with a header of 12 bytes and the JSON, whose length is before it.
     if document[:4] == b'glTF':
         document = document[20:20 + int.from_bytes(document[12:16], 'little')]
     folder = Path(path).resolve().parent
     files = []
     for buffer in json.loads(document).get('buffers', ()):
+        # Buffers without a URI or with a data URI are in the file itself.
         uri = buffer.get('uri', 'data:')
         if uri.startswith('data:'):
             continue

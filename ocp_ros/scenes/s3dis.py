@@ -47,7 +47,7 @@ def rooms_of_area(folder: Path, area: int) -> list[Path]:
         before ``Area_1/office_10/office_10.txt``.
     :raises SceneError: if there are no rooms.
     """
-    # One room is called Area_6/copyRoom_1/copy_Room_1.txt.
+    # Underscores are ignored, since one room is called Area_6/copyRoom_1/copy_Room_1.txt.
     rooms = [path for path in (folder / f'Area_{area}').glob('*/*.txt')
              if path.stem.replace('_', '') == path.parent.name.replace('_', '')]
     if not rooms:
@@ -86,7 +86,9 @@ def chosen_rooms(folder: Path, area: int) -> list[Path]:
 def is_closed(scene: Scene) -> bool:
     """Return whether a room has a ceiling above at least 90 % of its floor."""
     points, (low, high) = scene.points, scene.bounds
+    # Cells of a plan with edges of 0.25 m.
     cells = np.floor((points[:, :2] - low[:2]) / 0.25).astype(np.int64)
     floor_cells = {tuple(cell) for cell in cells[points[:, 2] < low[2] + 0.3]}
+    # Points more than 0.5 m above half the height belong to the ceiling.
     ceiling_cells = {tuple(cell) for cell in cells[points[:, 2] > 0.5 * (low[2] + high[2]) + 0.5]}
     return len(floor_cells & ceiling_cells) >= 0.9 * max(len(floor_cells), 1)

@@ -168,7 +168,8 @@ def turned(scene: Scene, degrees: float) -> Scene:
     normals = None if scene.normals is None else scene.normals @ rotation.T
     rotated = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
                     scene.source.rotated(rotation), scene.notes, scene.remarks)
-    # A rotation keeps distances. Those of rotated points would differ by rounding.
+    # A rotation keeps distances. Those of rotated points would differ by rounding, so the cached
+    # properties are copied.
     rotated.__dict__.update((name, getattr(scene, name))
                             for name in ('_neighbours', 'spacing', 'pitch', 'diameter'))
     return rotated
@@ -221,6 +222,7 @@ def _check_extent(points: np.ndarray, name: str, up: int) -> None:
     found = f'{name}: found a bounding box of ' + ' x '.join(f'{s:.4g}' for s in size)
     # The smallest extent of a room, its height or its width, is at most 40 m.
     if size.max() > MAX_EXTENT_M or size.min() > 40.0:
+        # The size without two per cent of the points at either end of each axis.
         core = np.subtract(*np.percentile(points, [98, 2], axis=0))
         if size.max() > MAX_EXTENT_M and core.max() <= 0.1 * size.max():
             raise SceneError(f'{found} m around points that mostly lie within {core.max():.3g}; '

@@ -58,7 +58,7 @@ def load_cached(path: str | Path, **options) -> Scene:
         with cached_file.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
             source = SourceFrame(float(arrays['scale']), arrays['rotation'], arrays['shift'])
             mesh = None if 'vertices' not in arrays else Mesh(
-                arrays['vertices'], arrays['triangles'], exact=True)
+                arrays['vertices'], arrays['triangles'], bool(arrays['exact']))
             return Scene(arrays['points'], str(arrays['name']), arrays.get('normals'), mesh,
                          source, notes=tuple(map(str, arrays['notes'])),
                          remarks=tuple(map(str, arrays['remarks'])))
@@ -71,13 +71,15 @@ def load_cached(path: str | Path, **options) -> Scene:
 
 def _write_to_cache(path: Path, scene: Scene) -> None:
     """Write a scene to the cache atomically; ignore errors such as a full disk."""
+    # The fields of ``source`` are scale, rotation and shift.
     arrays = {'points': scene.points, 'name': np.array(scene.name),
               'notes': np.array(scene.notes, dtype=str),
               'remarks': np.array(scene.remarks, dtype=str), **vars(scene.source)}
     if scene.normals is not None:
         arrays['normals'] = scene.normals
     if scene.mesh is not None:
-        arrays |= {'vertices': scene.mesh.vertices, 'triangles': scene.mesh.triangles}
+        arrays |= {'vertices': scene.mesh.vertices, 'triangles': scene.mesh.triangles,
+                   'exact': np.array(scene.mesh.exact)}
     try:
         content = io.BytesIO()
         np.savez(content, **arrays)

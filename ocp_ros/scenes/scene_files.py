@@ -110,6 +110,7 @@ def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_point
     except (TypeError, ValueError) as error:
         raise SceneError(f'{name}: found {type(points).__name__} that is no array of numbers; '
                          'expected (N, 3), one row x y z per point') from error
+    # This check raises the error that describes a wrong shape.
     if points.ndim != 2 or points.shape[1] != 3:
         check_numbers(points, name)
     return _make_scene(points, name, printable(name), Declared(), voxel_size=voxel_size,
@@ -118,7 +119,7 @@ def scene_of(points, *, name: str = 'points', voxel_size: float = 0.0, max_point
 
 
 def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared,
-                corners: np.ndarray | None = None, *, voxel_size: float, max_points: int,
+                triangle_corners: np.ndarray | None = None, *, voxel_size: float, max_points: int,
                 scale: float, up: str, drop_nonfinite: bool, all_rooms: bool) -> Scene:
     """
     Make a room of points in the unit and axes of a file; options are those of ``load_scene``.
@@ -127,17 +128,20 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     :param name: the name of the file in messages.
     :param scene_name: the name of the room.
     :param declared: the unit, the axes and the solids that the file declares.
-    :param corners: (T, 3, 3) corners of the triangles of the mesh that the points lie on; None if
-        the file has points only.
+    :param triangle_corners: (T, 3, 3) corners of the triangles of the mesh that the points lie on;
+        None if the file has points only.
     """
     notes: list[str] = []
-    if corners is None and len(rows) == CORNERS:
-        rows, corners, notes = _points_between_corners(rows[:, :3], name)
+    # A file with as many points as a room has corners contains these corners, not a scan.
+    if triangle_corners is None and len(rows) == CORNERS:
+        rows, triangle_corners, notes = _points_between_corners(rows[:, :3], name)
+    # Use the unit and the up direction that the file declares, if the options leave them open.
     remarks: tuple[str, ...] = ()
-    if scale == 0.0 and declared.metres != 1.0 or up == up_axis.BY_FILE and declared.up != 'z':
+    if (scale == 0.0 and declared.metres != 1.0) or (up == up_axis.BY_FILE and declared.up != 'z'):
         remarks = (declared.remark,)
     scale = scale or declared.metres
     up = declared.up if up == up_axis.BY_FILE else up
+    # Convert to metres; numbers that overflow are refused like inf. Leave out stray points.
     if drop_nonfinite:
         rows = _without_nonfinite(rows, name)
     with np.errstate(over='ignore'):
@@ -147,6 +151,7 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     remarks += stray_remarks
     points = rows[:, :3]
     check_points(points, name, 'z' if up == up_axis.AUTO else up)
+    # Rotate z up, move the room near the origin and leave out duplicates.
     if up == up_axis.AUTO:
         up = up_axis.likely_up(points)
         remarks += (f'up: {up}, a guess (--up)',)
@@ -156,12 +161,15 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     source = SourceFrame(scale, rotation, shift)
     points, normals = _without_duplicates(points.astype(np.float32),
                                           _unit_normals(rows[:, 3:], rotation), name)
+    # That z points up may be only the default. If it seems wrong, all rooms are kept, since rooms
+    # are separated on a plan seen from above.
     if up_axis.axis_of(up) == 2 and (up_notes := _notes_of_up(points)):
         notes += up_notes
         all_rooms = True
+    # Of a mesh with enclosed air, the sides that this air sees are the room.
     mesh = None
-    if corners is not None:
-        mesh = _mesh_in_map(corners, source, corners_of(points))
+    if triangle_corners is not None:
+        mesh = _mesh_in_map(triangle_corners, source, corners_of(points))
         solids = None if declared.solids is None else source.to_map(declared.solids)
         max_samples = max_points or MESH_SAMPLES
         inner = inner_surface(mesh, max_samples, voxel_size, name, solids)
@@ -169,16 +177,20 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
             scene = Scene(inner.points, scene_name, inner.normals, mesh, source, tuple(notes),
                           remarks + inner.remarks)
             return _warn_of_notes(scene if all_rooms else main_room(scene, inner.points), name)
+        # Without enclosed air, samples of all faces go on like the points of a scan.
         remarks += ('no air is closed in: all faces count, from both sides',)
+        # Merged points lie near the faces, not on them; ``max_points`` holds without voxels only.
         if voxel_size:
             mesh = replace(mesh, exact=False)
             max_samples = MESH_SAMPLES
         points, normals = (columns.astype(np.float32) for columns in
                            np.hsplit(sample_faces(mesh.corners, max_samples), 2))
+    # Points of a scan, or of a mesh without enclosed air: merge them.
     merged = _merge_points(points, voxel_size, max_points, name)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
         normals = None
+    # Leave out isolated points if the others are still a room. Then leave out mirror images.
     if (is_isolated := isolated_points(merged)).any() and _is_room(merged[~is_isolated], name):
         count = int(np.count_nonzero(is_isolated))
         remarks += (f'{count:,} isolated point{"s" * (count > 1)} left out',)
@@ -190,12 +202,14 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     if len(scene) < len(merged):
         # Points behind a mirror must not count as another room.
         points = scene.points
+    # Leave out what lies outside of the room.
     scene = without_outside(scene)
     return _warn_of_notes(scene if all_rooms else main_room(scene, points), name)
 
 
 def _warn_of_notes(scene: Scene, name: str) -> Scene:
     """Show the notes of a room as warnings, and return the room."""
+    # Level 4 is the caller of ``load_scene`` or ``scene_of``.
     for note in scene.notes:
         warnings.warn(f'{name}: {note}', SceneWarning, stacklevel=4)
     return scene
@@ -207,17 +221,19 @@ def _points_between_corners(points: np.ndarray, name: str
     Make a room of its eight corners.
 
     :param points: (8, 3) the corners.
-    :returns: points and normals (N, 6) on its sides, its triangles (T, 3, 3), and notes.
+    :returns: points and normals (N, 6) on its sides; the corners (T, 3, 3) of the triangles of its
+        sides; and notes.
     """
     surfaces = room_between(points)
     if surfaces is None:
         raise SceneError(f'{name}: found eight points that are not the corners of a convex room; '
                          'expected those, or at least 100 points of a scan; measure the corners '
                          'again')
-    corners, is_flat = surfaces
-    return sample_faces(corners, COARSE_SAMPLES), corners, [] if is_flat else [
+    triangle_corners, is_flat = surfaces
+    notes = [] if is_flat else [
         'found eight corners between which sides are not flat; expected six flat ones; measure '
         'the corners again unless the room is so']
+    return sample_faces(triangle_corners, COARSE_SAMPLES), triangle_corners, notes
 
 
 def _mesh_in_map(corners: np.ndarray, source: SourceFrame, bounds: np.ndarray) -> Mesh:
@@ -336,7 +352,7 @@ def _check_options(name: str, voxel_size: float, max_points: int, scale: float, 
              f'0 or at least {MIN_VOXEL_M} m'),
             ('max_points', max_points, max_points == 0 or max_points >= MIN_POINTS,
              f'0 or at least {MIN_POINTS}'),
-            ('scale', scale, from_file and scale == 0 or 1e-6 <= scale <= 1e6,
+            ('scale', scale, (from_file and scale == 0) or 1e-6 <= scale <= 1e6,
              '0.000001 to 1000000, such as 0.001'),
             ('up', up, isinstance(up, str) and up in directions,
              f"one of {', '.join(directions)}")):
@@ -347,6 +363,7 @@ def _check_options(name: str, voxel_size: float, max_points: int, scale: float, 
 def _scene_name(path: Path) -> str:
     """Return the name of a room: the stem of its file, or area and room in S3DIS folders."""
     room, area = path.absolute().parent.name, path.absolute().parent.parent.name
+    # A file of S3DIS has an underscore more than its folder: Area_6/copyRoom_1/copy_Room_1.txt.
     is_room_file = room.replace('_', '') == path.stem.replace('_', '')
     is_s3dis = path.suffix == '.txt' and is_room_file and area.startswith('Area_')
     return printable(f'{area}_{room}' if is_s3dis else path.stem)
@@ -362,6 +379,7 @@ def _read_rows(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     try:
         check_file(path)
         rows = READERS[path.suffix.lower()](path)
+        # Nine columns are the corners of triangles.
         if rows.shape[1] < 9:
             return rows, None
         corners = rows.reshape(-1, 3, 3)
@@ -418,6 +436,7 @@ def _move_near_origin(points: np.ndarray, name: str) -> tuple[np.ndarray, np.nda
     max_distance_m = 1000.0
     if np.linalg.norm(np.maximum(abs(low), abs(high))) <= max_distance_m:
         return points, np.zeros(3)
+    # Whole hundreds of metres; adding 0.0 turns -0.0 into 0.0.
     shift = np.round(low, -2) + 0.0
     # This is a warning, since all placements found will be in the moved coordinates.
     _log.warning('%s: found coordinates far from the origin; subtracted (%.0f, %.0f, %.0f) m',
@@ -438,7 +457,7 @@ def _unit_normals(normals: np.ndarray, rotation: np.ndarray) -> np.ndarray | Non
 def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: str
                         ) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the first of equal float32 points, and its normals; others would have spacing 0."""
-    # Bytes are compared: adding 0.0 turns -0.0 into 0.0.
+    # The 12 bytes of each point are compared, so -0.0 has to become 0.0, by adding 0.0.
     rows = np.ascontiguousarray(points + np.float32(0.0)).view('V12').ravel()
     first = np.sort(np.unique(rows, return_index=True)[1])
     if len(first) == len(points):

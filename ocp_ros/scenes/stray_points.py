@@ -34,6 +34,7 @@ def isolated_points(points: np.ndarray) -> np.ndarray:
     """
     is_kept = np.ones(len(points), dtype=bool)
     neighbours = 12
+    # The second pass finds points whose neighbours were isolated points.
     for _ in range(2):
         kept_points = points[is_kept]
         if len(kept_points) <= 10 * neighbours:
@@ -47,14 +48,16 @@ def isolated_points(points: np.ndarray) -> np.ndarray:
         candidates = np.flatnonzero(is_far | is_isolated)
         neighbourhoods = kept_points[indices[candidates]].astype(np.float64)
         neighbourhoods -= neighbourhoods.mean(axis=1, keepdims=True)
+        # The variances along the principal axes of a neighbourhood, ascending, times its points.
         variances = np.linalg.eigvalsh(np.einsum('mpi,mpj->mij', neighbourhoods, neighbourhoods))
         # Points on a line, such as the far rings of a laser scanner, are not isolated.
         on_line = variances[:, 1] <= 0.05 * variances[:, 2]
         off_plane = variances[:, 0] >= 0.1 * variances[:, 1]
         is_isolated[candidates] = ~on_line & (is_isolated[candidates] | off_plane)
+        # ``is_isolated`` is a mask of the kept points; it is converted to indices of all points.
         is_kept[np.flatnonzero(is_kept)[is_isolated]] = False
     is_removed = ~is_kept
-    # More isolated points are a property of the scanner.
+    # A larger share of isolated points is a property of the scanner.
     return is_removed if is_removed.mean() <= 0.05 else np.zeros(len(points), dtype=bool)
 
 
@@ -72,12 +75,14 @@ def stray_points(points: np.ndarray) -> np.ndarray:
     points = np.asarray(points, dtype=np.float64)
     # Two per cent of the points at either end do not count for the size of the room.
     core = np.subtract(*np.percentile(points, [98.0, 2.0], axis=0))
+    # The edge of a cell is four times the distance of points that cover the sides of this core.
     with np.errstate(over='ignore'):
         area = 2.0 * (core[0] * core[1] + core[1] * core[2] + core[2] * core[0])
         edge = max(0.25, 4.0 * np.sqrt(area / len(points)))
         if not np.isfinite(edge):
             return np.zeros(len(points), dtype=bool)
         cells = (points - np.median(points, axis=0)) / edge
+    # Cells beyond the limits of cell numbers are moved to the outermost cell.
     cells = np.clip(np.floor(cells), 1 - MAX_CELL, MAX_CELL - 1).astype(np.int64)
     numbers, cell_of_point = np.unique(cell_numbers(cells), return_inverse=True)
     groups = _connected_groups(cells_numbered(numbers))[cell_of_point]

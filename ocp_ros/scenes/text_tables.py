@@ -46,6 +46,7 @@ class TableFormat(NamedTuple):
 
     def split_cells(self, line: str) -> list[str]:
         """Return the cells of a line, without its comment; [] if all cells are empty."""
+        # In ``1.#QNAN`` the # does not begin a comment.
         content = line if self.windows_nonfinite else line.partition('#')[0]
         cells = [cell.strip() for cell in content.split(self.separator)]
         return [] if not any(cells) else cells
@@ -124,13 +125,14 @@ def read_table(path: Path, table_format: TableFormat) -> np.ndarray:
         except ValueError as error:
             if not table_format.windows_nonfinite and _has_windows_numbers(path):
                 return read_table(path, table_format._replace(windows_nonfinite=True))
-            raise _find_bad_line(path, table_format) or error from None
+            raise (_find_bad_line(path, table_format) or error) from None
     _check_last_line(path, table_format)
     return table
 
 
 def _check_lines(path: Path) -> None:
     """Refuse a text file with a line that is too long, before any line is parsed."""
+    # The length of the last line of a block, which the next block continues.
     open_bytes = 0
     with path.open('rb') as file:
         max_line_bytes = 100_000
@@ -162,6 +164,7 @@ def _detect_format(path: Path) -> tuple[TableFormat, int | None]:
             text = text.strip().removeprefix('//').strip()
             if text:
                 next_line = next(file, '')
+                # A single number before a line of numbers is the number of points.
                 if text.isdecimal() and len(next_line.split()) >= 3:
                     table_format = _format_of_line(next_line, line_number + 1, '', path.name)
                     return table_format._replace(skipped_lines=line_number), int(text)
@@ -198,9 +201,11 @@ def _coordinate_columns(names: Sequence[str]) -> list[int] | None:
         ``points_xyz:0`` to ``points_xyz:2``; None if there are no such columns.
     """
     known = list(names)
+    # For each x in a name: the names with x, y and z at its position; short names come first.
     triples = [[name[:position] + axis + name[position + 1:] for axis in 'xyz']
                for name in sorted(known, key=len)
                for position, letter in enumerate(name) if letter == 'x']
+    # For each name such as points_xyz:0: the names with 0, 1 and 2.
     triples += [[f'{name[:-1]}{number}' for number in range(3)] for name in known
                 if name.endswith(':0') and re.search('xyz|point|pos|coord', name)]
     return next(([known.index(name) for name in triple] for triple in triples
@@ -218,6 +223,7 @@ def _find_bad_line(path: Path, table_format: TableFormat) -> SceneError | None:
         for line_number, line in enumerate(file, start=1):
             values = table_format.split_cells(line)
             try:
+                # Parsing raises an error for the first bad cell.
                 if line_number > table_format.skipped_lines and values:
                     [table_format.parse_number(values[column]) for column in table_format.columns]
             except (ValueError, IndexError):

@@ -45,12 +45,15 @@ class FixedAnnealing(Planner):
     def search(self) -> Search:
         """Anneal once, until the budget is used up."""
         # The errors of some random placements set the temperature, and the best one is the start.
+        # They take about a fifth of a small budget.
         count = min(16, max(self.budget // 5, 2))
         samples = [self.space.random(self.rng) for _ in range(count)]
         scores = yield samples
         placed = samples[np.argmin(scores.error)]
         error = scores.error.min()
+        # Temperatures have to be above 0, also if all these errors are equal.
         error_deviation = max(float(np.std(scores.error)), 1e-9)
+        # The share goes from 0 to 1, which takes at least two steps.
         steps = max(self.budget - count, 2)
         for step in range(steps):
             share = step / (steps - 1)
@@ -68,11 +71,13 @@ class FixedAnnealing(Planner):
         :param error: their depth error, metres.
         :param temperature: metres.
         :param deviation: standard deviation of a move along each axis, metres.
+        :yields: the changed placement; its :class:`Scores` are sent back.
         :returns: the positions after the step, and their error.
         """
         trial, ratio = self.propose(placed, deviation)
         scores: Scores = yield [trial]
         log_acceptance = (error - scores.error[0]) / temperature + np.log(ratio)
+        # A random number of 0 has no logarithm.
         if np.log(max(self.rng.random(), 1e-300)) < log_acceptance:
             return trial, scores.error[0]
         return placed, error
@@ -83,23 +88,25 @@ class FixedAnnealing(Planner):
 
         :param placed: (n, 2) positions of the cameras, metres.
         :param deviation: standard deviation of a move along each axis, metres.
-        :returns: the changed positions, and the acceptance ratio without exp(-dE / T).
+        :returns: the changed positions, and the factor of the acceptance probability besides
+            exp(-dE / T), as in the table of this module.
         """
-        draw, count = self.rng.random(), len(placed)
-        birth, death = self.proposal_probabilities(count)
-        if draw < birth:
+        draw = self.rng.random()
+        count = len(placed)
+        p_birth, p_death = self.proposal_probabilities(count)
+        if draw < p_birth:
             trial = np.vstack([placed, self.space.random(self.rng, 1)])
-            reverse_death = self.proposal_probabilities(count + 1)[1]
-            return trial, reverse_death / birth * self.expected_cameras / (count + 1)
-        if draw < birth + death:
+            p_reverse_death = self.proposal_probabilities(count + 1)[1]
+            return trial, p_reverse_death / p_birth * self.expected_cameras / (count + 1)
+        if draw < p_birth + p_death:
             trial = np.delete(placed, self.rng.integers(count), axis=0)
-            reverse_birth = self.proposal_probabilities(count - 1)[0]
-            return trial, reverse_birth / death * count / self.expected_cameras
+            p_reverse_birth = self.proposal_probabilities(count - 1)[0]
+            return trial, p_reverse_birth / p_death * count / self.expected_cameras
         trial = placed.copy()
         if count:
             camera = self.rng.integers(count)
             moved = self.space.folded(trial[camera] + self.rng.normal(0.0, deviation, 2))
-            # The target density is 0 outside the feasible region.
+            # Outside the feasible region the target density is 0, so the camera stays.
             trial[camera] = moved if self.space.contains(moved) else trial[camera]
         return trial, 1.0
 
@@ -109,7 +116,7 @@ class FixedAnnealing(Planner):
         return float(self.space.cameras)
 
     def proposal_probabilities(self, count: int) -> tuple[float, float]:
-        """Return the probabilities of proposing a birth and a death if there are n cameras."""
+        """Return the probabilities of proposing a birth and a death with ``count`` cameras."""
         birth_or_death = 2.0 * self.birth_probability
         if count == 0:
             return birth_or_death, 0.0

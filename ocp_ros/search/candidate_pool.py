@@ -83,7 +83,7 @@ class CandidateSet(NamedTuple):
         :param count: largest number of rows.
         :returns: (n,) int, the most similar first.
         """
-        # A list of ranks gives an array also for a single row.
+        # With a list of ranks, not their number, ``query`` returns an array also for a single row.
         ranks = np.arange(1, min(count, len(self.poses)) + 1)
         features = pose_features(pose[None], METRES_PER_RADIAN)[0]
         return self.tree.query(features, ranks)[1]
@@ -143,13 +143,15 @@ class CandidatePool:
             count = max(max_candidates // len(models), 1)
             drawn = _feasible_poses(problem.region, model, max(count, drawn_poses // len(models)))
             poses = drawn[:count]
-            # The first poses are spread over the room; the others are grouped by position, so that
-            # the poses of one position are computed together.
-            _, first, group = np.unique(poses[:, :3], axis=0, return_index=True,
-                                        return_inverse=True)
-            rank = np.where(np.arange(len(poses)) < MIN_VIEWS, -1, first[group.ravel()])
+            # The first poses, which are spread over the room, stay first. The rank of the others
+            # is the first row of their position, so the views of a position are computed together.
+            # Some versions of NumPy return the groups as a column.
+            _, first_rows, groups = np.unique(poses[:, :3], axis=0, return_index=True,
+                                              return_inverse=True)
+            rank = np.where(np.arange(len(poses)) < MIN_VIEWS, -1, first_rows[groups.ravel()])
             order = np.argsort(rank, kind='stable')
             views = []
+            # The time is checked before each batch.
             while len(views) < len(poses) and (len(views) < MIN_VIEWS or not should_stop()):
                 batch = order[len(views):][:256]
                 views += problem.simulator.look_many(poses[batch], camera, threads)
@@ -263,6 +265,8 @@ class CandidatePool:
         best: list[MountedCamera] = []
         first_model = rig.cameras[0].model
         last_row = len(self.candidates_of(first_model).poses) - 1
+        # Each attempt begins at another candidate. Each further camera is mounted where the sum of
+        # its distances from the cameras before it is smallest.
         attempts = 48
         for first_row in np.unique(np.linspace(0, last_row, attempts).astype(int)):
             sites = [self.mounted_candidate(first_model, first_row)]
@@ -301,6 +305,8 @@ def pool_of(problem: Problem, budget: Budget) -> CandidatePool:
     :param problem: the rig in the room.
     :param budget: of the search; the candidates use a share of it.
     """
+    # The views of all poses take time that is not counted as evaluations, so a small budget has
+    # fewer poses.
     max_candidates, max_grid_poses = CANDIDATES, MAX_GRID_POSES
     if budget.evaluations is not None:
         max_candidates = int(np.clip(budget.evaluations // 2, 64, max_candidates))

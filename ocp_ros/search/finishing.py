@@ -131,17 +131,21 @@ def search_and_finish(planner: Planner, score: ScoreFunction, evaluations: int,
         robust choice.
     """
     lattice = LatticeScorer(score, planner.space)
-    # Shares of the evaluations: the finish, and of these the elites and the robust choice.
+    # The finish has a share of all evaluations; the elites and the robust choice have shares of
+    # the finish.
     finish_share, elite_share, choice_share = 0.15, 0.1, 0.15
     finishing = max(int(finish_share * evaluations), 1)
     search_result = solve(planner, lattice, max(evaluations - finishing, 1), clock=clock)
-    choices = int(choice_share * finishing) // MOUNTING_ERRORS.count if planner.descends else 0
+    # Without a local search, the whole finish evaluates elites.
+    choices = (int(choice_share * finishing) // MOUNTING_ERRORS.count) if planner.descends else 0
     max_elites = max(int(elite_share * finishing), 1) if planner.descends else finishing
-    elites = distinct_placements([lattice.snapped_positions(one) for one in search_result.best],
+    # The elites differ by at least a step of the lattice.
+    elites = distinct_placements([lattice.snapped_positions(best) for best in search_result.best],
                                  max_elites, min_distance=0.25)
     descent = FinishingDescent(elites, planner.space, planner.rng, finishing)
-    limit = finishing - MOUNTING_ERRORS.count * choices if planner.descends else len(elites)
+    limit = (finishing - MOUNTING_ERRORS.count * choices) if planner.descends else len(elites)
     result = solve(descent, score, limit, clock=clock)
+    # The evaluations and the seconds of the finish follow those of the search.
     later_trace = result.trace + [search_result.evaluations, search_result.seconds, 0.0]
     result = replace(result, evaluations=search_result.evaluations + result.evaluations,
                      seconds=search_result.seconds + result.seconds,

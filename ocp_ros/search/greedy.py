@@ -97,12 +97,14 @@ class GreedySwap(Planner):
     def search(self) -> Search:
         """Place greedily, exchange, run the local search, and repeat it by ruin and recreate."""
         cameras = self.space.cameras
-        # A coarse grid suffices: neighbours have similar views, and the local search refines.
+        # A coarse grid suffices: neighbours have similar views, and the local search refines them.
+        # One trial of all candidates for each camera takes about a sixteenth of the budget.
         candidates = self.space.grid(int(np.clip(self.budget // (16 * cameras), 20, 150)))
         placed, _ = yield from add_cameras(cameras, candidates, self.energy)
         best, error = yield from exchange_cameras(placed, candidates)
         best, error = yield from descend(self, best, error)
         while True:
+            # All cameras except two random ones.
             remaining = self.rng.permutation(cameras)[min(2, cameras):]
             positions = np.array([self.space.random(self.rng, 1)[0] for _ in range(48)])
             recreated, trial_error = yield from add_cameras(
@@ -140,6 +142,8 @@ def move_to_best(placed: np.ndarray, camera: int, positions: np.ndarray) -> Plac
     :param placed: (n, 2) positions of all cameras, metres.
     :param camera: row of the camera to move.
     :param positions: (M, 2) to choose from, metres.
+    :yields: placements to score; their :class:`Scores` are sent back.
+    :returns: the positions of all cameras after the move, and their depth error.
     """
     trials = np.repeat(placed[None], len(positions), axis=0)
     trials[:, camera] = positions
@@ -152,31 +156,38 @@ def exchange_cameras(placed: np.ndarray, candidates: np.ndarray) -> PlacementSte
     """Move cameras (n, 2) one at a time to their best candidates (M, 2) until none improves."""
     scores = yield [placed]
     error = scores.error[0]
-    unchanged = camera = 0
-    while unchanged < len(placed):
+    # No candidate is better for any of the last ``settled`` cameras that were tried.
+    settled = camera = 0
+    while settled < len(placed):
         trial, trial_error = yield from move_to_best(placed, camera, candidates)
-        unchanged += 1
+        settled += 1
         if trial_error < error:
             placed, error = trial, trial_error
-            unchanged = 1
+            # The other cameras have to be tried again.
+            settled = 1
         camera = (camera + 1) % len(placed)
     return placed, error
 
 
 def descend(planner: Planner, placed: np.ndarray, error: float) -> PlacementSteps:
     """
-    Run a local search: move one camera at a time on a ring of positions with decreasing radius.
+    Run a local search: move one camera at a time to a better position on a ring around it.
+
+    The radius of the ring is halved after no camera has improved, until it is below 2 cm.
 
     :param planner: gives the feasible region and the random numbers.
     :param placed: (n, 2) positions of the cameras, metres.
     :param error: their depth error, metres.
+    :yields: placements to score; their :class:`Scores` are sent back.
+    :returns: the positions after the search, and their depth error.
     """
     radius_m = 0.4
     directions = 8
     unchanged = camera = 0
     while radius_m >= 0.02:
-        angle = planner.rng.uniform(0.0, 2.0 * np.pi)
-        angles = angle + np.arange(directions) * (2.0 * np.pi / directions)
+        # Each ring has a random rotation, so other directions are tried in the next pass.
+        first_angle = planner.rng.uniform(0.0, 2.0 * np.pi)
+        angles = first_angle + np.arange(directions) * (2.0 * np.pi / directions)
         ring = placed[camera] + radius_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
         trial, trial_error = yield from move_to_best(placed, camera, planner.space.inside(ring))
         unchanged += 1

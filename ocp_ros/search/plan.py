@@ -60,7 +60,7 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,
     :param seed: random seed.
     :param start: a placement of a rig; the result is not worse. Empty for none.
     :param progress: called several times a second with input ``SCAN``, otherwise after each
-        placement or time step; on a plane, after each time step alone.
+        placement or time step; on a plane, only with input ``OBSERVED``.
     :param model: weights of trained online planners: path or name.
     :param clock: returns the current time, seconds, for traces and time steps.
     :raises ConfigurationError: if there is no placement, or the planner cannot plan on a plane.
@@ -122,6 +122,7 @@ def _place_by_scores(make: Callable, problem: Problem, pool: CandidatePool, budg
     scorer = RigScorer(decoder, budget, progress)
     planner = make(problem.region.space, np.random.default_rng([seed, 0]), expected)
     result = solve(planner, scorer, budget.evaluations or sys.maxsize)
+    # The planner may have placed fewer cameras than the rig has.
     sites = decoder.completed_sites(decoder(result.placement[:, :2]))
     return result_of_placement(problem.objective, sites, scorer.evaluations)
 
@@ -137,13 +138,13 @@ def _place_on_plane(make: Callable, problem: Problem, budget: Budget, seed: int,
 
 
 def _estimate_evaluations(decoder: Decoder, budget: Budget, seed: int) -> int:
-    """Estimate the number of placements that can be scored in the remaining time of the budget."""
+    """Estimate how many placements can be scored in the remaining time, by scoring up to four."""
     rng = np.random.default_rng([seed, 1])
     scorer = RigScorer(decoder, budget)
     start_time = time.monotonic()
     scorer([decoder.region.space.random(rng) for _ in range(4)])
     seconds_each = (time.monotonic() - start_time) / scorer.evaluations
-    # Some planners create a grid of this size, so there is a limit.
+    # Some planners create a grid of this size, so the number has an upper limit.
     return int(np.clip((budget.seconds - budget.elapsed) / seconds_each, 1, 100_000))
 
 
@@ -155,29 +156,31 @@ def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool | No
 
     The episode is simulated: each time step adds the visible points to the observed cloud, and
     constraints and headings are applied as in ``policy_node``. The cameras are then mounted at
-    their last poses, or at the nearest feasible ones. ``pool`` is None on a plane.
+    their last poses, or near them if these are infeasible. ``pool`` is None on a plane.
     """
     online = make(problem.simulator.config.episode, problem.rig,
                   np.random.default_rng([seed, 1]), model)
     episode = Episode(problem, np.random.default_rng([seed, 0]))
-    turns = min(episode.config.turns, budget.evaluations or episode.config.turns)
-    episode.config = replace(episode.config, turns=turns)
+    max_turns = min(episode.config.turns, budget.evaluations or episode.config.turns)
+    episode.config = replace(episode.config, turns=max_turns)
 
     def should_stop(turns_taken: int) -> bool:
         if progress is not None:
-            progress(turns_taken / turns, np.inf)
-        # The time limit does not end an episode, which takes seconds: candidates may take longer.
+            # The loss of the placement is not known before the end.
+            progress(turns_taken / max_turns, np.inf)
+        # Only a call of ``budget.stop`` ends an episode: it takes only seconds, and the making of
+        # the candidates alone may have used up the time of the budget.
         return budget.stopped
 
     outcome = play(online, episode, should_stop, clock)
-    last = episode.turn
+    last_turn = episode.turn
     if pool is None:
         space = space_of(problem.simulator)
-        placement = space.placement(space.inside(last.positions[:, :2]))
-        result = _plane_result(problem, placement, last.step)
+        placement = space.placement(space.inside(last_turn.positions[:, :2]))
+        result = _plane_result(problem, placement, last_turn.step)
     else:
-        sites = Decoder(problem, pool)(last.positions, last.headings)
-        result = result_of_placement(problem.objective, sites, last.step)
+        sites = Decoder(problem, pool)(last_turn.positions, last_turn.headings)
+        result = result_of_placement(problem.objective, sites, last_turn.step)
     return replace(result, outcome=outcome)
 
 

@@ -48,6 +48,7 @@ class DifferentialEvolution(Planner):
     def search(self) -> Search:
         """Evolve until the budget is used up."""
         space, rng = self.space, self.rng
+        # From a budget of 50 on, there are at least ten generations.
         count = int(np.clip(self.budget // 10, 5, 24))
         placed = np.array([space.random(rng) for _ in range(count)])
         scores = yield list(placed)
@@ -59,15 +60,22 @@ class DifferentialEvolution(Planner):
             placed[better], errors[better] = trials[better], scores.error[better]
             positions = [match_positions(placed[0], other) for other in placed]
             if np.ptp(positions, axis=0).max() < 1e-3:
-                # All are equal within a millimetre: replace all except the best by random ones.
-                best = int(np.argmin(errors))
-                for i in range(count):
-                    placed[i] = placed[best] if i == best else space.random(rng)
+                # All placements are equal within a millimetre, so the search cannot go on: replace
+                # all except the best one by random placements.
+                for i in np.delete(np.arange(count), np.argmin(errors)):
+                    placed[i] = space.random(rng)
                 scores = yield list(placed)
                 errors = scores.error.copy()
 
     def _crossover(self, placed: np.ndarray, errors: np.ndarray, i: int) -> np.ndarray:
-        """Return the crossover of placement i of (P, K, 2) and its mutant; errors are (P,)."""
+        """
+        Return the crossover of a placement and its mutant.
+
+        :param placed: (P, K, 2) metres, positions of the K cameras of P placements.
+        :param errors: (P,) of these placements.
+        :param i: number of the placement.
+        :returns: (K, 2) metres.
+        """
         best_fifth = np.argsort(errors)[:max(int(0.2 * len(placed)), 2)]
         base = placed[i]
         pbest, first, second = (match_positions(base, placed[k]) for k in (
@@ -75,6 +83,7 @@ class DifferentialEvolution(Planner):
         weight = self.rng.uniform(0.3, 0.9)
         mutant = base + weight * (pbest - base) + weight * (first - second)
         from_mutant = self.rng.random(len(base)) < 0.5
+        # At least one camera comes from the mutant.
         from_mutant[self.rng.integers(len(base))] = True
         return np.where(from_mutant[:, None], self.space.reflected(mutant), base)
 
@@ -88,13 +97,16 @@ class CmaEs(Planner):
         import cma
         logging.getLogger('cma').setLevel(logging.ERROR)
         space = self.space
-        # The strategy works on positions as shares of the edges of the space.
+        # The strategy works on positions as shares of the edges of the space, which must not be 0.
         edges = np.maximum(space.size, 1e-9)
         restarts = 0
         while True:
             mean = ((space.random(self.rng) - space.low) / edges).ravel()
+            # The usual size for this number of dimensions, doubled at the first three restarts.
             population_size = int(4 + 3 * np.log(len(mean))) * 2 ** min(restarts, 3)
-            # The first standard deviation is a quarter of the edges.
+            # The first standard deviation is a quarter of the edges. A run has converged if errors
+            # or shares change by less than 1e-4. With the seed NaN, pycma leaves NumPy's global
+            # generator alone.
             strategy = cma.CMAEvolutionStrategy(mean, 0.25, {
                 'bounds': [0.0, 1.0], 'verbose': -9, 'popsize': population_size, 'tolfun': 1e-4,
                 'tolx': 1e-4, 'seed': np.nan, 'randn': self._draw_normal})
@@ -123,29 +135,33 @@ class BeeColony(Planner):
     def search(self) -> Search:
         """Improve the sources until the budget is used up."""
         space, rng = self.space, self.rng
+        # A small budget suffices for several rounds of two trials for each source.
         count = min(12, max(self.budget // 8, 2))
-        max_trials = 5 * count * space.cameras
+        max_failures = 5 * count * space.cameras
         sources = np.array([space.random(rng) for _ in range(count)])
         scores = yield list(sources)
         errors = scores.error.copy()
-        tried = np.zeros(count, dtype=int)
+        # Successive trials without improvement of each source.
+        failures = np.zeros(count, dtype=int)
         while True:
             fitness = 1.0 / (1.0 + errors)
+            # The employed bees visit each source once, the onlookers draw sources by fitness.
             for visited in (np.arange(count), rng.choice(count, count, p=fitness / fitness.sum())):
                 trials = np.array([self._neighbour_of(sources, i) for i in visited])
                 scores = yield list(trials)
                 for i, trial, error in zip(visited, trials, scores.error):
-                    tried[i] += 1
+                    failures[i] += 1
                     if error < errors[i]:
-                        sources[i], errors[i], tried[i] = trial, error, 0
-            exhausted = int(np.argmax(tried))
-            if tried[exhausted] > max_trials:
+                        sources[i], errors[i], failures[i] = trial, error, 0
+            exhausted = int(np.argmax(failures))
+            if failures[exhausted] > max_failures:
                 sources[exhausted] = space.random(rng)
                 scores = yield [sources[exhausted]]
-                errors[exhausted], tried[exhausted] = scores.error[0], 0
+                errors[exhausted], failures[exhausted] = scores.error[0], 0
 
     def _neighbour_of(self, sources: np.ndarray, i: int) -> np.ndarray:
-        """Return source i of (S, K, 2) with one camera moved along a difference of sources."""
+        """Return source i of S sources (S, K, 2) with one camera moved to v, see the class."""
+        # Any source except source i.
         other = sources[(i + self.rng.integers(1, len(sources))) % len(sources)]
         trial = sources[i].copy()
         camera = self.rng.integers(self.space.cameras)
@@ -192,13 +208,15 @@ class BinaryParticleSwarm(Planner):
             r1, r2 = self.rng.random((2, *velocity.shape))
             velocity = (0.72 * velocity + 1.49 * r1 * (best.astype(float) - bits)
                         + 1.49 * r2 * (leader.astype(float) - bits))
+            # Within these limits, the sigmoid is from 2 to 98 %: each bit may still change.
             velocity = np.clip(velocity, -4.0, 4.0)
             bits = self._draw_bits(velocity, cameras)
 
     def _draw_bits(self, velocity: np.ndarray, cameras: int) -> np.ndarray:
-        """Draw K bits in each row of (P, M) by the velocities (P, M); P is that of particles."""
+        """Draw the bits (P, M) of P particles by velocities (P, M); K = ``cameras`` are set."""
         drawn = self.rng.random(velocity.shape) < 1.0 / (1.0 + np.exp(-velocity))
-        # Drawn bits come first, sorted by velocity; equal velocities are in random order.
+        # Drawn bits come first (velocities are far below 100), both parts sorted by velocity; the
+        # order of equal velocities is random.
         rank = velocity + 1e-6 * self.rng.random(velocity.shape) + 100.0 * drawn
         chosen = np.argsort(-rank, axis=1)[:, :cameras]
         bits = np.zeros(velocity.shape, dtype=bool)

@@ -167,24 +167,27 @@ class AnnealingSearch(RigSearch):
         self.coarse_objective = coarse
         if self.max_evaluations is not None:
             self.max_evaluations = max(self.max_evaluations // TUNING.searches, 1)
-        #: From 0 to 1: by it, temperatures and moves decrease.
+        #: Share of the current phase, from 0 to 1; temperatures and moves decrease with it.
         self._progress = 0.0
 
     def run(self) -> Sites:
         """Return the best placement."""
         first = self.start or self.place_greedily()
+        # Update the smallest loss.
         self.judge(first)
-        loss = max(self.coarse_objective.loss(views_of(first)), TUNING.min_loss)
+        unit = max(self.coarse_objective.loss(views_of(first)), TUNING.min_loss)
+        # Exchanges, scored with smaller depth maps.
         best = annealed(first, lambda sites, _: self.coarse_objective.loss(views_of(sites)),
                         self._exchange_camera, self._temperatures(
-                            loss, TUNING.exchange_temperatures, 0.0, TUNING.exchange_budget_share),
+                            unit, TUNING.exchange_temperatures, 0.0, TUNING.exchange_budget_share),
                         self.rng)
         objective = self.problem.objective
         # The full depth maps decide between the two placements.
         if self.start and objective.loss(views_of(first)) < objective.loss(views_of(best)):
             best = first
+        # Small moves, scored with the full depth maps.
         return annealed(best, lambda sites, _: self.judge(sites), self._change_camera,
-                        self._temperatures(loss, TUNING.move_temperatures,
+                        self._temperatures(unit, TUNING.move_temperatures,
                                            TUNING.exchange_budget_share, 1.0), self.rng)
 
     def place_greedily(self) -> Sites:
@@ -193,13 +196,15 @@ class AnnealingSearch(RigSearch):
         sites: list[MountedCamera] = []
         max_count = TUNING.first_candidates
         if self.max_evaluations is not None:
+            # All cameras together take about a quarter of the evaluations or less.
             max_count = int(np.clip(self.max_evaluations // (4 * len(rig.cameras)), 1, max_count))
         for camera in rig.cameras:
             total = len(self.pool.candidates_of(camera.model).poses)
             # Without time left, compare few candidates.
-            count = max(min(max_count if self.used_share() < 1.0 else 8, total), 1)
+            count = min(max_count if self.used_share() < 1.0 else 8, total)
             rows = np.sort(self.rng.choice(total, count, replace=False))
             self.evaluations += count
+            # If all these candidates are too near to other cameras, draw any that is not.
             site = (self.pool.best_addition(self.coarse_objective, sites, rows)
                     or self.pool.random_site(rig, sites, self.rng))
             if site is None:
@@ -207,17 +212,17 @@ class AnnealingSearch(RigSearch):
             sites.append(site)
         return tuple(sites)
 
-    def _temperatures(self, loss: float, multiples: tuple[float, float], first_share: float,
+    def _temperatures(self, unit: float, multiples: tuple[float, float], first_share: float,
                       last_share: float) -> Iterator[float]:
         """
         Yield a temperature for each step, and count the step as an evaluation.
 
-        :param loss: unit of the temperatures.
-        :param multiples: first and last temperature, in multiples of the loss.
+        :param unit: a loss, the unit of the temperatures.
+        :param multiples: first and last temperature, in multiples of ``unit``.
         :param first_share: used share of the budget at which the temperature starts to decrease.
         :param last_share: used share of the budget at which the steps end.
         """
-        first, last = (loss * multiple for multiple in multiples)
+        first, last = (unit * multiple for multiple in multiples)
         while (used_share := self.used_share()) < last_share:
             self._progress = max(used_share - first_share, 0.0) / (last_share - first_share)
             self.evaluations += 1
@@ -231,7 +236,7 @@ class AnnealingSearch(RigSearch):
         if self.rng.random() < TUNING.any_candidate_share:
             row = int(self.rng.integers(len(candidates.poses)))
         else:
-            # The nearest candidate may be the pose itself.
+            # One candidate more, because the nearest one may be the present pose.
             row = int(self.rng.choice(
                 candidates.nearest_rows(sites[camera].pose, TUNING.neighbours + 1)))
         others = (*sites[:camera], *sites[camera + 1:])
@@ -267,6 +272,7 @@ def move_camera(problem: Problem, sites: Sites, metres: float, radians: float,
         poses, others, problem.rig.spacing)
     if not feasible.any():
         return []
+    # The first feasible pose.
     pose = poses[int(np.argmax(feasible))]
     site = MountedCamera(pose, problem.simulator.look(pose, camera))
     return [(*sites[:camera], site, *sites[camera + 1:])]
@@ -310,8 +316,10 @@ def anneal(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
     :param progress: called several times a second.
     """
     coarse = coarse_objective(problem.objective)
+    # Only the first search begins with the given placement.
     searches = [AnnealingSearch(coarse, problem, pool, budget, np.random.default_rng([seed, k]),
                                 start if k == 0 else ()) for k in range(TUNING.searches)]
+    # The budget is used up when every search has used its share.
     report = progress and (lambda: progress(min(search.used_share() for search in searches),
                                             min(search.least_loss for search in searches)))
     placements = run_threads([search.run for search in searches], budget, report)

@@ -97,11 +97,13 @@ class Decoder:
         candidate = self.pool.best_addition(self._coarse_objective, sites, nearest)
         if candidate is None:
             return None
+        # Height and heading are those of the candidate, unless others are desired.
         desired_pose = candidate.pose.copy()
         desired_pose[:len(position)] = position
         if heading is not None:
             desired_pose[3:] = heading
         site = self._mount_at(desired_pose, sites)
+        # The height and the heading of the candidate may be feasible there.
         if site is None and heading is not None:
             site = self._mount_at(np.concatenate([position[:2], candidate.pose[2:]]), sites)
         return site or candidate

@@ -68,7 +68,7 @@ class PoseGrid:
         :raises ConfigurationError: if the camera has no feasible pose.
         """
         grid = cls(simulator, camera)
-        # A pose takes about 0.1 byte for each point of the scene, all poses at most 1 GB.
+        # All poses take at most 1 GB: a pose takes about a tenth of a byte per point of the scene.
         max_poses = min(max_poses, 10 * 1_000_000_000 // len(simulator.scene))
         distance_m = 0.3
         places, headings, grid.step = region.pose_grid(model, distance_m, max_poses)
@@ -94,13 +94,14 @@ class PoseGrid:
         :param places: (Q, 3) metres, map frame.
         :param headings: Q arrays (H, 3): yaw, pitch and roll in radians.
         """
-        # For each place the poses (H, 6).
-        poses = [as_written(np.column_stack([np.repeat(place[None], len(angles), axis=0), angles]))
-                 for place, angles in zip(places, headings)]
-        self.places = np.vstack([self.places, *(rows[:1, :3] for rows in poses)])
-        self.headings = [*self.headings, *(rows[:, 3:] for rows in poses)]
-        self._visible = [*self._visible, *mapped(lambda rows: self._simulator.look_around(
-            rows[0, :3], rows[:, 3:], self._camera), poses)]
+        # For each place its poses (H, 6).
+        groups = [as_written(np.column_stack([np.repeat(place[None], len(angles), axis=0),
+                                              angles])) for place, angles in zip(places, headings)]
+        # The old array and lists stay unchanged, because copies of this grid share them.
+        self.places = np.vstack([self.places, *(poses[:1, :3] for poses in groups)])
+        self.headings = [*self.headings, *(poses[:, 3:] for poses in groups)]
+        self._visible = [*self._visible, *mapped(lambda poses: self._simulator.look_around(
+            poses[0, :3], poses[:, 3:], self._camera), groups)]
 
     def pose(self, place: int, heading: int) -> np.ndarray:
         """Return a pose: (6,) metres, map frame, and radians, rounded as in files."""
@@ -109,7 +110,7 @@ class PoseGrid:
     def visible_points(self, place: int, heading: int) -> np.ndarray:
         """Return the numbers of the points that a pose sees, in the engine's order: (n,) int32."""
         points, bits = self._visible[place]
-        return points[(bits[:, heading >> 6] >> np.uint64(heading & 63)) & np.uint64(1) > 0]
+        return points[((bits[:, heading // 64] >> np.uint64(heading % 64)) & np.uint64(1)) > 0]
 
     def batch_places(self, places: np.ndarray) -> list[list[int]]:
         """
@@ -120,6 +121,7 @@ class PoseGrid:
         :param places: (n,) int, numbers of the places.
         """
         batches: list[list[int]] = []
+        # Negative if the next place needs a new batch.
         free_bits = 0
         for place in places.tolist():
             free_bits -= len(self.headings[place])
@@ -137,6 +139,7 @@ class PoseGrid:
         :returns: (N, W) uint64, a bit for each pose: the headings of the first place, then of the
             next places. W is the number of words of 64 bits, more than 1 only for a single place.
         """
+        # The bits of the first place; the other places of a batch have the same number of words.
         words = self._visible[places[0]][1].shape[1]
         first_bit = 0
         seen_by = np.zeros((len(self._simulator.scene), words), dtype=np.uint64)

@@ -140,8 +140,9 @@ def check_planner(name: str, counting: bool = False) -> None:
     Check that a planner exists and supports the task.
 
     :param counting: whether the task is to choose the number of cameras.
-    :raises ConfigurationError: if the planner does not; the message begins with the option.
+    :raises ConfigurationError: if it does not; the message begins with the option.
     """
+    # A name of any type can be compared with the names in a tuple; a dict needs a hashable one.
     if name not in tuple(PLANNERS):
         raise ConfigurationError(
             f'--planner: found {name!r}; expected one of {", ".join(PLANNERS)}; '
@@ -170,6 +171,7 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
     if name in (*PLANNERS, *REFERENCES):
         raise ConfigurationError(f'planner: found the name {name!r}, which another planner has; '
                                  'expected one of its own; choose another')
+    # The class has to be derived from one of the two, and must not lack methods.
     bases = [base for base in (Planner, Online)
              if isinstance(planner, type) and issubclass(planner, base)]
     if len(bases) != 1 or getattr(planner, '__abstractmethods__', ()):
@@ -182,7 +184,7 @@ def register_planner(name: str, planner: type[Planner] | type[Online]) -> None:
 
 def _load_plugins() -> None:
     """Register the planners of installed packages; skip a broken planner with a warning."""
-    # The names of broken planners for which a warning was given.
+    # This environment variable has the names of broken planners for which a warning was given.
     variable = 'OCP_ROS_BROKEN_PLANNERS'
     warned = [name for name in os.environ.get(variable, '').split(',') if name]
     for entry in entry_points(group='ocp_ros.planners'):

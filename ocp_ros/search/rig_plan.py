@@ -130,7 +130,7 @@ class RigPlanner:
     def problem(self, rig: Rig) -> Problem:
         """Return the problem of a rig in the room."""
         if rig not in self._problems:
-            # Only the last problem is cached: an engine needs some ten megabytes.
+            # Only the last problem is cached, because an engine needs tens of megabytes.
             config = SimulationConfig(engine=self.engine)
             self._problems = {rig: Problem.of(self.scene, rig, config)}
         return self._problems[rig]
@@ -156,10 +156,12 @@ class RigPlanner:
     def _with_comparison(self, rig: Rig, answer: SearchResult) -> RigPlan:
         """Return a placement with its evaluation, the union bound and random placements."""
         objective = self.problem(rig).objective
+        # The union bound includes this placement.
         self.pool.add_placement(rig, answer.sites)
-        count = 64
-        rng = np.random.default_rng([self.seed, count])
-        drawn = [self.pool.random_sites(rig, rng) for _ in range(count)]
+        random_count = 64
+        # Other random numbers than those of the search.
+        rng = np.random.default_rng([self.seed, random_count])
+        drawn = [self.pool.random_sites(rig, rng) for _ in range(random_count)]
         losses = [objective.loss([site.view for site in sites]) for sites in drawn if sites]
         return RigPlan(
             rig, answer, objective.evaluate(answer.poses),
@@ -184,6 +186,7 @@ class RigPlanner:
             # Half of the time is for the views of the grid.
             return relaxation_of(problem, self.pool, budget.deadline_check(0.5))
 
+        # The best loss on the grid is not known; this one stands for it.
         loss = plan.evaluation.loss
         certificate, reason = prove_gap(problem, make_relaxation, loss, loss, budget)
         return replace(plan, certificate=certificate, uncertain=reason,
@@ -208,6 +211,7 @@ class RigPlanner:
             except ConfigurationError:
                 if before is None:
                     raise
+                # No more cameras fit.
                 return
             yield plan
             if self.budget.stopped:

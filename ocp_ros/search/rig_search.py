@@ -119,6 +119,7 @@ class ColumnGenerationSearch(RigSearch):
             self._first_choices = int(np.clip(total // TUNING.evaluations_per_choice, 1,
                                               TUNING.first_choices))
             self._repeated_choices = max(self._first_choices // 2, 1)
+            # Half of the evaluations are for the first choices, half for all repetitions.
             self._first_moves = max(total // (2 * self._first_choices), 1)
             repetitions = len(TUNING.distances_m)
             self._repeated_moves = max(total // (2 * repetitions * self._repeated_choices), 1)
@@ -132,24 +133,29 @@ class ColumnGenerationSearch(RigSearch):
         best placements join the grid, with decreasing distances, and the best choices of them are
         refined again; at last the bound is raised on all poses for the certificate.
         """
+        # Choose on the grid; half of the time for this is for the views of its poses.
         grid_deadline = self.budget.deadline_check(TUNING.grid_time_share)
         relaxation = relaxation_of(self.problem, self.pool, self.budget.deadline_check(
             0.5 * TUNING.grid_time_share))
         relaxation.raise_bound(grid_deadline)
         choices = relaxation.find_choices(self._first_choices, self.rng, grid_deadline)
+        # Refine the choices off the grid.
         starts = [self._sites_of(relaxation, choice) for choice in choices]
         first_results = results = self._refine_all(
             [*starts, self.start] if self.start else starts, TUNING.distances_m[0],
             self._first_moves, self.budget.deadline_check(TUNING.refined_time_share))
         loss_on_grid = min((choice.loss for choice in choices), default=np.inf)
+        # Repeat both with poses near the results.
         deadline = self.budget.deadline_check(TUNING.repeated_time_share)
         for distance_m in TUNING.distances_m if results else ():
             if deadline():
                 break
             results = self._repeat_near(relaxation, results, distance_m, deadline)
+        # There was no choice on the grid, and no placement was given.
         if not results:
             results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
         best = results[0]
+        # The loss after the repetitions replaces the best one before them.
         losses = (best.loss, *(result.loss for result in first_results[1:]))
         return SearchResult(best.sites, best.loss, losses, self.evaluations, *prove_gap(
             self.problem, lambda: relaxation, best.loss, loss_on_grid, self.budget))
@@ -163,6 +169,7 @@ class ColumnGenerationSearch(RigSearch):
         columns = [[column for column in choice.columns if column.grid == number]
                    for number in range(len(relaxation.grids))]
         models = self.problem.rig.placed_models
+        # Each camera takes the first remaining column of its model.
         poses = [relaxation.pose(columns[models.index(camera.model)].pop(0))
                  for camera in self.problem.rig.cameras]
         return tuple(MountedCamera(pose, self.problem.simulator.look(pose, camera))
@@ -171,6 +178,7 @@ class ColumnGenerationSearch(RigSearch):
     def _refine_all(self, starts: Sequence[Sites], first_step_m: float, moves: int,
                     should_stop: Callable[[], bool]) -> list[RatedPlacement]:
         """Refine placements; return them and the user's placement, if any, the best first."""
+        # Each start has a seed, so its result does not depend on the number of threads.
         seeds = self.rng.integers(2 ** 32, size=len(starts))
         results = mapped(lambda pair: self._refine(
             pair[0], first_step_m, moves, np.random.default_rng(pair[1]), should_stop),
@@ -187,8 +195,9 @@ class ColumnGenerationSearch(RigSearch):
         :param first_step_m: standard deviation of the first moves, metres; in radians half of it.
         :param moves: number of moves.
         """
+        # Share of the moves so far; the size of moves and the temperature decrease with it.
         progress = 0.0
-        loss = max(self.problem.objective.loss(views_of(sites)), TUNING.min_loss)
+        first_loss = max(self.problem.objective.loss(views_of(sites)), TUNING.min_loss)
 
         def temperatures() -> Iterator[float]:
             nonlocal progress
@@ -197,7 +206,7 @@ class ColumnGenerationSearch(RigSearch):
                     return
                 progress = move / moves
                 self.evaluations += 1
-                yield loss * between(*TUNING.temperatures, progress)
+                yield first_loss * between(*TUNING.temperatures, progress)
 
         best = annealed(sites, lambda sites, _: self.judge(sites), lambda sites: move_camera(
             self.problem, sites, between(first_step_m, TUNING.last_deviation, progress),
@@ -208,14 +217,15 @@ class ColumnGenerationSearch(RigSearch):
     def _repeat_near(self, relaxation: ColumnGeneration, results: list[RatedPlacement],
                      distance_m: float, should_stop: Callable[[], bool]) -> list[RatedPlacement]:
         """Add poses near the best results to the grids, choose again, and refine the choices."""
-        old_places = [len(grid.places) for grid in relaxation.grids]
+        old_counts = [len(grid.places) for grid in relaxation.grids]
         best = distinct_results(results, TUNING.near_results)
         for result in best:
             relaxation.add_columns([
                 self._add_poses_near(relaxation, site.pose, camera, distance_m)
                 for camera, site in enumerate(result.sites)])
+        # Only poses at the new places become columns now.
         relaxation.raise_bound(should_stop, [np.arange(count, len(grid.places))
-                               for count, grid in zip(old_places, relaxation.grids)])
+                               for count, grid in zip(old_counts, relaxation.grids)])
         choices = relaxation.find_choices(self._repeated_choices, self.rng, should_stop)
         refined = self._refine_all([self._sites_of(relaxation, choice) for choice in choices],
                                    distance_m, self._repeated_moves, should_stop)
@@ -226,10 +236,10 @@ class ColumnGenerationSearch(RigSearch):
         """Add a pose (6,) and poses near it to the grid of its camera; return its column."""
         region = self.problem.region
         model = self.problem.rig.models[camera]
-        number = self.problem.rig.placed_models.index(model)
-        grid = relaxation.grids[number]
+        grid_number = self.problem.rig.placed_models.index(model)
+        grid = relaxation.grids[grid_number]
         first_place = len(grid.places)
-        # Some drawn poses may be infeasible, so more are drawn; the first is the pose itself.
+        # Some poses may be infeasible, so twice as many are drawn; the first is the pose itself.
         poses = np.repeat(pose[None], 2 * TUNING.near_places, axis=0)
         poses[1:, :3] += self.rng.uniform(-distance_m, distance_m, (len(poses) - 1, 3))
         poses[1:, :3] = region.onto_mount(poses[1:, :3])
@@ -245,7 +255,7 @@ class ColumnGenerationSearch(RigSearch):
             headings[:, 1] = np.clip(headings[:, 1], *self.problem.rig.pitch)
         places = poses[feasible][:TUNING.near_places, :3]
         grid.add_poses(places, [headings] * len(places))
-        return Column(number, first_place, 0)
+        return Column(grid_number, first_place, 0)
 
 
 def relaxation_of(problem: Problem, pool: CandidatePool, should_stop: Callable[[], bool]
@@ -280,11 +290,13 @@ def prove_gap(problem: Problem, make_relaxation: Callable[[], ColumnGeneration],
     try:
         relaxation = make_relaxation()
         relaxation.raise_bound(budget.deadline_check(1.0))
+        # A bound of 0 proves something only for a loss of 0.
         if relaxation.bound <= 0.0 < loss:
             return None, ('the bound is 0, for these poses together miss almost nothing'
                           if relaxation.closed else 'there was no time to prove one')
         bound = max(relaxation.bound - relaxation.trees.rounding, 0.0)
         directional = any(not model.omnidirectional for model in problem.rig.placed_models)
+        # Degrees between the yaws of the grid.
         heading_step = round(float(np.rad2deg(DENSE[0])), 1) if directional else 0.0
         return Certificate(
             len(relaxation), max(grid.step for grid in relaxation.grids), heading_step,

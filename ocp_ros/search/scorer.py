@@ -27,10 +27,13 @@ from ocp_ros.simulation.simulator import Simulator, View
 
 def cached_look(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
     """Return the engine's ``look`` with a cache of views, as a function of pose and camera."""
-    # 16,000 views in a room of 25,000 points.
+    # About 16,000 views in a room of 25,000 points.
     cache_bytes = 64_000_000
+    # A view has a bit for each point and for each cell of the coverage grid.
     bytes_per_view = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
 
+    # The pose is given as bytes, because a cache needs hashable arguments. A kind of camera is the
+    # number of its first camera, so the engine accepts it as a camera.
     @lru_cache(max(cache_bytes // bytes_per_view, 64))
     def look(kind: int, pose: bytes) -> View:
         return simulator.look(np.frombuffer(pose), kind)
@@ -43,7 +46,7 @@ def cached_look(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
 def coarse_objective(objective: Objective) -> Objective:
     """Return the same objective with smaller depth maps; it accepts the same views."""
     simulator = objective.simulator
-    # 32 rows rank placements nearly the same in a quarter of the time.
+    # 32 rows rank placements nearly the same in less time.
     engine = replace(simulator.config.engine, error_rows=32)
     config = replace(simulator.config, engine=engine)
     return Objective(Simulator(simulator.scene, config, simulator.models), objective.rig)
@@ -92,6 +95,7 @@ class Scorer:
             self._least_error = min(self._least_error, scores[-1][0])
             if self._progress is not None:
                 self._progress(self.used_share, self._least_error)
+        # Without scores, both arrays are empty.
         return Scores(*np.array(scores).reshape(-1, 2).T)
 
     def judge(self, placement: np.ndarray) -> tuple[float, float]:

@@ -55,13 +55,13 @@ class Archive:
     """The best placements so far, at most ``ARCHIVE_SIZE``."""
 
     def __init__(self) -> None:
-        #: Each: the rank, a unique number, and the positions.
+        #: Each: the values of the rank, a unique number, and the positions.
         self._entries: list[tuple] = []
         self._numbers = itertools.count()
 
     def add(self, rank: tuple[float, ...], positions: np.ndarray) -> None:
         """Store a placement (n, 2) if it is among the best; the smallest rank is best."""
-        # By the number, the first of equal ranks wins, and positions are never compared.
+        # Because of the number, the first of equal ranks wins, and positions are never compared.
         insort(self._entries, (*rank, next(self._numbers), positions))
         del self._entries[ARCHIVE_SIZE:]
 
@@ -86,6 +86,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     """
     start_time = clock()
     count = 0
+    # The best placement: its rank, then its positions, depth error and space coverage.
     best_rank: tuple[float, ...] = (np.inf, 0, 0.0)
     best: tuple[np.ndarray, float, float] | None = None
     trace = []
@@ -105,6 +106,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
                 best = batch[k].copy(), float(scores.error[k]), float(scores.space_coverage[k])
                 trace.append((count + k + 1, seconds, best[1]))
         count += len(scores.error)
+        # The evaluations or the scorer's budget ended within this batch.
         if len(scores.error) < len(planner.ask()):
             break
         planner.tell(scores)

@@ -79,7 +79,7 @@ def covisibility(points: np.ndarray, views: Sequence[View], condition: Calibrata
     :param condition: the least shared part and the largest angle of a link.
     :param fixed_count: the number of cameras in place; their views are the last ones.
     """
-    # At most 8192 points are compared.
+    # At most 8192 points, spread evenly, are compared, so that the time is bounded.
     step = -(-len(points) // 8192)
     seen = np.stack([unpack(view.seen, len(points))[::step] for view in views])
     positions = np.stack([view.position for view in views])
@@ -104,10 +104,11 @@ def air_share(cells: np.ndarray, numbers: np.ndarray, views: Sequence[View], see
     :param seen_by: the number of cameras that have to see a cell.
     :param angle: the least angle between the lines of sight of any two of these cameras, radians.
     """
+    # A position of NaN counts for any direction, see ``_count_watched``.
     unknown = np.full(3, np.nan)
     positions = np.array([unknown if view.position is None else view.position for view in views])
-    return float(_count_watched(cells, numbers, np.stack([view.covered for view in views]),
-                                positions, seen_by, np.cos(angle))) / len(numbers)
+    bits = np.stack([view.covered for view in views])
+    return _count_watched(cells, numbers, bits, positions, seen_by, np.cos(angle)) / len(numbers)
 
 
 def _spanning_tree(shares: np.ndarray) -> list[tuple[int, int]]:
@@ -119,6 +120,7 @@ def _spanning_tree(shares: np.ndarray) -> list[tuple[int, int]]:
     best_shares, partners = shares[-1].copy(), np.full(count, count - 1)
     tree = []
     for _ in range(count - 1):
+        # Shares are at least 0, so -1 rules out the cameras in the tree.
         added = int(np.argmax(np.where(outside, best_shares, -1.0)))
         tree.append((int(partners[added]), added))
         outside[added] = False
@@ -138,10 +140,10 @@ def _count_shared(points, seen, positions, cosine):
     :param cosine: the cosine of the largest angle between two lines of sight.
     :returns: (C, C) int64; the diagonal has the number of points visible to each camera.
     """
-    count = len(seen)
-    counts = np.zeros((count, count), dtype=np.int64)
-    for camera in range(count):
-        for other in range(camera, count):
+    cameras = len(seen)
+    counts = np.zeros((cameras, cameras), dtype=np.int64)
+    for camera in range(cameras):
+        for other in range(camera, cameras):
             total = 0
             for k in range(len(points)):
                 if seen[camera, k] and seen[other, k]:
@@ -152,6 +154,7 @@ def _count_shared(points, seen, positions, cosine):
                         dot += component * other_component
                         square += component * component
                         other_square += other_component * other_component
+                    # On the diagonal every point counts, without rounding.
                     if camera == other or dot >= cosine * np.sqrt(square * other_square):
                         total += 1
             counts[camera, other] = counts[other, camera] = total
@@ -168,6 +171,7 @@ def _has_clique(linked, candidates, count):
     """
     if count == 0:
         return True
+    # Links lead to cameras with larger numbers only, so each group is tried once.
     for camera in range(len(linked)):
         if candidates >> np.uint64(camera) & np.uint64(1) and _has_clique(
                 linked, candidates & linked[camera], count - 1):
@@ -180,23 +184,26 @@ def _count_watched(cells, numbers, covered, positions, seen_by, cosine):
     """
     Count the cells that C cameras see as :func:`air_share` requires.
 
+    :param cells: see :func:`air_share`, as for ``numbers`` and ``seen_by``.
     :param covered: (C, V) uint64, packed bits of the cells that each camera sees.
     :param positions: (C, 3) metres, of the cameras; NaN for views that count for any direction.
     :param cosine: the cosine of the least angle between two lines of sight.
     """
-    count, total = len(covered), 0
-    directions, linked = np.empty((count, 3)), np.empty(count, dtype=np.uint64)
+    cameras, total = len(covered), 0
+    # For one cell: the unit vectors from the cameras, and the links between them as bits.
+    directions, linked = np.empty((cameras, 3)), np.empty(cameras, dtype=np.uint64)
     for number in numbers:
         word, bit = number >> 6, np.uint64(number & 63)
         seeing = np.uint64(0)
-        for camera in range(count):
+        for camera in range(cameras):
             linked[camera] = 0
             if covered[camera, word] >> bit & np.uint64(1):
                 seeing |= np.uint64(1) << np.uint64(camera)
                 directions[camera] = cells[number] - positions[camera]
                 directions[camera] /= max(np.sqrt((directions[camera] ** 2).sum()), 1e-9)
                 for other in range(camera):
-                    # NaN is not greater than any number, so such a view is always linked.
+                    # NaN is not greater than any number, so a view with NaN is always linked.
+                    # 1e-9 is the tolerance for rounding.
                     if not (directions[camera] * directions[other]).sum() > cosine + 1e-9:
                         linked[other] |= np.uint64(1) << np.uint64(camera)
         if _has_clique(linked, seeing, seen_by):

@@ -141,15 +141,16 @@ class CameraPlacementEnv(gym.Env):
 
     def step(self, action):
         """Move every camera by its row of the action, and evaluate the new placement."""
-        now, limits = self.episode.turn, self.config.episode
-        axes = np.asarray(action, float).reshape(-1, len(self.axes))[:len(now.positions)]
+        now = self.episode.turn
+        # The last rows are those of cameras that the episode does not have.
+        rows = np.asarray(action, float).reshape(-1, len(self.axes))[:len(now.positions)]
         move_columns = 3 if 'z' in self.axes else 2
         headings = None
         if 'yaw' in self.axes:
             headings = now.headings.copy()
-            headings[:, :2] += bounded_moves(axes[:, move_columns:], limits.max_turn)
+            headings[:, :2] += bounded_moves(rows[:, move_columns:], self.config.episode.max_turn)
             headings[:, 0] = wrapped(headings[:, 0])
-        moves = bounded_moves(axes[:, :move_columns], limits.max_step)
+        moves = bounded_moves(rows[:, :move_columns], self.config.episode.max_step)
         turn = self.episode.move(moves, headings)
         return self._observation(), turn.terms.reward, False, turn.truncated, self._info()
 
@@ -160,9 +161,9 @@ class CameraPlacementEnv(gym.Env):
         if len(cloud) == 0:
             cloud = self.episode.turn.positions.astype(np.float32)
         positions = np.zeros((len(self.rig.cameras), 3), dtype=np.float32)
-        present = np.zeros(len(positions), dtype=np.float32)
         count = len(self.episode.turn.positions)
-        positions[:count], present[:count] = self.episode.turn.positions, 1.0
+        positions[:count] = self.episode.turn.positions
+        present = (np.arange(len(positions)) < count).astype(np.float32)
         inputs = {'cloud': fixed_size(cloud, self.observation_points),
                   'camera_positions': positions, 'present': present, 'bounds': corners_of(cloud)}
         if 'yaw' in self.axes:
@@ -216,6 +217,7 @@ def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points
         rooms = (rooms,)
     config = config or SimulationConfig()
     if cameras is not None:
+        # Settings are checked when they are built from nested dictionaries.
         config = from_nested(SimulationConfig, {
             **to_nested(config), 'rig': {**to_nested(config.rig), 'cameras': cameras}}, 'cameras')
     return CameraPlacementEnv(RoomsByName(rooms, points), config, **more)

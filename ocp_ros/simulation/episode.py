@@ -150,7 +150,11 @@ class Episode:
 
     @property
     def observed_cloud(self) -> np.ndarray:
-        """Return all points seen since the episode began: (M, 3) float32, metres; do not change it."""
+        """
+        Return all points seen since the episode began, in an array that must not be changed.
+
+        :returns: (M, 3) float32, metres, map frame.
+        """
         if self._cloud is None:
             self._cloud = self.scene.points.compress(self.observed.mask, axis=0)
         return self._cloud

@@ -85,6 +85,7 @@ class Objective:
         self.fixed = [simulator.look(pose, count + k) for k, pose in enumerate(rig.fixed_poses)]
         self._empty_view = View(no_bits(len(simulator.scene)), no_bits(len(simulator.grid)))
         self._order = simulator.visibility.order
+        #: Of each region: packed bits of its points, or the indices of its cells of air.
         self._contents = [self._points_of(region) if region.air is None else self._air_of(region)
                           for region in rig.regions]
         self._weights = np.array([region.weight for region in rig.regions])
@@ -103,6 +104,7 @@ class Objective:
         numbers = np.flatnonzero(region.zone.contains(cells, floor_height(scene)))
         # Cells inside furniture are not air.
         numbers = numbers[~self._air.closed(cells[numbers])]
+        # All indices are at least 0, so that a mark stands for each cell.
         self._check_inside(region, numbers >= 0)
         return numbers
 
@@ -138,17 +140,20 @@ class Objective:
         """
         Yield the costs of not seeing each of the N points, without the depth error.
 
-        :returns: pairs: (N,) the cost of each unseen point in the engine's order, and the total
-            cost below which nothing is lost. The first pair is for the weights of all regions,
-            each further pair for one region that must be seen.
+        The rig must not have regions of air.
+
+        :returns: pairs: (N,) the cost of each unseen point in the engine's order, and the part of
+            the summed costs of unseen points that is free. The first pair is for the weights of
+            all regions, each further pair for one region that must be seen.
         """
+        # Each point of a region is an equal share of the region; other points are no part of it.
         shares = [unpack(bits, len(self.simulator.scene)) / count_bits(bits)
                   for bits in self._contents]
         if self._weights.any():
             yield self._weights @ shares, 0.0
-        for share, required in zip(shares, self._required_shares):
+        for share_by_point, required in zip(shares, self._required_shares):
             if required > 0.0:
-                yield MUST_SEE_COST * share, MUST_SEE_COST * (1.0 - required)
+                yield MUST_SEE_COST * share_by_point, MUST_SEE_COST * (1.0 - required)
 
     def look(self, poses: np.ndarray) -> list[View]:
         """
@@ -165,8 +170,10 @@ class Objective:
         :param views: the views of some of the cameras to be placed, from :meth:`look` or
             :meth:`~ocp_ros.simulation.simulator.Simulator.look`.
         """
-        all_views, link_cost = self._with_fixed(views), self._link_cost(views)
+        all_views = self._with_fixed(views)
+        link_cost = self._link_cost(views)
         seen = self._seen(all_views)
+        # The cells that as many cameras see as the rig requires.
         covered = seen_by([view.covered for view in all_views], self.rig.seen_by)[-1]
         loss, error, shares = self._loss_of(seen, all_views)
         return RigEvaluation(
@@ -190,6 +197,7 @@ class Objective:
         all_views = self._with_fixed(views)
         seen = self._seen_by_count(all_views)
         counts = [len(seen), *(region.air.seen_by for region in self.rig.regions if region.air)]
+        # A region of air may require more cameras than the rig requires for points.
         losses = [self._loss_of(seen[min(count, len(seen)) - 1], all_views, count)[0]
                   for count in range(1, max(counts) + 1)]
         return float(np.mean(losses)) + self._link_cost(views)
@@ -243,7 +251,8 @@ class Objective:
         :returns: the numbers of points seen by 0, 1, 2 and by 3 or more cameras.
         """
         seen = [view.seen for view in self._with_fixed(views)]
-        # Entry n: the number of points seen by n or more cameras.
+        # Entry n: the number of points seen by n or more cameras. With the 0 at the end, the last
+        # difference keeps all points seen by 3 or more.
         counts = np.array([len(self.simulator.scene), *map(count_bits, seen_by(seen, 3)), 0])
         return [int(count) for count in counts[:-1] - counts[1:]]
 
@@ -257,8 +266,10 @@ class Objective:
         error_of = self.simulator.depth_error
         contributions = []
         all_views = self._with_fixed(views)
+        # The points that at least one camera sees, and those that at least two see.
         once, twice = seen_by([view.seen for view in all_views], 2)
         total_error = error_of(self._seen(all_views))
+        # The slice leaves out the empty view, which stands for no cameras at all.
         for k, view in enumerate(all_views[:len(views) + len(self.fixed)]):
             others = [*all_views[:k], *all_views[k + 1:]] or [self._empty_view]
             only = count_bits(view.seen & once & ~twice) / len(self.simulator.scene)
@@ -275,9 +286,9 @@ class Objective:
         :returns: (M,) metres.
         """
         seen = self._seen_by_count(self._with_fixed(views))
-        # The points that count as seen if one further camera sees them.
+        # The points that count as seen if one further camera sees them: all if one suffices.
         almost_seen = seen[-2] if len(seen) > 1 else ~np.zeros_like(seen[0])
-        return np.array([self.simulator.depth_error(seen[-1] | almost_seen & view.seen)
+        return np.array([self.simulator.depth_error(seen[-1] | (almost_seen & view.seen))
                          for view in more])
 
     def _with_fixed(self, views: Sequence[View]) -> list[View]:

@@ -54,6 +54,7 @@ def maps_of_views(simulator: Simulator, views: Sequence[View]) -> PointMaps:
     """Compute the maps of a placement, given the views of its cameras."""
     order = simulator.visibility.order
     count, error = np.empty(len(order), dtype=np.int64), np.empty(len(order))
+    # Views are in the engine's order; the maps are in the order of the scene.
     count[order] = np.sum([unpack(view.seen, len(order)) for view in views], axis=0)
     error[order] = simulator.depth_error.error_by_point(
         np.bitwise_or.reduce([view.seen for view in views]))

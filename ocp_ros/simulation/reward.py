@@ -54,13 +54,14 @@ NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0)
 
 def potential(space_coverage: float, depth_error: float, volume: float, worst: float) -> float:
     """
-    Return the potential of a placement; its change is the reward ``potential``.
+    Return the potential of a placement, more is better; its change is the reward ``potential``.
 
     :param space_coverage: cubic metres.
     :param depth_error: metres.
     :param volume: the volume of the bounding box, cubic metres.
     :param worst: the depth error of seeing nothing, metres.
     """
+    # 0.01 keeps the logarithm finite if the depth error is 0.
     return -2.0 * math.log(depth_error / worst + 0.01) + 3.0 * space_coverage / volume
 
 
@@ -80,6 +81,7 @@ def reward(before: tuple[float, float], after: tuple[float, float], outside: boo
     penalty = float(outside)
     if config.kind == 'paper':
         value = config.coverage * coverage_gain + config.depth_error * error_reduction
+        # The penalty replaces the weighted sum if a position is not allowed.
         value = (value * (1.0 - penalty) + config.penalty * penalty) ** 3
     else:
         value = potential(*after, volume, worst) - potential(*before, volume, worst)

@@ -65,14 +65,15 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
     angle = wall_direction(scene)
     aligned = turned(scene, -np.rad2deg(angle))
     height = float(scene.bounds[:, 2].mean())
-    air = Air(aligned, FreePlane.of(aligned.points, height, 1, 0.0, clearance=0.0),
-              centred=True)
+    air = Air(aligned, FreePlane.of(aligned.points, height, cameras=1, margin=0.0,
+                                    clearance=0.0), centred=True)
     cells = air.cells(height)
     if len(cells) < VIEWPOINTS:
         cells = air.cells()
     if len(cells) < VIEWPOINTS:
         return paper_viewpoints(scene)
-    # Coordinates begin at the end of the room with fewer points: mirrored rooms get mirrored ones.
+    # Each axis points to the end of the room with more points, so that a mirrored room gets
+    # mirrored viewpoints. The rotation leads back to the map frame.
     centre = aligned.bounds.mean(axis=0)
     signs = np.where(aligned.points.mean(axis=0) < centre, -1.0, 1.0)
     long_axis = int(aligned.size[1] > aligned.size[0])
@@ -93,10 +94,11 @@ def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
         than 16 cells.
     """
     height = float(corners_of(points)[:, 2].mean())
-    floor = FreePlane.of(points, height, 1, 0.0, clearance=MIN_BALL_M).floor
+    floor = FreePlane.of(points, height, cameras=1, margin=0.0, clearance=MIN_BALL_M).floor
     if floor is None or np.count_nonzero(floor.open) < VIEWPOINTS:
         return five_viewpoints(corners, height)
     cells = floor.low + floor.edge * (np.argwhere(floor.open) + 0.5)
+    # Corners 1 and 2 are the neighbours of corner 0.
     sides = corners[1:3] - corners[0]
     lengths = np.linalg.norm(sides, axis=1)
     along_sides = cells @ (sides / lengths[:, None]).T
@@ -115,14 +117,16 @@ def _part_centres(cells: np.ndarray, keys: np.ndarray, long_axis: int) -> np.nda
     :returns: (16, D) metres.
     """
     parts = [np.arange(len(cells))]
+    # Rounding errors must not decide between equal coordinates.
     sort_keys = keys.round(6)
     while len(parts) < VIEWPOINTS:
         halves = []
         for part in parts:
             variances = keys[part].var(axis=0)
-            # Otherwise noise would decide the direction of a cut in square parts.
+            # The long axis is preferred: noise must not decide how square parts are cut.
             variances[long_axis] *= 1.3
             axes = [int(np.argmax(variances)), long_axis, 1 - long_axis, *range(2, keys.shape[1])]
+            # lexsort takes the last key first.
             part = part[np.lexsort(sort_keys[part].T[axes[::-1]])]
             halves += [part[:len(part) // 2], part[len(part) // 2:]]
         parts = halves
@@ -134,6 +138,7 @@ def paper_viewpoints(scene: Scene) -> np.ndarray:
     """Return the paper's viewpoints (5, 3), metres, in the rectangle along the room's walls."""
     angle = wall_direction(scene)
     axes = rotation_matrix(-angle)[:2, :2]
+    # The rectangle in coordinates along the walls; ``@ axes`` leads back to the map frame.
     low, high = corners_of(scene.points[:, :2] @ axes.T)
     corners = np.array([[x, y] for x in (low[0], high[0]) for y in (low[1], high[1])])
     return five_viewpoints(corners @ axes, float(scene.bounds[:, 2].mean()))
@@ -153,6 +158,8 @@ def wall_direction(scene: Scene) -> float:
     bin_areas = np.bincount(bins, point_areas, bin_count)
     # A wall may fall into neighbouring bins; the last bin is a neighbour of the first.
     best = np.argmax(bin_areas + np.roll(bin_areas, 1) + np.roll(bin_areas, -1))
+    # The mean of the directions in these three bins, which are 3 x 0.25 degrees wide; offsets
+    # from the best bin are wrapped to -45 up to 45 degrees.
     offsets = (angles - best * bin_deg + 45.0) % 90.0 - 45.0
     close = np.abs(offsets) <= 1.5 * bin_deg
     mean_offset = np.average(offsets[close], weights=point_areas[close])

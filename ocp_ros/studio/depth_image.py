@@ -38,7 +38,8 @@ def depth_image(points: np.ndarray, pitch: np.ndarray, pose: np.ndarray, model: 
     """
     lens = model.lens
     x, y, z = ((points - pose[:3]) @ rotation_matrix(*pose[3:])).T
-    # Positions in the image are from -1 to 1; left and up are positive.
+    # Positions in the image are from -1 to 1; left and up are positive. Half of the width and of
+    # the height are tangents for a pinhole camera, and radians for any other camera.
     if lens.kind == PINHOLE:
         depth = np.maximum(x, 1e-6)
         half_width, half_height = lens.half_horizontal, lens.half_vertical
@@ -55,10 +56,11 @@ def depth_image(points: np.ndarray, pitch: np.ndarray, pose: np.ndarray, model: 
     # A square is drawn for each point: 1.2 times its pitch, and at most 21 pixels wide.
     half_edge = np.clip(0.6 * pitch / depth / half_width * 0.5 * width, 0, 10).astype(int)
     image = np.full((height, width), np.inf)
-    for pixels in np.unique(half_edge):
-        chosen = half_edge == pixels
-        for row_offset in range(-pixels, pixels + 1):
-            for column_offset in range(-pixels, pixels + 1):
+    # Points with squares of the same size are drawn together; in each pixel the nearest one stays.
+    for half_pixels in np.unique(half_edge):
+        chosen = half_edge == half_pixels
+        for row_offset in range(-half_pixels, half_pixels + 1):
+            for column_offset in range(-half_pixels, half_pixels + 1):
                 rows = centre_row[chosen] + row_offset
                 columns = centre_column[chosen] + column_offset
                 inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)

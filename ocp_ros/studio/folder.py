@@ -56,7 +56,7 @@ class Folder:
         :raises ConfigurationError: if the name is not 1 to 60 letters, digits, _ and -, the first
             one not -, or if the path exists and this studio has neither written nor read it.
         """
-        # No path, no hidden file, no special character.
+        # A path, the name of a hidden file and special characters are refused.
         if not re.fullmatch(r'[A-Za-z0-9_][A-Za-z0-9_-]{0,59}', name, re.ASCII):
             raise ConfigurationError(f'name: found {name[:80]!r}; expected 1 to 60 letters, '
                                      'digits, _ and -; correct it')
@@ -100,6 +100,7 @@ class Folder:
             try:
                 return load_rig(path), None
             except ConfigurationError:
+                # A file that is neither is reported as a placement.
                 raise error from None
         return placement.rig_in(scene), placement.poses
 

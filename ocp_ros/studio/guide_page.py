@@ -110,6 +110,7 @@ class GuidePage:
         """Show the observed points, coloured by their height."""
         low, high = np.percentile(points[:, 2], [FLOOR_PERCENTILE, 100.0 - FLOOR_PERCENTILE])
         share = np.clip((points[:, 2] - low) / max(high - low, 1e-3), 0.0, 1.0)[:, None]
+        # From dark blue for low points to light yellow for high ones.
         colours = (np.array([23, 79, 143]) * (1.0 - share) + np.array([230, 220, 170]) * share)
         self.server.scene.add_point_cloud('/cloud', points, colours.astype(np.uint8),
                                           point_size=0.03, precision='float32')
@@ -146,6 +147,7 @@ def instruction(number: int, pose: Pose, target: Pose, floor: float) -> str:
     # Smaller moves are not mentioned.
     min_metres, min_degrees = 0.05, 3.0
     move = target.position - pose.position
+    # Along x and y: the text for a positive length, then that for a negative one.
     steps = [f'{abs(length):.2f} m {directions[int(length < 0.0)]}'
              for length, directions in zip(move, (('to the right', 'to the left'),
                                                   ('up in the plan', 'down in the plan')))
@@ -154,6 +156,7 @@ def instruction(number: int, pose: Pose, target: Pose, floor: float) -> str:
         steps.append(f'{abs(move[2]):.2f} m {"higher" if move[2] > 0 else "lower"}, to '
                      f'{target.position[2] - floor:.2f} m above the floor')
     angles = np.rad2deg(wrapped(heading_of(target.rotation) - heading_of(pose.rotation)))
+    # Of yaw and pitch; a positive yaw is to the left, a positive pitch is down.
     turns = [f'{abs(angle):.0f} degrees {directions[int(angle < 0.0)]}'
              for angle, directions in zip(angles[:2], (('to the left', 'to the right'),
                                                        ('down', 'up')))
@@ -188,15 +191,18 @@ def plan_svg(points: np.ndarray, poses: Sequence[Pose], targets: Sequence[Pose])
         x, y = offset.tolist()
         return x, height - y
 
+    # A cell is a line along x, as wide as it is long.
     cell_path = ''.join(f'M{x * edge:.2f} {height - y * edge:.2f}h{edge:.2f}'
                         for x, y in cells.tolist())
     shapes = [f'<path d="{cell_path}" stroke="#a3aeb6" stroke-width="{edge:.3f}"/>']
     for number, pose in enumerate(poses):
+        # A line in the viewing direction, which is the first column of the rotation.
         colour = '#{:02x}{:02x}{:02x}'.format(*camera_rgb(number))
         x, y = svg_point(pose.position[:2] - low)
         end_x, end_y = svg_point(pose.position[:2] - low + 4 * edge * pose.rotation[:2, 0])
         shapes.append(f'<line x1="{x:.2f}" y1="{y:.2f}" x2="{end_x:.2f}" y2="{end_y:.2f}" '
                       f'stroke="{colour}" stroke-width="{edge:.3f}"/>')
+        # A dashed line to the target, and a circle around it.
         if number < len(targets):
             target_x, target_y = svg_point(targets[number].position[:2] - low)
             shapes.append(

@@ -158,6 +158,7 @@ class Studio:
         self._evaluation: Evaluation | None = None
         self._problem = self.problem_of(rig)
         self._positions_by_model: dict[CameraModel, np.ndarray] = {}
+        #: The document of a rig, and the lower bound for this rig.
         self._certificate: tuple[dict[str, Any], Certificate] | None = None
         self.history = History(State(rig, self._spread_cameras(rig) if poses is None else
                                      as_written(poses)))
@@ -240,7 +241,7 @@ class Studio:
         """
         with self.lock:
             state = self.state
-            # A browser may send any number.
+            # A browser may send any numbers.
             is_usable = np.isfinite(pose).all() and np.abs(pose[:3]).max() < 1e4
             if not (0 <= camera < len(state.poses) and is_usable) or (
                     state.names[camera] in state.locked):
@@ -261,7 +262,7 @@ class Studio:
         """
         previous = self.state.poses[camera]
         pose = np.concatenate([position, heading_of(rotation)])
-        # The first column is the viewing direction, a unit vector.
+        # If the viewing direction, the first column, is new, the roll did not change on purpose.
         if np.abs(rotation[:, 0] - rotation_matrix(*previous[3:])[:, 0]).max() > 1e-3:
             pose[5] = previous[5]
         return pose
@@ -277,6 +278,7 @@ class Studio:
         with self.lock:
             state = self.state
             entries = state.rig.document.data['cameras']
+            # Without such a camera, the name is that of a preset.
             template = next((entry for entry in entries if entry['name'] == sensor),
                             {'sensor': sensor})
             name = new_name(sensor, state.rig.all_cameras)
@@ -351,6 +353,7 @@ class Studio:
         """
         poses = np.reshape(first_poses, (-1, 6))
         region = self.problem_of(rig).region
+        # The pitch is the allowed one nearest to 20 degrees.
         pitch = np.clip(np.deg2rad(20.0), *rig.pitch)
         for camera in rig.cameras[len(poses):]:
             places, _ = region.places(camera.model, MAX_POSITIONS)
@@ -359,9 +362,9 @@ class Studio:
                          .min(axis=1) if len(others) else np.zeros(len(places.positions)))
             farthest = int(np.argmax(distances))
             position = places.positions[farthest]
-            x, y = self.scene.bounds.mean(axis=0)[:2] - position[:2]
+            to_x, to_y = self.scene.bounds.mean(axis=0)[:2] - position[:2]
             # Away from the wall, or towards the centre of the room.
-            yaw = places.inwards[farthest] if rig.mount.on == 'walls' else np.arctan2(y, x)
+            yaw = places.inwards[farthest] if rig.mount.on == 'walls' else np.arctan2(to_y, to_x)
             poses = np.vstack([poses, [*position, yaw, pitch, rig.rolls[0]]])
         return as_written(poses)
 
@@ -376,9 +379,11 @@ class Studio:
         state, region = evaluation.state, evaluation.problem.region
         rig, model = state.rig, state.rig.cameras[camera].model
         pose = state.poses[camera].copy()
+        # The yaw stays; pitch and roll become the nearest allowed ones.
         pose[4] = np.clip(pose[4], *rig.pitch)
         if 'roll' in rig.document.data:
             rolls = np.array(rig.rolls)
+            # Differences of angles, wrapped to -pi up to pi.
             differences = np.abs((rolls - pose[5] + np.pi) % (2.0 * np.pi) - np.pi)
             pose[5] = rolls[np.argmin(differences)]
         others = np.vstack([np.delete(state.poses, camera, axis=0), rig.fixed_poses])[:, :3]
@@ -388,10 +393,11 @@ class Studio:
             return (satisfies_spacing(poses[:, :3], others, rig.spacing)
                     & region.allowed(poses, model))
 
-        # Searches up to 1 m around a position for the one that is nearest to the pose.
+        # This searches up to 1 m around a position for the one that is nearest to the pose.
         nearest_around = partial(nearest_place, target=pose[:3], reach=1.0,
                                  move_onto_mount=region.onto_mount, are_allowed=are_allowed)
         nearest = nearest_around(pose[:3])
+        # If there is none, the search is around the nearest one of positions all over the mount.
         if nearest is None:
             positions = self._allowed_positions(region, model)
             if len(positions):

@@ -151,6 +151,7 @@ class Page:
         self._run_action(self._show)
         while True:
             with self._changed:
+                # wait returns False after the timeout, and True after a notification.
                 is_idle = not (self._actions or self._drags or self._closed)
                 is_quiet = is_idle and not self._changed.wait(
                     timeout=None if self._details_shown else 0.15)
@@ -230,6 +231,7 @@ class Page:
     def _show_rig(self, evaluation: Evaluation) -> None:
         """Show a node for each camera and zone of the rig, and all of them in the panel."""
         state, scene = evaluation.state, self.server.scene
+        # For each node: the values that it shows, and a function that makes it.
         cameras: dict[str, tuple[Any, Callable[[], CameraNode]]] = {}
         poses = np.vstack([state.poses, state.rig.fixed_poses])
         for number, (camera, pose) in enumerate(zip(state.rig.all_cameras, poses)):
@@ -244,10 +246,9 @@ class Page:
                                               partial(self.panel.select_camera, camera.name)))
         _update_nodes(self._camera_nodes, cameras)
         self._place_cameras()
-        floor = evaluation.problem.region.floor
         _update_nodes(self._zone_nodes, {entry.label: (str(entry.data), partial(
             ZoneNode, scene, f'/zones/{entry.key}_{entry.number}', entry.zone,
-            self.studio.scene.bounds, floor, texts.rgb(entry.colour),
+            self.studio.scene.bounds, evaluation.problem.region.floor, texts.rgb(entry.colour),
             partial(self._take_zone_drag, entry) if entry.is_box else None))
             for entry in entries_of(state.rig)})
         self.panel.show_rig(state)
@@ -325,6 +326,7 @@ class Page:
         self.kept_evaluation = kept
         if kept is None:
             return
+        # The kept placement is shown in a second room beside the room, with this gap.
         gap_m = 1.0
         offset = np.array([-self.studio.scene.size[0] - gap_m, 0.0, 0.0])
         cloud = Cloud(self.server.scene, '/kept/room', self._points, self._normals,

@@ -87,6 +87,7 @@ class Panel:
         self.nearest_button = gui.add_button('Move to the nearest allowed pose', visible=False)
         self.depth_picture = gui.add_image(np.full((2, 2, 3), NO_DEPTH_COLOUR),
                                            label='What it sees (depth)')
+        # After any action, the page shows the selected camera, so this one does nothing itself.
         self._connect(self.camera_list, lambda _: None)
         self._connect(self.sensor_list, self._set_sensor)
         self._connect(self.position, self._set_typed_pose)
@@ -183,6 +184,7 @@ class Panel:
             # Without a client, the program itself has changed the value.
             if event.client is not None:
                 self.page.enqueue(partial(run, event.target.value))
+        # Only buttons have on_click.
         (field.on_click if hasattr(field, 'on_click') else field.on_update)(enqueue_action)
 
     def show_message(self, text: str) -> None:
@@ -277,6 +279,7 @@ class Panel:
     def _set_typed_pose(self, _: Any) -> None:
         """Move the selected camera to the pose in the fields."""
         pose = np.concatenate([self.position.value, np.deg2rad(self.angles.value)])
+        # A pose that is the same would become a step that people can undo.
         if not np.allclose(pose, self.studio.state.poses[self.page.selected_camera], atol=1e-9):
             self._edit_camera(self.studio.move_camera, pose)
 
@@ -408,7 +411,7 @@ class Panel:
                          self.search_message)
 
     def _select_least_useful(self, _: Any) -> None:
-        """Select the camera whose removal leaves the least objective value."""
+        """Select the camera whose removal leaves the least objective value; show this value."""
         evaluation = self.page.evaluation
         camera, loss = find_least_useful(evaluation)
         name = evaluation.state.names[camera]

@@ -80,7 +80,7 @@ class Cloud:
 
     def set_colours(self, colours: np.ndarray) -> None:
         """Set the colours of all points, (N, 3) uint8; their positions are not sent again."""
-        # Integers are faster here, and people wait for the colours.
+        # Integers are faster here, and people wait for the colours; 256 would be full brightness.
         self._colours = (colours * self._shades[:, None] >> 8).astype(np.uint8)
         self._node.colors = self._colours[self._shown_indices]
 
@@ -127,6 +127,7 @@ def mesh_below(mesh: Mesh, height: float) -> tuple[np.ndarray, np.ndarray]:
     corners = mesh.corners
     is_below = corners[:, :, 2] <= height
     count_below = is_below.sum(axis=1)
+    # The part below is a triangle if one corner is below, and two triangles if two corners are.
     triangles = []
     for count, is_single in ((1, is_below), (2, ~is_below)):
         chosen = count_below == count
@@ -163,6 +164,7 @@ class CameraNode:
         self.node = add_node(scene, name, on_drag)
         lens = model.lens
         if lens.kind == PINHOLE:
+            # viser needs the vertical angle and the aspect; the lens has tangents of half angles.
             self.body = scene.add_camera_frustum(
                 f'{name}/body', 2.0 * float(np.arctan(lens.half_vertical)),
                 lens.half_horizontal / lens.half_vertical, scale=0.35, thickness=LINE_WIDTH_M,
@@ -209,6 +211,7 @@ class ZoneNode:
         centre = 0.5 * (low + high)
         self.node = add_node(scene, name, on_drag, disable_rotations=True)
         self.node.position = centre
+        # The polygon of a box is its base.
         polygon = zone.polygon if zone.polygon is not None else np.array(
             [low[:2], [high[0], low[1]], high[:2], [low[0], high[1]]])
         scene.add_line_segments(f'{name}/edges', prism_edges(polygon, low[2], high[2]) - centre,

@@ -136,6 +136,7 @@ def start_server(host: str = LOCAL_ADDRESS, port: int = FIRST_PORT, label: str =
         raise ConfigurationError('viser: found a version that starts another way; expected the '
                                  "one of ocp_ros's requirements; install ocp_ros[studio]")
     url_host = f'[{host}]' if ':' in host else host
+    # These addresses stand for all interfaces; a URL needs a name of this machine.
     if host in ('0.0.0.0', '::'):
         url_host = socket.gethostname()
     path = f'{gate.token}/' if gate.token else ''
@@ -167,7 +168,8 @@ def _serving_behind(gate: Gate) -> Iterator[list[bool]]:
 def _free_port(host: str, port: int) -> int:
     """Return the first free port of 100 from ``port`` on; refuse an address of other machines."""
     error: OSError | None = None
-    for tried_port in range(port, port + 100 if port else 1):
+    # Port 0 is tried once, since it stands for any free port.
+    for tried_port in range(port, (port + 100) if port else 1):
         try:
             family, kind, protocol, _, address = socket.getaddrinfo(
                 host, tried_port, type=socket.SOCK_STREAM)[0]
@@ -176,6 +178,7 @@ def _free_port(host: str, port: int) -> int:
                 test_socket.bind(address)
                 return test_socket.getsockname()[1]
         except (OSError, OverflowError, UnicodeError) as failure:
+            # The message below needs the strerror that only an OSError has.
             error = failure if isinstance(failure, OSError) else OSError(0, str(failure))
     raise ConfigurationError(
         f'--host: found {host}, port {port}, where nothing can listen ({error.strerror}); '

@@ -121,6 +121,7 @@ def camera_entry(group: dict[str, Any], name: str) -> dict[str, Any]:
 def new_name(stem: str, cameras: Sequence[Camera]) -> str:
     """Return a name that no camera has: the stem, followed by a number if necessary."""
     used_names = {camera.name for camera in cameras}
+    # The number of the stem is replaced by another one; 4 characters are for _ and this number.
     if stem in used_names:
         stem = re.sub(r'_\d+$', '', stem)[:MAX_NAME_LENGTH - 4]
     names = (stem, *(f'{stem}_{k}' for k in range(1, len(used_names) + 2)))

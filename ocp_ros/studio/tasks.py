@@ -113,8 +113,10 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
         best_sites = _start_sites(studio, problem, state, unlocked) if from_here else ()
         certificate: Certificate | None = None
         done_share = 0.0
-        # Each search begins from the best placement so far, which the page shows meanwhile.
+        # Each search begins from the best placement so far, which the page shows meanwhile, and
+        # has a larger share of the time than the search before.
         for seed, time_share in enumerate((0.15, 0.3, 0.55)):
+            # The defaults are the values of this search, as they change before the next one.
             def report(share: float, loss: float, done_share: float = done_share,
                        time_share: float = time_share) -> None:
                 task.report(Progress(done_share + time_share * min(share, 1.0),
@@ -124,6 +126,7 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
                           RIG_SEARCH, pool, seed, best_sites, report)
             best_sites = result.sites
             done_share += time_share
+            # Of several lower bounds, the largest one says most.
             certificate = max(filter(None, (certificate, result.certificate)),
                               key=lambda each: each.bound, default=None)
             poses = state.poses.copy()
@@ -131,6 +134,7 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
             yield Progress(done_share, f'found the objective value {result.loss:.4f}', poses)
             if task.budget.stopped:
                 break
+        # With locked cameras, the lower bound does not hold for all placements of the rig.
         if certificate is not None and len(unlocked) == len(state.names):
             studio.set_certificate(state.rig, certificate)
         elif certificate is None:
@@ -156,9 +160,11 @@ def _rig_of_unlocked(state: State, unlocked: list[int]) -> Rig:
 def _start_sites(studio: Studio, problem: Problem, state: State, unlocked: list[int]
                  ) -> tuple[MountedCamera, ...]:
     """Return the unlocked cameras at the nearest allowed poses; () if there are none."""
+    # The poses are a copy, so they may be replaced below.
     start = State(problem.rig, state.poses[unlocked])
     for camera, pose in enumerate(start.poses.copy()):
         if not problem.region.allowed(pose[None], problem.rig.models[camera])[0]:
+            # Only the rig and the poses of this evaluation are used, so it needs no views.
             nearest_pose = studio.nearest_allowed(Evaluation(problem, start, ()), camera)
             if nearest_pose is None:
                 return ()

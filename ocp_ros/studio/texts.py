@@ -107,6 +107,7 @@ def region_table(evaluation: Evaluation) -> str:
 
 def summary(evaluation: Evaluation) -> str:
     """Return the most important figures, and the constraints that poses violate, as HTML."""
+    # In the order of :func:`.facts.score_figures`; the expected depth error is left out.
     depth_error, _, seen_share, *_ = figures_of(evaluation)
     return styled(table([depth_error, seen_share]) + region_table(evaluation)
                   + _sentence_list(evaluation.violations))

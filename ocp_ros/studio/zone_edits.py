@@ -54,12 +54,14 @@ class Entry(NamedTuple):
 
 
 def entries_of(rig: Rig) -> Iterator[Entry]:
-    """Yield an entry for each zone and region of a rig."""
+    """Yield an entry for each zone and region of a rig, in the order of their lists."""
     entry_counts = Counter[str]()
     for kind, name, zone in zones_of(rig):
-        key = KEYS.get(kind, KEYS['region'])
+        # The kinds must-see region and weighted region, which KEYS lacks, share one list.
+        key = KEYS.get(kind, 'regions')
         number = entry_counts[key]
         entry_counts[key] += 1
+        # The names of other zones begin with their kind.
         yield Entry(key, number, rig.document.data[key][number], zone,
                     name if kind in KEYS else f'region {name}', STYLES[kind]['edgecolor'])
 

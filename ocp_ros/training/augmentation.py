@@ -54,6 +54,7 @@ def turned_observation(observation: dict[str, torch.Tensor], matrices: torch.Ten
     """
     turned = {name: turned_vectors(observation[name], matrices)
               for name in ('points', 'cameras', 'others')}
+    # Sizes have no sign; a quarter turn exchanges those along x and y.
     half_size = turned_vectors(observation['half_size'], matrices.abs())
     return {**observation, **turned, 'half_size': half_size}
 
@@ -65,7 +66,7 @@ def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, numb
 
     :param observation: inputs of the map actor, batched.
     :param places: (B, ..., 2) positions relative to the centre of the maps, in any unit.
-    :param number: the number of the symmetry, 0 to 7, as in ``SYMMETRIES``.
+    :param number: 0 to 3: number of quarter turns; 4 to 7: the same after a reflection.
     :returns: the observation and the positions, both rotated or mirrored.
     """
     mirrored, quarters = divmod(number, 4)
@@ -103,6 +104,7 @@ def samples_of(buffer: DictReplayBuffer, first: tuple[np.ndarray, np.ndarray],
     def tensors_at(index: tuple, arrays: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
         return {name: buffer.to_torch(values[index]) for name, values in arrays.items()}
 
+    # An episode that ends at its time limit has no terminal state.
     terminated = buffer.dones[last] * (1.0 - buffer.timeouts[last])
     return DictReplayBufferSamples(
         tensors_at(first, buffer.observations), buffer.to_torch(buffer.actions[first]),
@@ -136,7 +138,7 @@ class MapReplayBuffer(DictReplayBuffer):
         return turned_batch(self._get_samples(np.random.choice(alike, batch_size), env))
 
     def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
-        """Return transitions by their numbers, counted over all environments."""
+        """Return transitions by their numbers: row * environments + environment."""
         index = np.divmod(batch_inds, self.n_envs)
         return samples_of(self, index, index, self.rewards[index])
 
@@ -167,12 +169,14 @@ class CloudReplayBuffer(DictReplayBuffer):
         self.n_steps = n_steps
         self.gamma = gamma
         self.augmentation = augmentation
-        #: Number of first rows, those of demonstrations, that are not overwritten.
+        #: Number of first rows that are not overwritten: those of the demonstrations, rounded up,
+        #: but at least one row stays free.
         self.kept_rows = min(-(-demonstrations // self.n_envs), self.buffer_size - 1)
 
     def add(self, obs, next_obs, action, reward, done, infos) -> None:
         """Store a transition of each environment."""
         super().add(obs, next_obs, action, reward, done, infos)
+        # A full buffer begins again at row 0: skip the kept rows.
         if self.full:
             self.pos = max(self.pos, self.kept_rows)
 
@@ -191,14 +195,18 @@ class CloudReplayBuffer(DictReplayBuffer):
                               actions=turned_vectors(batch.actions, matrices))
 
     def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
-        """Return n-step transitions from given rows, each of a random environment."""
-        if filled := min(self.kept_rows, self.size()):
-            # Every second row is one of the demonstrations.
-            batch_inds[::2] = np.random.randint(filled, size=len(batch_inds[::2]))
+        """
+        Return n-step transitions from given rows, each of a random environment.
+
+        :param batch_inds: (B,) rows; every second one is replaced by a row of the demonstrations.
+        """
+        if filled_rows := min(self.kept_rows, self.size()):
+            batch_inds[::2] = np.random.randint(filled_rows, size=len(batch_inds[::2]))
         envs = np.random.randint(self.n_envs, size=len(batch_inds))
         steps = np.arange(self.n_steps)
         rows = (batch_inds[:, None] + steps) % self.buffer_size
-        # A sum ends at the end of an episode, and at rows that no later step follows.
+        # A sum ends at the end of an episode, and at rows that no later step follows: the newest
+        # row, and with kept rows also the last kept row and the last row of the buffer.
         last_rows = ([self.pos - 1, self.kept_rows - 1, self.buffer_size - 1] if self.kept_rows
                      else [(self.pos - 1) % self.buffer_size])
         ends = (self.dones[rows, envs[:, None]] > 0.0) | np.isin(rows, last_rows)
@@ -207,16 +215,19 @@ class CloudReplayBuffer(DictReplayBuffer):
         weights = self.gamma ** steps * (steps <= last_steps[:, None])
         rewards = (self.rewards[rows, envs[:, None]] * weights).sum(axis=1)
         last = rows[np.arange(len(rows)), last_steps], envs
+        # The discount of the critics' value, which is added to the sum.
         discounts = self.to_torch((self.gamma ** (last_steps + 1.0)).astype(np.float32)[:, None])
         return samples_of(self, (batch_inds, envs), last, rewards)._replace(discounts=discounts)
 
 
 def jittered(observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Return clouds with noise, and with 10 % of each group's points replaced by its first."""
+    # Points are in units of the agent's ``length_scale``.
     noise = 0.005 * torch.randn_like(observation['points'])
     noisy = {**observation, 'points': observation['points'] + noise}
     for name in ('groups_1', 'groups_2'):
         groups = observation[name]
+        # A repeated first point has no effect, as the network takes the maximum over a group.
         replaced = torch.rand(groups.shape, device=groups.device) < 0.1
         noisy[name] = torch.where(replaced, groups[..., :1], groups)
     return noisy

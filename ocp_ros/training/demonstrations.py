@@ -52,6 +52,7 @@ class Demonstrator:
         """Return the move (2,) of the next camera of an environment, in units of ``max_step``."""
         env = self._envs[number]
         episode = unwrapped(env).episode
+        # A new episode needs new targets.
         if self._plans[number][0] is not episode:
             self._plans[number] = episode, self._targets(episode)
         target = self._plans[number][1][env.camera]
@@ -65,4 +66,5 @@ class Demonstrator:
         evaluations = 300
         targets = solve(GreedySwap(space, self._rng, evaluations), Scorer(episode.simulator),
                         evaluations).placement[:, :2]
+        # Assign the targets to the cameras with the shortest total path.
         return targets[matched(positions, targets)]

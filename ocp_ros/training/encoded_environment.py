@@ -31,11 +31,19 @@ from ocp_ros.rig.motion import bounded_moves, order_of, way_between
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.reward import NO_REWARD, RewardTerms
+from ocp_ros.simulation.simulator import View
 
 
 def encoded_space(agent: AgentConfig) -> spaces.Dict:
-    """Return the space of one input of the agent's network."""
+    """
+    Return the space of one input of the agent's network.
+
+    See :meth:`~ocp_ros.policy.map_turn.MapTurn.experience` for the inputs ``map``,
+    :class:`~ocp_ros.policy.cloud_encoder.Encoder` for ``cloud``, and
+    :func:`~ocp_ros.policy.observation_cloud.encode` for ``paper``.
+    """
     def real_box(*shape):
+        # A finite bound that no input reaches.
         limit = 1000.0
         return spaces.Box(-limit, limit, shape, np.float32)
 
@@ -106,6 +114,7 @@ class PlaneMoves(gym.ActionWrapper):
         env = unwrapped(self.env)
         axes = np.zeros((len(action), len(env.axes)))
         axes[:, :2] = action
+        # The last two axes are then yaw and pitch.
         if 'yaw' in env.axes:
             axes[:, -2:] = self._rotations(env.episode, np.asarray(action, dtype=np.float64))
         return axes
@@ -156,6 +165,7 @@ class CameraByCamera(gym.Wrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
+        # The last settings are the distances to keep from walls and from points.
         _, max_step, max_range, *margins = settings_of(
             unwrapped(env).config.episode, unwrapped(env).rig, env.np_random)
         self._encoder = Encoder(agent, max_range, max_step, *margins)
@@ -163,13 +173,17 @@ class CameraByCamera(gym.Wrapper):
         self.encoded: EncodedTurn | None = None
         #: The cameras that have not chosen yet.
         self._waiting = np.empty(0, dtype=np.int64)
-        #: (K, 2) metres, the moves of all cameras; 0 if not chosen yet.
+        #: (K, 2) in units of ``max_step``, the moves of all cameras; 0 if not chosen yet.
         self._moves = np.empty((0, 2))
+        #: The views of all cameras, of those that have chosen from their new positions.
+        self._views: list[View] = []
+        #: Space coverage and error of these views; see ``Episode.value_of``.
+        self._value = (0.0, 0.0)
 
     def reset(self, **kwargs):
         """Begin an episode."""
         _, info = self.env.reset(**kwargs)
-        self._encoder.turns.reset()
+        self._encoder.partial_maps.reset()
         return self._begin(), info
 
     @property
@@ -185,6 +199,7 @@ class CameraByCamera(gym.Wrapper):
         terms = self._reward_of(camera)
         if len(self._waiting):
             return self._observation(), terms.reward, False, False, terms._asdict()
+        # The action space has a row for each camera of the rig; an episode may have fewer cameras.
         moves = np.zeros(self.env.action_space.shape)
         moves[:len(self._moves)] = self._moves
         _, _, terminated, truncated, info = self.env.step(moves)
@@ -194,7 +209,7 @@ class CameraByCamera(gym.Wrapper):
         """Encode a new turn, and return the observation of the first camera to choose."""
         episode = unwrapped(self.env).episode
         turn = episode.turn
-        self._encoder.turns.rig_state = state_of(episode)
+        self._encoder.partial_maps.rig_state = state_of(episode)
         self.encoded = self._encoder.turn(episode.observed_cloud, turn.positions, turn.step,
                                           episode.config.turns)
         self._waiting = order_of(turn.step, len(turn.positions))
@@ -232,6 +247,7 @@ class MapChoices(gym.Wrapper):
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
         self.observation_space, self.action_space = encoded_space(agent), action_space(1)
+        #: The actor that makes the maps of the episode, and the map of the turn.
         self._actor: MapActor | None = None
         self._map_turn: MapTurn | None = None
         #: The cameras that have not chosen yet in this turn.
@@ -250,8 +266,9 @@ class MapChoices(gym.Wrapper):
         map_turn.send_to(self._waiting.pop(0), np.asarray(action)[0])
         if self._waiting:
             return self._observation(), 0.0, False, False, NO_REWARD._asdict()
-        limits, moves = unwrapped(self.env).config.episode, np.zeros(self.env.action_space.shape)
-        moves[:len(map_turn.plan)] = self._actor.end(map_turn) / limits.max_step
+        max_step = unwrapped(self.env).config.episode.max_step
+        moves = np.zeros(self.env.action_space.shape)
+        moves[:len(map_turn.plan)] = self._actor.end(map_turn) / max_step
         _, reward, terminated, truncated, info = self.env.step(moves)
         self._begin()
         return self._observation(), reward, terminated, truncated, info
@@ -261,6 +278,7 @@ class MapChoices(gym.Wrapper):
         env = unwrapped(self.env)
         episode, turn, turns = env.episode, env.episode.turn, env.config.episode.turns
         if new:
+            # Without a policy, as the actions of the environment choose the targets.
             self._actor = MapActor(None, *settings_of(env.config.episode, env.rig, env.np_random))
         self._actor.set_rig_state(state_of(episode))
         map_turn = self._actor.begin(episode.observed_cloud, turn.positions, turn.step, turns)

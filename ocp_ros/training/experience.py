@@ -29,6 +29,7 @@ from ocp_ros.policy.checkpoint import read_metadata
 from safetensors import SafetensorError
 import safetensors.numpy
 
+#: Key, in the blob's metadata, of the JSON text with time stamp and turn.
 KEY = 'ocp_ros-experience-1'
 
 
@@ -120,9 +121,12 @@ def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int | Non
     """
     Return the number of choices; refuse actions and targets of wrong shapes.
 
+    :param actions: (choices, cameras that choose together, 2) float32.
+    :param targets: (K, 3) of K cameras.
     :param together: number of cameras that one choice moves; None if each moves one camera, and a
         camera may choose any number of times.
     """
+    # Largest number of cameras, and of choices.
     max_count = 64
     if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= max_count:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '

@@ -15,11 +15,11 @@
 """A learner that takes transitions from other threads and trains in a thread of its own."""
 
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 import queue
 import threading
-from typing import Any
 
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
@@ -98,7 +98,7 @@ class Learner:
         self._saved_counts = self.transitions, self.updates
         self._new_weights: deque[Checkpoint] = deque(maxlen=1)
         if self.updates:
-            # Publish the weights again: policies may have been started again as well.
+            # Publish the weights again, as policies may have been started again as well.
             self._new_weights.append(self.checkpoint())
         # Only the thread uses the model; other threads put transitions into the inbox.
         self._inbox: queue.Queue[Transition | None] = queue.Queue(INBOX_SIZE)
@@ -119,8 +119,9 @@ class Learner:
         self._saved_transitions = self.transitions
         #: Number of transitions that are not in memory any more.
         self._lost_transitions = self.transitions - buffered
-        # Steps taken for lost transitions do not count for the others.
+        # Steps due for the transitions in memory. All other steps were taken for lost transitions.
         total_steps = max(self._total_steps(self.transitions), 0.0)
+        #: Number of gradient steps that do not count for the transitions in memory.
         self._steps_of_lost = max(self.updates - total_steps, 0.0)
         return run
 
@@ -172,12 +173,11 @@ class Learner:
 
     def close(self) -> None:
         """Stop training and save; a second call does nothing."""
+        # None ends the thread; wait for room in the inbox.
         while self._thread.is_alive():
-            try:
+            with suppress(queue.Full):
                 self._inbox.put(None, timeout=0.1)
                 break
-            except queue.Full:
-                continue
         self._thread.join()
         # Write buffered log entries to the files.
         self.model.logger.close()
@@ -195,7 +195,7 @@ class Learner:
                         self.model.logger.name_to_value['train/critic_loss']))
                     self._log_and_save(self.updates)
         except BaseException as error:
-            # An exception in a thread ends silently: the user of the learner reports it.
+            # An exception ends a thread silently, so the user of the learner reports it.
             self.failure = error
 
     def _read_inbox(self) -> bool:
@@ -222,6 +222,7 @@ class Learner:
 
     def _log_and_save(self, updates: int) -> None:
         """Publish weights, log and save, each at its interval of gradient steps."""
+        # Updates grow by BURST_STEPS, so a condition holds once in each interval.
         if updates % self.config.publish_every < BURST_STEPS:
             self._new_weights.append(self.checkpoint())
             self.model.logger.record('train/transitions', self.transitions)
@@ -231,9 +232,8 @@ class Learner:
 
     def checkpoint(self) -> Checkpoint:
         """Return a checkpoint of the present actor."""
-        provenance: dict[str, Any] = {'interactions': int(self.model.num_timesteps),
-                                      'seed': self.config.seed}
-        return actor_checkpoint(self.model, self.run, provenance)
+        return actor_checkpoint(self.model, self.run, {
+            'interactions': self.transitions, 'seed': self.config.seed})
 
     def _save(self, with_replay: bool = False) -> None:
         """

@@ -70,13 +70,14 @@ def claim(folder: Path, config: TrainingConfig) -> None:
     _check_name(folder)
     if not rooms.exists() and not path.exists():
         _refuse_unknown_files(folder)
+    # Scans are compared by file name, without their folder.
     sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
     asked = _flat_settings(to_nested(config))
     saved = _flat_settings(to_nested(_saved_config(path))) if path.exists() else asked
     may_change = ('interactions', 'workers', 'evaluate_every')
     wrong = [f'{name} {saved[name]!r}' for name in asked
              if name not in may_change and asked[name] != saved[name]
-             # A rig file replaces these.
+             # A rig file replaces the settings of the rig.
              and not (config.simulation.rig_file and name.startswith('simulation.rig.'))]
     if rooms.exists() and _saved_room_sets(rooms) != sets:
         wrong.append('other rooms')
@@ -172,6 +173,7 @@ def _record_of(line: str) -> dict[str, Any] | None:
     if not isinstance(record, dict) or not isinstance(record.get('phase'), str):
         return None
     numbers = [record.get(name) for name in ('interactions', 'updates', 'seconds')]
+    # Only some lines have a ratio.
     numbers.append(record.get('ratio', 0.0))
     return record if all(map(_is_count, numbers)) else None
 

@@ -60,6 +60,7 @@ class AgentSac(SAC):
         """Draw actions: first a demonstrator's, then random ones if the actor is untrained."""
         if self.demonstrator is not None and self.num_timesteps < self.config.demonstrations:
             actions = self.demonstrator()
+            # The actions to play, and those to store.
             return actions, actions
         return super()._sample_action(0 if self.warm else learning_starts, action_noise, n_envs)
 
@@ -93,9 +94,9 @@ def keep_freed_memory() -> None:
     quarter of the time of a step. The setting applies to the whole process.
     """
     with suppress(AttributeError, OSError):
-        # glibc's M_TRIM_THRESHOLD, M_TOP_PAD and M_MMAP_MAX.
-        options = {-1: (1 << 31) - 1, -2: 1 << 28, -4: 0}
-        for option, value in options.items():
+        # glibc's M_TRIM_THRESHOLD (return no memory), M_TOP_PAD (request 256 MiB in advance) and
+        # M_MMAP_MAX (no memory maps for large blocks, which the system would take back).
+        for option, value in ((-1, (1 << 31) - 1), (-2, 1 << 28), (-4, 0)):
             ctypes.CDLL(None).mallopt(option, value)
 
 
@@ -122,6 +123,8 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
         buffer_class = CloudReplayBuffer
         buffer_kwargs = {name: getattr(sac, name) for name in (
             'n_steps', 'gamma', 'augmentation', 'demonstrations')}
+    # ``auto_`` means that the entropy coefficient is learned from this first value on. The target
+    # entropy is given for each of the two components of each camera's action.
     model = AgentSac(
         policy_class, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
         buffer_size=sac.buffer_size,
@@ -130,6 +133,7 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
         target_entropy=sac.target_entropy * 2 * cameras, tensorboard_log=tensorboard, seed=seed,
         device=sac.device, _init_setup_model=False, policy_kwargs=policy_kwargs,
         replay_buffer_class=buffer_class, replay_buffer_kwargs=buffer_kwargs, **kwargs)
+    # Without an environment, the spaces must be set before the networks are built.
     if env is None:
         model.observation_space, model.action_space = encoded_space(agent), action_space(cameras)
         model.n_envs = environments

@@ -73,6 +73,7 @@ class CloudFeatures(BaseFeaturesExtractor):
         :param batch: the same object in all calls of a gradient step.
         :param extract: computes and returns the features.
         """
+        # Without gradients, as for the next observations, no later loss needs the features.
         if not torch.is_grad_enabled():
             return extract()
         if self._batch is not batch:
@@ -86,10 +87,11 @@ class CloudFeatures(BaseFeaturesExtractor):
 
 
 class CloudCritic(ContinuousCritic):
-    """Critics whose features get no gradients from the actor's loss, which would drop them."""
+    """Critics that compute no gradients of the features for the actor's loss."""
 
     def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return values (B, 1), one array from each critic, of observations and actions (B, A)."""
+        # Only the actions in the actor's loss need gradients.
         with torch.set_grad_enabled(torch.is_grad_enabled() and not actions.requires_grad):
             features = self.extract_features(obs, self.features_extractor)
         inputs = torch.cat([features, actions], dim=1)
@@ -120,6 +122,7 @@ class FeatureCritic(ContinuousCritic):
             network = torch.nn.Sequential(*head(width, agent.hidden, agent.blocks),
                                           torch.nn.Linear(agent.hidden, 1))
             self.q_networks[number] = network
+            # The list is no module: stable-baselines3 registers each network as an attribute.
             setattr(self, f'qf{number}', network)
 
     def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
@@ -127,7 +130,7 @@ class FeatureCritic(ContinuousCritic):
         features = self.features_extractor.cached_features(
             obs, lambda: self.extract_features(obs, self.features_extractor))
         if actions.requires_grad:
-            # The actor's loss must not train the features. This is a step's last loss.
+            # The actor's loss must not train the features. It is the last loss of a gradient step.
             features = features.detach()
             self.features_extractor.drop_batch()
         inputs = torch.cat([features, actions], dim=1)
@@ -179,6 +182,7 @@ class CloudPolicy(CustomPolicy):
     def _build(self, lr_schedule) -> None:
         """Build the networks and their optimizers."""
         super()._build(lr_schedule)
+        # stable-baselines3 leaves a shared extractor out of the critics' optimizer.
         self.critic.optimizer.param_groups[0]['params'] = list(self.critic.parameters())
 
 
@@ -201,7 +205,7 @@ class ImitationLoss:
         self.network.load_state_dict(weights)
 
     def loss_of(self, actor: 'MapSacActor', observation: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return the mean Kullback-Leibler divergence over a batch, nats."""
+        """Return the mean Kullback-Leibler divergence D(first policy || actor), nats."""
         with torch.no_grad():
             first = CellChoices(valued(self.network, observation), observation['choices'])
         return first.divergence(actor.choices_of(observation)).mean()
@@ -240,7 +244,8 @@ class MapSacActor(Actor):
     def action_log_prob(self, obs) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the probabilities of cells (B, 64 * 64), and the mean log-density (B,)."""
         choices = self.choices_of(obs)
-        # Positions are in [-1, 1]: a cell has the area (2 / CELLS) ** 2.
+        # Positions are in [-1, 1]: a cell has the area (2 / CELLS) ** 2. The density in a cell is
+        # its probability / area; the mean of the probabilities' logarithms is -entropy.
         log_cell_density = 2.0 * math.log(0.5 * CELLS)
         return choices.shares, log_cell_density - choices.entropy
 
@@ -261,6 +266,7 @@ class _CellValues(torch.nn.Module):
         are_positions = actions.shape[1] == 2
         # Only the values of positions train this network; the means train the actor.
         with torch.set_grad_enabled(are_positions and torch.is_grad_enabled()):
+            # Cells outside the used part are inf, and inf * 0 would make the mean NaN.
             network_values = valued(self.network, maps).nan_to_num(posinf=0.0)
             values = -REWARD_PER_VALUE * network_values.flatten(1)
         if are_positions:
@@ -296,8 +302,8 @@ class MapPolicy(CustomPolicy):
         """Start the actor and the critics from the weights of a value map."""
         self.actor.load_state_dict({f'network.{name}': value for name, value in weights.items()})
         for number, critic in enumerate(self.critic.q_networks):
-            # Equal critics would stay equal, as they learn from the same batches: the second one
-            # gets 1 % of noise.
+            # Equal critics would stay equal, as they learn from the same batches. So the second
+            # one gets 1 % of noise.
             critic.load_state_dict({
                 f'network.{name}': value * (1.0 + number * 0.01 * torch.randn_like(value))
                 for name, value in weights.items()})

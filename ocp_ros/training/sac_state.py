@@ -85,6 +85,7 @@ def save_state(model: AgentSac, path: Path, run: str) -> None:
     tensors = _networks(model)
     for name, optimizer in _optimizers(model).items():
         tensors |= saved_slots(optimizer, f'optimizer.{name}.')
+    # safetensors refuses tensors that share memory.
     tensors = {name: value.cpu().contiguous().clone() for name, value in tensors.items()}
     write_atomically(path, safetensors.torch.save(tensors, metadata={'run': run}))
 
@@ -147,6 +148,8 @@ def _check_tensors(tensors: dict[str, torch.Tensor], expected: dict[str, torch.T
         if tensor.shape != expected[name].shape or tensor.dtype != expected[name].dtype:
             raise ValueError(f'{name} is {tensor.dtype} {tuple(tensor.shape)}, not '
                              f'{expected[name].dtype} {tuple(expected[name].shape)}')
+        # Adam's squares, steps and counters are never negative. The limit 1 << 40 is that of the
+        # setting ``interactions``.
         low = 0.0 if name.endswith(('.exp_avg_sq', '.step')) or 'counter.' in name else -torch.inf
         high = MAX_WEIGHT if name.startswith('policy.') else (1 << 40)
         if not ((tensor >= low) & (tensor.abs() <= high)).all():
@@ -196,7 +199,8 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
         rows[name][:len(values)] = values
     buffer.pos = position
     buffer.full = bool(full)
-    # The next transition belongs to another episode: the last stored one ends its episode.
+    # The next transition belongs to another episode: the last stored one ends its episode, at a
+    # time limit if its state is not terminal.
     last_row = position - 1
     buffer.timeouts[last_row] = np.maximum(buffer.timeouts[last_row], 1.0 - buffer.dones[last_row])
     buffer.dones[last_row] = 1.0
@@ -205,6 +209,7 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
 def _rows(buffer: DictReplayBuffer) -> dict[str, np.ndarray]:
     """Return by name the arrays (S, E, ...) with an entry for each of S rows, E environments."""
     rows = {}
+    # Observations are dictionaries of arrays. Other attributes of the buffer have other shapes.
     for name, value in vars(buffer).items():
         arrays = value if isinstance(value, dict) else {'': value}
         rows |= {f'{name}.{key}' if key else name: array for key, array in arrays.items()
@@ -217,6 +222,9 @@ def _check_rows(arrays: dict[str, np.ndarray], rows: dict[str, np.ndarray], coun
     """
     Refuse arrays that do not fit the rows of a buffer, and numbers that are not finite.
 
+    :param arrays: arrays of a file.
+    :param rows: arrays of the buffer, from :func:`_rows`.
+    :param count: number of stored rows.
     :raises ValueError: if an array is refused.
     """
     _check_names(arrays, rows)

@@ -110,7 +110,7 @@ class Run(TrainingRun):
         result = self.judge(checkpoint)
         for name, value in result.items():
             self.model.logger.record(f'validation/{name}', value)
-        # The line is written last: the files it refers to exist, whenever the process ends.
+        # The line is written last, so that its files exist whenever the process ends.
         if result['ratio'] < self.best:
             self.best = result['ratio']
             checkpoint.save(self.folder / BEST)
@@ -157,7 +157,7 @@ class Run(TrainingRun):
             raise CheckpointError(
                 f'{error}; the best weights so far are lost: put them back from a copy, or remove '
                 'the file, and the run goes on from its last state') from error
-        # After a kill, no line may have the ratio of these weights: then evaluate them again.
+        # A killed process may not have written the ratio of these weights: evaluate them again.
         self.best = (ratios[best.updates] if best.updates in ratios
                      else self.judge(best)['ratio'])
 
@@ -273,7 +273,8 @@ def learn(run: Run) -> None:
     if config.sac.demonstrations:
         envs = vec_env.venv.envs  # type: ignore[attr-defined]
         model.demonstrator = Demonstrator(envs, config.seed)
-    # The seed depends on the number of interactions: a resumed run plays other episodes.
+    # The seed depends on the number of interactions, so that a resumed run plays other episodes.
+    # Half of the 32-bit number is less than MAX_SEED.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
     try:
@@ -346,12 +347,11 @@ def report(run: TrainingRun, command: str) -> Checkpoint:
     fine_engine = EngineConfig(preset='fine')
     trials = [replace(trial, simulation=replace(trial.simulation, engine=fine_engine))
               for trial in trials_of(config, 'test')]
-    on_gpu = run.device.type == 'cuda'
     cpu = f'CPU, {config.workers or cores()} processes, {torch.get_num_threads()} threads'
     lines = records(run.folder)
     provenance = {
         **best.provenance, 'command': command,
-        'hardware': torch.cuda.get_device_name() if on_gpu else cpu,
+        'hardware': torch.cuda.get_device_name() if run.device.type == 'cuda' else cpu,
         'seconds': lines[-1]['seconds'] if lines else run.seconds, 'curve': lines,
         'test': {'rooms': len(trials),
                  'policy': evaluate(run.pool, trials, best.to_bytes()),

@@ -34,8 +34,8 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: The three sets of rooms.
 PARTS = ('training', 'validation', 'test')
-#: Largest number of points, over all rooms, that are kept in memory: making a room again takes as
-#: long as a hundred turns in it.
+#: Largest number of points, over all rooms, that are kept in memory. Rooms are kept because making
+#: a room takes as long as a hundred turns in it.
 MAX_CACHED_POINTS = 4_000_000
 
 
@@ -55,6 +55,7 @@ def room_names(config: RoomsConfig, part: str) -> list[str]:
     else:
         seeds = {'training': (*TRAINING, *MORE_TRAINING), 'validation': VALIDATION, 'test': TEST}
         names = [str(seed) for seed in seeds[part]]
+    # The settings ``training``, ``validation`` and ``test`` are largest numbers of rooms.
     names = names[:getattr(config, part)]
     if not names:
         raise ConfigurationError(f'rooms: found no {part} rooms; expected at least one; '
@@ -122,6 +123,7 @@ def _scan_paths(folder: str, part: str) -> list[str]:
     if len(scans) < len(PARTS):
         raise SceneError(f'{folder}: found {len(scans)} scans; expected at least {len(PARTS)}, '
                          f'one for each set, of {", ".join(READERS)}')
+    # Scans with equal contents have one hash and count as one.
     paths = dict(sorted({sha256_of_file(path): path for path in scans}.items()))
     parts = [_part_of(digest) for digest in paths]
     if set(parts) != set(PARTS):

@@ -97,6 +97,7 @@ class Assembler:
 
     def clear(self) -> None:
         """Drop all turns, for example when the stamps begin again; count the incomplete ones."""
+        # When the constructor calls this method, there are no rewards yet.
         self.incomplete += len(getattr(self, '_rewards', ()))
         capacity = 2 * self.patience
         #: The data of turns, by stamp.
@@ -136,13 +137,13 @@ class Assembler:
         transitions = []
         for stamp, (_, reward) in list(self._rewards.items()):
             if stamp in self._positions and all(
-                    known in self._experiences for known in (reward.previous, stamp)):
+                    needed in self._experiences for needed in (reward.previous, stamp)):
                 del self._rewards[stamp]
                 transitions += self._transitions_of(reward)
         return transitions
 
     def _transitions_of(self, reward: Reward) -> list[Transition]:
-        """Return the transitions of a complete turn; none, and count it, if inconsistent."""
+        """Return the transitions of a complete turn; if it is inconsistent, only count it."""
         before, after = self._experiences[reward.previous], self._experiences[reward.stamp]
         choices, positions = before.choices, self._positions[reward.stamp]
         if len(reward.shares) == len(before.targets):
@@ -158,6 +159,8 @@ class Assembler:
             self.inconsistent += 1
             return []
         self.assembled += 1
+        # The observation after a choice is that of the next choice, of the last one that of the
+        # next turn.
         next_choices = [*choices[1:], after.choices[0]]
         terminated = (len(choices) - 1) * [False] + [reward.terminated]
         return [Transition(choice.observation, choice.actions, share, next_choice.observation, end)

@@ -50,7 +50,9 @@ class ValueSet:
     """
 
     def __init__(self, states: Sequence[dict[str, np.ndarray]]) -> None:
+        # The number of the first map of each room.
         first_maps = np.cumsum([0] + [len(arrays['room']) for arrays in states])
+        #: The arrays of all rooms, joined.
         self._joined = {name: torch.from_numpy(np.concatenate([arrays[name] for arrays in states]))
                         for name in ('room', 'others', 'numbers', 'lens', 'places', 'values')}
         #: The number of the map of each choice.
@@ -76,8 +78,10 @@ class ValueSet:
 
     def draw(self, rng: np.random.Generator, size: int) -> Tensor:
         """Draw the numbers of ``size`` choices whose maps have the same used part."""
+        # Draw a used part with a probability proportional to its number of choices.
         shares = np.array([len(rows) for rows in self._alike]) / len(self)
-        return torch.from_numpy(rng.choice(self._alike[rng.choice(len(shares), p=shares)], size))
+        alike = self._alike[rng.choice(len(shares), p=shares)]
+        return torch.from_numpy(rng.choice(alike, size))
 
     def batches(self, size: int) -> Iterator[Tensor]:
         """Yield the numbers of all choices, at most ``size`` of the same used part at a time."""
@@ -92,12 +96,13 @@ class ValueSet:
         :returns: the inputs of the network, the labelled positions (B, P, 2) in cells of its maps,
             and the labels (B, P, D), NaN where there is no label.
         """
-        joined, maps = self._joined, self._map_numbers[rows]
-        corner = self._corners[maps[0]]
+        joined, map_rows = self._joined, self._map_numbers[rows]
+        corner = self._corners[map_rows[0]]
+        # The used part is central: the margins on opposite sides are equal.
         used = (slice(None), slice(None), *(slice(first, CELLS - first) for first in corner))
-        return ({'room': joined['room'][maps][used], 'others': joined['others'][rows][used],
+        return ({'room': joined['room'][map_rows][used], 'others': joined['others'][rows][used],
                  'numbers': joined['numbers'][rows], 'lens': joined['lens'][rows]},
-                joined['places'][maps] - torch.tensor(corner), joined['values'][rows].float())
+                joined['places'][map_rows] - torch.tensor(corner), joined['values'][rows].float())
 
 
 def values_at(maps: Tensor, places: Tensor) -> Tensor:
@@ -108,8 +113,8 @@ def values_at(maps: Tensor, places: Tensor) -> Tensor:
     :param places: (B, P, 2) positions, row and column in cells.
     :returns: (B, P, D) values.
     """
+    # grid_sample expects positions from -1 to 1, in the order of image axes: columns first.
     scale = 2.0 / torch.tensor(maps.shape[2:])
-    # grid_sample expects positions in the order of image axes: columns first.
     grid = (places * scale - 1.0).flip(-1)[:, :, None]
     return grid_sample(maps, grid, align_corners=False,
                        padding_mode='border')[..., 0].transpose(1, 2)
@@ -122,7 +127,8 @@ def turned_inputs(observation: dict[str, Tensor], places: Tensor, number: int
 
     :param observation: inputs of the map actor, batched.
     :param places: (B, P, 2) positions, row and column in cells.
-    :param number: the number of the symmetry, 0 to 7.
+    :param number: the number of the symmetry, 0 to 7; see
+        :func:`~ocp_ros.training.augmentation.turned_maps`.
     """
     centre = 0.5 * torch.tensor(observation['room'].shape[2:])
     turned, offsets = turned_maps(observation, places - centre, number)
@@ -141,27 +147,36 @@ def loss_of(predicted: Tensor, labels: Tensor) -> Tensor:
     """
     Return the loss of predictions: weighted regression, and divergence of the implied policies.
 
-    :param predicted: (B, P, D) values.
+    The policy that values imply is the softmax of the negative values, as in
+    :class:`~ocp_ros.policy.value_network.CellChoices`.
+
+    :param predicted: (B, P, D) values; less is better.
     :param labels: (B, P, D) true values; NaN: no label.
     """
     predicted, labels = predicted.flatten(1), labels.flatten(1)
     known = ~labels.isnan()
+    # Labels are logarithms of ratios of errors, at most about 0. So 10 is a very bad value: the
+    # true policy never chooses a position without a label.
     labels = torch.where(known, labels, 10.0)
     # The best position has an extra weight of 6, which falls by the factor e per 0.1 of the value.
     weights = known * (1.0 + 6.0 * torch.exp((labels.amin(dim=1, keepdim=True) - labels) / 0.1))
     # The loss is quadratic in errors up to 0.1, linear in larger ones.
     losses = smooth_l1_loss(predicted, labels, beta=0.1, reduction='none')
     temperature = 0.05
-    shares = torch.softmax(-labels / temperature, dim=1)
-    log_shares = torch.where(known, -predicted / temperature, -1e4).log_softmax(dim=1)
-    terms = torch.where(known, shares * (shares.clamp(min=1e-9).log() - log_shares), 0.0)
+    true_policy = torch.softmax(-labels / temperature, dim=1)
+    # With the logit -1e4, the predicted policy never chooses a position without a label either.
+    log_policy = torch.where(known, -predicted / temperature, -1e4).log_softmax(dim=1)
+    # The clamp avoids the logarithm of 0.
+    terms = torch.where(known, true_policy * (true_policy.clamp(min=1e-9).log() - log_policy), 0.0)
     return (losses * weights).sum() / weights.sum() + 0.03 * terms.sum(dim=1).mean()
 
 
 def regret_of(network: ValueMap, choices: ValueSet, size: int = 64) -> float:
     """
-    Return the mean regret: label of the position predicted best minus the best label.
+    Return the mean regret: label of the position predicted best minus the best, smallest label.
 
+    :param network: predicts the values.
+    :param choices: maps, positions and labels.
     :param size: the largest number of choices in a batch.
     """
     regrets = []
@@ -220,6 +235,8 @@ class ValueFit:
         """Take one gradient step, and return its loss."""
         rng = np.random.default_rng([self._seed, self.step])
         observation, places, labels = choices.batch(choices.draw(rng, self.config.batch_size))
+        # A random symmetry changes the inputs alone. Labels keep the order of the headings before
+        # it, so predictions are brought into this order.
         number = int(rng.integers(8))
         observation, places = turned_inputs(observation, places, number)
         predicted = values_at(self.network(observation), places)
@@ -230,6 +247,7 @@ class ValueFit:
         self._optimizer.step()
         self.step += 1
         with torch.no_grad():
+            # In the first steps the average follows the weights faster.
             share = 1.0 - min(self.config.averaging, self.step / (self.step + 10.0))
             for average, weights in zip(self.average.parameters(), self.network.parameters()):
                 average.lerp_(weights, share)

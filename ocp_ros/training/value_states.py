@@ -98,6 +98,8 @@ def shapes_of(headings: int) -> dict[str, tuple[type, tuple[int, ...]]]:
     """
     Return by name the type and the shape of a room's states, for one map or one choice.
 
+    The names are those of :func:`play_states`.
+
     :param headings: number of headings at each position; 0 for omnidirectional cameras.
     """
     places = TUNING.aimed_places if headings else TUNING.places
@@ -141,16 +143,19 @@ class TrueRoom:
     """
 
     def __init__(self, scene: Scene, config: SimulationConfig, headings: int = 0) -> None:
+        # Labels do not use the space coverage, so its cells may be large.
         engine = EngineConfig(preset='fine', error_rows=64, coverage_cell=1.0)
         self.engine = Simulator(scene, replace(config, engine=with_rays(engine, scene)))
         self.space = space_of(self.engine, 1)
         self.places = self.space.grid(TUNING.aimed_places if headings else TUNING.places)
+        # Yaw, pitch and roll of each heading.
         rotations = np.zeros((max(headings, 1), 3))
         if headings:
             rotations[:, 0], rotations[:, 1] = yaws_of(headings), TUNING.aimed_pitch
         positions = self.space.placement(self.places)
         self.poses = np.hstack([np.repeat(positions, len(rotations), axis=0),
                                 np.tile(rotations, (len(positions), 1))])
+        #: Visible points from each of ``poses``, as packed bits.
         self._seen = [seen for row in positions for seen in self._seen_from(row, rotations)]
 
     def _seen_from(self, position: np.ndarray, rotations: np.ndarray) -> list[np.ndarray]:
@@ -159,6 +164,7 @@ class TrueRoom:
         # The preset of this engine never makes a CubeVisibility.
         visibility = cast(SurfelVisibility, self.engine.visibility)
         seen, covered = no_bits(len(self.engine.scene)), no_bits(len(self.engine.grid))
+        # The view in all directions sets the bits of both; each heading sees a part of this view.
         visibility.look(Pose.of(position), lens._replace(kind=OMNIDIRECTIONAL), seen, covered)
         if lens.kind == OMNIDIRECTIONAL:
             return [seen] * len(rotations)
@@ -173,10 +179,11 @@ class TrueRoom:
         :param headings: (K, 3) yaw, pitch and roll in radians; None for omnidirectional cameras.
         """
         distances = np.linalg.norm(targets[:, None] - self.places[None], axis=2)
-        count = len(self.poses) // len(self.places)
+        heading_count = len(self.poses) // len(self.places)
+        # The yaws of the poses are evenly spaced and begin at 0: round to the nearest one.
         heading_numbers = 0 if headings is None else np.rint(
-            headings[:, 0] * (count / (2.0 * np.pi))).astype(np.int64) % count
-        return np.argmin(distances, axis=1) * count + heading_numbers
+            headings[:, 0] * (heading_count / (2.0 * np.pi))).astype(np.int64) % heading_count
+        return np.argmin(distances, axis=1) * heading_count + heading_numbers
 
     def values(self, others: Sequence[int]) -> np.ndarray:
         """
@@ -202,6 +209,7 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
         lacks.
     """
     rng = np.random.default_rng(task.seed)
+    # Half of the rooms are rotated. The rig observes another scan of the room than the labels.
     degrees = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
     true_scan = make_scene(replace(task.rooms, points=TUNING.true_points), task.room, degrees)
     points = int(rng.choice(TUNING.scan_points))
@@ -216,9 +224,11 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
     if task.headings:
         names = [name for name, sensor in SENSORS.items() if sensor.model.lens.kind == PINHOLE]
         rig = replace(rig, sensors=str(rng.choice(names)))
+    # The depth error of this engine is not used: labels come from ``TrueRoom``.
     config = SimulationConfig(rig, EngineConfig(preset='fine', error_rows=16))
     problem = PlaneProblem(Simulator(scan, config))
     states = _StateRecorder(TrueRoom(true_scan, config, task.headings), rng, task)
+    # Episodes with 4 cameras, as in the default rig, are the most frequent.
     probabilities = np.array([1, 2, 3, 5, 3, 3, 1, 1]) / 19.0
     for _ in range(TUNING.episodes):
         cameras = int(rng.choice(camera_counts, p=probabilities))
@@ -234,6 +244,7 @@ class _StateRecorder:
         self._rng = rng
         self._headings = task.headings
         self._lens = room.engine.models[0].lens if task.headings else None
+        #: Of each map: the channels of the room.
         self._maps: list[np.ndarray] = []
         #: Of each map: the labelled positions (P, 2) in cells.
         self._places: list[np.ndarray] = []
@@ -245,7 +256,9 @@ class _StateRecorder:
 
     def play(self, problem: Problem, cameras: int, max_step: float, weights: bytes) -> None:
         """Run an episode; at some turns record a map, and the choices of some cameras."""
-        rng, history = self._rng, LookHistory()
+        rng = self._rng
+        history = LookHistory()
+        # Draw the settings. The episode stops at its last map, at most 5 turns before its end.
         map_turns = np.sort(rng.choice(TUNING.map_turns, TUNING.maps, replace=False))
         turns = int(map_turns[-1]) + 1 + int(rng.integers(6))
         simulator = problem.simulator
@@ -255,6 +268,7 @@ class _StateRecorder:
         settings = settings_of(simulator.config.episode, problem.rig, rng)
         actor = MapActor(policy_of(weights), *settings) if weights else None
         episode = Episode(problem, rng, cameras)
+        # Numbers of the target poses. An actor moves the cameras to its own targets instead.
         chosen = self._draw_poses(cameras)
         for turn in range(int(map_turns[-1]) + 1):
             positions, cloud = episode.turn.positions, episode.observed_cloud
@@ -301,10 +315,12 @@ class _StateRecorder:
         :returns: (K,) numbers of the poses that they choose now.
         """
         rng, poses, cameras = self._rng, self._room.poses, len(positions)
+        # A fifth of the maps have larger cells, as the maps of large rooms have.
         cell_scale = rng.uniform(1.0, 2.0) if rng.random() < 0.2 else 1.0
         try:
             model = PartialMap(cloud, positions, max_range, MODEL_POINTS, MODEL_ROWS)
         except SceneError:
+            # The cloud is too small for a map.
             return chosen
         observed = ObservationMap(model, history.unseen(model), cameras, max_range,
                                   float(positions[0, 2]), cell_scale * EDGE_M)
@@ -314,6 +330,7 @@ class _StateRecorder:
         self._maps.append(observed.room)
         cells = (self._room.places - observed.window.low) / observed.window.edge
         self._places.append(cells.astype(np.float32))
+        # Cameras choose one after the other, from a random one on; labels are of all poses.
         first = int(rng.integers(cameras))
         for camera in (first + np.arange(TUNING.choices)) % cameras:
             others = np.delete(chosen, camera)
@@ -321,10 +338,11 @@ class _StateRecorder:
             channels, numbers = observed.others(
                 views[:camera] + views[camera + 1:], poses[others])
             self._choices.append((map_number, channels, numbers, values))
+            # Some choices are random. The others are the best pose by labels with noise, so that
+            # other good poses are chosen too.
             if rng.random() < 0.15:
                 chosen[camera] = rng.integers(len(poses))
             else:
-                # The best pose by labels with noise, so that other good poses are chosen too.
                 chosen[camera] = np.argmin(values + rng.normal(0.0, 0.04, len(values)))
             views[camera] = self._view_from(model, poses[chosen[camera]], positions)
         self._last_choices = chosen.tolist()
@@ -342,8 +360,9 @@ class _StateRecorder:
             return {name: np.empty((0, *shape), kind)
                     for name, (kind, shape) in shapes_of(self._headings).items()}
         map_numbers, others, numbers, values = zip(*self._choices)
+        # A small room has fewer positions: pad them at the centre of the map, without labels.
         count = len(self._room.places)
-        max_count = shapes_of(self._headings)['places'][1][0]
+        _, (max_count, _) = shapes_of(self._headings)['places']
         padding = ((0, 0), (0, max_count - count), (0, 0))
         labels = np.stack(values).astype(np.float16).reshape(len(values), count, -1)
         return {'room': np.stack(self._maps), 'of': np.array(map_numbers, dtype=np.int32),

@@ -75,6 +75,7 @@ class TrainingRun(ABC):
         self.progress = progress
         self.name = new_run()
         self.past = records(folder)
+        #: The clock goes on from the last line of progress.
         self._start_time = time.monotonic() - (self.past[-1]['seconds'] if self.past else 0.0)
 
     @property
@@ -116,7 +117,8 @@ class ValueRun(TrainingRun):
         super().__init__(*settings)
         config = self.config
         torch.manual_seed(config.seed)
-        #: The network; of one with a part ``aimed``, for cameras with headings, only this learns.
+        #: The network. If it has a part ``aimed``, for cameras with headings, only this part
+        #: learns.
         self._network = ValueMapNetwork(config.agent)
         #: Provenance of the first weights, if there are any.
         self._first_provenance: dict[str, Any] = {}
@@ -128,6 +130,7 @@ class ValueRun(TrainingRun):
 
     def checkpoint(self) -> Checkpoint:
         """Return a checkpoint of the present network."""
+        # The averaged weights replace those of the part that learns.
         trained = self.fit.average.state_dict(prefix='aimed.' if self._network.aimed else '')
         weights = {name: value.clone()
                    for name, value in (self._network.state_dict() | trained).items()}
@@ -163,8 +166,7 @@ class ValueRun(TrainingRun):
         :param rooms: names of the rooms.
         :param weights: see :class:`~ocp_ros.training.value_states.StateTask`.
         """
-        folder = self.folder / 'states'
-        paths = [folder / f'{kind}_{number:05}.npz' for number in range(len(rooms))]
+        paths = [self.folder / 'states' / f'{kind}_{index:05}.npz' for index in range(len(rooms))]
         missing = [number for number, path in enumerate(paths) if not path.exists()]
         headings = self.config.agent.headings
         # The index of a kind is part of the seed.
@@ -173,10 +175,10 @@ class ValueRun(TrainingRun):
                  for number in missing]
         bar = self.progress.add_task(f'states, {kind}', total=len(rooms),
                                      completed=len(rooms) - len(missing), error='')
-        for index, arrays in self.pool.unordered(play_states, tasks):
+        for task_number, arrays in self.pool.unordered(play_states, tasks):
             buffer = io.BytesIO()
             np.savez_compressed(buffer, **arrays)
-            write_atomically(paths[missing[index]], buffer.getvalue())
+            write_atomically(paths[missing[task_number]], buffer.getvalue())
             self.progress.advance(bar)
         return ValueSet([_read_states(path, shapes_of(headings)) for path in paths])
 
@@ -192,6 +194,8 @@ def _load_first_weights(network: ValueMapNetwork, config: TrainingConfig) -> Che
                             replace(checkpoint.config, headings=config.agent.headings)):
         raise CheckpointError(f'{config.model}: found {checkpoint.config}; expected weights of '
                               f"the run's own agent settings, {config.agent}")
+    # A part ``aimed`` for another number of headings does not fit. The new part then starts from
+    # the weights for omnidirectional cameras.
     same_headings = checkpoint.config.headings == config.agent.headings
     network.load_state_dict(network.state_dict() | {
         name: value for name, value in checkpoint.weights.items()
@@ -214,8 +218,9 @@ def _read_states(path: Path, shapes: dict[str, tuple[type, tuple]]) -> dict[str,
         for name, (kind, shape) in shapes.items():
             if states[name].dtype != kind or states[name].shape[1:] != shape:
                 raise ValueError(f'{name} is {states[name].dtype} {states[name].shape}')
-        if len({len(states[name]) for name in ('of', 'others', 'numbers', 'lens', 'values')
-                }) != 1 or not (
+        # All arrays of choices have one length, and the map of each choice exists.
+        counts = {len(states[name]) for name in ('of', 'others', 'numbers', 'lens', 'values')}
+        if len(counts) != 1 or not (
                 (states['of'] >= 0) & (states['of'] < len(states['room']))).all():
             raise ValueError('its choices are of other maps')
     except Exception as error:  # A broken file makes the libraries raise almost anything.

@@ -47,8 +47,8 @@ def annealed(state: State, judge: Callable[[State, float], float],
     :param rng: decides which steps that raise the objective are accepted.
     :returns: the best state found, which may be the start.
     """
-    best, value = state, judge(state, np.inf)
-    best_value = value
+    best = state
+    value = best_value = judge(state, np.inf)
     for temperature in temperatures:
         for trial in propose(state):
             max_value = value + temperature * rng.exponential()

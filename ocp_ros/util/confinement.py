@@ -48,7 +48,7 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 def limit(memory_bytes: int, processor_seconds: int, file_bytes: int) -> None:
     """
-    Limit memory, time and files of this process, and ignore Ctrl-C: the parent ends it.
+    Limit memory, time and files of this process; ignore Ctrl-C, since the parent ends it.
 
     :param memory_bytes: the largest memory.
     :param processor_seconds: seconds of all cores together; :func:`allow_seconds` allows more.
@@ -74,10 +74,10 @@ def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> No
     Open files and imported modules stay usable. Call it while there is one thread.
 
     :param files: the files that may be read; the targets of links count.
-    :param folder: the folder that may be written to; None for none.
+    :param folder: the folder that may be written to; None if no folder may.
     """
-    # Option 38 of prctl(2) forbids started programs more rights than this one; Landlock and
-    # seccomp need it.
+    # Option 38 of prctl(2): started programs get no more rights than this process. Landlock and
+    # seccomp require this option.
     _libc.prctl(38, 1, 0, 0, 0)
     # Rights of Landlock, see landlock(7). In a folder: write (bit 1) and read files, list (3),
     # remove folders (4) and files (5), make folders (7) and files (8), truncate files (14).
@@ -93,13 +93,15 @@ def _allow_files(rights: dict[str | Path, int]) -> None:
     create_ruleset = 444
     # Flag 1 asks for the version of Landlock.
     version = _libc.syscall(create_ruleset, None, 0, 1)
+    # The kernel lacks Landlock.
     if version < 1:
         return
-    # The number of rights of each version, from the first on.
+    # The number of rights of each version, from the first on. Each right is one bit of a mask.
     rights_of_version = (13, 14, 15, 15, 16)
     known_rights = (1 << rights_of_version[min(version, len(rights_of_version)) - 1]) - 1
     attribute = struct.pack('<Q', known_rights)
-    # From version 6 on, Landlock also restricts signals to the process itself: flag 2.
+    # From version 6 on, 0 leaves the network to seccomp, and flag 2 restricts signals to the
+    # process itself.
     if version >= 6:
         attribute = struct.pack('<QQQ', known_rights, 0, 2)
     ruleset = _libc.syscall(create_ruleset, attribute, len(attribute), 0)
@@ -122,7 +124,7 @@ def _refuse_calls() -> None:
     # Instructions of a filter in classic BPF: load a word, compare it and jump, return an answer.
     # Each row has the instruction, the rows to skip if equal, those if not, and a value.
     load, equal, at_least, answer = 0x20, 0x15, 0x35, 0x06
-    # The answers, see seccomp(2).
+    # The answers, see seccomp(2); a refused call fails with error 1, EPERM.
     allow = 0x7FFF0000
     refuse = 0x00050000 | 1
     kill = 0x80000000
@@ -132,9 +134,10 @@ def _refuse_calls() -> None:
             (load, 0, 0, 0), (at_least, 0, 1, 0x40000000), (answer, 0, 0, refuse)]
     for number in refused:
         rows += [(equal, 0, 1, number), (answer, 0, 0, refuse)]
+    # tgkill is allowed for this process only, every other call for all.
     rows += [(equal, 0, 3, tgkill), (load, 0, 0, 16), (equal, 1, 0, os.getpid()),
              (answer, 0, 0, refuse), (answer, 0, 0, allow)]
     code = ctypes.create_string_buffer(b''.join(struct.pack('<HBBI', *row) for row in rows))
     program = struct.pack('<HxxxxxxQ', len(rows), ctypes.addressof(code))
-    # Set a filter, for all threads.
+    # Operation 1 of seccomp(2) sets a filter; flag 1 sets it for all threads.
     _libc.syscall(seccomp, 1, 1, program)

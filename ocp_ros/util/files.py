@@ -48,7 +48,8 @@ def read_regular(path: str | Path, max_bytes: int = MAX_BYTES) -> bytes:
         ``max_bytes``; then ``errno`` is ``EFBIG``, and ``strerror`` gives the number of bytes.
     """
     with _opened_regular(path, max_bytes) as file:
-        # The size of files in /proc is unknown before they are read.
+        # One byte too many shows that a file is too large: the size of a file in /proc is
+        # unknown before it is read.
         content = file.read(max_bytes + 1)
     if len(content) > max_bytes:
         raise OSError(errno.EFBIG, f'{len(content):,} bytes')
@@ -143,7 +144,8 @@ def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
         with open(name, 'rb') as file:
             os.fsync(file.fileno())
         if not private:
-            # Temporary files are private; other files follow the umask. Setting it reads it.
+            # Temporary files are private; other files follow the umask. The function that returns
+            # the umask also sets it.
             umask = os.umask(0o077)
             os.umask(umask)
             os.chmod(name, 0o666 & ~umask)
@@ -191,6 +193,8 @@ class FileSet:
 
     def __exit__(self, *exception) -> None:
         """Replace the previous set by the new one, if the new one is complete."""
+        # The complete set of a killed run is swapped in first, which frees its folder. At the end,
+        # ``recover`` swaps in the new set, or removes it if it is incomplete.
         written = [name for name in self._names if (self.aside / name).exists()]
         try:
             if self._mark in written:
@@ -254,7 +258,7 @@ def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:
     """Replace the previous set by a complete one; remove an incomplete one."""
     complete = folder / COMPLETE_FOLDER
     set_names = complete_set(folder, names, mark)
-    for name in names if set_names else ():
+    for name in (names if set_names else ()):
         if name not in set_names:
             (folder / name).unlink(missing_ok=True)
         elif (complete / name).exists():

@@ -124,12 +124,13 @@ class GuardedProcess:
             code = self._process.wait(GRACE_SECONDS)
         except subprocess.TimeoutExpired:
             raise ValueError(TOO_SLOW_ERROR) from None
+        # The kernel sends one of these signals if a process exceeds its processor time.
         if code in (-signal.SIGXCPU, -signal.SIGKILL):
             raise ValueError(TOO_SLOW_ERROR)
         if code < 0:
             raise ValueError('it makes its reader crash')
         if code:
-            # Of a long error output only the end is read.
+            # Only the end of a long error output is read; its last line names the error.
             self._error_file.seek(max(self._error_file.seek(0, os.SEEK_END) - 4096, 0))
             lines = self._error_file.read().decode(errors='replace').splitlines()
             raise ValueError(lines[-1] if lines else f'its reader ended with {code}')

@@ -33,7 +33,7 @@ def share_folder() -> Path:
 
     :raises FileNotFoundError: if there is no such folder: the package is incomplete.
     """
-    # No other folder contains this file.
+    # Only the folder of this package contains ``fastdds_local.xml``.
     for folder in _candidate_folders():
         if (folder / 'config' / 'fastdds_local.xml').is_file():
             return folder
@@ -46,7 +46,8 @@ def _candidate_folders() -> Iterator[Path]:
     """Yield paths that may be the folder with ``models`` and ``config``, the most likely first."""
     # Some installers link to files elsewhere, without the rest of the prefix.
     for file in (Path(__file__).absolute(), Path(__file__).resolve()):
-        # At most four folders up: site-packages, python3.x, lib, and the installation prefix.
+        # The folder around the package is the source tree or site-packages. The folders above
+        # site-packages are python3.x, lib, and the installation prefix.
         parents = file.parents[2:6]
         yield parents[0]
         yield from (folder / 'share' / 'ocp_ros' for folder in parents)

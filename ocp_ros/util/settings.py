@@ -134,7 +134,7 @@ def _checked_value(name: str, item: Field, value: Any) -> Any:
     if expected is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
     found = f'{name}: found {_short_text(value)}'
-    if not isinstance(value, expected) or isinstance(value, bool) and expected is not bool:
+    if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
         raise ConfigurationError(f'{found} ({type(value).__name__}); expected {expected.__name__}')
     low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
     if choices and value not in choices:

@@ -58,7 +58,7 @@ os.register_at_fork(after_in_child=_reset_after_fork)
 
 
 def mapped(function: Callable[[T], U], items: Sequence[T]) -> list[U]:
-    """Return a function's results for all items, in order; it must not call ``mapped`` itself."""
+    """Return the results of a function, which must not call ``mapped``, for items in order."""
     helpers = _helpers
     share_count = min(_thread_count, len(items))
     if helpers is None or share_count < 2:

@@ -165,6 +165,7 @@ def read_plain(path: str | Path) -> Document:
         raise ConfigurationError(f'{path.name}: line {line}: found {found}; expected {expected}; '
                                  f'{remedy}') from error
     except yaml.YAMLError as error:
+        # Errors of syntax have a mark; errors of single letters have a position instead.
         mark = getattr(error, 'problem_mark', None)
         line = text[:getattr(error, 'position', 0)].count('\n') if mark is None else mark.line
         reason = getattr(error, 'problem', None) or str(error).partition('\n')[0]
@@ -191,6 +192,7 @@ def _read_text(path: Path) -> str:
         raise ConfigurationError(f'{path}: found no file that can be read ({error.strerror}); '
                                  'expected YAML or JSON; check the path') from error
     except UnicodeDecodeError as error:
+        # 10 is the byte of a line end.
         raise ConfigurationError(
             f'{path.name}: line {error.object[:error.start].count(10) + 1}: found bytes that are '
             'no text; expected YAML or JSON in UTF-8; name the right file or save it as UTF-8'
@@ -200,8 +202,10 @@ def _read_text(path: Path) -> str:
 def _plain_data(node: yaml.Node, key_path: Way, lines: dict[Way, int]) -> Any:
     """Return a YAML node as plain data; add the lines of its values to ``lines``."""
     line = node.start_mark.line + 1
+    # The base loader gives one of these tags to each value without a tag in the file.
     if node.tag not in {f'tag:yaml.org,2002:{kind}' for kind in ('str', 'seq', 'map')}:
         raise _BadLine(line, f'the tag {_short_key(node.tag)}', 'a plain value', 'remove the tag')
+    # The line of a value with a key is that of the key, which the caller has set.
     lines.setdefault(key_path, line)
     if isinstance(node, yaml.SequenceNode):
         return [_plain_data(item, (*key_path, k), lines) for k, item in enumerate(node.value)]
@@ -224,10 +228,12 @@ def _plain_data(node: yaml.Node, key_path: Way, lines: dict[Way, int]) -> Any:
 def _scalar_value(node: yaml.ScalarNode) -> Any:
     """Return the value of a YAML scalar: a text, a number, a boolean or None."""
     text = node.value
+    # PyYAML sets a style for texts in quotes or blocks only.
     if node.style is not None:
         return text
     if text.lower() in YAML_CONSTANTS:
         return YAML_CONSTANTS[text.lower()]
+    # Whole numbers of 300 digits still fit into a float, which ends at 1.8e308.
     if re.fullmatch(r'[-+]?(\d{1,300}(\.\d*)?|\.\d+)([eE][-+]?\d{1,2})?', text):
         return float(text) if re.search(r'[.eE]', text) else int(text)
     return text
@@ -246,7 +252,8 @@ def check(document: Document, schema: dict[str, Any]) -> None:
     """
     errors = list(SchemaValidator(schema).iter_errors(document.data))
     if errors:
-        # An unknown key is often a misspelt required key.
+        # Of the errors in one line, that of an unknown key comes first: the key is often a
+        # misspelt required key.
         first_error = min(errors, key=lambda error: (
             document.line(_error_key_path(error)), error.validator != 'additionalProperties'))
         raise _error_from_schema(document, schema, first_error)
@@ -275,6 +282,7 @@ def _error_from_schema(document: Document, schema: dict[str, Any], error: Valida
         missing_schema = error.schema['properties'][key]
         return document.error(key_path, f'no {key}', missing_schema['description'],
                               f'add, for example, {key}: {shown(missing_schema["examples"][0])}')
+    # For a list of a fixed length, the description says the length.
     if error.validator == 'maxItems' and error.schema['minItems'] < error.validator_value:
         return document.error(key_path, f'{len(error.instance)} entries',
                               f'at most {error.validator_value}', 'remove some')
@@ -289,12 +297,14 @@ def _expected_and_remedy(schema: dict[str, Any], error: ValidationError) -> tupl
     subschema: Any = schema
     key = ''
     expected = schema['description']
+    # The mapping of a whole file is written without braces.
     remedy = f'write, for example, {shown(schema["examples"][0])[1:-1]}'
     path = list(error.absolute_schema_path)
     for previous_step, step in zip([None, *path], path):
         subschema = subschema[step]
         if previous_step == 'properties':
             key = step
+        # The value of ``properties`` is no schema; it has a schema for each key.
         if isinstance(subschema, dict) and step != 'properties':
             expected = subschema.get('description', expected)
             if 'examples' in subschema:

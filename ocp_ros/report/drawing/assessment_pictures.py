@@ -102,6 +102,7 @@ def draw_room_plan(axes: Axes, room: Room, assessed: Assessment) -> None:
     outline = draw_discs(axes, with_colours(room, 0.35 + 0.65 * colours), np.eye(3))
     rotation = assessed.plan_rotation[:2, :2]
     floor_and_ceiling = assessed.scene.bounds[:, 2].tolist()
+    # With many cameras the ranges are paler, so that the room stays visible.
     opacity = min(1.0, 2.0 / np.sqrt(len(assessed.placement.cameras)))
     for number, placed in enumerate(assessed.placement.cameras):
         colour = camera_colour(number)
@@ -110,6 +111,7 @@ def draw_room_plan(axes: Axes, room: Room, assessed: Assessment) -> None:
                         edgecolor=(*to_rgb(colour), 0.9 * opacity), linewidth=1.0, zorder=3)
         axes.add_patch(patch).set_clip_path(outline)
     _hide_outside(axes, room)
+    # Marks are placed by the limits of the axes, so the axes are fitted first.
     _fit_axes(axes, assessed, 0.1, room.points[:, :2])
     _draw_marks(axes, assessed, scale=1.0)
 
@@ -141,9 +143,11 @@ def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
     inner_walls = assessed.references.inner
     inner_letters = np.array([rotation @ (wall.position + 0.5 * gap * wall.outward)
                               for wall in inner_walls]).reshape(-1, 2)
+    # Letters have 0.17 inches each on the report page.
     spacing = 0.17 * scale * units_per_inch(axes)
     inner_letters = move_apart(inner_letters, spacing, np.concatenate([letters, positions]))
     draw_letters(axes, inner_walls, inner_letters, 7.0 * scale, **style)
+    # The zones are in front of the cover of :func:`_hide_outside`, and behind the walls.
     draw_zones(axes, assessed.objective.rig, rotation, 3.8)
     draw_headings(axes, assessed.placement, positions, 0.07 * longer * rotation, 1.2 * scale)
     draw_numbers(axes, positions, 7.0 * scale, float(np.prod(assessed.size)), letters, always=True)
@@ -164,12 +168,14 @@ def _hide_outside(axes: Axes, room: Room) -> None:
     """Cover the area outside the room with white, for example outside an L-shaped room."""
     cell_m = 0.1
     flat = room.points[:, :2]
+    # The margin of four cells on each side is as wide as the closing of gaps below reaches.
     low = flat.min(axis=0) - 4 * cell_m
     cells = np.floor((flat - low) / cell_m).astype(int)
     inside = np.zeros(cells.max(axis=0) + 5, dtype=bool)
     inside[tuple(cells.T)] = True
     structure = ndimage.iterate_structure(ndimage.generate_binary_structure(2, 1), 4)
     inside = ndimage.binary_fill_holes(ndimage.binary_closing(inside, structure))
+    # RGBA, row by row: opaque outside. The factor 1.6 makes the blurred edge more transparent.
     cover = np.ones((*inside.T.shape, 4))
     cover[..., 3] = 1.0 - np.minimum(ndimage.gaussian_filter(1.6 * inside.T, 0.7), 1.0)
     high = low + cell_m * np.array(inside.shape)
@@ -207,16 +213,19 @@ def draw_error_map(axes: Axes, room: Room, assessed: Assessment) -> AxesImage:
     :returns: the image, for a colour bar.
     """
     cells_along_room, min_edge_m, max_edge_m = 48, 0.1, 0.5
+    # The room in grey, below the map.
     pale_colours = np.full((len(assessed.scene), 3), 0.88)
     draw_discs(axes, shaded(room, pale_colours), np.eye(3), contrast=0.5)
     flat = assessed.scene.points.astype(np.float64) @ assessed.plan_rotation[:2].T
     low, size = flat.min(axis=0), np.ptp(flat, axis=0)
     edge = float(np.clip(size.max() / cells_along_room, min_edge_m, max_edge_m))
     shape = np.floor(size / edge).astype(int) + 1
-    cell = np.ravel_multi_index(tuple(np.floor((flat - low) / edge).astype(int).T), shape)
-    sums = np.bincount(cell, assessed.error_by_point, minlength=shape.prod()).reshape(shape)
+    # The number of each point's cell, and the sum of the errors in each cell.
+    cells = np.ravel_multi_index(tuple(np.floor((flat - low) / edge).astype(int).T), shape)
+    sums = np.bincount(cells, assessed.error_by_point, minlength=shape.prod()).reshape(shape)
     density = 1000.0 * sums / edge ** 2
     largest = float(np.percentile(density[density > 0.0], 99.0)) if density.any() else 0.0
+    # The scale of colours must not be empty if there is hardly any error.
     maximum = max(largest, 1.0)
     # Cells below a hundredth of the maximum stay transparent, so that the room is visible.
     image = axes.imshow(np.ma.masked_less(density.T, 0.01 * maximum), cmap=ERROR_COLOURS,
@@ -255,6 +264,7 @@ def draw_perspective(axes: Axes, room: Room, assessed: Assessment, azimuth: floa
         frustum = eye(lines @ assessed.plan_rotation.T)
         drawn_points.append(frustum)
         axes.plot(*frustum.T, color=camera_colour(number), linewidth=0.7, zorder=4)
+        # A dashed line from the camera down to the floor.
         axes.plot(*eye(np.stack([position, [*position[:2], floor]])).T, color=INK, linewidth=0.6,
                   linestyle=(0, (2, 2)), zorder=3)
     fit_axes(axes, np.concatenate(drawn_points), 0.02)
@@ -283,6 +293,7 @@ def floor_plan_of(assessed: Assessment) -> Figure:
     figure = Figure(figsize=edges_inches, dpi=100, facecolor='white')
     axes = figure.add_axes((0.05, 0.08, 0.9, 0.9))
     axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
+    # Marks are placed by the limits of the axes, so the axes are fitted first.
     _fit_axes(axes, assessed, 0.1)
     _draw_distances(axes, assessed)
     _draw_marks(axes, assessed, scale=1.7)
@@ -324,12 +335,13 @@ def draw_curve(path: Path, findings: Mapping[str, Any]) -> None:
 def _draw_axes(axes: Axes, assessed: Assessment, length: float) -> None:
     """Draw the coordinate axes, ``length`` metres long, at the corner next to the origin."""
     rotation = assessed.plan_rotation[:2, :2]
-    corner, origin = rotation @ assessed.corner.position, assessed.frame.to_map(np.zeros(3))
+    corner = rotation @ assessed.corner.position
     # Move the axes from the corner into the room.
     corner = corner + 0.15 * length * np.sign(_corners(assessed).mean(axis=0) - corner)
     for name, axis_vector in zip('xyz', np.eye(3)):
-        direction = assessed.frame.to_map(axis_vector) - origin
+        direction = assessed.frame.to_map(axis_vector) - assessed.frame.to_map(np.zeros(3))
         direction = rotation @ direction[:2] / np.linalg.norm(direction)
+        # In the plan a unit vector that is steeper than 60 degrees is shorter than 0.5.
         if np.linalg.norm(direction) < 0.5:
             continue
         axes.annotate('', corner + length * direction, corner, zorder=5, arrowprops={
@@ -350,9 +362,11 @@ def _draw_distances(axes: Axes, assessed: Assessment) -> None:
         for distance in distances:
             foot = rotation @ distance.foot
             axes.plot(*np.stack([position, foot]).T, color=INK, lw=0.8, ls=(0, (2, 2)), zorder=4)
+            # The number is on the line, a little nearer to the wall than to the camera.
             label = 0.4 * position + 0.6 * foot
             has_space = np.linalg.norm(occupied - label, axis=1).min() > 0.5 * min_length
             if has_space and np.linalg.norm(foot - position) > min_length:
+                # The text is parallel to the line and never upside down.
                 angle = np.rad2deg(np.arctan2(*(foot - position)[::-1]))
                 axes.text(label[0], label[1], f'{100.0 * distance.metres:.0f} cm', fontsize=8,
                           color=INK, ha='center', va='center', zorder=4.5,

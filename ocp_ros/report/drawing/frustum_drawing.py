@@ -36,6 +36,7 @@ def rim(model: CameraModel) -> np.ndarray:
     horizontal = np.concatenate([steps, ones, -steps, -ones])
     vertical = np.concatenate([-ones, steps, ones, -steps])
     if lens.kind == PINHOLE:
+        # For a pinhole camera the halves are tangents, which are coordinates at x = 1.
         directions = np.column_stack([np.ones(len(horizontal)), horizontal * lens.half_horizontal,
                                       vertical * lens.half_vertical])
         return directions / np.linalg.norm(directions, axis=1, keepdims=True)
@@ -55,18 +56,21 @@ def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.
     """
     position, rotation = pose[:3], rotation_matrix(*pose[3:])
     if model.lens.kind != PINHOLE:
+        # A circle around the camera, or a sector with the camera as its tip.
         half_angle = 0.5 * model.horizontal_fov
         azimuth = np.linspace(-half_angle, half_angle, 8 * EDGE_STEPS)
         horizontal = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)])
         ends = _ray_ends(position, horizontal @ rotation.T, model.max_range, heights)
         full_circle = half_angle >= np.pi - 1e-6
         return ends[:, :2] if full_circle else np.concatenate([ends, [position]])[:, :2]
-    # Directions inside the rim are needed too: the optical axis may reach farthest in the plan.
+    # Directions between the optical axis and the rim (scale 1) are needed too, since the optical
+    # axis may reach farthest in the plan.
     directions = np.concatenate([scale * rim(model) + [1.0 - scale, 0.0, 0.0]
                                  for scale in np.linspace(0.1, 1.0, 10)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     ends = _ray_ends(position, directions @ rotation.T, model.max_range, heights)
     corners = np.concatenate([ends, [position]])[:, :2]
+    # With the option QJ, corners on one line are no error.
     return corners[ConvexHull(corners, qhull_options='QJ').vertices]
 
 
@@ -91,6 +95,7 @@ def edges(model: CameraModel, pose: np.ndarray, length: float) -> np.ndarray:
     if model.lens.kind == OMNIDIRECTIONAL:
         return np.empty((0, 3))
     ring = pose[:3] + length * rim(model) @ rotation_matrix(*pose[3:]).T
+    # Each of the four edges in the ring begins at a corner of the field of view.
     rays = [np.stack([pose[:3], ring[k]]) for k in range(0, len(ring), EDGE_STEPS)]
     return chained([np.concatenate([ring, ring[:1]]),
                     *(rays if model.lens.kind == PINHOLE else [])])

@@ -53,12 +53,15 @@ def move_apart(positions: np.ndarray, min_distance: float, fixed: np.ndarray) ->
     :param fixed: (M, 2), M other positions, which do not move.
     :returns: (K, 2).
     """
+    # By the noise, equal positions get different directions to move in.
     noise = np.random.default_rng(0).standard_normal(positions.shape)
     moved = positions + 1e-3 * min_distance * noise
     for _ in range(1000):
         vectors = moved[:, None] - np.concatenate([moved, fixed])[None]
         distances = np.linalg.norm(vectors, axis=2)
+        # A position does not move away from itself.
         np.fill_diagonal(distances, 2.0 * min_distance)
+        # Each of two positions moves by half of what is missing in their distance.
         overlaps = np.maximum(min_distance - distances, 0.0) / np.maximum(distances, 1e-9)
         if not overlaps.any():
             break
@@ -84,6 +87,7 @@ def draw_numbers(axes: Axes, positions: np.ndarray, size: float, area: float,
     # Distance between the centres of two numbers, inches for each point of font size.
     spacing = 0.032
     units = units_per_inch(axes)
+    # A number covers the square of its spacing in data units.
     size = min(size, float(np.sqrt(max_covered_share * area / len(positions))) / units / spacing)
     if size < min_font_size and not always:
         for number, position in enumerate(positions):
@@ -94,6 +98,7 @@ def draw_numbers(axes: Axes, positions: np.ndarray, size: float, area: float,
     labels = move_apart(positions, min_distance, fixed)
     for number, (position, label) in enumerate(zip(positions, labels)):
         colour = camera_colour(number)
+        # A line leads from a camera to a number that was moved.
         if np.linalg.norm(label - position) > 0.2 * min_distance:
             axes.plot(*np.stack([position, label]).T, color=colour, linewidth=1.0, zorder=6)
         _draw_dot(axes, position, colour)
@@ -108,6 +113,7 @@ def units_per_inch(axes: Axes) -> float:
     (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
     box = axes.get_position(original=True)
     width, height = axes.get_figure(root=True).get_size_inches()
+    # With an equal aspect, the larger number applies to both axes.
     return max((right - left) / (box.width * width), (top - bottom) / (box.height * height))
 
 
@@ -139,6 +145,7 @@ def draw_headings(axes: Axes, placement: Placement, positions: np.ndarray, rotat
 def darkened(colour: str) -> tuple[float, float, float]:
     """Return a colour as RGB, darkened so far that white letters on the colour are readable."""
     rgb = np.array(to_rgb(colour))
+    # The shares of red, green and blue in the luminance of a colour (ITU-R BT.709).
     lightness = float(rgb @ [0.2126, 0.7152, 0.0722])
     return tuple(rgb * min(1.0, 0.5 / max(lightness, 1e-6)))
 

@@ -86,6 +86,8 @@ def _picture_page(assessed: Assessment, facts: PageFacts) -> Figure:
     _draw_head(figure, facts)
     has_table_page = len(assessed.placement.cameras) > MAX_ROWS
     top = TABLE_BOTTOM if has_table_page else _draw_table(figure, assessed, facts)
+    # From the bottom: table, note, legend, and pictures up to 6.52 inches; above are the titles of
+    # the pictures and the key figures.
     lower_edge = top + 0.58
     boxes = _picture_boxes(assessed, lower_edge, 6.52 - lower_edge)
     pictures.draw_room_plan(_titled_axes(figure, boxes.plan, 'Plan (m)'), room, assessed)
@@ -158,6 +160,7 @@ def _picture_boxes(assessed: Assessment, bottom: float, height: float) -> _Pictu
         errors = (MARGIN + map_width + 0.15, bottom, map_width, map_height)
         looks_left = MARGIN + plan_width + 0.45
     else:
+        # The plan has a margin of a tenth of the longer edge on each side.
         border = 0.2 * max(width, depth)
         plan_width = float(np.clip(height * (width + border) / (depth + border), min_plan_width,
                                    max_plan_width))
@@ -166,6 +169,7 @@ def _picture_boxes(assessed: Assessment, bottom: float, height: float) -> _Pictu
         counts = (left, bottom + half_height + title_height, map_width, half_height)
         errors = (left, bottom, map_width, half_height)
         looks_left = left + map_width + 0.63
+    # Two columns of perspective views, the upper row first.
     look_width = 0.5 * (PAGE_WIDTH - MARGIN - looks_left - 0.1)
     looks = [(looks_left + column * (look_width + 0.1),
               bottom + row * (half_height + title_height), look_width, half_height)
@@ -176,6 +180,7 @@ def _picture_boxes(assessed: Assessment, bottom: float, height: float) -> _Pictu
 def _draw_bar(figure: Figure, image: AxesImage, box: Box) -> None:
     """Draw the colour bar of the error map in a box."""
     bar = figure.colorbar(image, cax=_add_axes(figure, box))
+    # The height of the box, inches, limits the size and the length of the label.
     size = 6.0 if box[3] > 1.6 else 5.0
     bar.set_label('depth error per floor area (mm/m²)' if box[3] > 1.4 else 'mm/m²', fontsize=size,
                   color=PALE_INK, labelpad=2.0)
@@ -201,6 +206,7 @@ def _bar_ticks(maximum: float) -> np.ndarray:
     """Return 0 and three round values (4,) up to the maximum of a colour bar."""
     unit = 10.0 ** np.floor(np.log10(maximum))
     rounded = np.floor(maximum / unit) * unit
+    # The colours follow the square root, so these values are evenly spaced on the bar.
     return np.array([0.0, 0.1 * rounded, 0.4 * rounded, rounded])
 
 
@@ -209,6 +215,7 @@ def _draw_head(figure: Figure, facts: PageFacts) -> None:
     max_doubts = 2
     hidden = len(facts.doubts) - max_doubts
     for number, doubt in enumerate(facts.doubts[:max_doubts]):
+        # The last doubt that fits ends with the number of the others.
         text = f'{doubt} (and {hidden} more)' if hidden > 0 and number == max_doubts - 1 else doubt
         write(figure, (PAGE_WIDTH - MARGIN, 7.72 - 0.13 * number), text, width=6.0, size=6.2,
               colour=BAD_COLOUR, align='right')
@@ -258,12 +265,13 @@ def _draw_table(figure: Figure, assessed: Assessment, facts: PageFacts,
         rows.append([number, name, '' if name.startswith(sensor) else sensor, place,
                      height.replace(' above the floor', ''), *angles_and_coordinates,
                      camera.reduction])
-    # The column of sensors is left out if the names of the cameras tell the sensors.
+    # The column of sensors is left out if each camera's name begins with its sensor.
     if not any(row[2] for row in rows[1:]):
         rows = [[*row[:2], *row[3:]] for row in rows]
     low_row_height = 0.135
     row_height = row_height or (ROW_HEIGHT if len(rows) - 1 <= 9 else low_row_height)
     height = row_height * len(rows)
+    # Lower rows have smaller fonts.
     draw_table(figure, (MARGIN, TABLE_BOTTOM, INNER_WIDTH, height), rows,
                7.2 if row_height == ROW_HEIGHT else 6.2 if row_height >= low_row_height else 5.4,
                [darkened(camera_colour(number)) for number in range(len(rows) - 1)])

@@ -70,6 +70,8 @@ def room_of(points: np.ndarray, colours: np.ndarray) -> Room:
     :param colours: (N, 3) RGB of the N points; any array with N rows is allowed.
     """
     normals, radii = _fit_discs(points)
+    # The radius of a disc is about the distance of neighbouring points. The search for walls and
+    # the ceiling needs areas with several points.
     pitch = float(np.median(radii))
     inward = _inward_vectors(points, normals, max(0.25, 3.0 * pitch))
     room = Room(points, normals, inward, radii, colours)
@@ -107,10 +109,13 @@ def _fit_discs(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     distances, neighbours = cKDTree(points).query(points, k=min(PLANE_NEIGHBOURS, len(points)))
     normals = edge_aware_normals(points, neighbours)
     offsets = points[neighbours[:, :10]] - points[:, None]
+    # The spread of neighbours off the plane of the point.
     misfits = np.einsum('nki,ni->nk', offsets, normals).std(axis=1)
+    # Column 0 is the distance of a point from itself.
     pitches = distances[:, 1:5].mean(axis=1)
     median_pitch = max(float(np.median(pitches)), 1e-3)
     pitches = np.clip(pitches, 0.8 * median_pitch, 1.5 * median_pitch)
+    # The factor is 1 on a surface and falls with the misfit to 0.6.
     return normals, pitches * np.clip(1.35 - 1.4 * misfits / pitches, 0.6, 1.0)
 
 
@@ -119,7 +124,7 @@ def _group_columns(points: np.ndarray, width: float) -> tuple[np.ndarray, np.nda
     Group points in columns over square cells of the plan.
 
     :param points: (N, 3) metres.
-    :param width: of the cells, metres.
+    :param width: width of the cells, metres.
     :returns: column number of each point (N,), and height of the highest point of each of M
         columns (M,).
     """
@@ -145,6 +150,7 @@ def _find_ceiling(points: np.ndarray, normals: np.ndarray, width: float) -> np.n
     columns, tops = _group_columns(points, width)
     lids = (np.abs(normals[:, 2]) > 0.8) & (z > tops[columns] - 0.2)
     lids &= z > floor + max(HEADROOM_M, 0.6 * (highest - floor))
+    # Lids in fewer columns than this are no ceiling.
     if len(np.unique(columns[lids])) < 0.12 * len(tops):
         return np.zeros(len(points), dtype=bool)
     # Lamps and the upper ends of walls are removed with the ceiling.
@@ -172,6 +178,7 @@ def _inward_vectors(points: np.ndarray, normals: np.ndarray, radius: float) -> n
         level_tree.query_ball_point((positions + sign * radius * wall_normals)[:, :2], radius,
                                     return_length=True) for sign in (1.0, -1.0))
     balance = (front_counts - back_counts) / np.maximum(front_counts + back_counts, 1)
+    # A vote without a clear majority counts 0.
     votes = wall_normals * (balance * (np.abs(balance) > 0.4))[:, None]
     _, neighbours = cKDTree(positions).query(positions, k=min(60, len(positions)))
     inward[upright] = votes[neighbours].mean(axis=1)
@@ -179,7 +186,8 @@ def _inward_vectors(points: np.ndarray, normals: np.ndarray, radius: float) -> n
 
 
 def _view_rotation(azimuth: float, elevation: float) -> np.ndarray:
-    """Return the rotation to the viewer's axes (right, up, towards the viewer): (3, 3)."""
+    """Return the rotation (3, 3) to the viewer's axes: right, up, towards the viewer."""
+    # Cosine and sine of the azimuth and of the elevation of the viewer, seen from the room.
     (c, s), (ce, se) = ((np.cos(angle), np.sin(angle)) for angle in (azimuth, elevation))
     return np.array([[-s, c, 0.0], [-se * c, -se * s, ce], [ce * c, ce * s, se]])
 
@@ -193,10 +201,14 @@ def cut_open(room: Room, view: np.ndarray) -> Room:
     z, normal_z = room.points[:, 2], np.abs(room.normals[:, 2])
     columns, tops = _group_columns(room.points, width=0.3)
     floor, highest = np.percentile(z, [2.0, 99.5])
-    # Keep or remove whole columns: a decision by point would leave isolated points.
+    # Keep or remove whole columns, since a decision by point would leave isolated points.
+    # For each column, how much the inner sides of walls face away from the viewer, as a sum over
+    # the points, and the number of points of walls.
     back_votes = np.bincount(columns, -(room.inward @ view[2]))
     wall_points = np.bincount(columns, normal_z < 0.5)
+    # Only columns that reach into the upper quarter of the room are walls.
     removed = (back_votes > 0.15 * wall_points) & (tops > floor + 0.75 * (highest - floor))
+    # Level surfaces below head height, such as the floor, stay.
     return room.select(~(removed[columns] & ((normal_z < 0.8) | (z > floor + HEADROOM_M))))
 
 
@@ -211,11 +223,14 @@ def open_view(room: Room) -> tuple[np.ndarray, Room]:
         view = _view_rotation(azimuth, ELEVATION)
         shown_room = cut_open(room, view)
         positions = shown_room.points @ view.T
+        # A pixel is as wide as a disc. In some versions of NumPy, the numbers have a second axis.
         pixels = np.floor(positions[:, :2] / (2.0 * np.median(shown_room.radius))).astype(np.int64)
-        _, pixels = np.unique(pixels, axis=0, return_inverse=True)
-        nearest = np.full(pixels.max() + 1, -np.inf)
-        np.maximum.at(nearest, pixels.ravel(), positions[:, 2])
-        visible = positions[:, 2] > nearest[pixels.ravel()] - 0.3
+        _, numbers = np.unique(pixels, axis=0, return_inverse=True)
+        # The coordinate towards the viewer of the nearest point in each pixel; points up to 0.3 m
+        # behind it are visible.
+        nearest = np.full(numbers.max() + 1, -np.inf)
+        np.maximum.at(nearest, numbers.ravel(), positions[:, 2])
+        visible = positions[:, 2] > nearest[numbers.ravel()] - 0.3
         is_level = np.abs(shown_room.normals[:, 2]) > 0.8
         candidates.append((np.count_nonzero(visible & is_level), view, shown_room))
     _, view, shown_room = max(candidates, key=lambda candidate: candidate[0])
@@ -265,13 +280,17 @@ def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
     :returns: the outline of the room, to clip the drawn ranges.
     """
     project = eye or (lambda points: points @ view[:2].T)
+    # Turn the normals towards the viewer.
     normals = room.normals * np.where(room.normals @ view[2] < 0.0, -1.0, 1.0)[:, None]
-    # Right, up and towards the viewer.
+    # The direction of the light in the viewer's axes: right, up and towards the viewer.
     to_light = np.array([-0.35, 0.6, 0.72])
     shade = 1.05 - contrast * 0.33 * (1.0 - np.clip(normals @ view.T @ to_light, 0.0, 1.0))
+    # Two directions in the plane of each disc; the first is perpendicular to z or x, whichever is
+    # not nearly parallel to the normal.
     tangents = np.cross(normals, np.where(np.abs(normals[:, 2:]) < 0.7, (0, 0, 1.0), (1.0, 0, 0)))
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     bitangents = np.cross(normals, tangents)
+    # Each disc is drawn as an octagon.
     angles = np.arange(8)[:, None] * (np.pi / 4.0)
     rims = np.cos(angles) * tangents[:, None] + np.sin(angles) * bitangents[:, None]
     discs = project(room.points[:, None] + room.radius[:, None, None] * rims)
@@ -279,6 +298,7 @@ def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
     colours = np.clip(room.colours * shade[:, None], 0.0, 1.0)[order]
     # A wall seen edge-on is drawn by the lines of its discs, so these are thicker.
     widths = np.where(np.abs(normals @ view[2]) < 0.2, 4.5, 0.8)[order]
+    # With the option QJ, centres on one line are no error.
     centres = project(room.points)
     corners = centres[ConvexHull(centres, qhull_options='QJ').vertices]
     outline = Polygon(corners, fill=False, linewidth=0)

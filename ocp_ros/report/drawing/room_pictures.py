@@ -144,6 +144,7 @@ def _draw_cutaway(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -
     view, shown_room = open_view(room)
     outline = draw_discs(axes, shown_room, view)
     floor = float(np.percentile(shown_room.points[:, 2], 2.0))
+    # A dashed line from each camera down to the floor.
     for position in paths[-1]:
         vertical = np.array([position, [*position[:2], floor]]) @ view[:2].T
         axes.plot(*vertical.T, color=INK, linewidth=1.0, linestyle=(0, (2, 2)), zorder=3)
@@ -156,9 +157,11 @@ def _draw_cutaway(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -
 def _draw_triad(axes: Axes, view: np.ndarray) -> None:
     """Draw the axes x, y and z, each of a round length, in the lower left corner."""
     (left, right), (bottom, _) = axes.get_xlim(), axes.get_ylim()
+    # The largest round length up to 13 % of the width of the picture.
     lengths = np.array([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0])
     length = lengths[max(np.searchsorted(lengths, 0.13 * (right - left)) - 1, 0)]
     axis_vectors = length * view[:2].T
+    # The leftmost and the lowest end of the arrows are 0.2 lengths from the corner.
     origin = np.array([left, bottom]) + 0.2 * length - np.minimum(axis_vectors, 0.0).min(axis=0)
     for name, tip in zip('xyz', axis_vectors):
         axes.annotate('', origin + tip, origin, zorder=8,
@@ -177,7 +180,7 @@ def draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | Non
     :param moved: whether the cameras moved, so that starts and paths are drawn.
     :param unseen: text after "not observed"; None if the colours show heights only.
     """
-    # A ladder of four points, one above the other.
+    # Four points at different heights, whose colours the legend shows.
     points = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
     style = {'color': PALE_INK, 'linestyle': 'none', 'marker': 'o'}
     entries = {
@@ -206,6 +209,7 @@ def draw_rooms(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
     :param columns: largest number of rooms in a row.
     """
     columns = min(columns, len(scenes))
+    # The quotient is rounded up.
     rows = -(-len(scenes) // columns)
     figure = Figure(figsize=(5.0 * columns, 4.2 * rows), dpi=75, facecolor='white')
     for number, (title, scene) in enumerate(scenes):

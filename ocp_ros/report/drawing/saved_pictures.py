@@ -98,8 +98,10 @@ def shortened(text: str, width: float, size: float, bold: bool = False) -> str:
     text = in_one_line(text)
     if width_of(text, size, bold) <= width:
         return text
+    # The largest number of letters that fits together with the dots.
     letters = bisect_right(range(1, len(text)), width,
                            key=lambda count: width_of(text[:count] + '...', size, bold))
+    # A backslash at the end would be left of an escaped $.
     return text[:letters].rstrip('\\ ') + '...'
 
 

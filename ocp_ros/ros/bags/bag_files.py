@@ -89,6 +89,7 @@ class Bag:
                 self._is_ros1, self._bag_path, self._files = _identify_bag(self.path)
                 self._description = self._start_process()
         except BaseException:
+            # Python does not call __exit__ if the constructor fails.
             self.__exit__()
             raise
 
@@ -111,7 +112,8 @@ class Bag:
         """Start the process that reads; return its description of the bag, topics and times."""
         size = sum(file.stat().st_size for file in self._files)
         packed_files = sum(file.suffix == PACKED_SUFFIX for file in self._files)
-        # Compressed files may together unpack to 500 MB, and 50 bytes for each byte of the bag.
+        # All compressed files together may unpack to 500 MB plus 50 times the size of the bag. The
+        # process has a limit for each file that it writes: one for each compressed file.
         unpacked_bytes = 500_000_000 + 50 * size
         self._process = GuardedProcess(
             'ocp_ros.ros.bags.bag_process',
@@ -120,6 +122,7 @@ class Bag:
             ReadingCost(memory=1_500_000_000, memory_per_byte=0, seconds=10), size,
             unpacked_bytes // max(packed_files, 1),
             {'TMPDIR': self._folder.name, 'SQLITE_TMPDIR': self._folder.name})
+        # The content of the first answer is the description.
         return json.loads(self._read_answer()[-1])
 
     def _read_answer(self) -> tuple[int, int, int, bytearray]:
@@ -179,10 +182,15 @@ class Bag:
     @property
     def seconds(self) -> float:
         """Return the duration of the recording, seconds."""
+        # rosbags ends a bag one nanosecond after its last message.
         return max(self._description['end'] - 1 - self.start, 0) * 1e-9
 
     def frames(self, topic: Topic) -> list[str]:
-        """Return the frames of the first 20 messages of a topic; empty unless clouds or poses."""
+        """
+        Return the frames of the first 20 messages of a topic, sorted, each once.
+
+        :returns: '?' stands for a frame that cannot be read; empty unless clouds or poses.
+        """
         if KINDS.get(topic.kind) not in (CLOUD, POSES):
             return []
         return sorted({_frame_of(message.cdr) if isinstance(message, Recorded) else '?'
@@ -217,7 +225,8 @@ class Bag:
                             f'{name}: found a message that is no {kind} '
                             f'({content.decode()}); expected one; it is left out')
             except BaseException:
-                # The process would still send the remaining answers to this request: end it.
+                # An error, or a caller that needs no more messages: end the process, which would
+                # still send the other answers to this request.
                 self._end_process()
                 raise
 
@@ -272,6 +281,7 @@ def _identify_bag(path: Path) -> tuple[bool, Path, list[Path]]:
         raise ConfigurationError(f'{path}: found {found}; {expected}; {remedy}')
     if not path.is_file():
         raise ConfigurationError(f'{path}: found a pipe or a device; {expected}; correct the path')
+    # A ROS 1 bag begins with these bytes.
     with open(path, 'rb') as file:
         if file.read(9) != b'#ROSBAG V':
             raise ConfigurationError(f'{path}: found a file that is no bag; {expected}; correct '
@@ -284,7 +294,8 @@ def _check_metadata(path: Path) -> None:
     # At most 2 MB are read: a bag of hundreds of topics and files has a tenth of that.
     text = read_regular(path, 2_000_000)
     loader = getattr(yaml, 'CSafeLoader', yaml.SafeLoader)
-    # This finds all aliases and some other texts; the parser decides which they are.
+    # The pattern finds all aliases and some other texts. If it finds any, the parser looks for
+    # aliases: it lists the events of the text and expands nothing.
     alias = re.compile(rb'(^|[\s,\[{])\*\w')
     if alias.search(text) and any(isinstance(event, yaml.AliasEvent)
                                   for event in yaml.parse(text, loader)):
@@ -293,7 +304,10 @@ def _check_metadata(path: Path) -> None:
 
 def _frame_of(cdr: bytes) -> str:
     """Return the frame of a serialised message that begins with a header; '?' if there is none."""
-    # The frame, a text that ends with a zero byte, follows byte order, stamp and text length.
+    # CDR: 4 bytes with the byte order (the second is even for big-endian), the stamp in 8 bytes,
+    # the length of the text in 4 bytes, and the text, which ends with a zero byte.
+    if len(cdr) < 16:
+        return '?'
     length, = struct.unpack_from('>I' if cdr[1] % 2 == 0 else '<I', cdr, 12)
     # A text of more than 1000 bytes is no name of a frame.
     if length > min(1000, len(cdr) - 16):

@@ -70,11 +70,12 @@ def refuse_unsafe_schema(path: Path) -> None:
     tables = {'schema', 'metadata', 'topics', 'messages', 'message_definitions', 'sqlite_sequence',
               'sqlite_stat1', 'sqlite_stat4'}
     for kind, name, sql in list(database.execute('SELECT type, name, sql FROM sqlite_master')):
+        # Virtual tables begin with other words: CREATE VIRTUAL TABLE.
         is_plain = kind == 'index' or (kind == 'table' and name in tables and
                                        sql.lstrip()[:13].upper().startswith('CREATE TABLE'))
-        # The last column is not 0 for columns that are computed or hidden.
-        if not is_plain or kind == 'table' and any(
-                column[-1] for column in database.execute(f'PRAGMA table_xinfo("{name}")')):
+        # The last value of a row of table_xinfo is not 0 if the column is computed or hidden.
+        if not is_plain or (kind == 'table' and any(
+                column[-1] for column in database.execute(f'PRAGMA table_xinfo("{name}")'))):
             raise ValueError(f'{path.name} has the {kind} {name[:60]!r}, which is none of a bag')
     database.close()
 
@@ -101,6 +102,7 @@ def open_reader(path: Path, is_ros1: bool) -> Any:
                 refuse_unsafe_schema(self.path)
                 super().open()
 
+        # rosbags takes the reader of SQLite files from this dictionary.
         DirectoryReader.STORAGE_PLUGINS = {**DirectoryReader.STORAGE_PLUGINS,
                                            'sqlite3': CheckedReader}
         reader = Reader(path)
@@ -153,7 +155,7 @@ class AnswerWriter:
         """
         connections = [connection for connection in self._reader.connections
                        if connection.topic in names and connection.msgtype in KINDS]
-        # The reader would take no connections for all connections.
+        # Without connections the reader would read the messages of all topics.
         recorded = self._reader.messages(connections, start, stop) if connections else ()
         for connection, time, raw in islice(recorded, max_messages):
             topic = self._names.index(connection.topic)
@@ -185,12 +187,12 @@ def check_element_count(raw: bytes, kind: str) -> None:
     """
     count_offset = 0
     if kind != TRANSFORMS:
-        # The header has a number, a stamp of 8 bytes and the frame, a text with its length. In a
-        # cloud, height and width follow.
+        # The header has a number (4 bytes), a stamp (8), and the frame: the length of the text (4)
+        # and the text. In a cloud, height and width (4 each) follow.
         frame_length, = struct.unpack_from('<I', raw, 12)
         count_offset = 16 + frame_length + (8 if kind == CLOUD else 0)
     count, = struct.unpack_from('<I', raw, count_offset)
-    # The elements are fields (of a cloud), poses and transforms.
+    # The elements are fields (of a cloud), poses and transforms; these sizes are with empty texts.
     min_element_bytes = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
     if count * min_element_bytes[kind] > len(raw):
         raise ValueError(f'{count:,} parts in {len(raw):,} bytes')
@@ -229,6 +231,7 @@ def main(arguments: list[str]) -> int:
             print('more memory than a bag needs', file=sys.stderr)
             return 1
         except BrokenPipeError:
+            # The process that asked has ended.
             return 1
         except Exception as error:
             print(' '.join(str(error).split()) or type(error).__name__, file=sys.stderr)

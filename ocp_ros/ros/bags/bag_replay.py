@@ -80,7 +80,9 @@ class Replay(Node):
         self.left_out_count = 0
         self._cloud_topics = [name for name, (kind, _) in self.topics.items() if kind == CLOUD]
         self._given_frames = dict(options.frames)
+        # The name '' stands for all other topics.
         check_known([name for name in self._given_frames if name], self._cloud_topics, '--frame')
+        # Topics that are no clouds are poses.
         has_poses = len(self._cloud_topics) < len(self.topics)
         self._has_transforms = any(KINDS.get(t.kind) == TRANSFORMS for t in bag.topics)
         #: Whether this node publishes poses: from the command line, or from transforms.
@@ -90,9 +92,10 @@ class Replay(Node):
         self._cloud_poses: dict[str, Pose] = {}
         self._make_publishers()
         self._scheduled_items = self._schedule()
-        #: The next of these items; None until it is read.
+        #: The next scheduled item; None until it is read.
         self._next_item: tuple[float, int, Recorded | BrokenMessage] | None = None
-        #: Times of a steady clock: when the replay began, and when it begins without subscribers.
+        #: Times of a steady clock: when the replay began, and when it begins even without
+        #: subscribers.
         self._start_time: float | None = None
         self._wait_deadline = time.monotonic() + options.wait
         self._timer = create_steady_timer(self, 0.05, self._publish_next)
@@ -141,6 +144,7 @@ class Replay(Node):
         stamp_shift = 0
         while True:
             cloud_count = 0
+            # Time of the message; a broken message has none and gets that of the message before.
             last_ns = begin_ns
             for item in self.bag.messages(names, first_ns, end_ns):
                 if isinstance(item, Recorded):
@@ -183,7 +187,7 @@ class Replay(Node):
             self.get_logger().warning(f'found no subscriber of {", ".join(unheard_topics)} after '
                                       f'{self.options.wait:g} s; expected policy_node with these '
                                       'cloud_topics; going on')
-        # Subscribers may discover the publisher later than it discovers them.
+        # Subscribers may discover the publisher later than it discovers them: wait 0.3 s more.
         self._start_time = now + (0.0 if unheard_topics else 0.3)
 
     def _publish_due(self) -> None:
@@ -201,6 +205,7 @@ class Replay(Node):
         if wait_s <= 0.0:
             self._next_item = None
             self._publish(item, stamp_shift)
+        # After a message was published, the next one is read at once.
         self._timer.timer_period_ns = int(1e9 * min(max(wait_s, 1e-4), 1.0))
 
     def flush(self) -> None:
@@ -225,6 +230,7 @@ class Replay(Node):
                 self._tree.add(self.bag.transforms(item.cdr))
                 return
             message = self._deserialize(item)
+            # A message without a stamp gets the time of its recording.
             stamp = stamp_to_ns(message.header.stamp) or item.time
             message.header.stamp = ns_to_stamp(stamp + stamp_shift)
             if item.kind == CLOUD:
@@ -255,10 +261,12 @@ class Replay(Node):
                 self._cloud_poses[topic] = self._look_up_camera_pose(topic, frame, is_optical)
             if len(self._cloud_poses) == len(self._cloud_topics):
                 self._publish_camera_poses(cloud.header)
+            # Clouds in the frame of the poses keep it, and so do those that name their camera.
             if frame != self.options.fixed_frame and not (
                     self.options.poses and CAMERA_FRAME.fullmatch(frame)):
                 number = self._cloud_topics.index(topic)
-                cloud.header.frame_id = f'camera_{number}' + is_optical * '_optical'
+                cloud.header.frame_id = f'camera_{number}{"_optical" if is_optical else ""}'
+        # The command line may name another frame for this topic, or (as '') for all other topics.
         given_frame = self._given_frames.get(topic, self._given_frames.get('', ''))
         cloud.header.frame_id = given_frame or cloud.header.frame_id
 
@@ -271,6 +279,7 @@ class Replay(Node):
                 f'no transform from {frame!r} to {fixed_frame!r}')
             raise MessageError(f'{topic}: found {found}; expected one that says where the camera '
                                'is; name another --fixed-frame, or add --pose for each cloud')
+        # The axes of a recorded optical frame are rotated to those of the body.
         return Pose(pose.position, pose.rotation @ OPTICAL_TO_BODY.T) if is_optical else pose
 
     def _publish_camera_poses(self, header: Header) -> None:

@@ -52,13 +52,15 @@ def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -
     """
     Choose the topic of each camera.
 
-    A camera gets the topic that has its name as a part between slashes; cameras without such a
-    topic get none. If no name is found, there has to be a topic for each camera, in their order.
+    A camera gets the topic that has its name as a part between slashes. A camera with no such
+    topic, or with several, gets none. If no camera gets a topic in this way, there has to be a
+    topic for each camera, in their order.
 
+    :returns: topic by the name of the camera.
     :raises ConfigurationError: if no name is found and the numbers of topics and cameras differ.
     """
-    named = {name: [topic for topic in topics if name in topic.split('/')] for name in names}
-    unique = {name: matches[0] for name, matches in named.items() if len(matches) == 1}
+    matches = {name: [topic for topic in topics if name in topic.split('/')] for name in names}
+    unique = {name: matching[0] for name, matching in matches.items() if len(matching) == 1}
     if unique:
         return unique
     if len(topics) != len(names):
@@ -70,7 +72,7 @@ def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -
 
 
 def _read_cloud(bag: Bag, topic: str, frame: str | None) -> np.ndarray:
-    """Return the points, (N, 3) metres, of the first five clouds of a topic together."""
+    """Return the points, (N, 3) metres, body frame, of the first five clouds of a topic."""
     clouds = []
     reason = 'it has no message'
     for item in islice(bag.messages([topic]), 5):
@@ -78,11 +80,12 @@ def _read_cloud(bag: Bag, topic: str, frame: str | None) -> np.ndarray:
             if not isinstance(item, Recorded):
                 raise item
             message = deserialize_message(item.cdr, PointCloud2)
-            is_optical = frame == 'optical' if frame else \
+            is_optical = (frame == 'optical') if frame else \
                 message.header.frame_id.endswith(OPTICAL_FRAME_ENDINGS)
             points = msg_to_cloud(message)
             clouds.append(points @ OPTICAL_TO_BODY.T if is_optical else points)
-        except (MessageError, ValueError) as error:
+        # rclpy raises RuntimeError for bytes that are no message.
+        except (MessageError, ValueError, RuntimeError) as error:
             reason = str(error)
     if not clouds:
         raise ConfigurationError(f'{bag.path}: found no cloud on {topic} that can be read '

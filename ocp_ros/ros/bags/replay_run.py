@@ -70,6 +70,7 @@ def pose_of(text: str) -> np.ndarray:
 
 def describe_topics(bag: Bag) -> list[dict[str, Any]]:
     """Return a description of each topic of a bag, with the name under which it is published."""
+    # A bag without clouds, of which no topic would be published, is described too.
     chosen: dict[str, tuple[str, str]] = {}
     with suppress(ConfigurationError):
         chosen = choose_topics(bag, ())
@@ -119,7 +120,8 @@ def _publish_bag(bag: Bag, options: ReplayOptions) -> dict[str, Any]:
     """Publish a bag to its end; return the numbers of messages published and left out."""
     stay_local()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    executor, node = SingleThreadedExecutor(), None
+    executor = SingleThreadedExecutor()
+    node = None
     try:
         with _record_signals(executor) as received:
             node = Replay(bag, options)

@@ -85,6 +85,7 @@ def value_cloud(points: np.ndarray, name: str, values: np.ndarray, header: Heade
     datatype = PointField.UINT32 if values.dtype == np.uint32 else PointField.FLOAT32
     records = np.empty(len(points), dtype=[('xyz', '<f4', 3), ('value', values.dtype)])
     records['xyz'], records['value'] = points, values
+    # An empty cloud has the fields x, y and z; the sizes and the data follow.
     message = cloud_to_msg(points[:0], header)
     message.width = len(records)
     message.fields = [*message.fields, PointField(name=name, offset=message.point_step,
@@ -119,7 +120,8 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
         return np.empty((0, 3), dtype=np.float32)
     points = np.empty((height, width, 3), dtype=np.float32)
     byte_order = '>' if message.is_bigendian else '<'
-    # Values too large for float32 become inf, and their points are left out below.
+    # Values too large for float32 become inf, and their points are left out below. Each field is
+    # read through a view of the data, with the bytes from row to row and from point to point.
     with np.errstate(over='ignore', invalid='ignore'):
         for k, field in enumerate(fields):
             points[..., k] = np.ndarray((height, width), byte_order + NUMPY_TYPES[field.datatype],
@@ -131,11 +133,11 @@ def msg_to_cloud(message: PointCloud2) -> np.ndarray:
 
 def _float_field(message: PointCloud2, name: str) -> PointField:
     """Return the field of a name; refuse it unless it is a single float within each point."""
-    found = [field for field in message.fields if field.name == name]
-    if len(found) != 1:
+    same_name = [field for field in message.fields if field.name == name]
+    if len(same_name) != 1:
         names = [field.name for field in message.fields]
         raise MessageError(f'cloud: found the fields {names}; expected one each of x, y and z')
-    field = found[0]
+    field = same_name[0]
     if field.datatype not in NUMPY_TYPES or field.count > 1:
         raise MessageError(f'cloud: found field {name} of datatype {field.datatype} x '
                            f'{field.count}; expected one FLOAT32 or FLOAT64')
@@ -187,6 +189,7 @@ def replaced(poses: PoseArray, camera: int, pose: Pose) -> PoseArray:
     """
     message = PoseArray(header=poses.header, poses=[
         pose if number == camera else before for number, before in enumerate(poses.poses)])
+    # This checks the new pose; the result is not needed.
     msg_to_poses(message)
     return message
 
@@ -207,7 +210,7 @@ def msg_to_positions(message: PoseArray, expected_count: int | None = None) -> n
         finite or beyond 10,000 km.
     """
     count = len(message.poses)
-    if not 1 <= count <= MAX_CAMERAS or expected_count not in (None, count):
+    if not (1 <= count <= MAX_CAMERAS) or expected_count not in (None, count):
         expected = expected_count or f'at least 1, at most {MAX_CAMERAS}'
         raise MessageError(f'poses: found {count} cameras; expected {expected}')
     positions = np.array([[p.position.x, p.position.y, p.position.z] for p in message.poses])
@@ -243,6 +246,7 @@ def rotation_of(quaternion: Quaternion, owner: str) -> np.ndarray:
     :raises MessageError: if the quaternion is zero or not finite.
     """
     xyzw = np.array([quaternion.x, quaternion.y, quaternion.z, quaternion.w])
+    # A shorter quaternion counts as zero. A length of NaN fails the comparison too.
     if not 1e-6 < (length := math.hypot(*xyzw)) < np.inf:
         raise MessageError(f'{owner}: found the quaternion {xyzw.tolist()}; expected one of '
                            'length 1; send x, y, z, w = 0, 0, 0, 1 for a level camera along x')

@@ -33,8 +33,9 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_msgs.msg import Header
 
-#: Names of camera frames, with the number of the camera among the poses. Body frames have x
-#: forward, y left, z up; optical frames have z forward, x right, y down (REP-103).
+#: Names of camera frames, with the number of the camera among the poses (four digits are enough
+#: for every rig). The groups of a match are this number, and ``_optical`` or None. Body frames
+#: have x forward, y left, z up; optical frames have z forward, x right, y down (REP-103).
 CAMERA_FRAME = re.compile(r'camera_([0-9]{1,4})(_optical)?')
 
 
@@ -103,8 +104,8 @@ class Transforms:
         """
         Look up the pose of a frame in the frame of the rig.
 
-        The newest transform is taken, not the one at the stamp of a cloud: transforms may arrive
-        later than clouds, and cameras stand still while their clouds are used.
+        The newest transform is taken (time 0), not the one at the stamp of a cloud: transforms may
+        arrive later than clouds, and cameras stand still while their clouds are used.
 
         :raises LateTransformError: if the newest transform is older than the arrival of the
             cameras.
@@ -181,6 +182,7 @@ class CameraFrames:
         """
         if self._message_type is None:
             return
+        # The static frames are latched: they are published again only for another number.
         if len(poses) != self._camera_count:
             self._publish_static_frames(header, len(poses))
         self._tf_publisher.publish(self._message_type(transforms=[
@@ -190,6 +192,7 @@ class CameraFrames:
     def _publish_static_frames(self, header: Header, camera_count: int) -> None:
         """Publish the static frames of those cameras whose frames no other node publishes."""
         parent = header.frame_id.lstrip('/')
+        # ``is_published`` may find the frames of this node too: they are not foreign.
         foreign_cameras = {camera for camera in range(camera_count)
                            if camera not in self._own_cameras
                            and self._is_published(f'camera_{camera}', parent)}
@@ -238,15 +241,15 @@ def transform_cloud(points: np.ndarray, frame: str, rig: LiveRig, transforms: Tr
     if frame == rig.frame.lstrip('/'):
         return points, rig.positions
     camera_positions = rig.positions
-    name = CAMERA_FRAME.fullmatch(frame)
-    if name is None or int(name[1]) >= len(rig.poses):
+    match = CAMERA_FRAME.fullmatch(frame)
+    if match is None or int(match[1]) >= len(rig.poses):
         pose = transforms.look_up_pose(frame, rig)
         if np.linalg.norm(rig.positions - pose.position, axis=1).min() <= 0.3:
             camera_positions = pose.position[None]
     else:
-        pose = rig.poses[int(name[1])]
+        pose = rig.poses[int(match[1])]
         camera_positions = pose.position[None]
-        is_optical = name[2] is not None
+        is_optical = match[2] is not None
         _check_axes(points, frame, is_optical)
         if is_optical:
             pose = Pose(pose.position, pose.rotation @ OPTICAL_TO_BODY)
@@ -257,12 +260,14 @@ def transform_cloud(points: np.ndarray, frame: str, rig: LiveRig, transforms: Tr
 
 
 def _check_axes(points: np.ndarray, frame: str, is_optical: bool) -> None:
-    """Refuse a cloud (N, 3) that lies ahead of the camera only if x and z change their roles."""
-    # Fewer points show nothing.
+    """Refuse a cloud (N, 3) that lies ahead of the camera only by the axes of another frame."""
+    # Fewer points are no evidence.
     if len(points) < 100:
         return
+    # A point lies ahead if it is within 66 degrees of the axis, whose cosine is 0.4.
     least_depth = 0.4 * np.linalg.norm(points.astype(np.float64), axis=1)
     shares_ahead = {axis: np.mean(points[:, 'xyz'.index(axis)] > least_depth) for axis in 'xz'}
+    # The axis that is forward in the other frame, and in this one: x in body frames, z in optical.
     wrong_axis, right_axis = 'xz' if is_optical else 'zx'
     nearly_all = 0.999
     if shares_ahead[wrong_axis] < nearly_all or shares_ahead[right_axis] >= nearly_all:
@@ -287,6 +292,7 @@ def points_in_range(points: np.ndarray, camera_positions: np.ndarray, min_range:
     """
     # Squared distance of each point to its nearest camera.
     nearest_squared = np.full(len(points), np.inf, dtype=np.float32)
+    # Points too far away for float32 get inf or NaN, which fmin ignores: they are out of range.
     with np.errstate(over='ignore', invalid='ignore'):
         for camera_position in camera_positions.astype(np.float32):
             offsets = points - camera_position

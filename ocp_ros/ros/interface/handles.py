@@ -92,7 +92,8 @@ def handle_of(number: int, pose: Pose, frame: str) -> InteractiveMarker:
     :param pose: of the camera.
     :param frame: frame of the pose. RViz returns poses in this frame too, since the stamp is 0.
     """
-    # Rotations of 90 degrees about x, y and z make the axis of a control parallel to x, z and y.
+    # A control moves along and rotates about its own x axis. Rotations of 90 degrees about x, y
+    # and z make this axis parallel to x, z and y.
     half_root = 0.5 ** 0.5
     controls = [InteractiveMarkerControl(name=f'{axis}_{mode}', interaction_mode=mode,
                                          orientation=Quaternion(w=half_root, **{axis: half_root}))

@@ -67,6 +67,7 @@ def frustum_edges(pose: Pose, model: CameraModel) -> np.ndarray:
         from the camera and four of the base.
     """
     lens = model.lens
+    # Half the field of view of a pinhole camera is a tangent: these corners are 1 m ahead.
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], dtype=np.float64)
     corners = np.column_stack([np.ones(4), signs * [lens.half_horizontal, lens.half_vertical]])
     corners *= model.max_range / np.linalg.norm(corners, axis=1, keepdims=True)

@@ -70,6 +70,7 @@ class RigView:
         self._header = header
         self._poses = poses
         positions = np.array([pose.position for pose in poses])
+        # With another number of cameras the trajectories begin again.
         if self._trajectories and self._trajectories[-1].shape != positions.shape:
             self._trajectories.clear()
         # A millimetre of movement adds a point to each trajectory.
@@ -163,6 +164,8 @@ def camera_info(model: CameraModel, header: Header) -> CameraInfo | None:
     if model.lens.kind != PINHOLE or model.resolution is None:
         return None
     width, height = model.resolution
+    # Half the field of view of a pinhole camera is a tangent. The first pixel has its centre at 0
+    # and the last one at size - 1: the centre of the image is between them.
     fx = 0.5 * width / float(model.lens.half_horizontal)
     fy = 0.5 * height / float(model.lens.half_vertical)
     cx, cy = 0.5 * (width - 1), 0.5 * (height - 1)

@@ -66,6 +66,7 @@ class Calibrator:
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='calibrator')
         self._surfaces: ScanSurfaces | None = None
         self._job_runs = False
+        #: Time of the last drift check, or of the start, by a steady clock.
         self._check_time = time.monotonic()
         #: A sentence for each camera that had drifted at the last check.
         self.drift_warnings: list[str] = []
@@ -147,6 +148,7 @@ class Calibrator:
         """Return the placement as reported, and the newest clouds by the names of the cameras."""
         rig, clouds = self._latest_clouds()
         placement = self._placement(rig)
+        # Cameras that are not in the rig file are left out.
         return placement, {placement.cameras[number].camera.name: cloud for number, cloud
                            in clouds.items() if number < len(placement.cameras)}
 
@@ -154,6 +156,7 @@ class Calibrator:
         """Return the placement with the reported poses of the cameras."""
         poses = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in rig.poses])
         rig_of_file, models = self._decider.rig, self._decider.models
+        # With a rig file, the placement takes the poses of fixed cameras from it.
         if rig_of_file is not None and len(poses) >= len(rig_of_file.cameras):
             return placement_of(rig_of_file, poses[:len(rig_of_file.cameras)], frame=rig.frame)
         return Placement(tuple(
@@ -179,6 +182,7 @@ class Calibrator:
             elif registration.refused:
                 lines.append(f'{name}: refused: {registration.refused}')
             else:
+                # ``certainty.metres`` begins with the largest expected deviation.
                 distance = np.linalg.norm(registration.pose.position - placed.position)
                 lines.append(f'{name}: {distance:.3f} m from where it was said to be, expected '
                              f'within {1000.0 * registration.certainty.metres[0]:.0f} mm')

@@ -111,6 +111,7 @@ class Decider:
         """Return poses of cameras, followed by those of the fixed cameras that are missing."""
         if self.rig is None:
             return poses
+        # Poses beyond the cameras to place are those of the first fixed cameras.
         return poses + [Pose.of(row) for row in
                         self.rig.fixed_poses[len(poses) - len(self.rig.cameras):]]
 
@@ -129,6 +130,7 @@ class Decider:
         if (size := np.ptp(extremes, axis=0).max()) > MAX_EXTENT_M:
             raise MessageError(f'cloud: found points and cameras {size:.0f} m apart; expected '
                                f'those of a room, within {MAX_EXTENT_M:.0f} m')
+        # This checks the number of the cameras and their headings.
         self.state(poses)
 
     def state(self, poses: PoseArray) -> RigState:
@@ -150,6 +152,7 @@ class Decider:
                 others = f', or {with_fixed} with fixed ones' if self.rig.fixed else ''
                 raise MessageError(f'poses: found {count} cameras; expected {movable}{others}, as '
                                    f'{self.rig.document.name} has it')
+        # Poses, metres and radians; the heading of an omnidirectional camera stays 0.
         rows = np.zeros((count, 6))
         rows[:, :3] = msg_to_positions(poses)
         for camera, (pose, model) in enumerate(zip(poses.poses, models)):
@@ -168,17 +171,20 @@ class Decider:
         :param cloud: the N points observed so far, (N, 3) float32, metres.
         :param poses: present poses of the cameras.
         :param turn: number of turns played so far.
+        :returns: a pose for each of ``poses``.
         """
         state = self.state(poses)
+        # The parameter ``turns`` may have been lowered below the number of turns played.
         turns = self._config.turns
         command = self.step(cloud, state, min(turn, turns), turns)
         self.stay_warnings = command.held
         if self.stay_warnings:
             self._log.warning('; '.join(self.stay_warnings), throttle_duration_sec=5.0)
         headings = {camera: command.placement[camera, 3:] for camera in command.rotated}
-        rotations = [way_between(state.placement[camera, 3:], heading)
-                     for camera, heading in headings.items()]
-        self.largest_rotation = max(map(float, map(np.linalg.norm, rotations)), default=0.0)
+        angles = [np.linalg.norm(way_between(state.placement[camera, 3:], heading))
+                  for camera, heading in headings.items()]
+        self.largest_rotation = float(max(angles, default=0.0))
+        # The placement has the fixed cameras too, which ``poses`` may lack.
         return move_poses(poses, command.placement[:len(poses.poses), :3], headings)
 
     def plan_ahead(self, interrupted: Callable[[], bool]) -> None:

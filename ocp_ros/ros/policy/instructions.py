@@ -63,6 +63,7 @@ def instructions(positions: np.ndarray, targets: np.ndarray, min_move: float,
 
 def _rotation_text(yaw: float, pitch: float) -> str:
     """Return the rotation of one camera in words; yaw is to the left, pitch down, in degrees."""
+    # Smaller angles than half a degree would be printed as 0.
     angles = ((yaw, 'to the left', 'to the right'), (pitch, 'down', 'up'))
     texts = [f'{abs(angle):.0f} degrees {positive if angle >= 0.0 else negative}'
              for angle, positive, negative in angles if abs(angle) >= 0.5]
@@ -77,6 +78,7 @@ def _move_text(position: np.ndarray, target: np.ndarray) -> str:
     is_printed = np.abs(move) >= 0.005
     texts = [f'{abs(move[axis]):.2f} m {positive if move[axis] >= 0.0 else negative}'
              for axis, (positive, negative) in enumerate(directions) if is_printed[axis]]
+    # The height of the target is printed only if it changes.
     axes = 3 if is_printed[2] else 2
     # Adding 0 changes -0 to 0.
     coordinates = [f'{coordinate + 0.0:.2f}' for coordinate in np.round(target, 2)[:axes]]

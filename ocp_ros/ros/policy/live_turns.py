@@ -165,6 +165,7 @@ class LiveTurns:
         self._decided_turns = 0
         self._turns_with_cloud = Counter[str]()
         self._turns: Turns[PointCloud2] = Turns(self._config.live_topics, self._wait_limits())
+        #: Number of jumps of stamps after which the transforms were dropped.
         self._seen_jumps = 0
 
     def apply_config(self, config: PolicyNodeConfig) -> None:
@@ -239,6 +240,7 @@ class LiveTurns:
             except ValueError as error:
                 self._turns.refuse_cloud(topic)
                 self._refuse(error)
+        # Answer the turn, or log what it waits for.
         if self._turns.is_due() and not self._must_wait():
             self._answer_turn()
         elif self._turns.lacks_clouds and not self._must_wait():
@@ -256,6 +258,7 @@ class LiveTurns:
         """Add a cloud to the fused cloud, unless the placement is final."""
         if self._is_final():
             return
+        # The mean poses are positions and rotations: each pose takes one of both.
         rig = self._rig._replace(poses=list(map(Pose, *self._turns.mean_poses)),
                                  standing_since_ns=self._turns.standing_begin.stamp)
         points, camera_positions = transform_cloud(
@@ -266,6 +269,7 @@ class LiveTurns:
     def _answer_turn(self) -> None:
         """Ask for the command of this turn, send it, and begin to wait for the cameras."""
         self._log_missing()
+        # The turn gets the stamp of its newest cloud.
         stamp = ns_to_stamp(max(self._turns.used_stamps.values()))
         header = Header(stamp=stamp, frame_id=self._rig.frame)
         poses = self._standing_poses(header)
@@ -278,6 +282,8 @@ class LiveTurns:
             self._turns.drop_clouds()
             self._refuse(error)
             return
+        # If the answer has made the placement final, this turn decided nothing, but its cloud is
+        # published.
         if not self._is_final():
             self._decided_turns += 1
             self._turns_with_cloud.update(self._turns.used_stamps.keys())
@@ -285,6 +291,7 @@ class LiveTurns:
             self._observation_publisher.publish(cloud_to_msg(self._fused_cloud.points, header))
         self._start_poses = poses
         self._send_command()
+        # Turns of a final placement last longer.
         if self._is_final():
             self._turns.limits = self._wait_limits()
         self._plan_ahead()
@@ -293,7 +300,7 @@ class LiveTurns:
         """Send one camera to another pose in this turn; the others keep their targets."""
         if self._command is not None:
             self._command = replaced(self._command, camera, pose)
-            # Since the last command no poses may have come.
+            # Without poses since the last command, the positions of before are used.
             self._turns.positions = self._rig.positions
             self._send_command()
 
@@ -329,6 +336,7 @@ class LiveTurns:
         heights and headings copied from them would drift from turn to turn. For other cameras it
         is the mean of the measured poses.
         """
+        # The mean poses are positions and rotations: each pose takes one of both.
         message = PoseArray(header=header)
         for camera, measured in enumerate(map(Pose, *self._turns.mean_poses)):
             message.poses.append(self._reached_command(camera, measured)
@@ -349,7 +357,7 @@ class LiveTurns:
         sent = self._command.poses[camera]
         rotation = rotation_of(sent.orientation, f'command: camera {camera}')
         offset = measured.position - [sent.position.x, sent.position.y, sent.position.z]
-        # A pose that differs by more from its target differs not only by noise.
+        # A larger offset from the target is more than noise, even within wider arrival limits.
         max_noise_m, max_noise_radians = 0.1, 0.2
         is_near = np.linalg.norm(offset) <= min(self._config.arrival_distance, max_noise_m)
         angle = angle_between(measured.rotation, rotation)
@@ -358,6 +366,7 @@ class LiveTurns:
 
     def _target_rotations(self, poses: PoseArray) -> dict[int, np.ndarray]:
         """Return the commanded rotations, (3, 3), of the cameras that the command rotates."""
+        # A command repeats the orientation of a camera that does not rotate.
         return {camera: rotation_of(goal.orientation, f'command: camera {camera}')
                 for camera, (goal, present) in enumerate(zip(self._command.poses, poses.poses))
                 if goal.orientation != present.orientation}
@@ -365,7 +374,7 @@ class LiveTurns:
     def _resend(self) -> None:
         """Send the command and the instructions again while cameras have not arrived."""
         if self._must_wait():
-            # These clouds will be old once other nodes stop commanding: wait for new ones then.
+            # When this node may command again, the present clouds will be old.
             self._turns.drop_clouds()
         elif self._command is not None and not self._turns.cameras_stand:
             self._commander.publish(self._command)
@@ -440,8 +449,8 @@ class LiveTurns:
         for number, topic in enumerate(self._config.live_topics):
             if topic in self._newest_clouds:
                 message = self._newest_clouds[topic]
-                name = CAMERA_FRAME.fullmatch(message.header.frame_id)
-                camera = int(name[1]) if name else number
+                match = CAMERA_FRAME.fullmatch(message.header.frame_id.lstrip('/'))
+                camera = int(match[1]) if match else number
                 if camera < len(self._rig.poses):
                     points, _ = transform_cloud(msg_to_cloud(message), message.header.frame_id,
                                                 self._rig, self._transforms)

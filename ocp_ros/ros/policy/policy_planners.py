@@ -37,9 +37,9 @@ class ExploringMap(MapActor):
         """Return False: plan nothing ahead, since each turn publishes its own observation."""
         return False
 
-    def choose(self, known: MapTurn, camera: int, over: float) -> None:
+    def choose(self, map_turn: MapTurn, camera: int, elapsed_share: float) -> None:
         """Draw the target position of a camera, and send the camera there."""
-        known.send_to(camera, self.policy.draw(known.experience(camera), self.rng))
+        map_turn.send_to(camera, self.policy.draw(map_turn.experience(camera), self.rng))
 
 
 class Exploring(Learned):
@@ -61,6 +61,7 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
     :returns: the planner, and its part that runs the policy (None without a policy).
     """
     rng = np.random.default_rng(config.seed)
+    # The positional arguments of Online.
     margins = config.wall_margin, config.clearance
     settings = rng, config.max_step, config.max_range, *margins
     if checkpoint is None:

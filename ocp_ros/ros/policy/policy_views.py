@@ -50,6 +50,7 @@ class PolicyViews:
         self._rig_state = rig_state
         self._turn: tuple[np.ndarray, PoseArray] | None = None
         self._cloud_view = CloudView(node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._maps)
+        # Without a rig file the cameras are omnidirectional and have no CameraInfo.
         camera_infos = 0 if rig_state is None else len(models)
         self._rig_view = RigView(node, topics.RIG_MARKERS, models, camera_infos) if live else None
 
@@ -92,6 +93,8 @@ def observed_maps(cloud: np.ndarray, poses: list[Pose],
     :param models: one camera model per camera, or a single model for all cameras.
     :raises SceneError: if the cloud cannot be a room, for example because it is too small.
     """
+    # Fewer points, rows and cells than by default, since a node computes the maps after each turn.
+    # The simulator does not use the rig of its configuration, since models and poses are given.
     scene = Scene(thinned(cloud, 15000), 'observed cloud')
     config = SimulationConfig(RigConfig(cameras=len(poses), height=0.5 * float(scene.size[2])),
                               EngineConfig(preset='fast', error_rows=64, coverage_cell=0.5))

@@ -109,7 +109,7 @@ class SimulatedTurns:
             return
         stamp = ns_of(fields, 'stamp')
         if stamp == self.reward_stamp:
-            # The turn was sent again: if an episode began with it, this episode continues.
+            # The turn was sent again: it must not begin its episode for a second time.
             return
         self.reward_stamp = stamp
         answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
@@ -130,8 +130,9 @@ class SimulatedTurns:
         stamp = stamp_to_ns(message.header.stamp)
         self.poses[stamp] = message
         if len(self.poses) > MAX_STORED_POSES:
-            answered = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
-            del self.poses[next(stamp for stamp in self.poses if stamp != answered)]
+            # Drop the oldest poses, but not those of the answered turn, which its reward needs.
+            answered_stamp = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
+            del self.poses[next(old for old in self.poses if old != answered_stamp)]
         self.answer_if_ready()
 
     def answer_if_ready(self) -> None:
@@ -149,6 +150,7 @@ class SimulatedTurns:
                     raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
                                        f'expected that of the poses, {poses.header.frame_id!r}')
                 self.answer = self._answer_turn(msg_to_cloud(cloud), poses)
+                # The poses of earlier turns are not needed any more.
                 while next(iter(self.poses)) != stamp:
                     del self.poses[next(iter(self.poses))]
             except MessageError as error:
@@ -160,14 +162,15 @@ class SimulatedTurns:
     def redirect(self, camera: int, pose: Pose) -> None:
         """Answer a turn that waits: one camera goes to a pose, and the others stay."""
         stamp = None if self.cloud is None else stamp_to_ns(self.cloud.header.stamp)
-        now = self.poses.get(stamp)
-        if now is not None and (self.answer is None or self.answer.header != now.header):
-            self.answer = replaced(now, camera, pose)
+        poses = self.poses.get(stamp)
+        if poses is not None and (self.answer is None or self.answer.header != poses.header):
+            self.answer = replaced(poses, camera, pose)
             self._commander.publish(self.answer)
 
     def _update_wait_for_reward(self, stamp: int) -> bool:
         """Start or stop the wait for the reward of a turn; return whether to wait."""
         answered_stamp = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
+        # Wait only if the turn answered last had a reward and this turn has none yet.
         if self.reward_stamp in (None, stamp) or self.reward_stamp != answered_stamp \
                 or not self._may_wait:
             self._reward_timer.cancel()

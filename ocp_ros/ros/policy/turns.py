@@ -208,6 +208,7 @@ class Turns(Generic[T]):
         # Measured poses of a standing camera vary by 2 cm and 0.02 radians at most.
         if self._left_reference(distance=0.02, angle=0.02):
             self._reference = poses
+        # A camera that has arrived stays arrived within the wider limits.
         if self._cameras_arrived() or (
                 self._arrival_time is not None and self._cameras_arrived(leaving_factor)):
             if self._arrival_time is None:
@@ -229,6 +230,7 @@ class Turns(Generic[T]):
                     and len(poses.positions) == len(self.positions)]
         if not measured:
             return self.positions, list(self._rotations)
+        # The mean of the offsets from the first poses: it is exactly 0 for equal poses.
         first = measured[0]
         mean_offset = np.mean([poses.positions - first.positions for poses in measured], axis=0)
         return first.positions + mean_offset, [
@@ -242,7 +244,7 @@ class Turns(Generic[T]):
         self.used_stamps.clear()
 
     def _left_reference(self, distance: float, angle: float) -> bool:
-        """Return whether a camera has no reference pose, or is farther from it (m, radians)."""
+        """Return whether a camera is farther (m, radians) from its reference pose, or has none."""
         if self._reference is None or len(self._reference.positions) != len(self.positions):
             return True
         distances = np.linalg.norm(self.positions - self._reference.positions, axis=1)
@@ -255,6 +257,7 @@ class Turns(Generic[T]):
         if self._targets is None:
             return True
         offsets = self.positions - self._targets
+        # The height counts only if the camera was sent up or down.
         offsets[~self._height_changes, 2] = 0.0
         distances = np.linalg.norm(offsets, axis=1)
         return bool((distances <= factor * self.limits.arrival_distance).all()) and all(
@@ -266,7 +269,8 @@ class Turns(Generic[T]):
         if self._accept_stamp(topic, stamp):
             self._unread_clouds[topic] = stamp, cloud
             pose_age = self._clock() - self._pose_time
-            # The comparison of stamps needs poses of the last half second.
+            # Poses measured now would have the stamp of the newest poses plus their age; this is
+            # used for half a second.
             if POSES in self._newest_stamps and pose_age <= 0.5:
                 self._cloud_leads[topic] = stamp - self._pose_stamp - int(pose_age * 1e9)
 
@@ -307,6 +311,7 @@ class Turns(Generic[T]):
         :returns: the topic and the cloud; None if there is no such cloud.
         """
         if self._stop_waiting_for_cameras():
+            # A topic whose stamps are too far ahead of those of the poses has another clock.
             for topic in self._topics:
                 if topic in self._unread_clouds and (
                         topic not in (*self.used_stamps, *excluded_topics)) and (
@@ -325,10 +330,12 @@ class Turns(Generic[T]):
         :returns: whether it waits; False if clouds of its topic have waited too long already.
         """
         now = self._clock()
+        wait_begin = self._transform_waits.setdefault(topic, now)
         # Clouds wait a second for a newer transform.
-        if now - self._transform_waits.setdefault(topic, now) > 1.0:
+        if now - wait_begin > 1.0:
             return False
         del self.used_stamps[topic]
+        # A newer cloud that has come meanwhile is kept.
         self._unread_clouds.setdefault(topic, (stamp, cloud))
         return True
 
@@ -357,7 +364,8 @@ class Turns(Generic[T]):
         now = self._clock()
         timeout = self.limits.arrival_timeout
         if self._targets is None:
-            # No command was sent yet: the wait is limited even if a person moves the cameras.
+            # Before the first command the wait is limited even if a person moves the cameras, to
+            # the default of ``arrival_timeout``.
             timeout = min(timeout, 20.0)
         if self.standing_begin is None and self.positions is not None and (
                 now - self._command_time >= timeout):
@@ -427,6 +435,7 @@ class Turns(Generic[T]):
 
 def _mean_rotation(rotations: Sequence[np.ndarray]) -> np.ndarray:
     """Return the mean of rotations (3, 3) that are close to each other."""
+    # SciPy changes the last digits even if all rotations are equal.
     if all(np.array_equal(rotation, rotations[0]) for rotation in rotations[1:]):
         return rotations[0]
     return Rotation.from_matrix(np.array(rotations)).mean().as_matrix()

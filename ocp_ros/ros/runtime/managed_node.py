@@ -53,7 +53,7 @@ def create_steady_timer(node: Node, period_s: float, callback: Callable[[], None
 
 
 def _allow_overrides(topic: str, profile: QoSProfile | int, settings: dict) -> QoSProfile | int:
-    """Return a profile; for topics of this package, allow ``qos_overrides`` in the settings."""
+    """Return a profile; for topics of this package, add ``qos_overrides`` to ``settings``."""
     # All nodes have the topics that begin with these names.
     common_topics = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
     if topic.startswith(('~', *common_topics)) or not isinstance(profile, QoSProfile):
@@ -207,6 +207,7 @@ class ManagedNode(LifecycleNode):
     def _destroy_except(self, kept_entities: dict[str, set]) -> None:
         """Destroy all ROS entities of the node except those to keep, which are given by kind."""
         for kind, entities in self._entities().items():
+            # A kind without a record keeps all its entities.
             for entity in entities - kept_entities.get(kind, entities):
                 getattr(self, f'destroy_{kind}')(entity)
 

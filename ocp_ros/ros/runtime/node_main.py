@@ -164,8 +164,10 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     name = make_node.__name__
     node = executor = None
     received = interrupt_on_signals()
+    # The exit code of errors that the user can correct.
     exit_code = 2
     try:
+        # Limit the range of discovery, and refuse unknown arguments.
         limited_to_machine = stay_local()
         end_with_parent()
         other_arguments = remove_ros_args(sys.argv if args is None else ['', *args])[1:]
@@ -173,6 +175,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
             print(f'{name}: found the arguments {" ".join(other_arguments)}; expected parameters '
                   'after --ros-args, such as --ros-args -p name:=value', file=sys.stderr)
             return exit_code
+        # Start ROS and the node, and spin until a signal comes.
         rclpy.init(args=args, signal_handler_options=SignalHandlerOptions.NO)
         executor = SingleThreadedExecutor()
         node = make_node()
@@ -191,7 +194,7 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
     except Exception as error:
         # Errors of rclpy when it cannot read its arguments or cannot start.
         start_errors = (rclpy_implementation.RCLError, rclpy_implementation.RCLInvalidROSArgsError)
-        if isinstance(error, start_errors) and executor is None or is_security_error(error):
+        if (isinstance(error, start_errors) and executor is None) or is_security_error(error):
             print(f'{name}: {explain_refusal(error)}', file=sys.stderr)
         elif rclpy.ok() and not received:
             exit_code = 1

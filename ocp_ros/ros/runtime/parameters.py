@@ -53,6 +53,7 @@ def declare(node: Node, config_type: type[T],
     """
     settings = leaves(config_type)
     defaults = {name: field.default for name, field in settings.items()}
+    # rclpy keeps the values that the user has given in ``_parameter_overrides``.
     for flag, other_defaults in (flag_defaults or {}).items():
         override = node._parameter_overrides.get(flag)
         if override is not None and override.value is True:
@@ -63,7 +64,8 @@ def declare(node: Node, config_type: type[T],
     # qos_overrides change the quality of service of topics.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
                and not name.startswith('qos_overrides.')]
-    # A name for all nodes that is similar to a parameter of this node is a misspelt parameter.
+    # A name for all nodes that is similar to a parameter of this node is a misspelt parameter; any
+    # other name is one of other nodes.
     meant_for_others = {
         name for name in parameters_for_all_nodes(sys.argv, node.get_name()) & set(unknown)
         if not difflib.get_close_matches(name, settings, n=1, cutoff=0.8)}
@@ -147,11 +149,13 @@ def _check_changes(node: Node, config_type: type, parameters: list[Parameter]
     """Return whether a node can apply changed parameters; if not, with the reason."""
     settings = leaves(config_type)
     changes = {p.name: p.value for p in parameters if p.name in settings}
-    # Before the node is configured, all parameters may change.
+    # Before a managed node is configured, all its parameters may change. A plain node has no
+    # attribute ``configured``: it has read its parameters.
     unconfigured = not getattr(node, 'configured', True)
     try:
         for name, value in changes.items():
             old_value = node.get_parameter(name).value
+            # Settings with ``running`` may change while the node runs.
             if value != old_value and not (settings[name].metadata['running'] or unconfigured):
                 raise ConfigurationError(
                     f'{node.get_name()}: {name}: found {value!r}, but it is read once, at the '

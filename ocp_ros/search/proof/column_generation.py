@@ -141,7 +141,7 @@ class ColumnGeneration:
     def add_columns(self, columns: Iterable[Column]) -> None:
         """Add poses to the columns of the program, unless they are columns already."""
         known = set(self._columns)
-        self._set_columns([*self._columns, *(one for one in columns if one not in known)])
+        self._set_columns([*self._columns, *(column for column in columns if column not in known)])
 
     def _set_columns(self, columns: list[Column]) -> None:
         """Replace the columns; their shares are 0 until the program is solved."""
@@ -149,8 +149,8 @@ class ColumnGeneration:
         visible_points = [self.grids[grid].visible_points(place, heading)
                           for grid, place, heading in columns]
         self._seen_by = poses_by_point(visible_points, self._point_count)
-        self._grid_numbers = np.array([one.grid for one in columns])
-        self._positions = np.array([self.pose(one)[:3] for one in columns])
+        self._grid_numbers = np.array([column.grid for column in columns])
+        self._positions = np.array([self.pose(column)[:3] for column in columns])
         self._too_near = cdist(self._positions, self._positions) < self.spacing
         self._shares = np.zeros(len(columns))
 
@@ -166,23 +166,28 @@ class ColumnGeneration:
         self.bound = 0.0
         self.closed = False
         places = [np.arange(len(grid.places)) for grid in self.grids] if places is None else places
-        for program in range(TUNING.max_programs):
+        for number in range(TUNING.max_programs):
+            # Solve the linear program of the columns.
             optimum, multipliers, constant = self._solve_relaxation(
-                TUNING.later_tolerance if program else TUNING.first_tolerance, should_stop)
+                TUNING.later_tolerance if number else TUNING.first_tolerance, should_stop)
+            # Compute the gains of all poses, and raise the bound by them.
             gains = self._pose_gains(multipliers, places, should_stop)
             if gains is None:
                 return
             largest_gain = sum(map(self._largest_gain, gains, self.counts))
             self.bound = max(self.bound, constant - largest_gain)
+            # Find new columns. Columns at places without computed gains count with a gain of 0.
             column_gains = np.array([gains[grid][place][heading] if place in gains[grid] else 0.0
                                      for grid, place, heading in self._columns])
-            # For each grid, the least gain of as many columns as are chosen.
+            # With n poses to choose from a grid, the n-th largest gain of its columns: only a pose
+            # with a larger gain can improve the choice.
             chosen_gains = np.array([
                 np.sort(column_gains[self._grid_numbers == grid])[::-1][:count].min(initial=np.inf)
                 for grid, count in enumerate(self.counts)])
             new_columns = self._improving_columns(gains, chosen_gains)
             max_gap = TUNING.closed_gap * max(optimum, TUNING.min_loss)
-            self.closed = not new_columns or bool(program and optimum - self.bound <= max_gap)
+            # The optimum of the first program is too inexact for the gap.
+            self.closed = not new_columns or bool(number and optimum - self.bound <= max_gap)
             if self.closed or should_stop():
                 return
             self._set_columns([*self._kept_columns(column_gains, chosen_gains), *new_columns])
@@ -192,6 +197,7 @@ class ColumnGeneration:
         # With a spacing, there is at most one camera at a place.
         per_place = [best[:1] if self.spacing > 0.0 else best
                      for best in (-np.sort(-values) for values in gains.values())]
+        # The zeros stand for missing poses if there are fewer than ``count``.
         return float(np.sort(np.concatenate([*per_place, np.zeros(count)]))[-count:].sum())
 
     def _solve_relaxation(self, tolerance: float, should_stop: Callable[[], bool]
@@ -205,21 +211,25 @@ class ColumnGeneration:
         """
         trees = self.trees
         count = len(self._columns)
+        # Start from the active cuts of the last program.
         program = CutProgram(self._grid_numbers, self.counts, len(trees.slacks))
+        # The first core point has equal shares for all columns of a grid.
         core = (self.counts / np.bincount(self._grid_numbers))[self._grid_numbers]
         cut_nodes = [*self._cut_nodes] or [trees.unserved_nodes(self._seen_by, core)]
         for number, unserved in enumerate(cut_nodes):
             program.add_cuts(number, *trees.loss_cuts(self._seen_by, count, unserved))
+        # Add cuts at the optima until the program's losses are nearly the real ones.
         for _ in range(TUNING.max_rounds):
             solution = program.solve(should_stop)
             optimum = solution.losses.sum()
-            # The largest value of the new cuts at the solution.
+            # The loss at the solution: the largest value of the new cuts there.
             loss = 0.0
             for shares in (solution.shares, 0.5 * (core + solution.shares)):
                 unserved = trees.unserved_nodes(self._seen_by, shares)
                 constants, gains = trees.loss_cuts(self._seen_by, count, unserved)
                 losses = np.maximum(constants - gains @ solution.shares, 0.0)
                 loss = max(loss, losses.sum())
+                # Only cuts above the program's losses are added; equal losses differ by rounding.
                 raised = losses > solution.losses + TUNING.equal_loss * loss / len(losses)
                 program.add_cuts(len(cut_nodes), constants, gains, raised)
                 cut_nodes.append(unserved)
@@ -227,7 +237,8 @@ class ColumnGeneration:
             converged = loss - optimum <= tolerance * max(loss, TUNING.min_loss)
             if converged or not solution.optimal or should_stop():
                 break
-        # Cuts that were added in the last round have no multipliers yet.
+        # Convert the multipliers of the cuts to those of the nodes. Cuts that were added in the
+        # last round have no multipliers yet.
         active = np.flatnonzero(solution.multipliers > ZERO_TOLERANCE)
         multipliers = np.zeros(len(trees.weights))
         slack = 0.0
@@ -237,6 +248,7 @@ class ColumnGeneration:
             multipliers[first:last] += solution.multipliers[k] * cut_nodes[number][first:last]
             slack -= solution.multipliers[k] * trees.slacks[part]
         multipliers *= trees.weights
+        # Keep the choices of active cuts, each once.
         self._cut_nodes = [cut_nodes[number]
                            for number in dict.fromkeys(program.cuts[active, 0].tolist())]
         self._shares = solution.shares
@@ -270,22 +282,30 @@ class ColumnGeneration:
                            ) -> list[Column]:
         """Return poses with larger gains than chosen columns of their grid, a few per place."""
         known = set(self._columns)
-        found: list[tuple[float, Column]] = []
+        improving: list[tuple[float, Column]] = []
         for number, grid_gains in enumerate(gains):
+            # Rounding must not make a pose seem better.
             min_gain = chosen_gains[number] * (1.0 + TUNING.equal_loss) + ZERO_TOLERANCE
             for place, values in grid_gains.items():
+                # Some of the best may be columns already, so twice as many are looked at.
                 best = np.argsort(-values, kind='stable')[:2 * TUNING.new_columns_per_place]
                 pairs = [(values[k], Column(number, place, int(k))) for k in best
                          if values[k] > min_gain]
                 pairs = [pair for pair in pairs if pair[1] not in known]
-                found += pairs[:TUNING.new_columns_per_place]
-        found.sort(key=lambda pair: -pair[0])
-        return [column for _, column in found[:TUNING.new_columns]]
+                improving += pairs[:TUNING.new_columns_per_place]
+        improving.sort(key=lambda pair: -pair[0])
+        return [column for _, column in improving[:TUNING.new_columns]]
 
     def _kept_columns(self, column_gains: np.ndarray, chosen_gains: np.ndarray) -> list[Column]:
-        """Return the columns to keep: those with a share, and those with large gains (n,)."""
+        """
+        Return the columns to keep: those with a share, and those with large gains.
+
+        :param column_gains: (n,) gain of each column.
+        :param chosen_gains: for each grid, the gain of a chosen pose, see :meth:`raise_bound`.
+        """
         kept = (self._shares > ZERO_TOLERANCE) | (
             column_gains >= TUNING.dropped_gain_share * chosen_gains[self._grid_numbers])
+        # There stay enough columns of each grid for a choice and its exchanges.
         for grid, count in enumerate(self.counts):
             rows = np.flatnonzero(self._grid_numbers == grid)
             kept[rows[np.argsort(-column_gains[rows], kind='stable')[:2 * count]]] = True
@@ -310,7 +330,8 @@ class ColumnGeneration:
             shares = self._shares * (rng.exponential(size=len(self._shares)) if attempt else 1.0)
             if losses:
                 best = min(losses, key=lambda rows: losses[rows])
-                centre = self._positions[best[attempt // 2 % len(best)]]
+                # Odd attempts exclude the surroundings of the places of the best choice in turn.
+                centre = self._positions[best[(attempt // 2) % len(best)]]
                 min_distance = TUNING.other_place_m if attempt % 2 else 0.0
                 allowed = np.linalg.norm(self._positions - centre, axis=1) >= min_distance
             chosen = self._round_shares(shares, allowed)
@@ -337,6 +358,7 @@ class ColumnGeneration:
     def _exchange_poses(self, chosen: list[int], allowed: np.ndarray,
                         should_stop: Callable[[], bool]) -> float:
         """Replace in ``chosen`` one column at a time while this helps; return the last loss."""
+        # In the first round, any exchange helps, also of a column for itself.
         loss = np.inf
         while True:
             best_loss = loss * (1.0 - TUNING.equal_loss)
@@ -345,9 +367,11 @@ class ColumnGeneration:
                 others = chosen[:number] + chosen[number + 1:]
                 shares = np.zeros(len(self._columns))
                 shares[others] = 1.0
+                # The cuts at the other poses give the exact loss after adding any one column.
                 constants, gains = self.trees.loss_cuts(
                     self._seen_by, len(shares), self.trees.unserved_nodes(self._seen_by, shares))
                 losses = np.maximum(constants[:, None] - gains, 0.0).sum(axis=0)
+                # The new column is one of the same grid, far enough from the others.
                 feasible = allowed & (self._grid_numbers == self._grid_numbers[old])
                 feasible &= ~self._too_near[others].any(axis=0)
                 feasible[others] = False

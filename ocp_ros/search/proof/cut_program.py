@@ -55,6 +55,7 @@ class CutProgram:
         self._group_count = len(counts)
         self.cuts = np.empty((0, 2), dtype=np.int64)
         self._solver = highspy.Highs()
+        # A run ends after 300 iterations, so that ``solve`` can stop between the runs.
         for name, value in (('output_flag', False), ('threads', 1),
                             ('simplex_iteration_limit', 300)):
             self._solver.setOptionValue(name, value)
@@ -66,6 +67,7 @@ class CutProgram:
         program.col_cost_ = np.repeat([1.0, 0.0], [parts, len(groups)])
         program.col_lower_ = np.zeros(parts + len(groups))
         program.col_upper_ = np.repeat([highspy.kHighsInf, 1.0], [parts, len(groups)])
+        # One row for each group: the shares of its poses add up to its count.
         program.row_lower_ = program.row_upper_ = np.asarray(counts, dtype=np.float64)
         program.a_matrix_.format_ = highspy.MatrixFormat.kRowwise
         program.a_matrix_.start_ = np.append(0, np.cumsum(members.sum(axis=1))).astype(np.int32)
@@ -83,6 +85,7 @@ class CutProgram:
         :param gains: (B, n) its reduction by each pose.
         :param selected: (B,) bool, the parts whose cuts are added.
         """
+        # Each cut is a row: the loss of the part + gains @ choice >= constant.
         for part in np.arange(self._part_count)[selected]:
             poses = np.flatnonzero(gains[part])
             columns = np.append(part, poses + self._part_count).astype(np.int32)
@@ -92,7 +95,8 @@ class CutProgram:
 
     def solve(self, should_stop: Callable[[], bool]) -> Optimum:
         """Solve the program; if ``should_stop`` returns True, return the solution so far."""
-        # Each run ends at the iteration limit; degenerate programs may cycle.
+        # Each run ends at the iteration limit. Degenerate programs may cycle, so the number of
+        # runs is limited too.
         max_runs = 20
         for _ in range(max_runs):
             self._solver.run()
@@ -101,7 +105,9 @@ class CutProgram:
                 break
         solution = self._solver.getSolution()
         values = np.nan_to_num(np.array(solution.col_value))
+        # The rows of the groups are before those of the cuts.
         duals = np.nan_to_num(np.array(solution.row_dual)[self._group_count:])
+        # Rounding or an early end may make the duals invalid, so they are moved into their limits.
         multipliers = np.maximum(duals, 0.0)
         parts = self.cuts[:, 1]
         totals = np.bincount(parts, multipliers, self._part_count)

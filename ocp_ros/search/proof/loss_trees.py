@@ -86,9 +86,11 @@ class LossTrees(NamedTuple):
         error_parts = 16
         roots = np.flatnonzero(parents < 0)
         nodes = np.arange(1, error_parts) * len(parents) // error_parts
+        # Each part but the first begins at a root: the next one after an equal share of the nodes.
         part_roots = roots[np.minimum(np.searchsorted(roots, nodes), len(roots) - 1)]
         starts = sorted({0, *part_roots.tolist()})
         slacks = [0.0] * len(starts)
+        # The costs of regions: each point that costs something is a tree of one node.
         for costs, free_cost in objective.point_costs():
             costly = np.flatnonzero(costs)
             starts.append(sum(map(len, weight_arrays)))
@@ -96,6 +98,7 @@ class LossTrees(NamedTuple):
             point_arrays.append(costly.astype(np.uint32))
             end_arrays.append(starts[-1] + 1 + np.arange(len(costly)))
             weight_arrays.append(costs[costly])
+        # Negative weights come from rounding, and are set to 0.
         weights = np.concatenate(weight_arrays)
         rounding = -float(weights[weights < 0.0].sum())
         ends = np.concatenate(end_arrays).astype(np.uint32)
@@ -104,7 +107,7 @@ class LossTrees(NamedTuple):
                     np.array([*starts, len(weights)]), np.array(slacks), rounding)
         seen = np.bitwise_or.reduce([no_bits(len(objective.simulator.scene)),
                                      *(view.seen for view in objective.fixed)])
-        # All fixed cameras together are one pose.
+        # The nodes that fixed cameras serve cost nothing. All fixed cameras together are one pose.
         seen_by = unpack(seen, len(objective.simulator.scene)).astype(np.uint64)[:, None]
         return trees._replace(weights=trees.weights * trees.unserved_nodes(seen_by, np.ones(1)))
 
@@ -156,7 +159,7 @@ class LossTrees(NamedTuple):
         """Return the trees that give the gains of poses for multipliers (T,)."""
         sums = _subtree_sums(self.parents, multipliers)
         positive = sums > 0.0
-        # The new number of each node, and of the end.
+        # Nodes without gain are left out: the new number of each old node, and of the end.
         numbers = np.append(0, np.cumsum(positive)).astype(np.uint32)
         return GainTrees(self.points[positive], numbers[self.ends[positive]], sums[positive],
                          self.depth)
@@ -195,12 +198,15 @@ def poses_by_point(visible_points: Sequence[np.ndarray], points: int) -> np.ndar
     """
     seen_by = np.zeros((points, max(-(-len(visible_points) // 64), 1)), dtype=np.uint64)
     for pose, numbers in enumerate(visible_points):
-        seen_by[numbers, pose // 64] |= np.uint64(1 << pose % 64)
+        seen_by[numbers, pose // 64] |= np.uint64(1 << (pose % 64))
     return seen_by
 
 
 def _prefix_weights(trees: Trees, parents: np.ndarray) -> np.ndarray:
     """Return the loss that each node adds while none of its points is visible: (T,) metres."""
+    # The weight of a node is the loss of its pixels if the next point of their lists is the first
+    # visible one, minus their loss if its own point is (``gap``). A list that ends at the node has
+    # the loss of an empty pixel next (``rest``).
     gaps = trees.gap.astype(np.float64)
     weights = trees.rest.astype(np.float64) - gaps
     has_parent = parents >= 0
@@ -213,6 +219,7 @@ def _parents_and_depth(ends):
     """Return the parent of each node, -1 at a root: (T,) int32, and the depth of the trees."""
     nodes = ends.shape[0]
     parents = np.empty(nodes, dtype=np.int32)
+    # The nodes from a root to the current node.
     path = np.empty(nodes, dtype=np.int32)
     depth = max_depth = 0
     for node in range(nodes):
@@ -228,7 +235,8 @@ def _parents_and_depth(ends):
 @njit(nogil=True, inline='always')
 def _lowest_bit(word):
     """Return the number of the lowest set bit of a word of 64 bits."""
-    # Set the bits below the lowest set bit, clear all others, and count them.
+    # Set the bits below the lowest set bit, clear all others, and count the set bits by sums of 2,
+    # 4 and 8 neighbouring bits, then of the eight bytes.
     bits = (word & (~word + np.uint64(1))) - np.uint64(1)
     bits -= (bits >> np.uint64(1)) & np.uint64(0x5555555555555555)
     bits = ((bits & np.uint64(0x3333333333333333))
@@ -245,9 +253,11 @@ def _mark_unserved(points, ends, seen_by, chosen, shares, max_depth, first, last
     :param chosen: (W,) uint64, bits of the poses with a share.
     :param shares: (64 W,) share of each pose.
     """
+    # The shares of the poses that serve a node sum to 1, except for rounding.
     served_share = 1.0 - 1e-9
     words = seen_by.shape[1]
-    # At each depth of the path to a node: its end, the poses that serve it, and their shares.
+    # For the node at depth d of the path: its end in entry d; in entry d + 1 the poses that serve
+    # it, and the sum of their shares. Entry 0 has no poses.
     path_ends = np.empty(max_depth + 1, np.int64)
     path_poses = np.zeros((max_depth + 1, words), dtype=np.uint64)
     path_shares = np.zeros(max_depth + 1)
@@ -261,6 +271,7 @@ def _mark_unserved(points, ends, seen_by, chosen, shares, max_depth, first, last
             parent_poses = path_poses[depth, word]
             new_poses = seen_by[points[node], word] & chosen[word] & ~parent_poses
             path_poses[depth + 1, word] = parent_poses | new_poses
+            # Each pass clears the lowest bit.
             while new_poses:
                 share += shares[word * 64 + _lowest_bit(new_poses)]
                 new_poses &= new_poses - np.uint64(1)
@@ -280,6 +291,7 @@ def _mark_unserved(points, ends, seen_by, chosen, shares, max_depth, first, last
 def _subtree_sums(parents, values):
     """Return the sum of the values (T,) in the subtree of each node: (T,)."""
     sums = values.copy()
+    # Backwards, children come before their parents.
     for node in range(sums.shape[0] - 1, -1, -1):
         if parents[node] >= 0:
             sums[parents[node]] += sums[node]
@@ -291,10 +303,13 @@ def _add_gains(points, ends, sums, seen_by, max_depth, first, last, gains):
     """
     Add to the gain of each pose, (64 W,), the sums at the topmost nodes that it serves.
 
+    The nodes are those from ``first`` to before ``last``.
+
     :param sums: (T,) sum of the multipliers in the subtree of each node.
     """
     words = seen_by.shape[1]
-    # At each depth of the path to a node: its end, and the poses that serve it.
+    # For the node at depth d of the path: its end in entry d, the poses that serve it in entry
+    # d + 1. Entry 0 has no poses.
     path_ends = np.empty(max_depth + 1, dtype=np.int64)
     path_poses = np.zeros((max_depth + 1, words), dtype=np.uint64)
     depth = 0
@@ -310,6 +325,7 @@ def _add_gains(points, ends, sums, seen_by, max_depth, first, last, gains):
             parent_poses = path_poses[depth, word]
             new_poses = seen_by[points[node], word] & ~parent_poses
             path_poses[depth + 1, word] = parent_poses | new_poses
+            # Each pass clears the lowest bit.
             while new_poses:
                 gains[word * 64 + _lowest_bit(new_poses)] += sums[node]
                 new_poses &= new_poses - np.uint64(1)
