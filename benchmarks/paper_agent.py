@@ -22,11 +22,12 @@ steps; ``blocks`` residual heads; ``augmented`` symmetries and jitter.
 
     python -m benchmarks.paper_agent --rungs literal critics --out out/ladder
     python -m benchmarks.paper_agent --record --evaluation out/evaluation/evaluation.json
-    python -m benchmarks.paper_agent --record --alone out/actor.json out/paper.json
+    python -m benchmarks.paper_agent --record --alone two_cameras out/actor.json out/paper.json
 
 A run that was interrupted goes on. ``--record`` writes what the runs of the folder have done,
 beside the rows of earlier folders, what ``ocp evaluate`` has found about the best weights, and how
-the default weights compare with them without lookahead, in two files of ``benchmarks.few_turns``.
+the default weights compare with them without lookahead, in two files of ``benchmarks.few_turns``
+for each case.
 """
 
 import argparse
@@ -140,8 +141,8 @@ def main(argv: list[str] | None = None) -> None:
                         'are demonstrations')
     parser.add_argument('--out', type=Path, default=Path('out/ladder'))
     parser.add_argument('--evaluation', type=Path, help='evaluation.json of ocp evaluate')
-    parser.add_argument('--alone', type=Path, nargs=2, metavar=('ACTOR', 'PAPER'),
-                        help='files of benchmarks.few_turns')
+    parser.add_argument('--alone', nargs=3, action='append', default=[],
+                        metavar=('CASE', 'ACTOR', 'PAPER'), help='files of benchmarks.few_turns')
     results.add_record(parser, 'paper_agent')
     options = parser.parse_args(argv)
     logging.basicConfig(level=logging.INFO)
@@ -158,11 +159,11 @@ def main(argv: list[str] | None = None) -> None:
         rows = {folder.name: row_of(folder) for folder in sorted(options.out.iterdir())
                 if any('ratio' in line for line in records(folder))}
         figures = {'rows': before['rows'] | rows,
-                   **{key: before[key] for key in ('test', 'alone') if key in before}}
+                   'test': before['test']}
         if options.evaluation:
             figures['test'] = against(options.evaluation)
-        if options.alone:
-            figures['alone'] = compare_alone(*options.alone)
+        figures['alone'] = before['alone'] | {
+            case: compare_alone(*map(Path, paths)) for case, *paths in options.alone}
         results.write('paper_agent', figures, command)
 
 

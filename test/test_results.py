@@ -70,7 +70,9 @@ SENTENCES = [
      'measure/promise_over_delivered/{key}', 'turned_0 turned_17 turned_45'),
     (RESULTS, 'the interval holds in a share of {} of the {} plans', 'measure/plans/scans/{key}',
      'promise_coverage plans'),
-    (RESULTS, 'evaluates {} placements', 'engine/{key}', 'evaluations_per_s'),
+    (RESULTS, 'evaluates {} placements of four cameras per second', 'engine/{key}',
+     'evaluations_per_s'),
+    (RESULTS, 'method plays {} interactions', 'engine/{key}', 'literal_interactions_per_s'),
     (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. `lookahead` without a scan delivers {} m',
      'benchmark_four_d455/planners/{key}', 'rig_search/300/sum rig_search/300/seconds '
      'tdsa/300/sum tdsa/300/seconds lookahead/0/sum'),
@@ -93,9 +95,10 @@ SENTENCES = [
      '{} and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
      'critics_300000_0/least_ratio critics_300000_1/least_ratio'),
     (MODELS, 'leaves {} and {} times its error after 5 and 8 turns of 2 m, and {} times',
-     'paper_agent/alone/lengths/{key}/ratio', '5x2 8x2 30x0.5'),
-    (MODELS, 'gradient steps reach {} after 60,000 interactions, and with residual heads {}',
-     'paper_agent/rows/{key}', 'updates_60000_0/ratio blocks_60000_0/ratio'),
+     'paper_agent/alone/four_cameras/lengths/{key}/ratio', '5x2 8x2 30x0.5'),
+    (MODELS, 'gradient steps reach {} after 60,000 interactions, and with residual heads {}; with '
+     'turned, mirrored and jittered observations as well, {}', 'paper_agent/rows/{key}',
+     'updates_60000_0/ratio blocks_60000_0/ratio augmented_60000_0/ratio'),
     (MODELS, 'half of each batch, the agent reaches {} at the end ({} at best)',
      'paper_agent/rows/critics_300000_0_demonstrations/{key}', 'ratio least_ratio'),
     (MODELS, 'ends at {} (at best {})', 'paper_agent/rows/{key}',

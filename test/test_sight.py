@@ -93,7 +93,7 @@ def test_a_rig_that_sees_all_around_is_moved_as_if_nothing_were_known_of_it(name
 
 def test_a_camera_that_looks_one_way_and_is_not_turned_stands_where_that_helps():
     """It looks along the room, so it goes back to where it sees most of it."""
-    ends = [played(made('lookahead'), aimed(yaw, turns=False))[-1, 0] for yaw in (0.0, np.pi)]
+    ends = [played(made('lookahead'), aimed(yaw, may_rotate=False))[-1, 0] for yaw in (0.0, np.pi)]
     assert ends[0] < START[0] - 0.5 and ends[1] > START[0] + 0.5
 
 
@@ -134,7 +134,7 @@ def model():
 
 def test_a_camera_keeps_its_roll_and_its_kind_with_it():
     np.testing.assert_array_equal(kinds_of(MIXED)[0], [0, 1, 0])
-    np.testing.assert_array_equal(kinds_of(MIXED._replace(turns=False))[0], [0, 1, 2])
+    np.testing.assert_array_equal(kinds_of(MIXED._replace(may_rotate=False))[0], [0, 1, 2])
     portrait = MIXED._replace(placement=MIXED.placement.copy())
     portrait.placement[2, 5] = 0.5 * np.pi
     assert (portrait.headings(2, 8, 2)[:, 2] == 0.5 * np.pi).all()

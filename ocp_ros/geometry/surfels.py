@@ -545,8 +545,8 @@ def kept_in_cone(points, bounds, pose, lens, seen):
     # One memory with two names: eight points in an octet, a flag of one byte for each point.
     octets = np.empty(POINTS_PER_BLOCK // 8, dtype=np.uint64)
     flags = octets.view(np.uint8)
-    # The call writes the block numbers into ``blocks`` first; the slice then takes those written.
-    for number in blocks[:find_blocks_in_view(bounds, pose, lens, blocks)]:
+    block_count = find_blocks_in_view(bounds, pose, lens, blocks)
+    for number in blocks[:block_count]:
         first, count = _block_range(number, points.x.shape[0])
         flags[:count], flags[count:] = 1, 0
         _clear_outside_cone(points, first, count, pose, lens, flags)

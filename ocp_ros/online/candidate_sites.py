@@ -295,7 +295,7 @@ def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:
     """
     # Angles that may not change must be equal within a kind: the roll (column 5 of a pose), or all
     # angles (from column 3).
-    first_kept = 5 if rig_state.turns else 3
+    first_kept = 5 if rig_state.may_rotate else 3
     keys = [(lens, () if model.omnidirectional else tuple(pose[first_kept:])) for lens, model, pose
             in zip(rig_state.lenses[:rig_state.movable], rig_state.models, rig_state.placement)]
     kinds = list(dict.fromkeys(keys))

@@ -220,7 +220,7 @@ class _Search:
                  lenses: Sequence[Frustum], headings: np.ndarray) -> None:
         self._model, self._unseen = model, unseen
         self._targets, self._lenses = targets, lenses
-        #: Bonus for each covered unseen cell, metres of depth error.
+        #: Bonus for each unseen cell that the goals' views cover, metres of depth error.
         self._cell_bonus = 0.0
         #: Views by number and heading of the camera.
         self._views: dict[tuple, View] = {}
@@ -233,10 +233,10 @@ class _Search:
 
     def set_bonus(self, bonus: float, cameras: Sequence[int], headings: np.ndarray) -> None:
         """
-        Set the bonus for each covered unseen cell.
+        Set the bonus for each unseen cell that the goals' views cover.
 
         The bonus is divided by the mean number of cells in a view, not by the number of all unseen
-        cells: points already observed stay observed, so a view elsewhere costs nothing.
+        cells: a camera that turns away from observed points does not lose them.
 
         :param bonus: bonus for a view whose cells are all unseen, in multiples of the depth error
             without any visible point.

@@ -263,7 +263,7 @@ class Lookahead(PipelinedPlanner):
         """Return the headings (K, 3) of the plan; None if all cameras are omnidirectional."""
         if not self.directional:
             return None
-        if self.headings is not None and self.rig_state.turns:
+        if self.headings is not None and self.rig_state.may_rotate:
             return self.headings
         return self.rig_state.placement[:self.rig_state.movable, 3:].copy()
 
@@ -368,7 +368,7 @@ class Refinement:
             0.0, between(*TUNING.position_deviations_m, self._share), 2))
         position = space.placement(target[None])[0]
         state = self.rig_state
-        if planned.heading is None or not state.turns or self._camera not in state.aimed:
+        if planned.heading is None or not state.may_rotate or self._camera not in state.aimed:
             return position, planned.heading
         heading = planned.heading.copy()
         heading[:2] += self.rng.normal(0.0, between(*TUNING.heading_deviations, self._share), 2)

@@ -36,7 +36,7 @@ class RigState(NamedTuple):
     :ivar models: K + F camera models.
     :ivar movable: K, the number of movable cameras.
     :ivar pitch: radians, smallest and largest pitch of the K cameras; positive is down.
-    :ivar turns: whether the headings may change.
+    :ivar may_rotate: whether the cameras may rotate.
     :ivar clearance: smallest distance of the K cameras from surfaces in the horizontal plane,
         metres; None for the setting of the planner.
     """
@@ -45,7 +45,7 @@ class RigState(NamedTuple):
     models: Sequence[CameraModel]
     movable: int
     pitch: tuple[float, float] = (0.0, 0.5 * np.pi)
-    turns: bool = True
+    may_rotate: bool = True
     clearance: float | None = None
 
     @classmethod
@@ -79,7 +79,7 @@ class RigState(NamedTuple):
         :param yaws: number of yaws at each pitch.
         :param pitches: largest number of pitches.
         """
-        if self.models[camera].omnidirectional or not self.turns:
+        if self.models[camera].omnidirectional or not self.may_rotate:
             return self.placement[camera, None, 3:]
         headings = directions(self.pitch, yaws, pitches)
         headings[:, 2] = self.placement[camera, 5]

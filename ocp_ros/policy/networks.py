@@ -180,7 +180,8 @@ def pooled(features: Tensor, present: Tensor) -> Tensor:
     """
     Return the mean and the maximum of features over the items that are present: (..., 2 C).
 
-    :param features: (..., N, C), C values of 0 or more for each of N items.
+    :param features: (..., N, C), C values for each of N items; none is negative, so the zeros that
+        replace padding do not change the maximum.
     :param present: (..., N), 1 for an item that is present, 0 for padding.
     """
     features = features * present[..., None]

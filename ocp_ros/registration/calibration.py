@@ -169,7 +169,7 @@ def _with_fixed_poses(rig: Rig, fixed: list[Placed]) -> Rig:
 
     :param fixed: the fixed cameras, in the order of the rig file.
     """
-    # ``planned`` is set for cameras at a measured pose only.
+    # A measured camera keeps its planned pose in ``planned``; for others this is None.
     if not any(placed.planned for placed in fixed):
         return rig
     # The rig is read again from a changed copy of its document.

@@ -207,17 +207,17 @@ def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> 
                     'position': np.round(pose[:3], 3).tolist(),
                     'yaw': yaw, 'pitch': pitch, 'roll': roll, 'depth_error': error,
                     'gain': float(evaluation.depth_error - error)}
-    places = _largest_cells(simulator.scene.points[missed], len(simulator.scene))
+    places = _fullest_cubes(simulator.scene.points[missed], len(simulator.scene))
     return {'missed': {'share': float(missed.mean()), 'hopeless': float(hopeless.mean()),
                        'places': places}, 'one_more': one_more}
 
 
-def _largest_cells(points: np.ndarray, total: int) -> list[dict[str, Any]]:
+def _fullest_cubes(points: np.ndarray, total: int) -> list[dict[str, Any]]:
     """
     Return the three cubes of 1 m that contain most points.
 
     :param points: (M, 3) metres, M points.
-    :param total: number of points of which the result gives shares.
+    :param total: the number of all points of the room, by which the counts are divided.
     :returns: for each cube the share of the points, and the ``low`` and ``high`` corner of the box
         around its points, metres.
     """

@@ -63,7 +63,7 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
         return {}
     needed_elements = elements[:names.index('vertex') + 1]
     vertices = needed_elements[-1]
-    # The caller refuses vertices without coordinates, and names their columns.
+    # Without x, y and z only the names are returned: the caller lists them in its error.
     if not vertices.types.keys() >= set('xyz'):
         return dict.fromkeys(vertices.types, np.empty(0))
     if any(element.has_lists for element in needed_elements):

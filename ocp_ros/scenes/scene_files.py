@@ -456,7 +456,7 @@ def _unit_normals(normals: np.ndarray, rotation: np.ndarray) -> np.ndarray | Non
 
 def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: str
                         ) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the first of equal float32 points, and its normals; others would have spacing 0."""
+    """Return points (float32) and normals without repeated points, whose spacing would be 0."""
     # The 12 bytes of each point are compared, so -0.0 has to become 0.0, by adding 0.0.
     rows = np.ascontiguousarray(points + np.float32(0.0)).view('V12').ravel()
     first = np.sort(np.unique(rows, return_index=True)[1])

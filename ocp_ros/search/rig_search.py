@@ -133,7 +133,7 @@ class ColumnGenerationSearch(RigSearch):
         best placements join the grid, with decreasing distances, and the best choices of them are
         refined again; at last the bound is raised on all poses for the certificate.
         """
-        # Choose on the grid; half of the time for this is for the views of its poses.
+        # Choose on the grid. The views of its poses may take half of the time of this step.
         grid_deadline = self.budget.deadline_check(TUNING.grid_time_share)
         relaxation = relaxation_of(self.problem, self.pool, self.budget.deadline_check(
             0.5 * TUNING.grid_time_share))
@@ -147,15 +147,17 @@ class ColumnGenerationSearch(RigSearch):
         loss_on_grid = min((choice.loss for choice in choices), default=np.inf)
         # Repeat both with poses near the results.
         deadline = self.budget.deadline_check(TUNING.repeated_time_share)
-        for distance_m in TUNING.distances_m if results else ():
-            if deadline():
+        for distance_m in TUNING.distances_m:
+            if not results or deadline():
                 break
             results = self._repeat_near(relaxation, results, distance_m, deadline)
-        # There was no choice on the grid, and no placement was given.
         if not results:
+            # No choice on the grid, and no given placement: the cameras are placed as close
+            # together as the spacing allows.
             results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
         best = results[0]
-        # The loss after the repetitions replaces the best one before them.
+        # One loss for each refined choice, and two for a given placement: refined and unrefined.
+        # The best one is replaced by the final loss.
         losses = (best.loss, *(result.loss for result in first_results[1:]))
         return SearchResult(best.sites, best.loss, losses, self.evaluations, *prove_gap(
             self.problem, lambda: relaxation, best.loss, loss_on_grid, self.budget))
@@ -168,12 +170,13 @@ class ColumnGenerationSearch(RigSearch):
         """Return a choice as sites, in the order of the rig's cameras."""
         columns = [[column for column in choice.columns if column.grid == number]
                    for number in range(len(relaxation.grids))]
+        # Grid k belongs to model k.
         models = self.problem.rig.placed_models
         # Each camera takes the first remaining column of its model.
         poses = [relaxation.pose(columns[models.index(camera.model)].pop(0))
                  for camera in self.problem.rig.cameras]
-        return tuple(MountedCamera(pose, self.problem.simulator.look(pose, camera))
-                     for camera, pose in enumerate(poses))
+        return tuple(MountedCamera(pose, self.problem.simulator.look(pose, k))
+                     for k, pose in enumerate(poses))
 
     def _refine_all(self, starts: Sequence[Sites], first_step_m: float, moves: int,
                     should_stop: Callable[[], bool]) -> list[RatedPlacement]:

@@ -115,7 +115,11 @@ class Objective:
         return Air(scene, floor_space(scene, self.rig, floor_height(scene), scene.bounds[1, 2]))
 
     def _check_inside(self, region: Region, inside: np.ndarray) -> None:
-        """Refuse a region without points, or without cells of air; ``inside`` marks them."""
+        """
+        Refuse a region without points, or without cells of air.
+
+        ``inside`` says which points or cells are in it.
+        """
         if not inside.any():
             scene = self.simulator.scene
             low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)

@@ -119,13 +119,13 @@ class Problem:
         """
         Draw the start of an episode: feasible poses near random points around the room's centre.
 
-        :param cameras: the number of cameras: all K of the rig.
+        :param cameras: K; it has to be the number of cameras of the rig.
         :returns: (K, 6) metres, map frame, and radians.
         :raises ConfigurationError: if there is no room for all cameras.
         """
         rig, centre = self.rig, self._centre
         targets = centre[:2] + drawn_near(rng, cameras, config.start_radius)
-        # The positions of the cameras in place, then of those that have a start.
+        # First the positions of the fixed cameras; the loop adds one for each other camera.
         occupied = self.fixed_poses[:, :3]
         for camera, target in zip(rig.cameras, targets):
             mounted = self.region.onto_mount(np.array([[*target, centre[2]]]))

@@ -151,9 +151,9 @@ class Page:
         self._run_action(self._show)
         while True:
             with self._changed:
-                # wait returns False after the timeout, and True after a notification.
-                is_idle = not (self._actions or self._drags or self._closed)
-                is_quiet = is_idle and not self._changed.wait(
+                # Closing is work too. wait returns False at a timeout, True after a notification.
+                has_work = bool(self._actions or self._drags or self._closed)
+                is_quiet = not has_work and not self._changed.wait(
                     timeout=None if self._details_shown else 0.15)
                 if self._closed and not is_quiet:
                     return

@@ -44,7 +44,7 @@ def _optimizers(model: AgentSac) -> dict[str, torch.optim.Optimizer]:
             'entropy': model.ent_coef_optimizer}
 
 
-def _networks(model: AgentSac) -> dict[str, torch.Tensor]:
+def _weights_and_counters(model: AgentSac) -> dict[str, torch.Tensor]:
     """Return the tensors of networks, entropy coefficient and counters, by name in the file."""
     return {**{f'policy.{name}': value for name, value in model.policy.state_dict().items()},
             'log_ent_coef': model.log_ent_coef.detach(),
@@ -82,7 +82,7 @@ def save_state(model: AgentSac, path: Path, run: str) -> None:
     :param path: file to write.
     :param run: name of the training run.
     """
-    tensors = _networks(model)
+    tensors = _weights_and_counters(model)
     for name, optimizer in _optimizers(model).items():
         tensors |= saved_slots(optimizer, f'optimizer.{name}.')
     # safetensors refuses tensors that share memory.
@@ -103,7 +103,7 @@ def load_state(model: AgentSac, path: Path) -> str:
         tensors, run = safetensors.torch.load(blob), read_metadata(blob)['run']
         if not isinstance(run, str):
             raise ValueError(f'its run is {run!r}')
-        _check_tensors(tensors, _networks(model) | _expected_slots(model, tensors))
+        _check_tensors(tensors, _weights_and_counters(model) | _expected_slots(model, tensors))
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise CheckpointError(
             f'{path}: found no training state for this network ({error}); expected a whole one, '

@@ -40,9 +40,9 @@ def annealed(state: State, judge: Callable[[State, float], float],
     :param state: the start state.
     :param judge: returns the objective of a state; less is better. Its second argument is a limit:
         for a larger objective, any value above the limit may be returned.
-    :param propose: returns random states near the given state, none if there is none, which are
-        tried one after the other; a state and its neighbour propose each other with equal
-        probability (symmetric).
+    :param propose: returns random states near the given state, possibly none; they are tried one
+        after the other. A state and its neighbour propose each other with equal probability
+        (symmetric).
     :param temperatures: one for each call of ``propose``, in units of the objective.
     :param rng: decides which steps that raise the objective are accepted.
     :returns: the best state found, which may be the start.

@@ -285,7 +285,7 @@ def file_to_write(path: Path, what: str, option: str = '--out') -> Path:
     :raises ConfigurationError: if the file cannot be written.
     """
     try:
-        _write_trial(path.parent)
+        _try_to_write(path.parent)
         if path.is_dir():
             raise IsADirectoryError(0, 'it is a folder')
     except OSError as error:
@@ -306,7 +306,7 @@ def folder_to_write(path: Path, option: str = '--out') -> Path:
     try:
         if path.exists() and not path.is_dir():
             raise NotADirectoryError(0, 'it is a file')
-        _write_trial(path)
+        _try_to_write(path)
     except OSError as error:
         raise ConfigurationError(
             f'{option}: found {path}, where nothing can be written ({error.strerror}); expected a '
@@ -314,7 +314,7 @@ def folder_to_write(path: Path, option: str = '--out') -> Path:
     return path
 
 
-def _write_trial(folder: Path) -> None:
+def _try_to_write(folder: Path) -> None:
     """Make a folder, and write a temporary file to it; raise OSError if that fails."""
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryFile(dir=folder) as file:

@@ -48,7 +48,7 @@ def rim(model: CameraModel) -> np.ndarray:
 
 def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.ndarray:
     """
-    Return the part of a plan that a camera sees without occlusion.
+    Return the part of the floor plan that a camera would see if nothing hid anything.
 
     :param pose: (6,) metres, map frame, and radians.
     :param heights: heights of floor and ceiling, metres, map frame, which limit the rays.

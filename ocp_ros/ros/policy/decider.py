@@ -137,15 +137,15 @@ class Decider:
         """
         Return the poses and models of all cameras of the rig.
 
-        :param poses: poses of the cameras to place, with or without the fixed cameras behind them.
-            The poses of missing fixed cameras are those of the rig file.
+        :param poses: poses of the cameras to place, followed by those of all fixed cameras or of
+            none. The poses of missing fixed cameras are those of the rig file.
         :raises MessageError: if the cameras are of another rig, or the heading of a camera with a
             limited field of view is missing.
         """
         count = len(poses.poses)
         movable = self.count_movable(poses)
         models = self.models * count if self.rig is None else self.models
-        pitch_limits = (0.0, 0.5 * np.pi) if self.rig is None else self.rig.pitch
+        pitch = (0.0, 0.5 * np.pi) if self.rig is None else self.rig.pitch
         if self.rig is not None:
             with_fixed = movable + len(self.rig.fixed)
             if count not in (movable, with_fixed):
@@ -161,7 +161,7 @@ class Decider:
                     rotation_of(pose.orientation, f'poses: camera {camera}'))
         if self.rig is not None and count == movable:
             rows = np.concatenate([rows, self.rig.fixed_poses])
-        return RigState(rows, models, movable, pitch_limits, turns=self._config.max_turn > 0.0,
+        return RigState(rows, models, movable, pitch, may_rotate=self._config.max_turn > 0.0,
                         clearance=None if self.rig is None else self.rig.clearance)
 
     def decide(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> PoseArray:

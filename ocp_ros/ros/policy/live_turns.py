@@ -158,14 +158,14 @@ class LiveTurns:
         self._rig_size: tuple[int, str] | None = None
         self._command: PoseArray | None = None
         self._instruction_text = self._gain_text = ''
-        #: Target positions, positions and rotations of the last instruction: (K, 8) metres and
-        #: radians.
+        #: The last instruction, (K, 8): target x, y, z and present x, y, z, metres; changes of yaw
+        #: and pitch, radians.
         self._instructed_moves = np.empty((0, 8))
         #: Number of turns that were decided, and for each topic the number of them with a cloud.
         self._decided_turns = 0
         self._turns_with_cloud = Counter[str]()
         self._turns: Turns[PointCloud2] = Turns(self._config.live_topics, self._wait_limits())
-        #: Number of jumps of stamps after which the transforms were dropped.
+        #: The value of ``_turns.stamp_jumps`` when the transforms were last dropped.
         self._seen_jumps = 0
 
     def apply_config(self, config: PolicyNodeConfig) -> None:

@@ -69,7 +69,8 @@ class ManagedNode(LifecycleNode):
 
     :param name: name of the node.
     :param config_type: dataclass of its parameters, with a field ``autostart``.
-    :param flag_defaults: see :func:`~ocp_ros.ros.runtime.parameters.declare`.
+    :param flag_defaults: by the name of a bool parameter: defaults of other parameters that apply
+        if the user sets it to true.
     :ivar config: parameters in effect.
     :ivar configured: whether the node is configured.
     :ivar active: whether the node is active and may send messages.
