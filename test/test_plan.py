@@ -85,7 +85,7 @@ RAILS = [{'box': [[0, 0, 0], [6, 0.3, 3]]},
          {'polygon': [[0, 1.2], [3.8, 1.2], [3.75, 1.25], [0, 1.25]]}]
 
 
-@settings(deadline=None, max_examples=12)
+@settings(deadline=None, max_examples=8)
 @given(mount=strategies.sampled_from(sorted(MOUNTS)), spacing=strategies.floats(0.0, 1.5),
        keep_clear=strategies.floats(0.05, 0.4), low=strategies.floats(-30.0, 50.0),
        cameras=strategies.lists(strategies.sampled_from(
