@@ -53,10 +53,11 @@ TABLES = [
      'paper_agent/test/over/{row}/{key}', 'ratio interval/0 interval/1 wins')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
-    (README, 'ends with {} times the smallest known error after 5 turns of 2 m, and with {} times '
-     'after 30 turns', 'few_turns_test/summary/{key}/learned_lookahead/ratio_to_best',
+    (README, 'ends with {} times the smallest known error after 5 turns with moves of up to 2 m, and '
+     'with {} times after 30 turns', 'few_turns_test/summary/{key}/learned_lookahead/ratio_to_best',
      '5x2 30x0.5'),
-    (README, 'F1 score against ray casting is {}, in {} ms', 'engine/{key}/fine.40000', 'f1 ms'),
+    (README, 'it takes {} ms per camera, and its F1 score against ray casting is {}',
+     'engine/{key}/fine.40000', 'ms f1'),
     (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
      'engine/fused_f1/{key}.100000', 'fine paper mesh'),
     (RESULTS, 'the integral is {}. When the scan is turned by 17 or 45 degrees, the objective '
