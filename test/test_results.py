@@ -48,7 +48,7 @@ TABLES = [
      'measure/plans/rigs/{row}/{key}',
      'plan_over_lookahead plan_over_lookahead_worst plan_over_truth expected_mean '
      'promise_coverage certificate_gap'),
-    (MODELS, '| compared with',
+    (MODELS, '| other (eval',
      'regular_grid_100 random_100 tdsa_100 tdsa_1000 bpso_100 bpso_1000',
      'paper_agent/test/over/{row}/{key}', 'ratio interval/0 interval/1 wins')]
 #: Numbers in sentences: page, words around them, and where they are.
@@ -92,15 +92,20 @@ SENTENCES = [
      '1/event_to_colours_ms/p50 1/points'),
     (RESULTS, '99 % take at most {} and {} ms', 'studio/sizes/{key}',
      '0/event_to_colours_ms/p99 1/event_to_colours_ms/p99'),
-    (MODELS, 'the error at the end is {} and {} times the error at the start (two seeds; at best '
-     '{} and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
-     'critics_300000_0/least_ratio critics_300000_1/least_ratio'),
-    (MODELS, 'leaves {} and {} times its error after 5 and 8 turns of 2 m, and {} times',
-     'paper_agent/alone/four_cameras/lengths/{key}/ratio', '5x2 8x2 30x0.5'),
-    (MODELS, 'gradient steps reach {} after 60,000 interactions, and with residual heads {}; with '
-     'turned, mirrored and jittered observations as well, {}', 'paper_agent/rows/{key}',
+    (MODELS, 'the error at the end of an episode is {} and {} times the error at its start (two '
+     'seeds; at best {} and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio '
+     'critics_300000_1/ratio critics_300000_0/least_ratio critics_300000_1/least_ratio'),
+    (MODELS, 'its error is {} and {} times that of `paper` after 5 and 8 turns with moves of up to '
+     '2 m, and {} times after 30 turns with moves of up to 0.5 m; with two cameras {}, {} and {} '
+     'times; with six cameras {}, {} and {} times. After 8 turns it is {} times in rooms turned by '
+     '30 degrees, and {} times in five', 'paper_agent/alone/{key}/ratio', ' '.join(
+         f'{case}/lengths/{length}' for case in ('four_cameras', 'two_cameras', 'six_cameras')
+         for length in ('5x2', '8x2', '30x0.5'))
+     + ' turned_30_degrees/lengths/8x2 scans/lengths/8x2'),
+    (MODELS, 'gradient steps reach {}; residual heads added, {}; turned, mirrored and jittered '
+     'observations added too, {}', 'paper_agent/rows/{key}',
      'updates_60000_0/ratio blocks_60000_0/ratio augmented_60000_0/ratio'),
-    (MODELS, 'half of each batch, the agent reaches {} at the end ({} at best)',
+    (MODELS, 'the agent reaches {} ({} at best) after 300,000',
      'paper_agent/rows/critics_300000_0_demonstrations/{key}', 'ratio least_ratio'),
     (MODELS, 'ends at {} (at best {})', 'paper_agent/rows/{key}',
      'literal_60000_0/ratio literal_60000_0/least_ratio'),
