@@ -53,8 +53,9 @@ TABLES = [
      'paper_agent/test/over/{row}/{key}', 'ratio interval/0 interval/1 wins')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
-    (README, 'ends with {} times the smallest known error after 5 turns with moves of up to 2 m, and '
-     'with {} times after 30 turns', 'few_turns_test/summary/{key}/learned_lookahead/ratio_to_best',
+    (README, 'ends with {} times the smallest known error after 5 turns with moves of up to 2 m, '
+     'and with {} times after 30 turns',
+     'few_turns_test/summary/{key}/learned_lookahead/ratio_to_best',
      '5x2 30x0.5'),
     (README, 'it takes {} ms per camera, and its F1 score against ray casting is {}',
      'engine/{key}/fine.40000', 'ms f1'),
@@ -95,10 +96,10 @@ SENTENCES = [
     (MODELS, 'the error at the end of an episode is {} and {} times the error at its start (two '
      'seeds; at best {} and {})', 'paper_agent/rows/{key}', 'critics_300000_0/ratio '
      'critics_300000_1/ratio critics_300000_0/least_ratio critics_300000_1/least_ratio'),
-    (MODELS, 'its error is {} and {} times that of `paper` after 5 and 8 turns with moves of up to '
-     '2 m, and {} times after 30 turns with moves of up to 0.5 m; with two cameras {}, {} and {} '
-     'times; with six cameras {}, {} and {} times. After 8 turns it is {} times in rooms turned by '
-     '30 degrees, and {} times in five', 'paper_agent/alone/{key}/ratio', ' '.join(
+    (MODELS, 'its error is {} and {} times that of `paper` after 5 and 8 turns with moves of up '
+     'to 2 m, and {} times after 30 turns with moves of up to 0.5 m; with two cameras {}, {} and '
+     '{} times; with six cameras {}, {} and {} times. After 8 turns it is {} times in rooms '
+     'turned by 30 degrees, and {} times in five', 'paper_agent/alone/{key}/ratio', ' '.join(
          f'{case}/lengths/{length}' for case in ('four_cameras', 'two_cameras', 'six_cameras')
          for length in ('5x2', '8x2', '30x0.5'))
      + ' turned_30_degrees/lengths/8x2 scans/lengths/8x2'),
