@@ -43,11 +43,9 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.training.run_folder import read_config
 from ocp_ros.training.train import build_model, environments
-from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names
-from ocp_ros.util.settings import from_nested
-from ocp_ros.util.yaml_files import read_plain
 import open3d as o3d
 from rich.console import Console
 from rich.progress import track
@@ -309,7 +307,7 @@ def training_speed(warm: int, timed: int) -> float:
     :param warm: interactions before the clock starts; most rooms are made in them.
     :param timed: interactions that are timed.
     """
-    config = from_nested(TrainingConfig, read_plain(Path('config/train/paper.yaml')).data, 'paper')
+    config = read_config(Path('config/train/paper.yaml'))
     with TemporaryDirectory() as folder:
         model = build_model(config, Path(folder))
         model.set_env(environments(config, room_names(config.rooms, 'training')))

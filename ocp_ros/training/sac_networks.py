@@ -92,10 +92,13 @@ class CloudCritic(ContinuousCritic):
     def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return values (B, 1), one array from each critic, of observations and actions (B, A)."""
         # Only the actions in the actor's loss need gradients.
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not actions.requires_grad):
-            features = self.extract_features(obs, self.features_extractor)
-        inputs = torch.cat([features, actions], dim=1)
+        inputs = torch.cat([self.features_of(obs, actions.requires_grad), actions], dim=1)
         return tuple(network(inputs) for network in self.q_networks)
+
+    def features_of(self, obs, for_actor: bool) -> torch.Tensor:
+        """Return features (B, F), without gradients if they are for the actor's loss."""
+        with torch.set_grad_enabled(torch.is_grad_enabled() and not for_actor):
+            return self.extract_features(obs, self.features_extractor)
 
 
 class DetachedActor(Actor):
@@ -112,7 +115,7 @@ class DetachedActor(Actor):
         ).detach()
 
 
-class FeatureCritic(ContinuousCritic):
+class FeatureCritic(CloudCritic):
     """Critics whose loss trains the features, which the actor shares."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
@@ -125,16 +128,15 @@ class FeatureCritic(ContinuousCritic):
             # The list is no module: stable-baselines3 registers each network as an attribute.
             setattr(self, f'qf{number}', network)
 
-    def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Return values (B, 1), one array from each critic, of observations and actions (B, A)."""
+    def features_of(self, obs, for_actor: bool) -> torch.Tensor:
+        """Return the stored features (B, F) of the batch."""
         features = self.features_extractor.cached_features(
             obs, lambda: self.extract_features(obs, self.features_extractor))
-        if actions.requires_grad:
-            # The actor's loss must not train the features. It is the last loss of a gradient step.
+        if for_actor:
+            # It is the last loss of a gradient step.
             features = features.detach()
             self.features_extractor.drop_batch()
-        inputs = torch.cat([features, actions], dim=1)
-        return tuple(network(inputs) for network in self.q_networks)
+        return features
 
 
 class CustomPolicy(MultiInputPolicy):
