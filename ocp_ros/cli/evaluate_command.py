@@ -88,7 +88,7 @@ def show(result: Found) -> None:
         rows = []
         for name, pair in sorted(figures['pairs'].items(), key=lambda item: item[1]['sum']):
             low, high = pair['interval']
-            comparison = ('', '', '', '') if name == first else (
+            comparison = ('', '', '', '') if name.split(',')[0] == first else (
                 f'{pair["wins"]} of {pair["rooms"]}', f'{pair["ratio"]:.3f}',
                 f'{low:.3f} to {high:.3f}', '' if pair['p'] is None else f'{pair["p"]:.1e}')
             rows.append((name, f'{pair["sum"]:.2f}', *comparison))

@@ -358,6 +358,8 @@ def _draw_placements(problem: Problem) -> Iterator[Row]:
         views = problem.simulator.look_many(space.placement(space.grid(REFERENCE_PLACES)))
     else:
         pool = CandidatePool(problem, REFERENCE_PLACES)
+        # If not all cameras fit, every draw would be empty.
+        pool.check_fit(problem.objective)
         views = pool.union_views(rig)
     # No placement of these poses has a smaller error than cameras at all of them.
     lower_bound = problem.error(problem.judge(views))

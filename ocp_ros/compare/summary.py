@@ -143,8 +143,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
             'gap_closed': _ratio(random_sum - values.sum(), random_sum - best_sum)}
     if proofs := [row for row in rows if row['planner'] == PROVED_OPTIMUM]:
         summary['exact'] = _proof_figures(rows, proofs, best_errors)
-        # The mean over rotations, summed over rooms.
-        bound = sum(row['bound'] for row in proofs) / len(proofs) * len(rooms)
+        bound = sum(summary['exact']['bounds'].values())
         # The figures of each planner with each budget, and of the proofs.
         for figures in (*(run_figures for budgets in summary['planners'].values()
                           for run_figures in budgets.values()), summary['exact']):
@@ -163,9 +162,10 @@ def _proof_figures(rows: Rows, proofs: Rows, best_errors: dict[str, float]) -> d
     """Return the figures of the placements of column generation, and their optimality gaps."""
     # A placement without any error has no gap.
     gaps = [_ratio(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
-    return {**_planner_figures(rows, PROVED_OPTIMUM, proofs[0]['budget'], best_errors),
-            'candidates': proofs[0]['budget'], 'proved': sum(row['proved'] for row in proofs),
-            'worst_gap': max(gaps), 'bounds': {row['room']: row['bound'] for row in proofs}}
+    candidates = proofs[0]['budget']
+    return {**_planner_figures(rows, PROVED_OPTIMUM, candidates, best_errors),
+            'candidates': candidates, 'proved': sum(row['proved'] for row in proofs),
+            'worst_gap': max(gaps), 'bounds': per_room(rows, PROVED_OPTIMUM, candidates, 'bound')}
 
 
 def _planner_figures(rows: Rows, planner: str, budget: int, best_errors: dict[str, float]

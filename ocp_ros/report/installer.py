@@ -50,7 +50,7 @@ def installer_page(assessed: Assessment, plan: str) -> str:
     floor = assessed.floor
     mounts = {'walls': 'on walls', 'ceiling': 'under the ceiling',
               'plane': 'on stands, poles or rods, all at one height',
-              'free': 'on stands, poles or rods'}
+              'free': 'on stands, poles or rods', 'box': 'on stands, poles or rods'}
     corner_position = assessed.frame.to_source(np.append(assessed.corner.position, floor)).round(2)
     # Optional sentences of the page.
     surfaces = ', '.join(wall.description(assessed.walls, floor)

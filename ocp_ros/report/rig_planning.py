@@ -220,5 +220,5 @@ def curve_rows(plans: Sequence[RigPlan]) -> list[dict[str, Any]]:
 
 def gap_percent(gap: float) -> float:
     """Return an optimality gap in per cent, rounded up to tenths, so that it is an upper limit."""
-    # Without the 0.01, rounding errors of the gap could raise an exact tenth to the next one.
-    return max(ceil(1000.0 * gap - 0.01) / 10.0, MIN_GAP_PERCENT)
+    # Without the 1e-6, rounding errors of the gap could raise an exact tenth to the next one.
+    return max(ceil(1000.0 * gap - 1e-6) / 10.0, MIN_GAP_PERCENT)

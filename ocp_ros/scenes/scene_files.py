@@ -188,7 +188,8 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     # Points of a scan, or of a mesh without enclosed air: merge them.
     merged = _merge_points(points, voxel_size, max_points, name)
     if len(merged) < len(points):
-        remarks += (f'{len(merged):,} of {len(points):,} points kept (--points)',)
+        remarks += (f'{len(merged):,} of {len(points):,} points kept '
+                    f'({"merged in voxels" if voxel_size else "--points"})',)
         normals = None
     # Leave out isolated points if the others are still a room. Then leave out mirror images.
     if (is_isolated := isolated_points(merged)).any() and _is_room(merged[~is_isolated], name):

@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.policy.checkpoint import read_metadata
+from ocp_ros.util.settings import MAX_CAMERAS
 from safetensors import SafetensorError
 import safetensors.numpy
 
@@ -126,15 +127,14 @@ def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int | Non
     :param together: number of cameras that one choice moves; None if each moves one camera, and a
         camera may choose any number of times.
     """
-    # Largest number of cameras, and of choices.
-    max_count = 64
-    if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= max_count:
+    if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= MAX_CAMERAS:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
-                              f'(K, 3) with at most {max_count} cameras')
+                              f'(K, 3) with at most {MAX_CAMERAS} cameras')
     count = len(actions) if actions.ndim else 0
     each = together or 1
     if together is None:
-        fits = 1 <= count <= max_count
+        # In an episode of a single turn each camera chooses eight times.
+        fits = 1 <= count <= 8 * len(targets)
     else:
         # All cameras choose: one by one, or all at once.
         fits = (count, each) in ((len(targets), 1), (1, len(targets)))

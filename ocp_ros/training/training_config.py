@@ -112,7 +112,7 @@ class ValuesConfig:
 
     rooms: int = setting(320, 'rooms in which cameras go to random poses', 1, 100000)
     own_rooms: int = setting(
-        100, 'rooms in which the network itself then moves the cameras', 0, 100000)
+        100, 'rooms in which the network itself then moves the cameras', 1, 100000)
     steps: int = setting(7000, 'gradient steps on the states of rooms with random poses; 0 for no '
                                'dense values', 0, 1 << 31)
     own_steps: int = setting(3000, 'further gradient steps, on all states', 0, 1 << 31)

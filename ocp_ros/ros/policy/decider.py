@@ -112,8 +112,8 @@ class Decider:
         if self.rig is None:
             return poses
         # Poses beyond the cameras to place are those of the first fixed cameras.
-        return poses + [Pose.of(row) for row in
-                        self.rig.fixed_poses[len(poses) - len(self.rig.cameras):]]
+        known_count = max(len(poses) - len(self.rig.cameras), 0)
+        return poses + [Pose.of(row) for row in self.rig.fixed_poses[known_count:]]
 
     def check_turn(self, cloud: np.ndarray, poses: PoseArray) -> None:
         """
