@@ -16,19 +16,12 @@
 
 from dataclasses import replace
 import json
+from unittest.mock import Mock
 
-from conftest import (
-    assert_same,
-    batch,
-    for_any,
-    made_room,
-    observation,
-    random_checkpoint,
-    ROOT,
-)
+from conftest import assert_same, batch, for_any, made_room, random_checkpoint, ROOT
 from hypothesis import strategies as st
 import numpy as np
-from ocp_ros.policy.agent_config import AgentConfig, CLOUD, MAP, PAPER
+from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, METADATA_KEY, write_atomically
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.networks import ExtractionUnit, Extractor
@@ -55,9 +48,9 @@ def cloud():
     return made_room(8, 3000).points
 
 
-def turn_of(cloud, positions, agent=AGENT, max_range=2.0):
-    """Return an encoded turn of cameras that see so far."""
-    return Encoder(agent, max_range, 0.5).turn(cloud, np.array(positions), 3, 30)
+def turn_of(cloud, positions):
+    """Return an encoded turn of cameras that see 2 m far."""
+    return Encoder(AGENT, 2.0, 0.5).turn(cloud, np.array(positions), 3, 30)
 
 
 def corners(cloud):
@@ -104,14 +97,20 @@ def test_sampling_and_grouping_count_beyond_sixteen_bits():
         [0, 1], [39999, 39998], [39998, 39999]]
 
 
-def test_the_observation_cache_is_what_the_units_compute_on(small_agent, cloud):
+def test_the_network_of_the_paper_reads_groups_of_points_box_and_all_cameras(small_agent, cloud):
     agent = replace(small_agent, inputs=PAPER)
-    encoded = encode(cloud, np.array(corners(cloud)), agent)
+    places = np.array(corners(cloud) + corners(cloud))
+    encoded = encode(cloud, places, agent)
     points, keys = encoded['points'], encoded['keys_1']
     assert np.array_equal(keys, farthest_points(points, agent.keys_1))
     assert np.array_equal(encoded['groups_1'], ball_query(
         points, keys, agent.radius_1 / agent.length_scale, agent.group_1))
-    assert_same(encoded, encode(cloud, np.array(corners(cloud)), agent))
+    assert_same(encoded, encode(cloud, places, agent))
+    seen = batch(encoded)
+    features = Extractor(agent)(seen)
+    assert features.shape == (1, agent.pooled + 3 + 3 + 3 * 4)
+    torch.testing.assert_close(features[0, -12:], seen['cameras'].flatten())
+    torch.testing.assert_close(features[0, -15:-12], seen['half_size'][0])
 
 
 def test_an_extraction_unit_is_a_shared_perceptron_and_a_maximum():
@@ -156,25 +155,21 @@ def test_moves_are_bounded_and_drawn_from_the_rng_alone(agent, room):
     assert np.array_equal(one, two) and not np.array_equal(one, three)
     assert np.array_equal(still, act())
     assert max(np.abs(still).max(), np.abs(one).max()) <= 1.0
-    assert still.shape == one.shape == (4, 2)
 
 
 def test_points_are_marked_by_who_sees_them_now(cloud):
     places = corners(cloud)
     told = turn_of(cloud, places)
-    for camera, other in ((0, 1), (1, 0)):
+    for camera in (0, 1):
         seen = told.inputs(camera)
         points = AGENT.length_scale * (seen['points'] - seen['cameras'][0])
-        away = np.linalg.norm(points, axis=1)
-        away_other = np.linalg.norm(points - AGENT.length_scale * seen['others'][0, :3], axis=1)
-        own, others = seen['marks'].T
-        # Nobody sees farther than the range; next to a camera nothing hides a wall.
-        assert not own[away > 2.05].any() and not others[away_other > 2.05].any()
-        assert own[away < 1.2].mean() > 0.8 and others[away_other < 1.2].mean() > 0.8
+        way = AGENT.length_scale * seen['others'][0, :3]
+        np.testing.assert_allclose(way, np.subtract(places[1 - camera], places[camera]), atol=1e-5)
         assert set(np.unique(seen['marks'])) == {0, 1}
-        np.testing.assert_allclose(
-            AGENT.length_scale * seen['others'][0, :3], np.subtract(places[other], places[camera]),
-            atol=1e-5)
+        for marks, place in zip(seen['marks'].T, (np.zeros(3), way)):
+            # Nobody sees farther than the range; next to a camera nothing hides a wall.
+            away = np.linalg.norm(points - place, axis=1)
+            assert not marks[away > 2.05].any() and marks[away < 1.2].mean() > 0.8
 
 
 def test_a_camera_is_told_what_those_before_it_will_do(cloud):
@@ -199,9 +194,8 @@ def test_the_turn_is_told_and_the_nearest_of_more_cameras_than_there_is_room_for
     ways = np.random.default_rng(0).permutation(0.1 * np.arange(1, MAX_OTHERS + 1))
     seen = turn_of(cloud, [[x, y, z], *([x + way, y, z] for way in ways), far]).inputs(0)
     np.testing.assert_allclose(AGENT.length_scale * seen['others'][:, 0], np.sort(ways), atol=1e-5)
-    time, count, unseen = seen['turn']
-    assert (time, count) == (pytest.approx(0.1), pytest.approx((MAX_OTHERS + 2) / 4.0))
-    assert 0.0 < unseen < 1.0
+    assert seen['turn'][:2] == pytest.approx([0.1, (MAX_OTHERS + 2) / 4.0])
+    assert 0.0 < seen['turn'][2] < 1.0
 
 
 def test_where_nothing_is_seen_nothing_is_marked():
@@ -210,15 +204,14 @@ def test_where_nothing_is_seen_nothing_is_marked():
     assert encoded_space(AGENT).contains(seen)
 
 
-@pytest.mark.parametrize('seed', [1000, 1002])
-def test_nearly_every_point_reaches_a_group(seed):
+def test_nearly_every_point_reaches_a_group():
     """In the network of the paper most do not: it is what repairs it that counts."""
-    scene, shares = make_room(str(seed), 0.0, 6000), {}
-    for name in ('paper', 'paper_repaired'):
+    scene = make_room('1000', 0.0, 6000)
+    middle = np.array([[*scene.bounds.mean(axis=0)[:2], 1.9]])
+    for name, least, most in (('paper', 0.0, 0.4), ('paper_repaired', 0.85, 1.0)):
         agent = read_config(ROOT / 'config' / 'train' / f'{name}.yaml').agent
-        seen = encode(scene.points, np.array([[*scene.bounds.mean(axis=0)[:2], 1.9]]), agent)
-        shares[name] = len(np.unique(seen['groups_1'])) / agent.points
-    assert shares['paper'] < 0.4 and shares['paper_repaired'] > 0.85
+        groups = encode(scene.points, middle, agent)['groups_1']
+        assert least < len(np.unique(groups)) / agent.points <= most
 
 
 def test_symmetries_turn_the_ways_to_other_cameras(cloud):
@@ -231,15 +224,6 @@ def test_symmetries_turn_the_ways_to_other_cameras(cloud):
         np.testing.assert_array_equal(turned['marks'][0], seen['marks'])
 
 
-def test_the_network_of_the_paper_reads_cloud_box_and_all_cameras(small_agent):
-    agent = replace(small_agent, inputs=PAPER)
-    encoded = batch(observation(agent))
-    features = Extractor(agent)(encoded)
-    assert features.shape == (1, agent.pooled + 3 + 3 + 3 * 4)
-    torch.testing.assert_close(features[0, -12:], encoded['cameras'].flatten())
-    torch.testing.assert_close(features[0, -15:-12], encoded['half_size'][0])
-
-
 def test_one_head_serves_one_number_of_cameras_and_tells_them_apart(small_agent, cloud):
     """Two cameras that read the same get moves of their own; a head of each cannot do this."""
     policy = Policy(random_checkpoint(replace(small_agent, inputs=PAPER, cameras=2)))
@@ -249,20 +233,13 @@ def test_one_head_serves_one_number_of_cameras_and_tells_them_apart(small_agent,
         policy.act(cloud, np.zeros((3, 3)))
 
 
-def test_settings_that_are_never_read_are_refused():
-    AgentConfig(MAP, headings=8)
-    with pytest.raises(ConfigurationError, match='headings: found 8'):
-        replace(AGENT, headings=8)
-
-
 def test_a_checkpoint_comes_back_as_it_went(small_agent, tmp_path):
     before = random_checkpoint(small_agent, updates=7, run='r', provenance={'seed': 3})
     before.save(tmp_path / 'm.safetensors')
     after = Checkpoint.load(tmp_path / 'm.safetensors')
-    assert (after.config, after.updates, after.run, after.provenance) == (
-        small_agent, 7, 'r', {'seed': 3})
-    assert all(torch.equal(after.weights[name], value) for name, value in before.weights.items())
-    assert '"updates": 7' in (tmp_path / 'm.json').read_text()
+    assert after.card() == before.card() and after.config == small_agent
+    assert_same(after.weights, before.weights)
+    assert json.loads((tmp_path / 'm.json').read_text()) == before.card()
     assert sorted(p.name for p in tmp_path.iterdir()) == ['m.json', 'm.safetensors']
 
 
@@ -290,8 +267,7 @@ def test_a_damaged_blob_is_refused_and_nothing_else_happens(blob, data):
 
 
 @pytest.mark.parametrize(('name', 'value'), [
-    ('updates', 'Infinity'), ('updates', 'NaN'), ('updates', '"many"'), ('updates', '[1]'),
-    ('updates', '-1'), ('updates', 'true'), ('updates', '1' + 300 * '0'),
+    ('updates', 'Infinity'), ('updates', '-1'), ('updates', 'true'), ('updates', '1' + 300 * '0'),
     ('run', f'"{"x" * 101}"'), ('run', 'null'), ('provenance', '7'), ('config', '[]'),
     ('format', 'null'), ('config', '{"points": 1e999}'), ('config', '{"hidden": 4096}'),
     ('provenance', '[' * 5000 + ']' * 5000)])
@@ -307,24 +283,19 @@ def test_a_card_with_odd_values_is_refused(blob, name, value):
         Checkpoint.from_bytes(len(text).to_bytes(8, 'little') + text + blob[body:])
 
 
-@pytest.mark.parametrize(('bias', 'words'), [
-    (None, 'missing.*mu.bias'), (torch.zeros(5), 'mu.bias'),
-    *((torch.full((2,), wrong), 'mu.bias') for wrong in (torch.nan, -torch.inf, 3e38, -1e5))])
-def test_weights_of_another_network_are_refused(small_agent, bias, words):
-    weights = {**random_checkpoint(small_agent).weights, 'mu.bias': bias}
+@pytest.mark.parametrize('bias', [
+    None, torch.zeros(5), *(torch.full((2,), wrong) for wrong in (torch.nan, -torch.inf, -1e5))])
+def test_weights_of_another_network_are_refused(small_agent, bias):
+    weights = random_checkpoint(small_agent).weights | {'mu.bias': bias}
     if bias is None:
         del weights['mu.bias']
-    with pytest.raises(CheckpointError, match=words):
+    with pytest.raises(CheckpointError, match='mu.bias'):
         Checkpoint(small_agent, weights)
 
 
 def test_an_interrupted_write_leaves_the_old_file(tmp_path, monkeypatch):
     write_atomically(tmp_path / 'f', b'old')
-
-    def fail(*arguments):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr('os.replace', fail)
+    monkeypatch.setattr('os.replace', Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         write_atomically(tmp_path / 'f', b'new')
     assert [(path.name, path.read_bytes()) for path in tmp_path.iterdir()] == [('f', b'old')]

@@ -12,20 +12,31 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Where cameras may hang: in the air of the room, on their mount, away from all else."""
+"""What a rig asks of its cameras: where they may hang, and what they have to share of the room."""
 
 from dataclasses import replace
+from itertools import combinations
 
-from conftest import box_room, box_sides, l_shaped, made_room, MOUNTS
-from hypothesis import given, settings, strategies
+from conftest import box_room, box_sides, for_any, l_shaped, made_room, MOUNTS
+from hypothesis import strategies as st
 import numpy as np
+from ocp_ros.api import plan, score
 from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.packed_bits import no_bits, pack
+from ocp_ros.report.findings import evaluate_placement
 from ocp_ros.rig.feasible_region import FeasibleRegion
-from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rig.rig_file import Calibratable, rig_of
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.structure import floor_height
 from ocp_ros.rooms.generator import plan_of
 from ocp_ros.scenes.scene import Scene, turned
+from ocp_ros.search.budget import Budget
+from ocp_ros.search.rig_plan import RigPlanner
+from ocp_ros.simulation.covisibility import air_share, covisibility
+from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import View
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 from scipy.spatial import cKDTree
@@ -41,21 +52,8 @@ ROOMS = 'box', 'L', 'office', 'turned', 'low'
 def rooms():
     """Return the scenes of ROOMS."""
     office = made_room(3, 8000)
-    low = Scene(office.points - np.array([3.0, 40.0, 5.0]), 'low')
-    return dict(zip(ROOMS, (box_room(), l_shaped(), office, turned(office, 33.0), low)))
-
-
-@pytest.fixture(scope='module')
-def furnished():
-    """Return a box with closed cabinets of 1.2 x 0.8 x 2.1 m, in a corner and in the middle."""
-    size, points = np.array([1.2, 0.8, 2.1]), box_room().points
-    for low in ([0.0, 0.0, 0.0], [3.0, 1.6, 0.0]):
-        # A scan does not show what is behind, nor the sides against the walls and the floor.
-        cabinet = box_sides(size, low + 0.5 * size)
-        cabinet = cabinet[(cabinet > 0.01).all(axis=1)]
-        hidden = ((points > np.array(low) - 0.01) & (points < low + size - 0.01)).all(axis=1)
-        points = np.concatenate([points[~hidden], cabinet])
-    return Scene(points.astype(np.float32), 'furnished')
+    return dict(zip(ROOMS, (box_room(), l_shaped(), office, turned(office, 33.0),
+                            Scene(office.points - np.array([3.0, 40.0, 5.0]), 'low'))))
 
 
 def allowed_of(scene, mount='free', sensor='d455', cameras=1, **more):
@@ -77,8 +75,7 @@ def test_every_candidate_is_allowed_and_breaks_nothing(rooms, room, mount, senso
     poses = allowed.candidates(model, 300)
     assert 20 < len(poses) <= 300 and poses.shape[1] == 6
     assert allowed.allowed(poses, model).all()
-    for pose in poses[::7]:
-        assert allowed.broken(pose[None]) == []
+    assert [allowed.broken(pose[None]) for pose in poses[::7]] == [[]] * len(poses[::7])
     places = np.unique(poses[:, :3], axis=0)
     assert len(places) == len(poses) if sensor != 'd455' else 2 * len(places) < len(poses)
     above = places[:, 2] - (-5.0 if room == 'low' else 0.0)
@@ -86,18 +83,16 @@ def test_every_candidate_is_allowed_and_breaks_nothing(rooms, room, mount, senso
     assert (above > low - 0.02).all() and (above < high + 0.02).all()
 
 
-@settings(deadline=None, max_examples=20)
-@given(spacing=strategies.floats(0.0, 2.0), keep_clear=strategies.floats(0.0, 0.5),
-       low=strategies.floats(-20.0, 60.0), most=strategies.integers(1, 200),
-       mount=strategies.sampled_from(sorted(ALL_MOUNTS)), room=strategies.sampled_from(ROOMS))
+@for_any(20, spacing=st.floats(0.0, 2.0), keep_clear=st.floats(0.0, 0.5),
+         low=st.floats(-20.0, 60.0), most=st.integers(1, 200),
+         mount=st.sampled_from(sorted(ALL_MOUNTS)), room=st.sampled_from(ROOMS))
 def test_candidates_obey_whatever_is_asked(rooms, spacing, keep_clear, low, most, mount, room):
     middle = rooms[room].bounds.mean(axis=0)
     allowed = allowed_of(rooms[room], mount, spacing=spacing, keep_clear=keep_clear,
                          pitch=[low, low + 10.0], keep_out=[{'box': [
                              (middle - [1.0, 0.5, 9.0]).tolist(), (middle + 9.0).tolist()]}])
     poses = allowed.candidates(D455, most)
-    assert 1 <= len(poses) <= most
-    assert allowed.allowed(poses, D455).all()
+    assert 1 <= len(poses) <= most and allowed.allowed(poses, D455).all()
     assert allowed.broken(poses[:1]) == [] and allowed.broken(poses[-1:]) == []
 
 
@@ -117,8 +112,8 @@ def test_candidates_reach_all_over_the_room(rooms):
     for mount in ALL_MOUNTS:
         poses = allowed_of(rooms['L'], mount, 'omnidirectional').candidates(D455, 1000)
         places = np.unique(poses[:, :2], axis=0)
-        for corner in ([0, 0], [6, 0], [6, 2], [3, 4], [0, 4]):
-            assert np.linalg.norm(places - corner, axis=1).min() < 0.8, (mount, corner)
+        corners = np.array([[0, 0], [6, 0], [6, 2], [3, 4], [0, 4]], dtype=float)
+        assert cKDTree(places).query(corners)[0].max() < 0.8, mount
         assert not ((places > [3.05, 2.05]).all(axis=1)).any()
 
 
@@ -158,11 +153,11 @@ def test_each_broken_constraint_is_named(rooms, mount, pose, words):
 
 
 def test_the_surface_a_camera_hangs_on_may_be_near_and_no_other(rooms):
-    near = level(3, 3.9, 2.0)
-    assert allowed_of(rooms['box'], 'walls', keep_clear=0.5).broken(near) == []
-    assert 'keep_clear' in allowed_of(rooms['box'], 'free', keep_clear=0.5).broken(near)[0]
+    walls, free = (allowed_of(rooms['box'], mount, keep_clear=0.5) for mount in ('walls', 'free'))
+    assert walls.broken(level(3, 3.9, 2.0)) == []
+    assert 'keep_clear' in free.broken(level(3, 3.9, 2.0))[0]
     # The neighbouring wall, 0.3 m away, is another surface.
-    corner, = allowed_of(rooms['box'], 'walls', keep_clear=0.5).broken(level(0.3, 3.9, 2.0))
+    corner, = walls.broken(level(0.3, 3.9, 2.0))
     assert '0.30 m' in corner and 'keep_clear' in corner
 
 
@@ -175,44 +170,45 @@ def test_next_to_a_wall_a_camera_is_not_faulted_but_a_search_stays_away(rooms):
 
 
 def test_a_sloping_ceiling_is_one_surface():
-    room = box_room()
-    points = room.points.copy()
-    top = points[:, 2] > 2.75
-    points[top, 2] = 2.2 + 0.2 * points[top, 0]
-    points = points[points[:, 2] <= 2.2 + 0.2 * points[:, 0] + 1e-5]
-    allowed = allowed_of(Scene(points, 'slope'), 'ceiling', keep_clear=0.4)
-    poses = allowed.candidates(D455, 200)
+    points = box_room().points.copy()
+    slope = 2.2 + 0.2 * points[:, 0]
+    points[:, 2] = np.where(points[:, 2] > 2.75, slope, points[:, 2])
+    room = Scene(points[points[:, 2] <= slope + 1e-5], 'slope')
+    poses = allowed_of(room, 'ceiling', keep_clear=0.4).candidates(D455, 200)
     np.testing.assert_allclose(poses[:, 2], 2.1 + 0.2 * poses[:, 0], atol=0.06)
 
 
-def test_a_place_inside_a_cabinet_is_not_in_the_air(furnished):
-    allowed = allowed_of(furnished)
-    corner, middle = level(0.6, 0.4, 1.2), level(3.6, 2.0, 1.2)
-    assert 'not above floor' in allowed.broken(corner)[0]
-    assert 'furniture' in allowed.broken(middle)[0]
+def test_a_place_inside_a_cabinet_is_not_in_the_air():
+    size, points = np.array([1.2, 0.8, 2.1]), box_room().points
+    # One in a corner and one in the middle.
+    lows = np.array([[0.0, 0.0, 0.0], [3.0, 1.6, 0.0]])
+    for low in lows:
+        # A scan does not show what is behind, nor the sides against the walls and the floor.
+        cabinet = box_sides(size, low + 0.5 * size)
+        hidden = ((points > low - 0.01) & (points < low + size - 0.01)).all(axis=1)
+        points = np.concatenate([points[~hidden], cabinet[(cabinet > 0.01).all(axis=1)]])
+    allowed = allowed_of(Scene(points.astype(np.float32), 'furnished'))
+    assert 'not above floor' in allowed.broken(level(0.6, 0.4, 1.2))[0]
+    assert 'furniture' in allowed.broken(level(3.6, 2.0, 1.2))[0]
     above, = allowed.broken(level(3.6, 2.0, 2.45))
-    assert 'mount.height' in above
-    assert allowed.broken(level(2.0, 1.5, 1.2)) == []
+    assert 'mount.height' in above and allowed.broken(level(2.0, 1.5, 1.2)) == []
     places = allowed.candidates(D455, 4000)[:, :3]
-    for low in ([0.0, 0.0, 0.0], [3.0, 1.6, 0.0]):
-        assert not ((places > low) & (places < np.array(low) + [1.2, 0.8, 2.1])).all(axis=1).any()
-
-
-def judged_places(seed):
-    """Judge places in a generated room: how deep in solids, allowed, and over the floor."""
-    room = made_room(seed, 15000)
-    allowed = allowed_of(room)
-    low, high = room.bounds
-    places = np.random.default_rng(0).uniform(
-        low + [0.0, 0.0, 1.0], [*high[:2], low[2] + 2.2], (2000, 3))
-    depth = np.max([(0.5 * solid.size - np.abs((places - solid.centre) @ rotation_matrix(
-        solid.yaw))).min(axis=1) for solid in plan_of(seed).solids], axis=0)
-    good = allowed.allowed(np.hstack([places, np.zeros_like(places)]), D455)
-    return np.column_stack([depth, good, allowed.space.contains(places[:, :2])])
+    for low in lows:
+        assert not ((places > low) & (places < low + size)).all(axis=1).any()
 
 
 def test_hardly_any_place_inside_the_solids_of_scanned_rooms_is_allowed():
-    depth, good, over_floor = np.concatenate([judged_places(seed) for seed in (3, 5, 12)]).T
+    judged = []
+    for seed in (3, 5, 12):
+        room = made_room(seed, 15000)
+        allowed, low, high = allowed_of(room), *room.bounds
+        places = np.random.default_rng(0).uniform(
+            low + [0.0, 0.0, 1.0], [*high[:2], low[2] + 2.2], (2000, 3))
+        depth = np.max([(0.5 * solid.size - np.abs((places - solid.centre) @ rotation_matrix(
+            solid.yaw))).min(axis=1) for solid in plan_of(seed).solids], axis=0)
+        good = allowed.allowed(np.hstack([places, np.zeros_like(places)]), D455)
+        judged.append(np.column_stack([depth, good, allowed.space.contains(places[:, :2])]))
+    depth, good, over_floor = np.concatenate(judged).T
     assert good[depth > 0.02].mean() < 0.01
     assert good[(depth < -0.5) & (over_floor > 0)].mean() > 0.97
 
@@ -231,9 +227,8 @@ def test_zones_keep_cameras_out(rooms):
 def test_mounting_zones_hold_cameras(rooms, mount):
     rail = {'box': [[0.5, 0.09, 1.85], [5.5, 0.25, 2.75]]}
     allowed = allowed_of(rooms['box'], mount, keep_in=[rail], keep_clear=0.0)
-    low, high = np.array(rail['box'])
     places = np.unique(allowed.candidates(D455, 3000)[:, :3], axis=0)
-    assert len(places) > 10 and ((places >= low) & (places <= high)).all()
+    assert len(places) > 10 and (np.clip(places, *rail['box']) == places).all()
     drawn = np.random.default_rng(0).uniform(0.0, (6.0, 4.0, 2.8), (50, 3))
     # Positions are moved to the nearest place in the zone, where there is floor.
     there = allowed.allowed(np.hstack([allowed.onto_mount(drawn), np.zeros_like(drawn)]))
@@ -250,8 +245,8 @@ def test_cameras_keep_apart_from_each_other_and_from_those_in_place(rooms):
     assert 'realsense_d455_1: ' in found[0] and 'to door' in found[0]
     assert 'realsense_d455_2: ' in found[1] and 'to realsense_d455_1' in found[1]
     assert allowed.allowed(poses, D455).tolist() == [False, True]
-    away = np.linalg.norm(allowed.candidates(D455, 500)[:, :3] - [3.0, 2.0, 1.9], axis=1)
-    assert away.min() >= 0.6
+    offsets = allowed.candidates(D455, 500)[:, :3] - [3.0, 2.0, 1.9]
+    assert np.linalg.norm(offsets, axis=1).min() >= 0.6
 
 
 def test_an_omnidirectional_camera_may_have_any_orientation(rooms):
@@ -276,11 +271,10 @@ def test_a_rig_that_does_not_go_with_the_room_is_refused(rooms, highest, mount, 
             D455, 10)
 
 
-def test_poses_of_another_shape_are_refused(rooms):
-    allowed = allowed_of(rooms['box'], 'plane')
-    for poses in (np.zeros((2, 4)), np.zeros(6), np.full((1, 6), np.nan)):
-        with pytest.raises(ValueError, match='poses: found shape'):
-            allowed.broken(poses)
+@pytest.mark.parametrize('poses', [np.zeros((2, 4)), np.zeros(6), np.full((1, 6), np.nan)])
+def test_poses_of_another_shape_are_refused(rooms, poses):
+    with pytest.raises(ValueError, match='poses: found shape'):
+        allowed_of(rooms['box'], 'plane').broken(poses)
 
 
 def test_the_rolls_of_a_mount_are_candidates_and_no_others_are_allowed(rooms):
@@ -300,26 +294,153 @@ def test_the_rolls_of_a_mount_are_candidates_and_no_others_are_allowed(rooms):
 
 def test_each_camera_of_a_mixed_rig_has_its_own_pitch(rooms):
     rig = rig_of(1, 'd455', mount=ALL_MOUNTS['plane'], pitch=[0, 30])
-    other = replace(rig, cameras=(rig.cameras[0], rig_of(1).cameras[0]))
+    allowed = FeasibleRegion(rooms['box'], replace(
+        rig, cameras=(rig.cameras[0], rig_of(1).cameras[0])))
     poses = np.concatenate([level(2, 2, 1.9, pitch=20), level(4, 2, 1.9, pitch=70)])
-    allowed = FeasibleRegion(rooms['box'], other)
     assert allowed.broken(poses) == []
     assert len(allowed.broken(poses[::-1])) == 1
     assert allowed.broken(poses[1:], [1]) == [] and len(allowed.broken(poses[1:], [0])) == 1
 
 
 def test_a_tripod_stands_on_the_floor_and_a_pole_may_be_over_a_table():
-    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(2.0, 4.0, 0.05),
-                                                 np.arange(1.0, 3.0, 0.05)))
-    table = np.column_stack([x, y, np.full(x.size, 0.74)])
+    table = np.stack(np.meshgrid(np.arange(2.0, 4.0, 0.05), np.arange(1.0, 3.0, 0.05), 0.74),
+                     axis=-1).reshape(-1, 3)
     room = Scene(np.concatenate([box_room().points, table]).astype('f4'), 'office')
     poses = np.concatenate([level(x, 2.0, 1.6) for x in (3.0, 1.8, 1.2)])
     for footprint, good in ((0.0, [True, True, True]), (0.4, [False, False, True])):
         rig = rig_of(3, 'd455', mount={'on': 'plane', 'height': 1.6, 'footprint': footprint})
         region = FeasibleRegion(room, rig)
         assert region.allowed(poses).tolist() == good
-        assert len(region.broken(poses)) == good.count(False)
-        assert all('mount.footprint' in said for said in region.broken(poses))
+        assert ['mount.footprint' in said for said in region.broken(poses)] == [
+            True] * good.count(False)
         assert region.allowed(region.candidates(rig.models[0], 100), rig.models[0]).all()
     with pytest.raises(ConfigurationError, match='mount.footprint'):
         rig_of(1, 'd455', mount={'on': 'walls', 'footprint': 0.3})
+
+
+#: Points along a line two metres in front of cameras that stand on another line.
+POINTS = np.column_stack([np.linspace(0.0, 9.9, 100), np.full(100, 2.0), np.zeros(100)])
+FAST = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=16))
+
+
+def view(x: float, first: int, last: int) -> View:
+    """Return what a camera at x sees: the points from one to before another."""
+    seen = np.zeros(100, dtype=bool)
+    seen[first:last] = True
+    return View(pack(seen), pack(np.zeros(1, dtype=bool)), np.array([x, 0.0, 0.0]))
+
+
+def test_what_is_seen_under_a_wide_angle_is_not_shared():
+    """Two cameras opposite each other see one strip between them, from two sides."""
+    views = [view(0.0, 0, 100), view(9.9, 0, 100)]
+    lines = POINTS[:, None] - np.array([[0.0, 0.0, 0.0], [9.9, 0.0, 0.0]])
+    lines /= np.linalg.norm(lines, axis=2, keepdims=True)
+    angles = np.rad2deg(np.arccos((lines[:, 0] * lines[:, 1]).sum(axis=1)))
+    assert 60.0 < angles.min() < 120.0 < angles.max() < 180.0
+    for most in (60.0, 120.0, 180.0):
+        found = covisibility(POINTS, views, Calibratable(0.2, np.deg2rad(most)))
+        assert found.shares[0, 1] == pytest.approx(np.mean(angles <= most))
+
+
+def test_a_chain_connects_and_a_gap_says_how_much_is_missing():
+    chain = [view(1.0, 0, 40), view(3.0, 30, 70), view(5.0, 60, 100)]
+    asked = Calibratable(0.25, np.pi)
+    found = covisibility(POINTS, chain, asked)
+    assert found.missing == 0.0 and not found.linked(0, 2) and len(found.groups) == 1
+    apart = covisibility(POINTS, [*chain[:2], view(5.0, 65, 100)], asked)
+    assert apart.missing == pytest.approx(0.5 * (1.0 - 5 / 35 / 0.25))
+    assert apart.groups == [[0, 1], [2]]
+    # The share is that of the camera that sees fewer points.
+    found = covisibility(POINTS, [view(2.0, 0, 50), view(3.0, 40, 60)], asked)
+    assert found.shares[0, 1] == pytest.approx(10 / 20)
+    # Two cameras in place are linked, and a single camera needs no other.
+    views = [view(1.0, 0, 40), view(2.0, 20, 40), view(5.0, 60, 100)]
+    assert covisibility(POINTS, views, asked).groups == [[0, 1], [2]]
+    assert covisibility(POINTS, views, asked, fixed_count=2).missing == 0.0
+    assert covisibility(POINTS, views[:1], asked).missing == 0.0
+
+
+def test_a_plan_connects_its_cameras_and_says_so(room):
+    """Three narrow cameras in a room: without the key they spread, with it they are linked."""
+    free, linked = (rig_of(3, 'd455', pitch=[20, 40], **more)
+                    for more in ({}, {'calibratable': {'overlap': 0.5, 'angle': 45}}))
+    plans, judged = [], []
+    for rig in (free, linked):
+        planner = RigPlanner(room, rig, FAST.engine, Budget(evaluations=250))
+        plans.append(planner.plan(rig))
+        judged.append(evaluate_placement(Problem.of(room, linked, FAST), plans[-1].answer.poses))
+    (spread, near), (spread_findings, findings) = plans, judged
+    assert len(spread_findings['scores']['calibratable']['groups']) > 1
+    assert [line.partition(':')[0] for line in spread_findings['broken']] == ['calibratable']
+    assert findings['broken'] == [] and near.evaluation.connected
+    assert spread.evaluation.depth_error <= near.evaluation.depth_error + 1e-3
+    links = findings['scores']['calibratable']
+    overlaps = [pair['overlap'] for pair in links['pairs'] if pair['linked']]
+    assert len(links['groups']) == 1 and len(overlaps) >= 2 and min(overlaps) >= 0.5
+    # Nothing is proved of plans that have to be calibratable.
+    certified = planner.certified(near, Budget(1.0))
+    assert certified.certificate is None and 'calibratable' in certified.uncertain
+
+
+def test_the_loss_counts_what_is_missing(room):
+    problem, free = (Problem.of(room, rig_of(2, 'd455', **more), FAST)
+                     for more in ({'calibratable': {'overlap': 0.2}}, {}))
+    poses = problem.region.candidates(problem.region.rig.models[0], 400)
+    rng, missing = np.random.default_rng(0), []
+    for _ in range(20):
+        views = problem.objective.look(poses[rng.choice(len(poses), 2, replace=False)])
+        lacking = problem.objective.covisibility(views).missing
+        judged = problem.objective.judge(views)
+        assert judged.loss == pytest.approx(free.objective.judge(views).loss + 10.0 * lacking)
+        assert problem.objective.loss(views) == pytest.approx(judged.loss)
+        assert judged.connected == (lacking == 0.0)
+        missing.append(lacking)
+    assert min(missing) < 1.0 and max(missing) > 0.0
+
+
+@pytest.mark.parametrize(('more', 'words'), [
+    ({'calibratable': {'overlap': 0}}, 'overlap'), ({'calibratable': {'overlap': 1.5}}, 'overlap'),
+    ({'calibratable': {'angle': 200}}, 'angle'), ({'air': {'angle': 150}}, 'air.angle'),
+    ({'air': {'seen_by': 3}}, r'regions\[0\].air.seen_by'),
+    ({'air': {}, 'box': [[1, 1, 1], [1.01, 1.01, 1.01]]}, 'no air')])
+def test_what_cannot_be_calibrated_or_watched_is_refused(more, words):
+    rig = {'cameras': [{'sensor': 'kinect_v2', 'count': 2}]}
+    if 'air' in more:
+        more = {'regions': [{'name': 'stage', 'box': [[1, 1, 1], [2, 2, 2]], **more}]}
+    with pytest.raises(ConfigurationError, match=words):
+        plan(box_room(), {**rig, **more}, evaluations=10)
+
+
+@for_any(20, seed=st.integers(0, 9999), cameras=st.integers(1, 5), seen_by=st.integers(1, 4),
+         angle=st.floats(0.0, 100.0))
+def test_air_counts_where_enough_cameras_look_from_enough_directions(
+        seed, cameras, seen_by, angle):
+    rng = np.random.default_rng(seed)
+    cells, positions = rng.uniform(0, 4, (100, 3)), rng.uniform(0, 4, (cameras, 3))
+    seen = rng.random((cameras, 100)) < 0.7
+    numbers = np.flatnonzero(rng.random(100) < 0.5)
+    views = [View(no_bits(0), pack(some), position) for some, position in zip(seen, positions)]
+    ways = cells[None] - positions[:, None]
+    ways /= np.linalg.norm(ways, axis=2, keepdims=True)
+    between = np.rad2deg(np.arccos(np.clip(np.einsum('ank,bnk->abn', ways, ways), -1, 1)))
+    found = [any(all(between[one, other, n] >= angle for one, other in combinations(some, 2))
+                 for some in combinations(np.flatnonzero(seen[:, n]), seen_by)) for n in numbers]
+    assert air_share(cells, numbers, views, seen_by, np.deg2rad(angle)) == np.mean(found)
+    # Cameras that are everywhere at once see from all directions.
+    everywhere = [view._replace(position=None) for view in views]
+    enough = (seen[:, numbers].sum(axis=0) >= seen_by).mean()
+    assert air_share(cells, numbers, everywhere, seen_by, np.deg2rad(angle)) == enough
+
+
+def test_a_volume_that_two_cameras_watch_from_two_sides_is_planned_for():
+    region = {'name': 'stage', 'box': [[1.5, 1.0, 0.3], [4.0, 3.0, 1.8]], 'must_see': 0.9,
+              'air': {'seen_by': 2, 'angle': 45}}
+    rig = rig_of(3, 'd455', mount={'on': 'walls', 'height': [1.6, 2.4]}, regions=[region])
+    found = plan(box_room(), rig, evaluations=250)
+    assert found.broken == () and found.gap is None
+    (part,) = found.found['scores']['regions']
+    assert part['of'] == 'air' and part['seen'] >= 0.9
+    # Side by side they do not do.
+    beside = found.poses[[0, 0, 0]]
+    beside[:, 0] += 0.01 * np.arange(3)
+    assert score(box_room(), beside, rig).found['scores']['regions'][0]['seen'] == 0.0

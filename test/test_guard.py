@@ -57,15 +57,21 @@ def turns(draw):
     return rig, seen, positions, targets, draw(st.floats(0.1, 1.0))
 
 
+@pytest.mark.parametrize('prepared', [False, True])
 @budget(max_examples=15, deadline=None)
-@given(turns())
-def test_every_command_holds_or_the_camera_stays(drawn):
+@given(drawn=turns(), share=st.floats(0.3, 1.0))
+def test_every_command_holds_or_the_camera_stays(prepared, drawn, share):
     rig, seen, positions, moves, max_step = drawn
     guard, scene = ConstraintFilter(rig, MARGIN), Scene(seen, 'seen')
     for targets in moves:
+        if prepared:
+            # With what was known of what is seen now.
+            guard.prepare(seen[np.random.default_rng(0).random(len(seen)) < share], positions)
         found, _ = guard(seen, positions, targets, max_step)
         check(rig, scene, positions, found, max_step)
         positions = found
+    if prepared:
+        return
     low, high = rig.mount.heights or (-np.inf, np.inf)
     above = drawn[2][:, 2] - floor_height(scene)
     as_asked = (above >= low).all() and (above <= high).all()
@@ -82,37 +88,19 @@ def check(rig, scene, before, after, max_step):
     moved = np.flatnonzero(np.abs(after - before).max(axis=1) > 1e-9)
     if not len(moved):
         return
-    floor, places = floor_height(scene), after[moved]
-    for zone in rig.keep_out:
-        assert not zone.contains(places, floor).any()
-    low, high = scene.bounds[:, :2]
+    places, (low, high) = after[moved], scene.bounds[:, :2]
+    if rig.mount.on in ('plane', 'free'):
+        assert cKDTree(scene.points).query(places)[0].min() >= rig.keep_clear - 0.0011
     assert (places[:, :2] >= low + MARGIN - 1e-6).all()
     assert (places[:, :2] <= high - MARGIN + 1e-6).all()
+    for zone in rig.keep_out:
+        assert not zone.contains(places, floor_height(scene)).any()
     if rig.mount.heights is not None:
         # What a part of a room shows as its floor moves no camera up or down.
         np.testing.assert_allclose(places[:, 2], before[moved, 2], atol=1e-9)
-    if rig.mount.on in ('plane', 'free'):
-        assert cKDTree(scene.points).query(places)[0].min() >= rig.keep_clear - 0.0011
     for camera in moved:
         others = np.concatenate([np.delete(after, camera, axis=0), rig.fixed_poses[:, :3]])
         assert np.linalg.norm(others - after[camera], axis=1).min() >= rig.spacing - 1e-9
-
-
-@budget(max_examples=12, deadline=None)
-@given(turns(), st.floats(0.3, 1.0))
-def test_what_was_prepared_keeps_clear_of_what_came_since(drawn, share):
-    rig, seen, positions, moves, max_step = drawn
-    guard, scene = ConstraintFilter(rig, MARGIN), Scene(seen, 'seen')
-    known = seen[np.random.default_rng(0).random(len(seen)) < share]
-    for targets in moves:
-        guard.prepare(known, positions)
-        found, _ = guard(seen, positions, targets, max_step)
-        assert np.linalg.norm(found - positions, axis=1).max() <= max_step + 1e-6
-        moved = np.abs(found - positions).max(axis=1) > 1e-9
-        if rig.mount.on in ('plane', 'free') and moved.any():
-            assert cKDTree(seen).query(found[moved])[0].min() >= rig.keep_clear - 0.0011
-            assert (found[moved, :2] >= scene.bounds[0, :2] + MARGIN - 1e-6).all()
-        positions = found
 
 
 @pytest.mark.parametrize('mount', [MOUNTS[0], MOUNTS[2], MOUNTS[3]])

@@ -51,13 +51,15 @@ def guided(graph, probe, room):
 def test_the_page_shows_the_cloud_the_cameras_and_where_they_shall_go(guided):
     page = guided.guide.page
     guided.graph.until(lambda: 'camera 0: ' in page.instructions.content
+                       and 'expected' in page.instructions.content
                        and '<svg' in page.plan.content)
     assert len(page.points) > 100
-    guided.graph.until(lambda: 'expected' in page.instructions.content)
     assert 'not final: turn 1 of 3' in page.instructions.content
     with PageClient(guided.guide.url) as client:
         client.look()
         client.until(lambda message: message['type'] == 'PointCloudMessage')
+    # The loop goes on when the guide ends.
+    guided.graph.remove(guided.guide)
     guided.rig.go()
     guided.graph.until(lambda: counted(guided.policy, 'turns_answered') >= 2)
 
@@ -74,15 +76,13 @@ def test_arrived_ends_the_turn_where_the_cameras_stand(guided):
     guided.graph.until(lambda: policy.config.arrival_distance == before)
 
 
-def test_accept_makes_the_placement_final_where_the_cameras_stand(guided):
+def test_accept_hold_go_on_and_reset(guided):
+    page = guided.guide.page
+    # The placement is final where the cameras stand.
     guided.press(guide_page.ACCEPT)
     placement = guided.last(topics.PLACEMENT)
     np.testing.assert_allclose(msg_to_positions(placement), guided.rig.positions, atol=1e-6)
-    guided.graph.until(lambda: 'final after' in guided.guide.page.instructions.content)
-
-
-def test_hold_go_on_and_reset(guided):
-    page = guided.guide.page
+    guided.graph.until(lambda: 'final after' in page.instructions.content)
     guided.press(guide_page.HOLD)
     guided.graph.until(lambda: status(guided.policy)[1] == 'paused')
     guided.graph.until(lambda: 'paused' in page.answer.content)
@@ -90,12 +90,6 @@ def test_hold_go_on_and_reset(guided):
     guided.graph.until(lambda: status(guided.policy)[1] != 'paused')
     guided.press(guide_page.RESET)
     guided.graph.until(lambda: 'a new placement begins' in page.answer.content)
-
-
-def test_the_loop_goes_on_when_the_guide_ends(guided):
-    guided.graph.remove(guided.guide)
-    guided.rig.go()
-    guided.graph.until(lambda: counted(guided.policy, 'turns_answered') >= 2)
 
 
 def test_a_guide_without_a_policy_says_so(graph):

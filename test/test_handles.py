@@ -127,8 +127,8 @@ def test_a_node_that_ends_removes_its_handles(graph, hand):
     graph.until(lambda: len(handles(hand)) == 2)
     graph.remove(policy)
     updates = hand.received[f'{topics.HANDLES}/update']
-    graph.until(lambda: {name for message in updates for name in message.erases}
-                == {'camera_0', 'camera_1'})
+    graph.until(lambda: {name for message in updates for name in message.erases} == {
+        'camera_0', 'camera_1'})
 
 
 @pytest.fixture

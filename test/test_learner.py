@@ -23,13 +23,7 @@ from conftest import assert_same, HUNG, observation, wait_until
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.training.encoded_environment import encoded_space
-from ocp_ros.training.experience import (
-    Choice,
-    Experience,
-    ExperienceError,
-    from_bytes,
-    to_bytes,
-)
+from ocp_ros.training.experience import Choice, Experience, ExperienceError, from_bytes, to_bytes
 from ocp_ros.training.learner import BURST_STEPS, Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Assembler, Reward, Transition
@@ -83,12 +77,11 @@ def test_a_learner_reports_its_failure(small_agent, tmp_path):
     learner.close()
 
 
-def experience(stamp, turn=0, cameras=2, targets=0.0, together=1):
-    """Return a made-up experience, whose observations tell stamp and choice."""
-    count = cameras // together
-    return Experience(stamp, turn, np.full((cameras, 3), targets), [
-        Choice({'n': (stamp, number)}, np.full((together, 2), 0.1 * number, np.float32))
-        for number in range(count)])
+def experience(stamp, turn=0, targets=0.0, choices=2):
+    """Return a made-up experience of two cameras, whose observations tell stamp and choice."""
+    return Experience(stamp, turn, np.full((2, 3), targets), [
+        Choice({'n': (stamp, number)}, np.full((1, 2), 0.1 * number, np.float32))
+        for number in range(choices)])
 
 
 def test_every_choice_of_a_turn_is_a_transition_in_any_order_of_the_parts():
@@ -108,13 +101,18 @@ def test_every_choice_of_a_turn_is_a_transition_in_any_order_of_the_parts():
         assert assembler.assembled == 1
 
 
-def test_cameras_that_choose_together_share_the_reward_of_the_turn():
-    assembler = Assembler()
-    for stamp in (1, 2):
-        assembler.add_experience(experience(stamp, stamp - 1, together=2))
+@pytest.mark.parametrize(('last', 'choices', 'rewards'), [
+    (False, 1, [0.5]), (True, 5, [0.0, 0.0, 0.0, 0.0, 0.5])])
+def test_one_choice_of_all_cameras_or_the_last_of_many_gets_the_reward_of_the_turn(
+        last, choices, rewards):
+    assembler = Assembler(last=last)
+    assembler.add_experience(experience(1, 0, choices=choices))
+    assembler.add_experience(experience(2, 1))
     assembler.add_positions(2, np.zeros((2, 3)))
-    (found,) = assembler.add_reward(Reward(1, 2, 1, 0.5, (0.2, 0.3), False))
-    assert found.reward == 0.5 and found.actions.shape == (2, 2)
+    found = assembler.add_reward(Reward(1, 2, 1, 0.5, (0.2, 0.3), False))
+    assert [one.reward for one in found] == rewards
+    assert [one.next_observation['n'] for one in found] == [
+        *((1, number) for number in range(1, choices)), (2, 0)]
 
 
 def test_incomplete_turns_are_dropped_and_counted():
@@ -137,14 +135,15 @@ def test_incomplete_turns_are_dropped_and_counted():
     ({'positions': [[0.0] * 3, [0.0] * 3, [5.0] * 3]}, 2),
     ({'positions': np.ones((2, 3))}, 0), ({'positions': np.zeros((1, 3))}, 0),
     ({'positions': np.zeros((3, 3)), 'shares': (0.0,) * 3}, 0), ({'step': 2}, 0),
-    ({'shares': (0.1,)}, 0), ({'shares': ()}, 0)])
+    ({'shares': (0.1,)}, 0)])
 def test_a_turn_that_something_else_made_is_no_transition(change, found):
+    given = {'positions': np.zeros((2, 3)), 'step': 1, 'shares': (0.0, 0.0)} | change
     assembler = Assembler()
     for stamp in (1, 2):
         assembler.add_experience(experience(stamp, stamp - 1))
-    assembler.add_positions(2, np.array(change.get('positions', np.zeros((2, 3)))))
-    assert len(assembler.add_reward(Reward(
-        1, 2, change.get('step', 1), 0.0, change.get('shares', (0.0, 0.0)), False))) == found
+    assembler.add_positions(2, np.array(given['positions']))
+    made = assembler.add_reward(Reward(1, 2, given['step'], 0.0, given['shares'], False))
+    assert len(made) == found
     assert (assembler.assembled, assembler.inconsistent) == ((1, 0) if found else (0, 1))
 
 
@@ -181,12 +180,7 @@ def test_a_learner_says_so_when_there_is_no_room(small_agent, tmp_path, monkeypa
     monkeypatch.setattr('ocp_ros.training.learner.INBOX_SIZE', 5)
     learner = Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SAC)
     stuck, release = threading.Event(), threading.Event()
-
-    def stay(transition):
-        stuck.set()
-        release.wait(HUNG)
-
-    monkeypatch.setattr(learner, '_store', stay)
+    monkeypatch.setattr(learner, '_store', lambda one: stuck.set() or release.wait(HUNG))
     assert learner.add(transition(small_agent)) and stuck.wait(HUNG)
     taken = [learner.add(transition(small_agent, seed)) for seed in range(8)]
     assert taken == [True] * 5 + [False] * 3 and learner.dropped == 3
@@ -229,18 +223,16 @@ def test_an_experience_comes_back_and_one_that_lies_is_refused(agent):
     blob, rng = to_bytes(made), np.random.default_rng(0)
     found = from_bytes(blob, expected, together)
     assert found[:2] == (7, 3) and np.array_equal(found.targets, made.targets)
-    assert len(found.choices) == len(made.choices)
-    for one, other in zip(found.choices, made.choices):
+    for one, other in zip(found.choices, made.choices, strict=True):
         assert_same(one.observation, other.observation)
         assert np.array_equal(one.actions, other.actions)
-    spoilt = [blob[:-5], b'', blob[8:], to_bytes(made._replace(targets=np.ones((2, 3)))),
-              to_bytes(made._replace(targets=np.full((4, 3), np.nan)))]
     first = made.choices[0]
     points = first.observation['points']
-    spoilt += [to_bytes(made._replace(choices=[
-        Choice({**first.observation, 'points': value}, first.actions)] * len(made.choices)))
-        for value in (points[..., :-1], points.astype(np.float64), np.full_like(points, np.inf))]
-    for wrong in spoilt:
+    spoilt = [{'targets': np.ones((2, 3))}, {'targets': np.full((4, 3), np.nan)}, *(
+        {'choices': [Choice({**first.observation, 'points': value}, first.actions)] * len(
+            made.choices)}
+        for value in (points[..., :-1], points.astype(np.float64), np.full_like(points, np.inf)))]
+    for wrong in (blob[:-5], b'', blob[8:], *(to_bytes(made._replace(**one)) for one in spoilt)):
         with pytest.raises(ExperienceError, match='experience: found .*; expected'):
             from_bytes(wrong, expected, together)
     for _ in range(300):

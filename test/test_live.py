@@ -16,6 +16,7 @@
 
 from array import array
 from functools import partial
+from itertools import count
 import re
 
 from benchmarks.calibration_bench import cast
@@ -45,7 +46,6 @@ from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
@@ -96,20 +96,19 @@ def test_a_live_rig_comes_to_its_final_placement(live, room):
     assert placement.header.frame_id == 'map'
     assert_is_placed(live)
     assert rig.episode.turn.depth_error < 0.8 * first.depth_error
-    assert counted(policy, 'refused_messages') == 0
     live.wait_for_turns(10)
     level, message, values = status(policy)
     assert (level, message) == (DiagnosticStatus.OK, 'placement is final')
-    assert (values['silent_topics'], values['late_turns'], values['clock_jumps']) == ('', 0, 0)
+    assert [values[name] for name in ('refused_messages', 'silent_topics', 'late_turns',
+                                      'clock_jumps')] == [0, '', 0, 0]
     # It holds the cameras.
     np.testing.assert_allclose(msg_to_positions(live.last(topics.CAMERA_COMMANDS)),
                                msg_to_positions(placement), atol=1e-6)
     # Six turns, and the one that was the last: each with the cloud it was decided on.
-    observations, stamps = live.received[topics.OBSERVATION], [
-        stamp_to_ns(message.header.stamp) for message in live.received[topics.CAMERA_COMMANDS]]
-    assert len(observations) == 7
-    assert [stamp_to_ns(message.header.stamp) for message in observations] == sorted(
-        set(stamps))[:7]
+    observations = live.received[topics.OBSERVATION]
+    commanded, seen = ([stamp_to_ns(message.header.stamp) for message in messages]
+                       for messages in (live.received[topics.CAMERA_COMMANDS], observations))
+    assert len(seen) == 7 and seen == sorted(set(commanded))[:7]
     assert {message.header.frame_id for message in observations} == {'map'}
     clouds = [msg_to_cloud(message) for message in observations]
     assert all(len(more) >= len(less) for less, more in zip(clouds, clouds[1:]))
@@ -118,20 +117,30 @@ def test_a_live_rig_comes_to_its_final_placement(live, room):
     assert values['fused_points'] == len(clouds[-1])
 
 
-def test_the_fused_cloud_is_what_cameras_see_whatever_the_frames_of_their_clouds(live):
-    rig, _ = live.start((BODY, OPTICAL, MAP))
+def test_the_fused_cloud_is_what_cameras_see_whatever_the_frames_of_their_clouds(live, room):
+    rig, policy = live.start()
     expected = rig.episode.observed_cloud
     found = msg_to_cloud(live.last(topics.OBSERVATION))
     assert farthest_distance(found, expected) < 1e-4 and farthest_distance(expected, found) < 1e-4
+    # One that is no room is begun anew.
+    live.wait_for_turns(1)
+    policy._live._fused_cloud.add(np.array([[900.0, 0.0, 0.0]]))
+    live.graph.until(lambda: counted(policy, 'refused_messages') == 1)
+    live.received[topics.OBSERVATION].clear()
+    assert farthest_distance(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
 
 
-def test_points_out_of_range_of_their_camera_are_left_out(live):
-    rig, _ = live.start((BODY,) * 3, min_range=1.0, max_range=2.0)
-    positions = rig.positions
+def test_points_out_of_range_of_their_camera_and_stray_ones_are_left_out(live):
+    def stray(cloud):
+        cloud.data[:4] = array('B', np.float32(3e38).tobytes())
+
+    rig, policy = live.start(min_range=1.0, max_range=2.0)
+    rig.spoil, positions = dict.fromkeys(range(CAMERAS), stray), rig.positions
     found = msg_to_cloud(live.last(topics.OBSERVATION))
     away = np.linalg.norm(found[:, None] - positions[None], axis=2)
     assert ((away > 0.999) & (away < 2.001)).any(axis=1).all()
     assert 0 < len(found) < len(rig.episode.observed_cloud)
+    assert counted(policy, 'refused_messages') == 0
 
 
 def test_one_silent_camera_does_not_stop_the_others(live, capfd):
@@ -139,10 +148,9 @@ def test_one_silent_camera_does_not_stop_the_others(live, capfd):
     rig.silent = {1}
     live.last(topics.PLACEMENT)
     live.graph.until(lambda: 'no clouds: points_1' in status(policy)[1])
-    assert status(policy)[0] == DiagnosticStatus.WARN
-    assert counted(policy, 'silent_topics') == 'points_1'
     live.listen(DiagnosticArray, '/diagnostics', 10)
     assert live.last('/diagnostics').status[0].level == DiagnosticStatus.WARN
+    assert counted(policy, 'silent_topics') == 'points_1'
     assert 'points_1' in capfd.readouterr().err
     # The final placement says which clouds it is based on.
     live.listen(String, topics.PLACEMENT_STATUS, qos.LATCHED)
@@ -166,13 +174,12 @@ def test_a_rig_that_does_not_arrive_is_commanded_from_where_it_is(live, capfd):
     assert 'not arrived' in capfd.readouterr().err
 
 
-@pytest.mark.parametrize('jump', [-500 * S, 500 * S])
-def test_a_clock_that_jumps_stops_nothing(live, jump):
+def test_a_clock_that_jumps_stops_nothing(live):
     rig, policy = live.start(turns=2)
     live.wait_for_turns(1)
-    rig.stamp += jump
+    rig.stamp -= 500 * S
     live.last(topics.PLACEMENT)
-    assert bool(counted(policy, 'clock_jumps')) == (jump < 0)
+    assert counted(policy, 'clock_jumps')
 
 
 def test_cameras_that_send_nonsense_do_not_stop_the_others(live):
@@ -194,7 +201,7 @@ def test_poses_that_cannot_be_are_refused_and_the_turns_go_on(live):
     live.wait_for_turns(1)
     poses = live.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
     warnings = warnings_of(policy)
-    for count, (spoil, word) in enumerate((
+    for number, (spoil, word) in enumerate((
             (lambda message: setattr(message.poses[1].position, 'x', np.nan), 'finite'),
             (lambda message: setattr(message.header, 'stamp', Time()), 'stamp'),
             (lambda message: setattr(message.header, 'frame_id', 'odom'), 'odom'),
@@ -202,50 +209,25 @@ def test_poses_that_cannot_be_are_refused_and_the_turns_go_on(live):
         message = positions_to_msg(rig.positions, header_at(rig.stamp))
         spoil(message)
         poses.publish(message)
-        live.graph.until(lambda: counted(policy, 'refused_messages') == count)
+        live.graph.until(lambda: counted(policy, 'refused_messages') == number)
         assert word in [line for line in warnings if 'refused' in line][-1]
     live.wait_for_turns(counted(policy, 'turns_answered') + 1)
 
 
-def test_a_stray_point_is_left_out(live, room):
-    def spoil(cloud):
-        cloud.data[:4] = array('B', np.float32(3e38).tobytes())
-
-    rig, policy = live.start()
-    rig.spoil = dict.fromkeys(range(CAMERAS), spoil)
-    assert farthest_distance(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
-    assert counted(policy, 'refused_messages') == 0
-
-
-def test_a_fused_cloud_that_is_no_room_is_begun_anew(live, room):
-    _, policy = live.start()
-    live.wait_for_turns(1)
-    policy._live._fused_cloud.add(np.array([[900.0, 0.0, 0.0]]))
-    live.graph.until(lambda: counted(policy, 'refused_messages') == 1)
-    live.received[topics.OBSERVATION].clear()
-    assert farthest_distance(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
-
-
 def test_nobody_says_where_the_cameras_are(live, capfd):
     rig, policy = live.start(cloud_timeout=0.1)
-    graph = live.graph
-    graph.remove(rig)
-    graph.until(lambda: status(policy)[:2] == (DiagnosticStatus.WARN, 'nothing on camera_poses'))
+    live.graph.remove(rig)
+    live.graph.until(
+        lambda: status(policy)[:2] == (DiagnosticStatus.WARN, 'nothing on camera_poses'))
     live.call(Trigger, 'policy_node/reset')
-    graph.until(lambda: 'nothing on /camera_poses' in capfd.readouterr().err)
+    live.graph.until(lambda: 'nothing on /camera_poses' in capfd.readouterr().err)
 
 
-def added(drawn):
-    """Return the arrows that the last of some marker messages adds."""
-    return [arrow for arrow in drawn[-1].markers if arrow.action == Marker.ADD] if drawn else []
-
-
-def leads_to(drawn, target):
-    """Return whether the arrows of the last of some marker messages end at targets (K, 3)."""
-    arrows = added(drawn)
-    return bool(arrows) and np.allclose(
-        [(arrow.points[1].x, arrow.points[1].y) for arrow in arrows],
-        target[[arrow.id for arrow in arrows], :2])
+def arrows_of(drawn):
+    """Return where the arrows of the last of some marker messages end, by their cameras."""
+    return {f'camera {arrow.id}': [arrow.points[1].x, arrow.points[1].y]
+            for arrow in (drawn[-1].markers if drawn else [])
+            if (arrow.action, arrow.type) == (Marker.ADD, Marker.ARROW)}
 
 
 def moves_in(text):
@@ -254,25 +236,21 @@ def moves_in(text):
 
 
 def test_a_person_is_told_what_to_do_and_has_time(live):
-    rig, policy = live.start(manual=True, turns=2, max_step=0.5, arrival_timeout=0.1,
+    rig, policy = live.start(manual=True, turns=1, max_step=0.5, arrival_timeout=0.1,
                              cloud_timeout=0.1)
     rig.obeys = False
-    for turn in range(2):
-        live.wait_for_turns(turn + 1)
-        text, drawn = live.received[topics.INSTRUCTIONS], live.received[topics.MARKERS]
-        # Who has arrived is told to stay where the clouds are late, so words are not counted.
-        live.graph.until(lambda turn=turn: rig.turns == turn + 1 and text and moves_in(
-            text[-1].data) == instructions(rig.positions, rig.target, 0.05) != STAY)
-        assert text[-1].data.splitlines()[-1].startswith('expected: ')
-        live.graph.until(lambda: leads_to(drawn, rig.target))
-        arrows = added(drawn)
-        assert {arrow.type for arrow in arrows} == {Marker.ARROW}
-        assert [f'camera {arrow.id}' for arrow in arrows] == [
-            line.split(':')[0] for line in moves_in(text[-1].data).splitlines()]
-        # Nothing happens while nobody moves, however long it takes.
-        live.wait(0.3)
-        assert counted(policy, 'turns_answered') == turn + 1
-        rig.go()
+    text, drawn = live.received[topics.INSTRUCTIONS], live.received[topics.MARKERS]
+    live.graph.until(lambda: rig.target is not None and text)
+    told = text[-1].data
+    assert moves_in(told) == instructions(rig.positions, rig.target, 0.05) != STAY
+    assert told.splitlines()[-1].startswith('expected: ')
+    goals = {line.split(':')[0]: rig.target[int(line[7]), :2].tolist()
+             for line in moves_in(told).splitlines()}
+    live.graph.until(lambda: arrows_of(drawn) == goals)
+    # Nothing happens while nobody moves, however long it takes.
+    live.wait(0.3)
+    assert counted(policy, 'turns_answered') == 1
+    rig.go()
     live.graph.until(lambda: text[-1].data == FINAL)
     live.graph.until(lambda: {arrow.action for arrow in drawn[-1].markers} == {Marker.DELETE})
     assert_is_placed(live)
@@ -281,30 +259,26 @@ def test_a_person_is_told_what_to_do_and_has_time(live):
 def test_a_person_hears_nothing_of_noise_and_what_is_left_of_a_move(live):
     rig, policy = live.start(manual=True, turns=2, max_step=0.5)
     rig.obeys = False
-    live.wait_for_turns(1)
-    live.last(topics.INSTRUCTIONS)
-    live.graph.until(lambda: rig.target is not None)
-    before, rng = len(live.received[topics.INSTRUCTIONS]), np.random.default_rng(0)
-    where = rig.positions
+    told = live.received[topics.INSTRUCTIONS]
+    live.graph.until(lambda: rig.target is not None and told)
+    before, rng, where = len(told), np.random.default_rng(0), rig.positions
     for _ in range(3):
         rig.episode.move((where - rig.positions + rng.normal(0.0, 0.004, where.shape))[:, :2])
         commands = len(rig.commands)
         live.graph.until(lambda sent=commands: len(rig.commands) > sent + 1)
-    assert len(live.received[topics.INSTRUCTIONS]) == before
+    assert len(told) == before
     # One camera hangs 7 cm beside its target.
     goal = rig.target.copy()
     rig.episode.move((goal + [[0.07, 0.0, 0.0], *np.zeros((2, 3))] - rig.positions)[:, :2])
     expected = instructions(rig.positions, goal, 0.05)
     assert expected.count('camera') == 1
-    live.graph.until(
-        lambda: moves_in(live.received[topics.INSTRUCTIONS][-1].data) == expected)
+    live.graph.until(lambda: moves_in(told[-1].data) == expected)
     assert status(policy)[0] == DiagnosticStatus.OK
     rig.go()
     live.wait_for_turns(2)
 
 
 @pytest.mark.parametrize(('move', 'turn', 'words'), [
-    ((0.0, 0.5, 0.0), (0, 0), r'camera 0: 0\.50 m .*\+y.*\(1\.00, 2\.50\)'),
     ((0.4, -0.1, 0.0), (0, 0), r'0\.40 m .*\+x .*0\.10 m .*-y.*\(1\.40, 1\.90\)'),
     ((-0.304, 0.04, 0.0), (2, 0), r'0\.30 m .*-x'),
     ((0.0, 0.0, 0.5), (0, 0), r'0\.50 m up.*\(1\.00, 2\.00, 2\.40\)'),
@@ -323,22 +297,19 @@ def test_instructions_say_how_far_and_in_which_direction(move, turn, words):
     ({'manual': True, 'turns': 9, 'max_turn': 0.0}, 9, 2.0, 0.0)])
 def test_a_person_moves_cameras_seldom_and_far_unless_told_otherwise(
         graph, given, turns, max_step, max_turn):
-    policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points', **given)
-    config = policy.config
+    config = graph.add(PolicyNode, planner='lookahead', cloud_topics='points', **given).config
     assert (config.turns, config.max_step, config.max_turn) == (turns, max_step, max_turn)
-    assert policy.get_parameter('turns').value == turns
 
 
 def test_noise_of_poses_neither_stops_turns_nor_moves_what_was_decided(live):
     rig, policy = live.start(turns=2, cloud_timeout=0.3)
     rig.noise = 0.03
     placement = live.last(topics.PLACEMENT)
-    decided, first = msg_to_positions(placement), len(rig.commands)
+    first = len(rig.commands)
     live.graph.until(lambda: len(rig.commands) >= first + 3)
-    for command in rig.commands[first:]:
-        assert command.poses == placement.poses
+    assert all(command.poses == placement.poses for command in rig.commands[first:])
     # A mean is nearer than what it is the mean of, and heights do not wander.
-    assert np.abs(decided - rig.positions).max() < 0.6 * rig.noise + 1e-3
+    assert np.abs(msg_to_positions(placement) - rig.positions).max() < 0.6 * rig.noise + 1e-3
     assert counted(policy, 'late_turns') == 0
 
 
@@ -354,8 +325,7 @@ def test_a_new_placement_begins_without_a_restart(live):
 
 
 @pytest.mark.parametrize(('parameters', 'words'), [
-    ({'cloud_topics': 'a b'}, 'cloud_topics'), ({'cloud_topics': 'points,points'}, 'each once'),
-    ({'cloud_topics': 'points,/points'}, 'each once'),
+    ({'cloud_topics': 'a b'}, 'cloud_topics'), ({'cloud_topics': 'points,/points'}, 'each once'),
     ({'cloud_topics': 'observation'}, 'cloud_topics: .*/observation'),
     ({'manual': True}, 'manual: .*cloud_topics'), ({'min_range': 5.0}, 'min_range: .*max_range'),
     ({'scan': 'none.ply'}, 'scan: .*cloud_topics'),
@@ -411,7 +381,7 @@ def test_cameras_on_their_way_stop_where_they_are_and_go_on_later(live, how):
     stop(True)
     live.graph.until(lambda: np.allclose(rig.target, here, atol=1e-6))
     commands, turns = len(rig.commands), counted(policy, 'turns_answered')
-    live.wait(0.5)
+    live.wait(0.3)
     assert len(rig.commands) == commands and status(policy)[1] in ('paused', 'inactive')
     stop(False)
     live.graph.until(lambda: not np.allclose(rig.target, here, atol=1e-6))
@@ -426,34 +396,19 @@ TRUE = np.array([0.4, 0.5, 2.2, 0.7, 0.4, 0.0])
 AWAY = np.array([0.06, -0.03, 0.02])
 
 
-class OffCamera(Node):
-    """A camera that stays, and of which others say that it hangs elsewhere."""
+def hang_elsewhere(probe, points):
+    """Start a camera that stays and sends points; others say that it hangs elsewhere."""
+    poses = probe.node.create_publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
+    clouds = probe.node.create_publisher(PointCloud2, 'points_0', qos.SENSOR)
+    stamps = count(1000 * S, S // 20)
 
-    def __init__(self, points, **kwargs):
-        super().__init__('camera', **kwargs)
-        self.points, self.stamp = points, 1000 * S
-        self.poses = self.create_publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-        self.clouds = self.create_publisher(PointCloud2, 'points_0', qos.SENSOR)
-        self.create_timer(0.05, self.send)
+    def send():
+        stamp = next(stamps)
+        poses.publish(positions_to_msg(
+            (TRUE[:3] + AWAY)[None], header_at(stamp), TRUE[None, 3:]))
+        clouds.publish(cloud_to_msg(points, header_at(stamp, OPTICAL.format(0))))
 
-    def send(self):
-        """Send where it is said to be, and what it sees."""
-        self.stamp += 50_000_000
-        self.poses.publish(positions_to_msg(
-            (TRUE[:3] + AWAY)[None], header_at(self.stamp), TRUE[None, 3:]))
-        self.clouds.publish(cloud_to_msg(
-            self.points, header_at(self.stamp, OPTICAL.format(0))))
-
-
-@pytest.fixture
-def scanned(graph, tmp_path):
-    """Return what starts a camera that sends points, and a node that has a scan."""
-    def start(points):
-        graph.add(partial(OffCamera, points))
-        return graph.add(PolicyNode, planner='lookahead', cloud_topics='points_0', turns=1,
-                         max_range=6.0, arrival_timeout=0.1, scan=str(tmp_path / 'room.ply'),
-                         placement_file=str(tmp_path / 'placement.yaml'))
-    return start
+    probe.node.create_timer(0.05, send)
 
 
 def calibrated(probe, holds):
@@ -468,12 +423,18 @@ def calibrated(probe, holds):
     return answers[-1]
 
 
-def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(
-        graph, scanned, probe, tmp_path):
-    save_scene(generate_room(SEED, 15_000), tmp_path / 'room.ply')
+def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(graph, probe, tmp_path):
     seen = cast(MeshRays(mesh_of(plan_of(SEED))), Pose.of(TRUE), 'realsense_d455',
                 np.random.default_rng(0))[::4]
-    node = scanned(seen @ OPTICAL_TO_BODY)
+    hang_elsewhere(probe, seen @ OPTICAL_TO_BODY)
+    scan = tmp_path / 'room.ply'
+    scan.write_text('no scan')
+    node = graph.add(PolicyNode, planner='lookahead', cloud_topics='points_0', turns=1,
+                     max_range=6.0, arrival_timeout=0.1, scan=str(scan),
+                     placement_file=str(tmp_path / 'placement.yaml'))
+    assert not calibrated(probe, lambda answer: 'room.ply' in answer.message).success
+    # A broken scan has ended nothing, and can be mended.
+    save_scene(generate_room(SEED, 15_000), scan)
     answer = calibrated(probe, lambda answer: answer.success)
     line, wrote = answer.message.splitlines()
     assert abs(float(line.split()[1]) - np.linalg.norm(AWAY)) < 0.005
@@ -481,27 +442,19 @@ def test_the_service_says_where_a_camera_hangs_and_drift_is_a_warning(
     assert str(tmp_path / 'placement_as_built.yaml') in wrote
     assert np.linalg.norm(np.array(built.cameras[0].position) - TRUE[:3]) < 0.01
     # Turns go on.
-    before = counted(node, 'turns_answered')
-    graph.until(lambda: counted(node, 'turns_answered') > before)
+    turns = counted(node, 'turns_answered')
+    graph.until(lambda: counted(node, 'turns_answered') > turns)
     assert node.set_parameters([Parameter('drift_seconds', value=0.5)])[0].successful
     graph.until(lambda: counted(node, 'drift_checks'))
     level, message, _ = status(node)
     assert level == DiagnosticStatus.WARN and 'camera_0 hangs 0.0' in message
 
 
-def test_a_broken_scan_ends_nothing(scanned, probe, room, tmp_path):
-    (tmp_path / 'room.ply').write_text('no scan')
-    scanned(room.points)
-    assert not calibrated(probe, lambda answer: 'room.ply' in answer.message).success
-
-
-@pytest.mark.parametrize(('topics_there', 'found'), [
-    (['/door/points', '/shelf/points'], {'door': '/door/points', 'shelf': '/shelf/points'}),
-    (['/b', '/a'], {'door': '/b', 'shelf': '/a'}), (['/a/door', '/x'], {'door': '/a/door'})])
-def test_recorded_topics_are_those_of_cameras_by_name_or_in_order(topics_there, found):
-    assert topics_of_cameras('a.bag', ['door', 'shelf'], topics_there) == found
-
-
-def test_recorded_topics_are_as_many_as_cameras():
+def test_recorded_topics_are_those_of_cameras_by_name_or_in_order():
+    for given, found in (
+            (['/door/p', '/shelf/p'], {'door': '/door/p', 'shelf': '/shelf/p'}),
+            (['/b', '/a'], {'door': '/b', 'shelf': '/a'}),
+            (['/a/door', '/x'], {'door': '/a/door'})):
+        assert topics_of_cameras('a.bag', ['door', 'shelf'], given) == found
     with pytest.raises(ConfigurationError, match='3 topics .* 2 cameras'):
         topics_of_cameras('a.bag', ['door', 'shelf'], ['/a', '/b', '/c'])

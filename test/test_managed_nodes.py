@@ -14,7 +14,7 @@
 
 """Managed nodes: who commands, life cycles, and parameters that change while a node runs."""
 
-from conftest import box_sides, counted, header_at, ROOT, SMALL, status
+from conftest import box_sides, counted, header_at, SMALL, status
 from diagnostic_msgs.msg import DiagnosticStatus
 from geometry_msgs.msg import PoseArray
 from lifecycle_msgs.msg import Transition
@@ -83,7 +83,7 @@ def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
             np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9]]), header_at(stamp)))
         clouds.publish(cloud_to_msg(room.points, header_at(stamp)))
 
-    for stamp in range(10, 15):
+    for stamp in (10, 11, 12):
         send(stamp)
         graph.until(lambda at=stamp: second._live._turns._newest_stamps.get('points') == at)
     assert not counted(second, 'turns_answered') and not probe.received[topics.CAMERA_COMMANDS]
@@ -97,15 +97,27 @@ def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
     assert len(command.poses) == 2 and stamp_to_ns(command.header.stamp) == 1000
 
 
-def test_a_policy_that_has_commanded_goes_on_beside_another_publisher(graph, probe):
-    graph.add(SimNode, **SIM)
-    policy = graph.add(PolicyNode, planner='lookahead')
-    graph.until(lambda: counted(policy, 'turns_answered') >= 1)
+def test_others_on_the_same_topics_are_noticed_and_commands_go_on(graph, probe, capfd):
+    sim, policy = graph.add(SimNode, **SIM), graph.add(PolicyNode, planner='lookahead')
+
+    def goes_on():
+        answered = counted(policy, 'turns_answered')
+        graph.until(lambda: counted(policy, 'turns_answered') >= answered + 3)
+        return (status(sim)[0], status(policy)[0]) == (DiagnosticStatus.OK, DiagnosticStatus.OK)
+
+    assert goes_on()
     other = probe.node.create_publisher(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
     graph.until(lambda: status(policy)[0] == DiagnosticStatus.WARN)
     assert '/camera_commands: /policy_node, /probe;' in status(policy)[1] and not held(policy)
-    answered = counted(policy, 'turns_answered')
-    graph.until(lambda: counted(policy, 'turns_answered') >= answered + 3)
+    assert not goes_on()
+    probe.node.destroy_publisher(other)
+    graph.until(goes_on)
+    # Two simulations.
+    other = probe.node.create_publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
+    for node in (sim, policy):
+        graph.until(lambda one=node: status(one)[0] == DiagnosticStatus.WARN)
+        assert 'observation: /probe, /sim_node;' in status(node)[1]
+    assert 'namespace' in capfd.readouterr().err
     probe.node.destroy_publisher(other)
     graph.until(lambda: status(policy)[0] == DiagnosticStatus.OK)
 
@@ -118,19 +130,6 @@ def test_of_several_that_begin_at_once_one_commands(graph, monkeypatch):
     assert nodes[0].count_publishers(topics.CAMERA_COMMANDS) == 3
     graph.until(lambda: sum(not node._must_wait() for node in nodes) == 1)
     graph.until(lambda: sum(held(node) for node in nodes) == 2)
-
-
-def test_two_simulations_on_the_same_topics_are_noticed(graph, probe, capfd):
-    sim, policy = graph.add(SimNode, **SIM), graph.add(PolicyNode, planner='lookahead')
-    graph.until(lambda: policy.count_publishers('/observation') == 1)
-    assert (status(sim)[0], status(policy)[0]) == (DiagnosticStatus.OK, DiagnosticStatus.OK)
-    other = probe.node.create_publisher(PointCloud2, topics.OBSERVATION, qos.LOOP)
-    for node in (sim, policy):
-        graph.until(lambda one=node: status(one)[0] == DiagnosticStatus.WARN)
-        assert 'observation: /probe, /sim_node;' in status(node)[1]
-    assert 'namespace' in capfd.readouterr().err
-    probe.node.destroy_publisher(other)
-    graph.until(lambda: status(policy)[0] == DiagnosticStatus.OK)
 
 
 CONFIGURE, ACTIVATE, DEACTIVATE, CLEANUP, SHUTDOWN = (
@@ -209,12 +208,15 @@ def test_a_node_is_put_away_and_brought_back(graph, manager):
     assert manager.change('sim_node', SHUTDOWN) and manager.state('sim_node') == 'finalized'
 
 
-def test_a_transition_that_cannot_be_ends_no_node(graph, manager, capfd):
+def test_what_cannot_be_asked_of_a_policy_ends_no_node(graph, manager, capfd):
     graph.add(PolicyNode, planner='lookahead')
     for transition in (ACTIVATE, CLEANUP, 77):
         assert not manager.change('policy_node', transition)
     assert manager.state('policy_node') == 'active'
     assert 'transition 77' in capfd.readouterr().err
+    # The turns of a simulation begin anew where they come from.
+    answer = manager.call(Trigger, 'policy_node/reset')
+    assert not answer.success and 'sim_node' in answer.message
 
 
 @pytest.mark.parametrize('autostart', [True, False])
@@ -230,12 +232,6 @@ def test_a_node_that_cannot_be_configured_says_why_and_tries_again(
     assert manager.state('policy_node') == 'unconfigured'
     assert policy.set_parameters([Parameter('planner', value='lookahead')])[0].successful
     assert manager.change('policy_node', CONFIGURE) and manager.change('policy_node', ACTIVATE)
-
-
-def test_a_policy_of_a_simulation_is_not_what_begins_anew(graph, manager):
-    graph.add(PolicyNode, planner='lookahead')
-    answer = manager.call(Trigger, 'policy_node/reset')
-    assert not answer.success and 'sim_node' in answer.message
 
 
 POSITIONS = np.array([[2.0, 2.0, 1.9], [3.0, 2.0, 1.9], [2.0, 3.0, 1.9]])
@@ -276,8 +272,8 @@ def robot(probe):
     return probe
 
 
-def test_a_longest_step_that_is_changed_holds_for_the_next_command(robot, change, monkeypatch):
-    policy = robot.start_policy(planner='lookahead', max_step=0.5)
+def test_parameters_that_are_changed_hold_from_the_next_turn_on(robot, change, monkeypatch):
+    policy = robot.start_policy(planner='lookahead', max_step=0.5, turns=30)
     far = np.full((3, 2), 0.3)
     monkeypatch.setattr(type(policy.planner), 'move', lambda *turn: far)
     # Places are a micrometre inside the cells of the floor.
@@ -285,14 +281,9 @@ def test_a_longest_step_that_is_changed_holds_for_the_next_command(robot, change
         assert change(policy, max_step=step) == ''
         moved = np.linalg.norm(robot.turn(stamp) - POSITIONS, axis=1)
         assert moved.max() == pytest.approx(expected, abs=1e-5)
-
-
-def test_fewer_turns_make_a_placement_final_and_it_is_said_why(robot, change):
-    policy = robot.start_policy(planner='lookahead', turns=30)
-    robot.turn(1)
+    # Fewer turns make a placement final, and it is said why.
     assert change(policy, turns=2) == ''
-    for stamp in (2, 3):
-        robot.turn(stamp)
+    robot.turn(3)
     assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 3
     robot.until_status('final after 2 turns', 'turns are used up')
     assert 'turns are used up' in counted(policy, 'final')
@@ -314,23 +305,19 @@ def test_the_status_tells_why_cameras_that_stand_still_are_final(robot, monkeypa
     robot.until_status('not final: turn 0 of 30')
 
 
-@pytest.mark.parametrize(('values', 'words'), [
-    ({'planner': 'learned'}, 'planner'), ({'rig_file': 'rig.yaml'}, 'rig_file'),
-    ({'turns': 0}, 'turns out of range'), ({'max_step': 99.0}, 'max_step out of range'),
-    ({'max_step': 1}, 'Wrong parameter type'), ({'min_range': 5.0}, 'min_range')])
-def test_what_cannot_be_is_refused_with_a_reason(graph, change, values, words):
+def test_what_cannot_be_changed_is_refused_with_a_reason(graph, change):
     policy = graph.add(PolicyNode, planner='lookahead')
     before = policy.config
-    assert words in change(policy, **values)
-    assert policy.config is before
-    assert all(policy.get_parameter(name).value == getattr(before, name) for name in values)
-
-
-def test_parameters_that_go_together_are_changed_together(graph, change):
-    policy = graph.add(PolicyNode, planner='lookahead')
+    for values, words in (
+            ({'planner': 'learned'}, 'planner'), ({'rig_file': 'rig.yaml'}, 'rig_file'),
+            ({'turns': 0}, 'turns out of range'), ({'max_step': 99.0}, 'max_step out of range'),
+            ({'max_step': 1}, 'Wrong parameter type'), ({'min_range': 5.0}, 'min_range')):
+        assert words in change(policy, **values)
+        assert policy.config is before
+        assert all(policy.get_parameter(name).value == getattr(before, name) for name in values)
+    # Some go together, and then it is all or none.
     assert change(policy, together=True, min_range=5.0, max_range=8.0) == ''
     assert (policy.config.min_range, policy.config.max_range) == (5.0, 8.0)
-    # All or none.
     assert 'read once' in change(policy, together=True, turns=7, seed=5)
     assert policy.config.turns == policy.get_parameter('turns').value == 30
 
@@ -414,30 +401,17 @@ def test_cameras_are_turned_as_far_as_they_may_be_while_the_node_runs(robot, tmp
     assert widest > 0.5
 
 
-def test_poses_of_another_rig_are_refused(robot, tmp_path, capfd):
-    policy = robot.start_policy(planner='lookahead', rig_file=rig_file(
-        tmp_path, 'cameras: [{sensor: omnidirectional, count: 4}]'))
-    robot.send_turn(1, CLOUD, positions_to_msg(POSITIONS, Header()))
-    robot.graph.until(lambda: counted(policy, 'refused_messages') >= 1)
-    assert 'poses: found 3 cameras; expected 4' in capfd.readouterr().err
-
-
-def test_a_camera_that_may_go_nowhere_is_a_warning(robot, tmp_path):
+def test_another_rig_is_refused_and_a_camera_that_may_go_nowhere_is_a_warning(
+        robot, tmp_path, capfd):
     policy = robot.start_policy(planner='lookahead', rig_file=rig_file(tmp_path, """
         cameras: [{sensor: omnidirectional, count: 3}]
         keep_out: [{box: [[0, 0, 0], [6, 4, 3]]}]"""))
-    np.testing.assert_array_equal(robot.turn(1), POSITIONS)
+    robot.send_turn(1, CLOUD, positions_to_msg(POSITIONS[:2], Header()))
+    robot.graph.until(lambda: counted(policy, 'refused_messages') >= 1)
+    assert 'poses: found 2 cameras; expected 3' in capfd.readouterr().err
+    np.testing.assert_array_equal(robot.turn(2), POSITIONS)
     level, message, _ = status(policy)
-    assert level != b'\0' and 'omnidirectional_1 stays at' in message
-
-
-def test_the_rig_files_of_the_package_can_be_used_and_others_are_refused(graph, tmp_path):
-    for path in sorted((ROOT / 'config' / 'rig').glob('*.yaml')):
-        graph.remove(graph.add(PolicyNode, rig_file=str(path)))
-    with pytest.raises(ConfigurationError, match='nowhere.yaml'):
-        graph.add(PolicyNode, rig_file=str(tmp_path / 'nowhere.yaml'))
-    with pytest.raises(ConfigurationError, match="'camera'"):
-        graph.add(PolicyNode, rig_file=rig_file(tmp_path, 'camera: []'))
+    assert level == DiagnosticStatus.WARN and 'omnidirectional_1 stays at' in message
 
 
 def test_quality_of_service_follows_parameters_also_when_configured_again(graph):

@@ -16,9 +16,10 @@
 
 from dataclasses import replace
 from functools import cache
+import itertools
 
-from conftest import made_room, MOUNTS
-from hypothesis import given, settings, strategies
+from conftest import for_any, made_room, MOUNTS
+from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.feasible_region import FeasibleRegion
@@ -34,6 +35,7 @@ from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 import pytest
 
+pytestmark = pytest.mark.usefixtures('quick_lookahead')
 FAST = EngineConfig(preset='fast', error_rows=16)
 EVALUATIONS, TURNS = 30, 3
 #: Room 8 is about 8 x 8 m; the zone is where its cameras begin.
@@ -118,13 +120,11 @@ def test_another_seed_gives_another_answer(planned, name):
     assert not np.array_equal(planned(name).answer.poses, planned(name, seed=1).answer.poses)
 
 
-@settings(deadline=None, max_examples=10)
-@given(mount=strategies.sampled_from(sorted(MOUNTS)), spacing=strategies.floats(0.0, 3.0),
-       side=strategies.floats(0.5, 5.0), in_place=strategies.booleans(),
-       cameras=strategies.lists(strategies.sampled_from(
-           ['realsense_d455', 'omnidirectional', 'vlp16']), min_size=1, max_size=3),
-       places=strategies.lists(strategies.tuples(strategies.floats(-3.0, 9.0),
-                                                 strategies.floats(-3.0, 7.0)), max_size=3))
+@for_any(10, mount=st.sampled_from(sorted(MOUNTS)), spacing=st.floats(0.0, 3.0),
+         side=st.floats(0.5, 5.0), in_place=st.booleans(),
+         cameras=st.lists(st.sampled_from(['realsense_d455', 'omnidirectional', 'vlp16']),
+                          min_size=1, max_size=3),
+         places=st.lists(st.tuples(st.floats(-3.0, 9.0), st.floats(-3.0, 7.0)), max_size=3))
 def test_whatever_is_proposed_is_hung_where_it_may(
         furnished, mount, spacing, side, in_place, cameras, places):
     fixed = [{'sensor': 'kinect_v2', 'position': [1.0, 1.0, 2.0], 'name': 'door'}] * in_place
@@ -163,14 +163,11 @@ def test_a_place_that_is_allowed_is_kept_and_another_is_the_nearest(furnished):
 def test_cameras_with_a_view_are_turned_to_where_they_help(furnished):
     rig = rig_of(1, 'd455', pitch=[10, 40])
     decode = decoder_of(furnished, rig, 600)
-    place = np.array([[0.7, 0.7]])
-    (site,) = decode(place)
-    assert np.allclose(site.pose[:2], place, atol=1e-4)
-    losses = []
-    for yaw in np.linspace(-np.pi, np.pi, 9)[:-1]:
-        pose = site.pose.copy()
-        pose[3] = yaw
-        losses.append(decode.objective.evaluate(pose[None]).loss)
+    (site,) = decode(np.array([[0.7, 0.7]]))
+    assert np.allclose(site.pose[:2], 0.7, atol=1e-4)
+    turned = np.tile(site.pose, (8, 1, 1))
+    turned[:, 0, 3] = np.linspace(-np.pi, np.pi, 8, endpoint=False)
+    losses = [decode.objective.evaluate(poses).loss for poses in turned]
     assert decode.objective.evaluate(site.pose[None]).loss < np.median(losses)
 
 
@@ -211,14 +208,14 @@ def test_planners_are_told_the_loss_and_the_coverage(furnished):
     placements = [np.array([[1.0, 1.0, 0.0], [5.0, 3.0, 0.0]]), np.array([[1.0, 1.0, 0.0]]),
                   np.empty((0, 3))]
     scores = RigScorer(decode, Budget(evaluations=3))(placements)
-    poses = np.array([site.pose for site in decode(placements[0][:, :2])])
-    worth = decode.objective.evaluate(poses)
+    worth = decode.objective.evaluate(
+        np.array([site.pose for site in decode(placements[0][:, :2])]))
     assert scores.error[0] == worth.loss
     assert scores.error[0] < scores.error[1] < scores.error[2] == 2.0
     assert scores.space_coverage[0] == worth.space_coverage
 
 
-@pytest.mark.parametrize('name', ['rig_search', 'greedy_error', 'cma_es', 'lookahead'])
+@pytest.mark.parametrize('name', ['rig_search', 'greedy_error', 'lookahead'])
 def test_who_has_had_enough_gets_the_best_so_far(furnished, few_candidates, name):
     rig, calls = rig_of(2, 'omnidirectional'), []
     budget = Budget(seconds=3600.0)
@@ -229,8 +226,7 @@ def test_who_has_had_enough_gets_the_best_so_far(furnished, few_candidates, name
         if len(calls) >= 3 and (np.isfinite(loss) or PLANNERS[name].input_kind == OBSERVED):
             budget.stop()
 
-    planner = RigPlanner(furnished, rig, FAST, budget, progress=progress, planner=name)
-    plan = planner.plan(rig)
+    plan = RigPlanner(furnished, rig, FAST, budget, progress=progress, planner=name).plan(rig)
     assert budget.stopped
     assert FeasibleRegion(furnished, rig).broken(plan.answer.poses) == []
     if PLANNERS[name].input_kind == SCORES:
@@ -240,22 +236,15 @@ def test_who_has_had_enough_gets_the_best_so_far(furnished, few_candidates, name
 
 
 def test_seconds_end_a_search_that_counts_nothing(furnished, few_candidates):
-    now = [0.0]
-
-    def clock():
-        now[0] += 0.05
-        return now[0]
-
-    rig = rig_of(2, 'omnidirectional')
-    budget = Budget(seconds=20.0, clock=clock)
+    ticks, rig = itertools.count(), rig_of(2, 'omnidirectional')
+    budget = Budget(seconds=20.0, clock=lambda: 0.05 * next(ticks))
     plan = RigPlanner(furnished, rig, FAST, budget, planner='random').plan(rig)
     assert 20.0 <= budget.elapsed < 30.0 and plan.answer.evaluations > 5
 
 
 def test_the_clock_cuts_no_episode_short(furnished, few_candidates):
     # Reading kernels and laying out candidates may have taken all the time.
-    hours = iter(range(0, 1000000, 3600))
-    budget = Budget(seconds=60.0, clock=lambda: next(hours))
-    rig = rig_of(2, 'omnidirectional')
-    planner = RigPlanner(furnished, rig, FAST, budget, planner='greedy_step')
-    assert planner.plan(rig).answer.evaluations == EpisodeConfig().turns
+    hours, rig = itertools.count(), rig_of(2, 'omnidirectional')
+    budget = Budget(seconds=60.0, clock=lambda: 3600.0 * next(hours))
+    plan = RigPlanner(furnished, rig, FAST, budget, planner='greedy_step').plan(rig)
+    assert plan.answer.evaluations == EpisodeConfig().turns

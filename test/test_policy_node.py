@@ -15,20 +15,11 @@
 """``policy_node`` on real DDS."""
 
 from array import array
-from copy import deepcopy
 from dataclasses import replace
 import subprocess
 import sys
 
-from conftest import (
-    counted,
-    header_at,
-    l_shaped,
-    random_checkpoint,
-    SMALL,
-    status,
-    warnings_of,
-)
+from conftest import counted, header_at, l_shaped, random_checkpoint, SMALL, warnings_of
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.cli import main as cli
@@ -79,12 +70,9 @@ def robot(probe, model, room):
         probe.rewards = probe.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
         return probe.policy
 
-    def send(stamp, cloud=room.points, positions=POSITIONS, headings=None):
-        probe.send_turn(stamp, cloud, positions_to_msg(positions, Header(), headings))
-
-    def play(*stamps, **turn):
+    def play(*stamps, cloud=room.points, positions=POSITIONS, headings=None):
         for stamp in stamps:
-            send(stamp, **turn)
+            probe.send_turn(stamp, cloud, positions_to_msg(positions, Header(), headings))
             answer = probe.command(stamp)
         return msg_to_positions(answer)
 
@@ -92,7 +80,7 @@ def robot(probe, model, room):
         probe.rewards.publish(reward(stamp, **fields))
         probe.graph.until(lambda: probe.policy._turns.reward_stamp == stamp)
 
-    probe.start, probe.send, probe.play_turns, probe.say = start, send, play, say
+    probe.start, probe.play_turns, probe.say = start, play, say
     return probe
 
 
@@ -129,24 +117,23 @@ def test_a_turn_is_answered_whose_parts_are_never_the_latest_together(robot, roo
     assert counted(policy, 'turns_answered') == 1
     assert len(turns.poses) <= MAX_STORED_POSES
     # What was not answered is older than what was, and forgotten.
-    robot.send(50)
-    robot.command(50)
+    robot.play_turns(50)
     assert list(turns.poses) == [50]
 
 
 def test_a_turn_sent_again_gets_the_same_answer(robot):
     policy = robot.start(explore=True)
     robot.play_turns(7, 7)
-    robot.graph.until(lambda: len(robot.received[topics.CAMERA_COMMANDS]) >= 2)
-    first, again = robot.received[topics.CAMERA_COMMANDS]
-    assert first == again and counted(policy, 'turns_answered') == 1
+    heard = robot.received[topics.CAMERA_COMMANDS]
+    robot.graph.until(lambda: len(heard) >= 2)
+    assert heard[0] == heard[1] and counted(policy, 'turns_answered') == 1
 
 
 def test_commands_stay_inside_the_observed_bounds(robot, room):
     robot.start(wall_margin=0.3)
     low, high = room.bounds
     corners = np.array([[low[0], low[1], 1.9], [high[0], high[1], 1.9], [50.0, -50.0, 1.9]])
-    for stamp in range(1, 6):
+    for stamp in range(1, 4):
         found = robot.play_turns(stamp, positions=corners)
         # A camera that is far outside comes nearer, but no faster than it may.
         assert (found[:2, :2] >= low[:2] + 0.3 - 1e-6).all()
@@ -155,26 +142,21 @@ def test_commands_stay_inside_the_observed_bounds(robot, room):
         assert found[2, 0] < corners[2, 0] and found[2, 1] > corners[2, 1]
 
 
-def test_nan_from_the_network_holds_the_cameras(robot):
+def test_a_planner_that_fails_holds_the_cameras_and_the_node_lives(robot, monkeypatch, capfd):
     policy = robot.start(explore=True)
-    with torch.no_grad():
-        policy.policy.actor.mu.bias.fill_(float('nan'))
-    np.testing.assert_allclose(robot.play_turns(1), POSITIONS)
-
-
-@pytest.mark.parametrize('failure', [ZeroDivisionError('by 0'), MemoryError('none left')])
-def test_a_planner_that_fails_holds_the_cameras_and_the_node_lives(robot, monkeypatch, capfd,
-                                                                   failure):
-    policy = robot.start()
 
     def fail(*turn):
-        raise failure
+        raise MemoryError('none left')
 
     with monkeypatch.context() as patched:
         patched.setattr(policy.planner, 'move', fail)
         np.testing.assert_allclose(robot.play_turns(1), POSITIONS)
-    assert type(failure).__name__ in capfd.readouterr().err
+    assert 'MemoryError' in capfd.readouterr().err
     assert not np.allclose(robot.play_turns(2), POSITIONS)
+    # So does what the network cannot say.
+    with torch.no_grad():
+        policy.policy.actor.mu.bias.fill_(float('nan'))
+    np.testing.assert_allclose(robot.play_turns(3), POSITIONS)
 
 
 def far_point(cloud, poses):
@@ -191,7 +173,6 @@ def without_points(cloud, poses):
 def test_turns_that_cannot_be_used_are_refused_and_the_next_ones_are_answered(robot, room):
     policy = robot.start()
     warnings = warnings_of(policy)
-    answered = []
     for stamp, (spoil, word) in enumerate((
             (lambda cloud, poses: setattr(cloud, 'data', cloud.data[:-5]), 'cloud: '),
             (lambda cloud, poses: setattr(cloud.fields[0], 'datatype', PointField.INT32), 'cloud'),
@@ -207,10 +188,9 @@ def test_turns_that_cannot_be_used_are_refused_and_the_next_ones_are_answered(ro
         robot.clouds.publish(cloud)
         robot.graph.until(lambda: counted(policy, 'refused_messages') > refused)
         assert 'message refused' in warnings[-1] and word in warnings[-1]
-        answered.append(10 * stamp + 1)
-        robot.play_turns(answered[-1])
-    assert {stamp_to_ns(command.header.stamp)
-            for command in robot.received[topics.CAMERA_COMMANDS]} == set(answered)
+        robot.play_turns(10 * stamp + 1)
+    assert {stamp_to_ns(command.header.stamp) % 10
+            for command in robot.received[topics.CAMERA_COMMANDS]} == {1}
 
 
 def test_a_message_that_waits_is_noticed_and_not_taken(graph, probe):
@@ -255,14 +235,10 @@ def test_the_final_placement_is_a_file_that_can_be_judged(robot, room, tmp_path)
     assert cli.main(['score', str(tmp_path / 'room.ply'), str(path)]) == 0
 
 
-RIG = """
-cameras: [{sensor: realsense_d455}, {sensor: omnidirectional}]
-fixed: [{sensor: realsense_d455, position: [4.0, 5.0, 1.9], yaw: 40}]
-"""
-
-
 def test_the_final_placement_has_the_rig_and_how_its_cameras_are_turned(robot, tmp_path):
-    (tmp_path / 'rig.yaml').write_text(RIG)
+    (tmp_path / 'rig.yaml').write_text("""
+        cameras: [{sensor: realsense_d455}, {sensor: omnidirectional}]
+        fixed: [{sensor: realsense_d455, position: [4.0, 5.0, 1.9], yaw: 40}]""")
     robot.start(planner='lookahead', turns=1, rig_file=str(tmp_path / 'rig.yaml'),
                 placement_file=str(tmp_path / 'placement.yaml'))
     robot.play_turns(1, 2, headings=HEADINGS)
@@ -290,7 +266,7 @@ def test_cameras_of_a_policy_that_stands_still_are_placed_by_lookahead(robot, mo
         positions = robot.play_turns(stamp, positions=positions)
     assert np.abs(positions - POSITIONS).max() > 0.1
     assert not robot.received[topics.PLACEMENT]
-    robot.send(7, positions=positions)
+    robot.play_turns(7, positions=positions)
     assert stamp_to_ns(robot.last(topics.PLACEMENT).header.stamp) == 7
 
 
@@ -302,26 +278,25 @@ def test_a_new_episode_starts_the_turns_anew(robot, episode):
     assert not np.allclose(robot.play_turns(3), POSITIONS)
 
 
-def test_a_turn_waits_for_its_reward_that_was_overtaken(robot, room):
-    policy = robot.start(turns=5)
-    robot.say(1, step=5, truncated=True)
-    np.testing.assert_allclose(robot.play_turns(1), POSITIONS)
-    policy._turns.on_poses(positions_to_msg(POSITIONS, header_at(2)))
-    policy._turns.on_cloud(cloud_to_msg(room.points, header_at(2)))
-    assert counted(policy, 'turns_answered') == 1
-    policy._turns.on_reward(reward(2, episode=2, step=0))
-    # At once: it is the first turn of an episode, and not one more of the last episode.
-    assert counted(policy, 'turns_answered') == 2
-    assert not np.allclose(msg_to_positions(robot.command(2)), POSITIONS)
+def test_a_turn_waits_for_its_reward_but_not_for_ever(robot, room):
+    policy = robot.start(turns=9)
 
+    def send(stamp):
+        policy._turns.on_poses(positions_to_msg(POSITIONS, header_at(stamp)))
+        policy._turns.on_cloud(cloud_to_msg(room.points, header_at(stamp)))
+        return counted(policy, 'turns_answered')
 
-def test_a_turn_whose_reward_never_comes_is_answered_and_the_next_ones_at_once(robot, room):
-    policy = robot.start()
     robot.say(1)
+    # The second turn's never comes, and the next one is answered at once.
     robot.play_turns(1, 2)
-    policy._turns.on_poses(positions_to_msg(POSITIONS, header_at(3)))
-    policy._turns.on_cloud(cloud_to_msg(room.points, header_at(3)))
-    assert counted(policy, 'turns_answered') == 3
+    assert send(3) == 3
+    # That of the first turn of an episode was overtaken: it is not one more of the last episode.
+    robot.say(4, step=9, truncated=True)
+    np.testing.assert_allclose(robot.play_turns(4), POSITIONS)
+    assert send(5) == 4
+    policy._turns.on_reward(reward(5, episode=2, step=0))
+    assert counted(policy, 'turns_answered') == 5
+    assert not np.allclose(msg_to_positions(robot.command(5)), POSITIONS)
 
 
 def test_an_episode_goes_on_when_its_first_turn_is_sent_again(robot, monkeypatch):
@@ -365,55 +340,32 @@ def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_tu
     np.testing.assert_allclose(msg_to_positions(placement), POSITIONS)
 
 
-def test_weights_are_swapped_in_whole(robot, small_agent, room):
+def test_weights_are_swapped_in_whole_and_refused_if_they_cannot_be_used(
+        robot, small_agent, room):
     policy = robot.start(planner='learned')
     encoder = policy.policy.encoder
-    new = random_checkpoint(small_agent, seed=1, updates=10, run='a')
-    weights = robot.publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
-    weights.publish(bytes_to_msg(new.to_bytes()))
-    robot.graph.until(lambda: counted(policy, 'weights_swapped') == 1)
-    expected = POSITIONS.copy()
-    expected[:, :2] += bounded_moves(Policy(new).act(room.points, POSITIONS), 0.5)
-    np.testing.assert_allclose(robot.play_turns(1), expected, atol=1e-6)
-    assert policy.policy.encoder is encoder
-
-
-def test_weights_that_cannot_be_used_are_refused(robot, small_agent):
-    policy = robot.start()
-    weights = robot.publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
-    good = random_checkpoint(small_agent, updates=10, run='a')
+    good, older, broken = (random_checkpoint(small_agent, seed=1, updates=updates, run='a')
+                           for updates in (10, 9, 20))
     other = random_checkpoint(replace(small_agent, hidden=8), updates=20, run='a')
-    broken = deepcopy(good)
     broken.weights['mu.bias'][0] = float('nan')
-    blobs = [good.to_bytes(), good.to_bytes()[:-7], b'', b'\xff' * 64, other.to_bytes(),
-             broken.to_bytes(),
-             random_checkpoint(small_agent, updates=9, run='a').to_bytes()]
-    for number, blob in enumerate(blobs):
+    blobs = [one.to_bytes() for one in (good, other, broken, older)]
+    weights = robot.publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
+    for number, blob in enumerate([*blobs, blobs[0][:-7], b'', b'\xff' * 64]):
         weights.publish(bytes_to_msg(blob))
         robot.graph.until(lambda: counted(policy, 'weights_swapped')
                           + counted(policy, 'weights_refused') == number + 1)
     assert counted(policy, 'weights_swapped') == 1
     assert policy.policy.checkpoint.updates == 10
+    expected = POSITIONS.copy()
+    expected[:, :2] += bounded_moves(Policy(good).act(room.points, POSITIONS), 0.5)
+    np.testing.assert_allclose(robot.play_turns(1), expected, atol=1e-6)
+    assert policy.policy.encoder is encoder
 
 
-def test_a_killed_and_restarted_policy_continues_the_episode(graph, model):
-    sim = graph.add(SimNode, resend_period=0.05, **SMALL)
-    parameters = {'planner': 'learned_lookahead', 'model': model, 'convergence_distance': 0.0}
-    policy = graph.add(PolicyNode, **parameters)
-    graph.until(lambda: sim.episode.turn.step >= 3)
-    graph.remove(policy)
-    step, observed, episode = sim.episode.turn.step, sim.episode.observed, sim.episode
-    policy = graph.add(PolicyNode, **parameters)
-    graph.until(lambda: sim.episode.turn.step >= step + 3)
-    assert sim.episode is episode and episode.observed >= observed
-    graph.until(lambda: counted(policy, 'step') >= step)
-
-
-@pytest.mark.parametrize(
-    ('planner', 'turns'), [*((planner, 8) for planner in PLANNERS), ('learned_lookahead', 5)])
+@pytest.mark.parametrize('planner', PLANNERS)
 def test_an_episode_over_ros_is_the_episode_of_the_engine(graph, probe, model, checkpoint,
-                                                          planner, turns):
-    needs_weights = planner != 'lookahead'
+                                                          planner):
+    turns, needs_weights = 5, planner != 'lookahead'
     sim = graph.add(SimNode, seed=3, resend_period=0.05, episode__turns=turns, **SMALL)
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
     policy = graph.add(PolicyNode, planner=planner, turns=turns, convergence_distance=0.0,
@@ -432,14 +384,12 @@ def test_lookahead_takes_no_weights(robot):
     assert policy.policy is None
     assert policy.count_subscribers(topics.POLICY_WEIGHTS) == 0
     robot.play_turns(1)
-    _, _, values = status(policy)
-    assert (values['planner'], values['weights_run'], values['weights_updates']) == (
-        'lookahead', '-', 0)
+    assert [counted(policy, name) for name in ('planner', 'weights_run', 'weights_updates')] == [
+        'lookahead', '-', 0]
 
 
-@pytest.mark.parametrize('planner', ['learned_lookahead', 'lookahead'])
-def test_exploring_draws_from_the_distribution_of_the_policy(robot, checkpoint, room, planner):
-    robot.start(explore=True, seed=5, planner=planner)
+def test_exploring_draws_from_the_distribution_of_the_policy(robot, checkpoint, room):
+    robot.start(explore=True, seed=5, planner='lookahead')
     policy, rng = Policy(checkpoint, Encoder(checkpoint.config)), np.random.default_rng(5)
     for turn in range(2):
         actions = policy.act(room.points, POSITIONS, turn, 30, rng)
@@ -452,8 +402,7 @@ def test_exploring_draws_from_the_distribution_of_the_policy(robot, checkpoint, 
     ({'planner': 'greedy'}, ConfigurationError, "planner: found 'greedy'"),
     # The message lists the models that are there.
     ({'planner': 'learned', 'model': 'nowhere'}, FileNotFoundError, "'nowhere' .*'actor'"),
-    ({'planner': 'learned', 'model': 'pickle.safetensors'}, CheckpointError,
-     'pickle.safetensors')])
+    ({'planner': 'learned', 'model': 'pickle.safetensors'}, CheckpointError, 'pickle.safe')])
 def test_a_planner_or_model_that_does_not_exist_is_refused(graph, tmp_path, monkeypatch,
                                                            parameters, error, words):
     monkeypatch.chdir(tmp_path)
@@ -470,6 +419,5 @@ import ocp_ros.ros.policy_node
 print(heavy & set(sys.modules), 'torch' in sys.modules)
 import ocp_ros.policy.policy
 print(heavy & set(sys.modules), 'torch' in sys.modules)"""
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True,
-                          check=False)
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True)
     assert done.stdout == 'set() False\nset() True\n', done.stdout + done.stderr

@@ -18,6 +18,7 @@ from contextlib import nullcontext
 import json
 import os
 from pathlib import Path
+import re
 import signal
 import subprocess
 import sys
@@ -40,8 +41,7 @@ import pytest
 def caught(process):
     """Return the numbers of the signals that a process handles, by what the kernel says."""
     status = Path(f'/proc/{process.pid}/status').read_text()
-    mask = int(next(line for line in status.splitlines() if line.startswith('SigCgt')).split()[1],
-               16)
+    mask = int(re.search(r'^SigCgt:\s*(\w+)', status, re.M).group(1), 16)
     return {number for number in range(1, 32) if mask & 1 << number - 1}
 
 
@@ -52,29 +52,24 @@ def test_an_early_signal_ends_a_node_with_0_and_without_a_traceback(node, number
     process = subprocess.Popen(
         [sys.executable, '-c', f'import sys; from ocp_ros.ros.start import {node}; '
          f'sys.exit({node}())'], stderr=subprocess.PIPE, text=True)
-    deadline = time.monotonic() + HUNG
     # Python itself catches SIGINT, and nothing else.
     while signal.SIGTERM not in caught(process):
-        assert process.poll() is None and time.monotonic() < deadline
+        assert process.poll() is None
     process.send_signal(number)
     assert process.communicate(timeout=HUNG)[1] == '' and process.returncode == 0
 
 
-def test_a_node_that_runs_ends_with_0_and_has_said_all(domain, tmp_path):
-    with (tmp_path / 'log').open('w+') as log:
-        process = subprocess.Popen(
-            [sys.executable, '-c', 'from ocp_ros.ros.start import sim_node; sim_node()'],
-            stderr=log, stdout=log, env={**os.environ, 'ROS_DOMAIN_ID': str(domain)})
-        deadline = time.monotonic() + HUNG
-        while '[INFO]' not in (tmp_path / 'log').read_text():
-            assert process.poll() is None and time.monotonic() < deadline
-            try:
-                process.wait(timeout=0.1)
-            except subprocess.TimeoutExpired:
-                continue
+SIM_NODE = [sys.executable, '-c', 'from ocp_ros.ros.start import sim_node; sim_node()']
+
+
+def test_a_node_that_runs_ends_with_0_and_has_said_all(domain):
+    with subprocess.Popen(SIM_NODE, stderr=subprocess.STDOUT, stdout=subprocess.PIPE, text=True,
+                          env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}) as process:
+        while '[INFO]' not in (line := process.stdout.readline()):
+            assert line
         process.send_signal(signal.SIGINT)
+        assert 'Traceback' not in process.stdout.read()
         assert process.wait(timeout=HUNG) == 0
-    assert 'Traceback' not in (tmp_path / 'log').read_text()
 
 
 @pytest.mark.parametrize('package, raised', [('llvmlite.binding', False), ('numba', False),
@@ -98,8 +93,7 @@ def test_nothing_is_raised_while_kernels_are_made(package, raised):
     ('scene.pointz:=3', "'scene.pointz'; did you mean 'scene.points'")])
 def test_what_a_node_cannot_use_ends_it_with_2_and_a_reason(domain, parameter, words):
     done = subprocess.run(
-        [sys.executable, '-c', 'from ocp_ros.ros.start import sim_node; sim_node()',
-         '--ros-args', '-p', parameter], capture_output=True, text=True, timeout=HUNG,
+        [*SIM_NODE, '--ros-args', '-p', parameter], capture_output=True, text=True, timeout=HUNG,
         env={**os.environ, 'ROS_DOMAIN_ID': str(domain)})
     assert done.returncode == 2 and words in done.stderr and 'Traceback' not in done.stderr
 
@@ -109,9 +103,9 @@ def check(out, turns, cameras):
     result = json.loads((out / 'demo.json').read_text())
     assert (result['cameras'], np.shape(result['positions'])) == (cameras, (cameras, 3))
     assert 0 < result['turns'] <= turns
-    for name in ('depth_error_start', 'depth_error_end', 'space_coverage_start',
-                 'space_coverage_end'):
-        assert np.isfinite(result[name]) and result[name] >= 0.0
+    for name in ('depth_error', 'space_coverage'):
+        for when in ('start', 'end'):
+            assert 0.0 <= result[f'{name}_{when}'] < np.inf
     assert (out / 'demo.png').stat().st_size > 50_000
     return result
 
@@ -122,8 +116,7 @@ def test_the_demo_places_cameras_in_the_default_room(tmp_path, capsys):
     result = check(tmp_path, 30, 4)
     assert result['depth_error_end'] < 0.8 * result['depth_error_start']
     assert 'depth error' in capsys.readouterr().out
-    room = generate_room(1)
-    low, high = room.bounds
+    low, high = generate_room(1).bounds
     assert ((result['positions'] >= low) & (result['positions'] <= high)).all()
 
 
@@ -148,10 +141,7 @@ def test_an_interrupted_demo_leaves_no_node_behind(tmp_path, how):
     log = tmp_path / 'logs' / 'policy_node.log'
     while not (log.exists() and 'weights' in log.read_text()):
         assert running.poll() is None, running.stderr.read()
-        try:
-            running.wait(timeout=0.05)
-        except subprocess.TimeoutExpired:
-            continue
+        time.sleep(0.05)
     children = subprocess.run(['ps', '-o', 'pid=', '--ppid', str(running.pid)], check=True,
                               capture_output=True, text=True).stdout.split()
     assert len(children) == 2
@@ -249,7 +239,7 @@ def test_memory_is_compared_within_one_life(monkeypatch):
     memory = soak_watch.MemoryWatch()
 
     def live(since, until):
-        for second in range(since, until):
+        for second in range(since, until, 2):
             now[0] = float(second)
             # One leaks 6 MB an hour, one only has more now and then, one starts up.
             held.update({1: 100.0 + second / 600.0, 2: 50.0 + 20.0 * (second % 10 == 0),

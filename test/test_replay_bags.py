@@ -22,7 +22,15 @@ import struct
 import subprocess
 import sys
 
-from conftest import farthest_distance, HUNG, refused, refused_in_one_sentence, ROOT, status_of
+from conftest import (
+    counted,
+    farthest_distance,
+    header_at,
+    HUNG,
+    refused,
+    refused_in_one_sentence,
+    ROOT,
+)
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.cli.main import build_parser, main
@@ -38,7 +46,6 @@ from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     msg_to_cloud,
     msg_to_poses,
-    ns_to_stamp,
     positions_to_msg,
     stamp_to_ns,
 )
@@ -64,6 +71,8 @@ ROS1.register(get_types_from_msg('geometry_msgs/TransformStamped[] transforms', 
 #: Where two cameras hang, and how they are turned: yaw, pitch, roll.
 PLACES = np.array([[2.6, 2.2, 1.9], [3.4, 2.9, 1.7]])
 HEADINGS = np.array([[0.4, 0.3, 0.1], [-2.0, 0.2, 0.0]])
+#: From an optical frame (z forward, x right, y down) to that of the body.
+OPTICAL_AXES = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 #: A recorded depth camera, from moveit_tutorials, where it is at hand.
 REAL = ROOT.parent / 'shared' / 'data' / 'bags' / 'perception_tutorial.bag'
 
@@ -84,29 +93,29 @@ class Recording:
         """Take a message, as ROS 2 serialises it."""
         self.messages.append((topic, kind, time, bytes(cdr)))
 
-    def add_turn(self, clouds, frames, poses=True, time=1000 * S):
+    def add_turn(self, clouds, frames=('map', 'map'), poses=True, time=1000 * S):
         """Take what all cameras see at a time, and where they are; return the recording."""
-        stamp = ns_to_stamp(time)
         if poses:
-            header = Header(stamp=stamp, frame_id='map')
-            self.add('/rig/poses', positions_to_msg(PLACES, header, HEADINGS), time)
+            message = positions_to_msg(PLACES, header_at(time), HEADINGS)
+            self.add('/rig/poses', message, time)
         for k, (cloud, frame) in enumerate(zip(clouds, frames)):
-            header = Header(stamp=stamp, frame_id=frame)
-            self.add(f'/cam{k}/points', cloud_to_msg(cloud, header), time + 1 + k)
+            message = cloud_to_msg(cloud, header_at(time, frame))
+            self.add(f'/cam{k}/points', message, time + 1 + k)
         return self
 
     def add_transform(self, parent, child, position, rotation, topic='/tf_static'):
         """Take a transform."""
-        types, time = ROS2.types, 1000 * S
-        quaternion = types['geometry_msgs/msg/Quaternion'](*Rotation.from_matrix(
-            rotation).as_quat())
-        transform = types['geometry_msgs/msg/Transform'](
-            types['geometry_msgs/msg/Vector3'](*position), quaternion)
-        header = types['std_msgs/msg/Header'](
-            types['builtin_interfaces/msg/Time'](time // S, time % S), parent)
-        message = types[TRANSFORMS](
-            [types['geometry_msgs/msg/TransformStamped'](header, child, transform)])
-        self.add_bytes(topic, TRANSFORMS, time, ROS2.serialize_cdr(message, TRANSFORMS))
+        def made(kind, *fields):
+            return ROS2.types[kind](*fields)
+
+        header = made('std_msgs/msg/Header', made('builtin_interfaces/msg/Time', 1000, 0), parent)
+        transform = made('geometry_msgs/msg/Transform',
+                         made('geometry_msgs/msg/Vector3', *position),
+                         made('geometry_msgs/msg/Quaternion',
+                              *Rotation.from_matrix(rotation).as_quat()))
+        message = made(TRANSFORMS, [
+            made('geometry_msgs/msg/TransformStamped', header, child, transform)])
+        self.add_bytes(topic, TRANSFORMS, 1000 * S, ROS2.serialize_cdr(message, TRANSFORMS))
 
     def write(self, folder, form):
         """Write the bag and return its path."""
@@ -117,13 +126,20 @@ class Recording:
         with writer:
             known = {}
             for topic, kind, time, cdr in sorted(self.messages, key=lambda message: message[2]):
-                if topic not in known:
-                    old = form == 'ros1' and kind == TRANSFORMS
-                    known[topic] = writer.add_connection(
-                        topic, OLD_TRANSFORMS if old else kind, typestore=store)
+                old = form == 'ros1' and kind == TRANSFORMS
+                known[topic] = known.get(topic) or writer.add_connection(
+                    topic, OLD_TRANSFORMS if old else kind, typestore=store)
                 raw = ROS2.cdr_to_ros1(cdr, kind) if form == 'ros1' else cdr
                 writer.write(known[topic], time, raw)
         return path
+
+
+def turns_of(clouds, count=1):
+    """Return a recording of some turns, one each second, in the frame of the map."""
+    recording = Recording()
+    for turn in range(count):
+        recording.add_turn(clouds, time=(1000 + turn) * S)
+    return recording
 
 
 @pytest.fixture(scope='module')
@@ -137,18 +153,15 @@ def clouds(room):
 @pytest.fixture
 def in_map(clouds):
     """Return a recording of a turn in the frame of the map, and of a text."""
-    recording = Recording().add_turn(clouds, ('map', 'map'))
+    recording = turns_of(clouds)
     recording.add('/chatter', String(data='x'))
     return recording
 
 
 def optical(clouds):
     """Return clouds of the map frame in the optical frames of their cameras."""
-    found = []
-    for cloud, place, heading in zip(clouds, PLACES, HEADINGS):
-        body = (cloud - place) @ rotation_matrix(*heading)
-        found.append(np.stack([-body[:, 1], -body[:, 2], body[:, 0]], axis=1))
-    return found
+    return [(cloud - place) @ rotation_matrix(*heading) @ OPTICAL_AXES
+            for cloud, place, heading in zip(clouds, PLACES, HEADINGS)]
 
 
 def check_same(found, expected):
@@ -160,8 +173,8 @@ def check_same(found, expected):
 def stage(graph, probe):
     """Return what replays a bag to a policy; ``play`` waits for the fused cloud."""
     probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
-    probe.listen(PoseArray, topics.CAMERA_POSES, qos.LOOP)
-    probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
+    for topic in (topics.CAMERA_POSES, topics.CAMERA_COMMANDS):
+        probe.listen(PoseArray, topic, qos.LOOP)
 
     def start(path, clouds='cam0/points,cam1/points', **options):
         probe.policy = graph.add(PolicyNode, cloud_topics=clouds, voxel_size=0.001,
@@ -185,36 +198,42 @@ def test_each_camera_is_given_what_it_recorded_in_its_body_frame(clouds, tmp_pat
     recording = Recording().add_turn(optical(clouds), ('left_optical', 'right_optical'))
     path = recording.write(tmp_path, 'mcap')
     found = recorded_clouds(path, ['left', 'right'], {})
-    for cloud, camera, place, heading in zip(clouds, ('left', 'right'), PLACES, HEADINGS):
-        np.testing.assert_allclose(found[camera], (cloud - place) @ rotation_matrix(*heading),
-                                   atol=1e-4)
+    for cloud, camera in zip(optical(clouds), ('left', 'right')):
+        np.testing.assert_allclose(found[camera], cloud @ OPTICAL_AXES.T, atol=1e-4)
     chosen = recorded_clouds(path, ['left', 'right'], {'left': '/cam1/points'}, 'body')
     np.testing.assert_allclose(chosen['left'], optical(clouds)[1], atol=1e-4)
     with pytest.raises(ConfigurationError, match='/cam2'):
         recorded_clouds(path, ['left'], {'left': '/cam2/points'})
 
 
-def test_a_policy_fuses_what_was_recorded(stage, clouds, tmp_path):
-    recording = Recording().add_turn(optical(clouds), ('camera_0_optical', 'camera_1_optical'))
+@pytest.mark.parametrize(('form', 'frames', 'options'), [
+    ('ros1', ('camera_0_optical', 'camera_1_optical'), {}),
+    # The recorded poses are of other cameras.
+    ('mcap', ('kinect_depth_optical', 'lidar_optical'), {'poses': [
+        pose_of(','.join(map(str, [*place, *np.rad2deg(heading)])))
+        for place, heading in zip(PLACES, HEADINGS)]}),
+    ('sqlite3', ('world', 'nonsense'), {
+        'frames': (('/cam1/points', 'camera_1_optical'), ('', 'camera_0_optical'))})])
+def test_a_policy_fuses_what_was_recorded(stage, clouds, tmp_path, form, frames, options):
+    recording = Recording().add_turn(optical(clouds), frames)
     recording.add('/chatter', String(data='x'))
-    check_same(stage.play(recording.write(tmp_path, 'ros1')), np.concatenate(clouds))
+    check_same(stage.play(recording.write(tmp_path, form), **options), np.concatenate(clouds))
     # The stamps are the recorded ones, and the command answers them.
     assert stamp_to_ns(stage.last(topics.CAMERA_COMMANDS).header.stamp) == 1000 * S
-    assert stage.replay.counts == {'/cam0/points': 1, '/cam1/points': 1, '/rig/poses': 1}
+    poses = {} if 'poses' in options else {'/rig/poses': 1}
+    assert stage.replay.counts == {'/cam0/points': 1, '/cam1/points': 1, **poses}
     assert stage.replay.left_out_count == 0
 
 
 @pytest.mark.parametrize('form', ['ros1', 'sqlite3'])
 def test_recorded_transforms_say_where_the_cameras_are(stage, clouds, tmp_path, form):
     """The frames are a driver's, as nobody with tf2 is there to place them."""
-    recording, optical_axes = Recording(), np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
-    mount = rotation_matrix(1.0, 0.2, 0.0)
+    recording, mount = Recording(), rotation_matrix(1.0, 0.2, 0.0)
     for k, (place, heading) in enumerate(zip(PLACES, HEADINGS)):
-        recording.add_transform('map', f'mount_{k}', place - [0.0, 0.0, 0.5], mount,
-                                topic='/tf')
+        recording.add_transform('map', f'mount_{k}', place - [0.0, 0.0, 0.5], mount, '/tf')
         recording.add_transform(f'mount_{k}', f'lens_{k}_optical_frame',
                                 mount.T @ [0.0, 0.0, 0.5],
-                                mount.T @ rotation_matrix(*heading) @ optical_axes)
+                                mount.T @ rotation_matrix(*heading) @ OPTICAL_AXES)
     recording.add_turn(optical(clouds), ('lens_0_optical_frame', 'lens_1_optical_frame'),
                        poses=False)
     check_same(stage.play(recording.write(tmp_path, form)), np.concatenate(clouds))
@@ -225,41 +244,19 @@ def test_recorded_transforms_say_where_the_cameras_are(stage, clouds, tmp_path, 
         np.testing.assert_allclose(pose.rotation, rotation_matrix(*heading), atol=1e-6)
 
 
-def test_a_pose_of_the_command_line_places_a_cloud_of_any_frame(stage, clouds, tmp_path):
-    # The recorded poses are of other cameras.
-    recording = Recording().add_turn(optical(clouds)[:1], ('kinect_depth_optical',))
-    x, y, z, yaw, pitch, roll = *PLACES[0], *np.rad2deg(HEADINGS[0])
-    found = stage.play(recording.write(tmp_path, 'mcap'), clouds='cam0/points',
-                       poses=(pose_of(f'{x},{y},{z},{yaw},{pitch},{roll}'),))
-    check_same(found, clouds[0])
-
-
-def test_a_frame_of_the_command_line_takes_the_place_of_the_recorded_one(stage, clouds, tmp_path):
-    recording = Recording().add_turn([clouds[0], optical(clouds)[1]], ('world', 'nonsense'))
-    found = stage.play(recording.write(tmp_path, 'sqlite3'),
-                       frames=(('/cam1/points', 'camera_1_optical'), ('', 'map')))
-    check_same(found, np.concatenate(clouds))
-
-
 def test_a_loop_goes_on_with_stamps_that_rise(stage, clouds, tmp_path):
-    recording = Recording()
-    for turn in range(3):
-        recording.add_turn(clouds, ('map', 'map'), time=(1000 + turn) * S)
     stage.listen(PointCloud2, '/cam0/points', qos.LOOP)
-    stage.start(recording.write(tmp_path, 'mcap'), loop=True)
+    stage.start(turns_of(clouds, 3).write(tmp_path, 'mcap'), loop=True)
     stage.graph.until(lambda: len(stage.received['/cam0/points']) >= 8)
     stamps = [stamp_to_ns(message.header.stamp) for message in stage.received['/cam0/points']]
     assert (np.diff(stamps) > 0).all() and stamps[:3] == [1000 * S, 1001 * S, 1002 * S]
     assert not stage.replay.done.done()
-    assert status_of(stage.policy)['clock_jumps'] == 0
+    assert counted(stage.policy, 'clock_jumps') == 0
 
 
 def test_a_part_is_replayed_under_another_name(stage, clouds, tmp_path):
-    recording = Recording()
-    for turn in range(4):
-        recording.add_turn(clouds[:1], ('map',), time=(1000 + turn) * S)
     stage.listen(PointCloud2, '/cam1/points', qos.LOOP)
-    stage.start(recording.write(tmp_path, 'sqlite3'), clouds='/cam1/points',
+    stage.start(turns_of(clouds[:1], 4).write(tmp_path, 'sqlite3'), clouds='/cam1/points',
                 start=0.5, duration=2.0, topics=('/cam0/points:=/cam1/points',))
     stage.graph.until(stage.replay.done.done)
     stage.graph.until(lambda: len(stage.received['/cam1/points']) == 2)
@@ -271,21 +268,27 @@ def test_messages_that_are_none_are_left_out(stage, in_map, clouds, tmp_path, ca
     broken = serialize_message(cloud_to_msg(clouds[0], Header(frame_id='map')))
     for k, cut in enumerate((3, 10, 40, 200, len(broken) // 2)):
         in_map.add_bytes('/cam0/points', CLOUD, 1001 * S + k, broken[:cut])
-    found = stage.play(in_map.write(tmp_path, 'mcap'), poses=())
-    assert len(found) and stage.replay.left_out_count == 5
+    assert len(stage.play(in_map.write(tmp_path, 'mcap')))
+    assert stage.replay.left_out_count == 5
     assert '/cam0/points: found a message that is no' in capfd.readouterr().err
 
 
-@pytest.fixture(params=['ros1', 'sqlite3', 'mcap'])
-def good_bag(request, clouds, tmp_path):
-    """Return a bag of two turns, and its largest file."""
-    recording = Recording()
-    for turn in range(2):
-        recording.add_turn([cloud[:50] for cloud in clouds], ('map', 'map'),
-                           time=(1000 + turn) * S)
-    path = recording.write(tmp_path, request.param)
-    files = [path] if path.is_file() else list(path.iterdir())
-    return path, max(files, key=lambda file: file.stat().st_size)
+def test_lists_that_are_longer_than_their_message_are_left_out(tmp_path):
+    """The library would count to four billion."""
+    cloud = ROS2.cdr_to_ros1(serialize_message(cloud_to_msg(
+        np.zeros((3, 3), dtype=np.float32), Header(frame_id='map'))), CLOUD)
+    poses = ROS2.cdr_to_ros1(serialize_message(positions_to_msg(PLACES, Header())), POSES)
+    path = tmp_path / 'long.bag'
+    with Writer1(path) as writer:
+        for topic, kind, raw, at in (('/cloud', CLOUD, cloud, 12 + 4 + 3 + 8),
+                                     ('/poses', POSES, poses, 12 + 4),
+                                     ('/tf', OLD_TRANSFORMS, bytes(84), 0)):
+            spoilt = bytearray(raw)
+            struct.pack_into('<I', spoilt, at, 0xFFFFFFF0)
+            writer.write(writer.add_connection(topic, kind, typestore=ROS1), S, bytes(spoilt))
+    with Bag(path) as bag:
+        left_out = [str(one) for one in bag.messages(['/cloud', '/poses', '/tf'])]
+    assert ['4,294,967,280 parts in' in one for one in left_out] == [True] * 3
 
 
 def read_all(path):
@@ -297,31 +300,12 @@ def read_all(path):
                 if isinstance(item, Recorded)]
 
 
-def test_lists_that_are_longer_than_their_message_are_left_out(tmp_path):
-    """The library would count to four billion."""
-    cloud = ROS2.cdr_to_ros1(serialize_message(cloud_to_msg(
-        np.zeros((3, 3), dtype=np.float32), Header(frame_id='map'))), CLOUD)
-    poses = ROS2.cdr_to_ros1(serialize_message(positions_to_msg(PLACES, Header())), POSES)
-    transforms = struct.pack('<I', 1) + bytes(80)
-    path = tmp_path / 'long.bag'
-    with Writer1(path) as writer:
-        for topic, kind, raw, at in (('/cloud', CLOUD, cloud, 12 + 4 + 3 + 8),
-                                     ('/poses', POSES, poses, 12 + 4),
-                                     ('/tf', OLD_TRANSFORMS, transforms, 0)):
-            spoilt = bytearray(raw)
-            struct.pack_into('<I', spoilt, at, 0xFFFFFFF0)
-            writer.write(writer.add_connection(topic, kind, typestore=ROS1), S, bytes(spoilt))
-    with Bag(path) as bag:
-        left_out = list(bag.messages(['/cloud', '/poses', '/tf']))
-    assert len(left_out) == 3
-    assert all('4,294,967,280 parts in' in str(one) for one in left_out)
-
-
-def test_a_bag_that_was_cut_or_overwritten_is_an_error_of_one_sentence(good_bag):
-    path, file = good_bag
-    whole, good = file.read_bytes(), read_all(path)
-    assert len(good) == 6
-    rng, refused_count = np.random.default_rng(0), 0
+@pytest.mark.parametrize('form', ['ros1', 'sqlite3', 'mcap'])
+def test_a_bag_that_was_cut_or_overwritten_is_an_error_of_one_sentence(clouds, tmp_path, form):
+    path = turns_of([cloud[:50] for cloud in clouds], 2).write(tmp_path, form)
+    assert len(read_all(path)) == 6
+    file = max([path] if path.is_file() else path.iterdir(), key=lambda file: file.stat().st_size)
+    whole, rng, refused_count = file.read_bytes(), np.random.default_rng(0), 0
     for cut in rng.integers(0, len(whole), 2):
         spoilt = bytearray(whole)
         spoilt[cut:cut + 20] = rng.bytes(20)
@@ -333,13 +317,11 @@ def test_a_bag_that_was_cut_or_overwritten_is_an_error_of_one_sentence(good_bag)
                 refused_count += 1
                 assert '\n' not in str(error) and 'found' in str(error)
     assert refused_count > 1
-    file.write_bytes(whole[:len(whole) // 2])
-    assert main(['replay', str(path), '--list']) == 2
 
 
-def test_the_list_shows_what_is_there(good_bag, capsys, monkeypatch):
+def test_the_list_shows_what_is_there(clouds, tmp_path, capsys, monkeypatch):
     monkeypatch.setenv('COLUMNS', '150')
-    assert main(['replay', str(good_bag[0]), '--list']) == 0
+    assert main(['replay', str(turns_of(clouds, 2).write(tmp_path, 'ros1')), '--list']) == 0
     rows = [[cell.strip() for cell in line.split('│')[1:-1]]
             for line in capsys.readouterr().out.splitlines() if '│' in line]
     assert rows == [
@@ -348,15 +330,15 @@ def test_the_list_shows_what_is_there(good_bag, capsys, monkeypatch):
         ['/rig/poses', 'geometry_msgs/PoseArray', '2', 'map', 'camera_poses']]
 
 
-@pytest.mark.parametrize('name', ['folder', 'empty.bag', 'nothing', 'lone', 'lone/a.mcap'])
-def test_what_is_no_bag_is_refused(tmp_path, capsys, name):
-    (tmp_path / 'folder').mkdir()
-    (tmp_path / 'empty.bag').write_bytes(b'')
-    (tmp_path / 'lone').mkdir()
-    (tmp_path / 'lone' / 'a.mcap').write_bytes(b'x')
-    message = refused(capsys, 'replay', tmp_path / name)
-    assert name.split('/')[0] in message
-    assert ('without metadata.yaml' in message) == name.startswith('lone')
+@pytest.mark.parametrize(('name', 'words'), [
+    ('folder', 'folder'), ('empty.bag', 'empty.bag'), ('nothing', 'nothing'),
+    ('lone/a.mcap', 'without metadata.yaml')])
+def test_what_is_no_bag_is_refused(tmp_path, capsys, name, words):
+    for folder in ('folder', 'lone'):
+        (tmp_path / folder).mkdir()
+    for file in ('empty.bag', 'lone/a.mcap'):
+        (tmp_path / file).touch()
+    assert words in refused(capsys, 'replay', tmp_path / name)
 
 
 @pytest.mark.parametrize(('form', 'topic', 'message', 'remedy'), [
@@ -384,12 +366,6 @@ def test_options_that_cannot_be_are_refused(graph, in_map, tmp_path, options, wo
         graph.add(lambda **kwargs: Replay(bag, ReplayOptions(**options), **kwargs))
 
 
-@pytest.mark.parametrize('pose', ['', '1,2', '1,2,3,4,5,6,7', '1,nan,2', 'a,b,c'])
-def test_a_pose_that_is_none_is_refused(pose):
-    with refused_in_one_sentence('--pose: found'):
-        pose_of(pose)
-
-
 @pytest.mark.parametrize(('frame', 'options', 'words'), [
     ('lens', {}, 'published'), ('map', {'start': 5.0}, 'from 5 s on')])
 def test_a_replay_without_any_cloud_is_an_error(stage, clouds, tmp_path, capfd, frame, options,
@@ -411,12 +387,14 @@ def test_options_of_the_command_line():
     np.testing.assert_allclose(options.poses[0], [-1, 2, 1.5, np.pi / 2, 0, 0])
     assert options.frames == (('/a', 'b'), ('', 'c'))
     assert (options.rate, options.topics, options.loop) == (2.0, ('/a:=/b',), False)
+    for pose in ('1,2', '1,2,3,4,5,6,7', '1,nan,2', 'a,b,c'):
+        with refused_in_one_sentence('--pose: found'):
+            pose_of(pose)
 
 
 def test_a_signal_ends_a_loop(domain, in_map, tmp_path):
-    path = in_map.write(tmp_path, 'mcap')
-    command = [sys.executable, '-m', 'ocp_ros.cli.main', 'replay', str(path), '--loop', '--wait',
-               '0.1']
+    command = [sys.executable, '-m', 'ocp_ros.cli.main', 'replay',
+               str(in_map.write(tmp_path, 'mcap')), '--loop', '--wait', '0.1']
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True,
                           env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}) as process:
         # It begins when it has waited in vain.

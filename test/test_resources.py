@@ -28,10 +28,7 @@ import pytest
 LAYOUTS = {
     'the source tree': ('', ''),
     'a virtual environment': ('lib/python3.12/site-packages', 'share/ocp_ros'),
-    'pip --user': ('.local/lib/python3.12/site-packages', '.local/share/ocp_ros'),
     'pip --target': ('vendor', 'vendor/share/ocp_ros'),
-    'Debian, by pip': ('local/lib/python3.12/dist-packages', 'local/share/ocp_ros'),
-    'Debian, by apt': ('usr/lib/python3/dist-packages', 'usr/share/ocp_ros'),
     'Windows': ('Lib/site-packages', 'share/ocp_ros'),
     'colcon': ('install/ocp_ros/lib/python3.12/site-packages', 'install/ocp_ros/share/ocp_ros')}
 
@@ -86,7 +83,7 @@ def test_the_index_of_ros_is_asked_last(tmp_path, monkeypatch):
     pytest.importorskip('ament_index_python', reason='the index needs ROS 2')
     module, share = installed(tmp_path / 'here', 'code', 'elsewhere/share/ocp_ros')
     prefix = tmp_path / 'here' / 'elsewhere'
-    marker = prefix / 'share' / 'ament_index' / 'resource_index' / 'packages' / 'ocp_ros'
+    marker = prefix / 'share/ament_index/resource_index/packages/ocp_ros'
     marker.parent.mkdir(parents=True)
     marker.touch()
     monkeypatch.setenv('AMENT_PREFIX_PATH', str(prefix))

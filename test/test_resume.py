@@ -26,7 +26,7 @@ import subprocess
 import sys
 import time
 
-from conftest import Here, HUNG, rows_for
+from conftest import assert_same, Here, HUNG, rows_for
 import numpy as np
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import Protocol
@@ -46,10 +46,8 @@ SETTINGS = {**TINY, 'interactions': 24}
 DAMAGES = {
     'empty': lambda content: b'',
     'half': lambda content: content[:len(content) // 2],
-    'null': lambda content: b'null\n',
-    'a list': lambda content: b'[]\n',
     'a number': lambda content: b'7\n',
-    'deep': lambda content: b'[' * 100000,
+    'deep': lambda content: b'[' * 20000,
     'no text': lambda content: bytes(range(256)) * 8}
 
 
@@ -61,73 +59,54 @@ def replaced(old, new):
     return damage
 
 
-def tensors(change):
-    """Return a damage of the tensors of a file."""
+def tensors(start, change):
+    """Return a damage: tensors in place of the first one of a name, made of name and value."""
     def damage(content):
         found = safetensors.torch.load(content)
-        return safetensors.torch.save(change(found) or found, {'run': 'as before'})
+        name = next(name for name in sorted(found) if name.startswith(start))
+        found |= change(name, found.pop(name))
+        return safetensors.torch.save(found, {'run': 'as before'})
     return damage
 
 
 def filled(start, value):
     """Return a damage: a value in place of all numbers of the first tensor of a name."""
-    def change(found):
-        name = next(name for name in sorted(found) if name.startswith(start))
-        found[name] = torch.full_like(found[name], value)
-    return tensors(change)
-
-
-def without(start):
-    """Return a damage: the first tensor of a name is not there."""
-    def change(found):
-        del found[next(name for name in sorted(found) if name.startswith(start))]
-    return tensors(change)
+    return tensors(start, lambda name, old: {name: torch.full_like(old, value)})
 
 
 #: What is damaged, and how: the run goes on.
-HARMLESS = [
-    *((name, 'no text', DAMAGES['no text']) for name in (PROGRESS, 'best.json')),
-    *((name, 'gone', None) for name in (CONFIG, ROOMS, PROGRESS, 'best.json', BEST, REPLAY))]
+HARMLESS = [(PROGRESS, 'no text', DAMAGES['no text']),
+            *((name, 'gone', None) for name in (CONFIG, ROOMS, 'best.json', BEST, REPLAY))]
 #: What is damaged, how, and a word of what has to be said of it. Of weights see test_agent.py.
 HARMFUL = [
     *((name, what, damage, 'remove') for name in (CONFIG, ROOMS)
       for what, damage in DAMAGES.items() if (name, what) != (CONFIG, 'half')),
     # Of tensors nothing else is read: what has no header of theirs is refused by the library.
-    *((name, what, DAMAGES[what], remedy) for what in ('empty', 'half', 'no text')
+    *((name, what, DAMAGES[what], remedy) for what in ('half', 'no text')
       for name, remedy in ((BEST, 'remove'), (STATE, 'copy'), (REPLAY, 'remove'))),
+    *((name, 'missing', tensors(part, lambda name, old: {}), part) for name, part in (
+        (STATE, 'policy'), (STATE, 'optimizer'), (REPLAY, 'rewards'))),
+    *((name, 'another type', tensors(part, lambda name, old: {name: old.double()}), part)
+      for name, part in ((STATE, 'policy'), (REPLAY, 'rewards'))),
     (STATE, 'gone', None, 'copy'),
     (CONFIG, 'half', DAMAGES['half'], 'found'),
-    (CONFIG, 'another type', replaced(b'interactions: 24', b'interactions: many'), "'many'"),
     (CONFIG, 'NaN', replaced(b'gamma: 0.95', b'gamma: .nan'), 'sac.gamma'),
-    (CONFIG, 'huge', replaced(b'gamma: 0.95', b'gamma: 1.0e+300'), 'sac.gamma'),
     (ROOMS, 'another type', lambda content: b'{"training": 3}', 'remove'),
     (ROOMS, 'other rooms', replaced(b'"test": ["', b'"test": ["9'), 'other rooms'),
-    (STATE, 'NaN in a network', filled('policy', float('nan')), 'policy'),
-    (STATE, 'NaN in an optimiser', filled('optimizer', float('nan')), 'optimizer'),
-    (STATE, 'NaN in the entropy', filled('log_ent', float('nan')), 'log_ent'),
+    (STATE, 'NaN', filled('optimizer', float('nan')), 'optimizer'),
     (STATE, 'huge', filled('policy', 3e38), 'policy'),
     (STATE, 'a count below 0', filled('counter', -5), 'counter'),
     (STATE, 'a huge count', filled('counter.num', 1 << 60), 'counter.num'),
-    (STATE, 'missing in a network', without('policy'), 'policy'),
-    (STATE, 'missing in an optimiser', without('optimizer'), 'optimizer'),
-    (STATE, 'an odd key', tensors(lambda found: found.update({
-        'optimizer.actor.x.y.z': torch.zeros(1)})), 'x.y.z'),
-    (STATE, 'a parameter too many', tensors(lambda found: found.update({
-        'optimizer.critic.999.step': torch.zeros(())})), '999'),
-    (STATE, 'another shape', tensors(lambda found: {
-        name: value.reshape(-1)[:1].clone() for name, value in found.items()}), 'not torch'),
-    (STATE, 'another type', tensors(lambda found: {
-        name: value.to(torch.float64) for name, value in found.items()}), 'float64'),
-    (REPLAY, 'missing', without('rewards'), 'rewards'),
-    (REPLAY, 'an odd key', tensors(lambda found: found.update(odd=torch.zeros(1))), 'odd'),
-    (REPLAY, 'another type', tensors(lambda found: found.update(
-        rewards=found['rewards'].to(torch.float64))), 'rewards'),
-    (REPLAY, 'fewer moves', tensors(lambda found: found.update(
-        rewards=found['rewards'][:-1].clone())), 'rewards'),
+    (STATE, 'an odd key', tensors('optimizer', lambda name, old: {
+        name: old, 'optimizer.actor.x.y.z': torch.zeros(1)}), 'x.y.z'),
+    (REPLAY, 'an odd key', tensors('rewards', lambda name, old: {
+        name: old, 'odd': torch.zeros(1)}), 'odd'),
+    (STATE, 'another shape', tensors('policy', lambda name, old: {
+        name: old.reshape(-1)[:1].clone()}), 'not torch'),
+    (REPLAY, 'fewer moves', tensors('rewards', lambda name, old: {
+        name: old[:-1].clone()}), 'rewards'),
     (REPLAY, 'huge', filled('rewards', float('inf')), 'rewards'),
     (REPLAY, 'filled too far', filled('filled', 1 << 40), 'found')]
-#: A line of progress.
-LINE = {'phase': 'sac', 'interactions': 24, 'updates': 12, 'seconds': 3.5, 'ratio': 0.8}
 
 
 def named(cases):
@@ -167,7 +146,7 @@ def test_a_run_goes_on_where_what_is_damaged_can_be_made_again(begun, run, name,
     # Nothing was left to learn: the best weights are those there were, or the last ones.
     if name != BEST:
         assert again.updates == first.updates
-        assert all(torch.equal(again.weights[key], value) for key, value in first.weights.items())
+        assert_same(again.weights, first.weights)
 
 
 @pytest.mark.parametrize(('name', 'damage', 'words'), named(HARMFUL))
@@ -183,77 +162,50 @@ def test_a_run_that_cannot_go_on_says_what_is_lost_and_what_to_do(run, name, dam
     assert all(one.read_bytes() == content for one, content in before.items())
 
 
-@pytest.mark.parametrize('line', [
-    b'null', b'[]', b'7', b'[' * 100000, bytes(range(256)), b'{"phase": "sac"}',
-    *(json.dumps({**LINE, **change}).encode() for change in (
-        {'phase': 3}, {'ratio': float('nan')}, {'seconds': 'long'}, {'seconds': float('inf')},
-        {'updates': -1}))])
-def test_lines_of_progress_that_cannot_be_read_are_left_out_with_a_warning(
-        tmp_path, caplog, line):
-    whole = json.dumps(LINE).encode()
-    (tmp_path / PROGRESS).write_bytes(b'\n'.join([whole, line, whole, whole[:-20]]))
-    assert records(tmp_path) == [LINE, LINE] and PROGRESS in caplog.text
+def test_lines_of_progress_that_cannot_be_read_are_left_out_with_a_warning(tmp_path, caplog):
+    line = {'phase': 'sac', 'interactions': 24, 'updates': 12, 'seconds': 3.5, 'ratio': 0.8}
+    whole = json.dumps(line).encode()
+    bad = [b'null', b'7', b'[' * 20000, bytes(range(256)), b'{"phase": "sac"}', *(
+        json.dumps({**line, **change}).encode() for change in (
+            {'phase': 3}, {'ratio': float('nan')}, {'seconds': 'long'}, {'updates': -1}))]
+    (tmp_path / PROGRESS).write_bytes(b'\n'.join([whole, *bad, whole, whole[:-20]]))
+    assert records(tmp_path) == [line, line] and PROGRESS in caplog.text
 
 
-def test_a_run_that_goes_on_has_the_moves_that_it_had(here, tmp_path, monkeypatch):
-    settings = {**SETTINGS, 'agent': {**SETTINGS['agent'], 'inputs': 'paper', 'cameras': 3},
-                'fewest_cameras': 3}
-    training.train(from_nested(TrainingConfig, settings), tmp_path)
-    buffers, starts = [], []
-
-    def learn(model, *arguments, **_):
-        buffers.append(model.replay_buffer)
-        starts.append(model.learning_starts)
-
-    monkeypatch.setattr(training.AgentSac, 'learn', learn)
-    longer = from_nested(TrainingConfig, {**settings, 'interactions': 48})
-    training.train(longer, tmp_path)
+def test_a_run_that_goes_on_has_the_moves_that_it_had(run, monkeypatch):
+    models = []
+    monkeypatch.setattr(training.AgentSac, 'learn', lambda model, *_, **__: models.append(model))
+    longer = from_nested(TrainingConfig, {**SETTINGS, 'interactions': 48})
+    training.train(longer, run)
+    buffer = models[0].replay_buffer
     # A run is saved before the moves of its last step are stored.
-    count = (24 - settings['environments']) // settings['environments']
-    saved = safetensors.numpy.load_file(tmp_path / REPLAY)
-    assert buffers[0].pos == count and not buffers[0].full
-    np.testing.assert_array_equal(buffers[0].rewards[:count], saved['rewards'])
-    np.testing.assert_array_equal(buffers[0].observations['points'][:count],
+    count = (24 - SETTINGS['environments']) // SETTINGS['environments']
+    saved = safetensors.numpy.load_file(run / REPLAY)
+    assert buffer.pos == count and not buffer.full
+    np.testing.assert_array_equal(buffer.rewards[:count], saved['rewards'])
+    np.testing.assert_array_equal(buffer.observations['points'][:count],
                                   saved['observations.points'])
-    assert torch.isfinite(buffers[0].sample(8).rewards).all()
+    assert torch.isfinite(buffer.sample(8).rewards).all()
     # Without the file some moves are played first.
-    (tmp_path / REPLAY).unlink()
-    training.train(longer, tmp_path)
-    assert buffers[1].pos == 0 and starts[1] == starts[0] + 24
+    (run / REPLAY).unlink()
+    training.train(longer, run)
+    assert models[1].replay_buffer.pos == 0
+    assert models[1].learning_starts == models[0].learning_starts + 24
 
 
 def test_best_weights_that_no_line_tells_of_are_judged_anew(begun, run):
     """As after a kill between the weights and their line."""
-    _, first = begun
     (run / PROGRESS).write_text('')
-    longer = training.train(from_nested(TrainingConfig, {**SETTINGS, 'interactions': 32}), run)
-    curve = longer.provenance['curve']
-    best = min(curve, key=lambda line: line['ratio'])
-    ratio = [line['ratio'] for line in first.provenance['curve']
-             if line['updates'] == first.updates][0]
-    assert longer.updates == (first.updates if ratio <= best['ratio'] else best['updates'])
+    longer = training.train(from_nested(TrainingConfig, {**SETTINGS, 'interactions': 26}), run)
+    known = begun[1].provenance['curve'] + longer.provenance['curve']
+    assert longer.updates == min(known, key=lambda line: line['ratio'])['updates']
 
 
 PROTOCOL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'),
                     budgets=(5, 30), seeds=2)
 TASK = 'tasks/3-0-annealing.json'
-
-
-def rows(change):
-    """Return a damage of the rows of a task."""
-    def damage(content):
-        found = json.loads(content)
-        change(found['rows'])
-        return json.dumps(found).encode()
-    return damage
-
-
-TASK_DAMAGES = {
-    **DAMAGES, 'gone': None,
-    'a mapping': lambda content: b'{}',
-    'rows without a checksum': lambda content: json.dumps(json.loads(content)['rows']).encode(),
-    'fewer rows': rows(list.pop),
-    'NaN': rows(lambda found: found[0].update(depth_error=float('nan')))}
+TASK_DAMAGES = {**DAMAGES, 'gone': None, 'a mapping': lambda content: b'{}',
+                'NaN': replaced(b'"depth_error": 2.1', b'"depth_error": NaN')}
 
 
 @pytest.fixture
@@ -299,10 +251,9 @@ def test_a_result_of_another_task_or_comparison_is_not_taken(compared, tmp_path)
 def test_a_damaged_record_of_a_comparison_is_said_to_be_so(compared, tmp_path):
     run, played = compared
     expected, path = run(), tmp_path / 'protocol.json'
-    for name in ('half', 'no text'):
-        spoil(path, DAMAGES[name])
-        with pytest.raises(UserError, match='protocol.json'):
-            run()
+    spoil(path, DAMAGES['half'])
+    with pytest.raises(UserError, match='protocol.json'):
+        run()
     path.unlink()
     played.clear()
     assert run() == expected and not played

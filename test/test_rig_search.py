@@ -14,10 +14,10 @@
 
 """Pricing: the trees are the loss, the bound is below every choice, and the clock is obeyed."""
 
-from itertools import combinations
+from itertools import combinations, count
 
-from conftest import made_room, printed
-from hypothesis import given, settings, strategies
+from conftest import for_any, made_room, printed
+from hypothesis import strategies
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, unpack
@@ -107,14 +107,12 @@ def test_candidates_that_are_few_for_want_of_time_are_spread_over_the_room():
     problem = problem_of(1)
     whole = CandidatePool(problem, 2000)
     few = CandidatePool(problem, 2000, should_stop=lambda: True)
-    model = problem.rig.models[0]
-    places = [len(np.unique(pool.candidates_of(model).poses[:, :3], axis=0))
+    places = [len(np.unique(pool.candidates_of(problem.rig.models[0]).poses[:, :3], axis=0))
               for pool in (whole, few)]
     assert not few.complete and len(few) < len(whole) and places[1] > 0.8 * places[0]
 
 
-@settings(max_examples=15, deadline=None)
-@given(data=strategies.data())
+@for_any(15, data=strategies.data())
 def test_the_trees_are_the_loss_and_cuts_are_below(asked, data):
     problem, relaxation, grid, poses = asked
     trees, points = relaxation.trees, len(problem.simulator.scene)
@@ -147,8 +145,8 @@ def test_no_choice_of_all_poses_is_below_the_bound(more):
     losses = {(one, other): problem.objective.loss([views[one], views[other]])
               for one, other in combinations(range(len(places)), 2)
               if np.linalg.norm(places[one] - places[other]) >= problem.rig.spacing}
-    least, best = min(losses.values()), relaxation.find_choices(
-        8, np.random.default_rng(0), lambda: False)[0]
+    least = min(losses.values())
+    best = relaxation.find_choices(8, np.random.default_rng(0), lambda: False)[0]
     chosen = tuple(sorted(column.place for column in best.columns))
     assert losses[chosen] == pytest.approx(best.loss, abs=1e-6)
     assert relaxation.closed and 0.5 * least < relaxation.bound <= least + 1e-6
@@ -159,14 +157,13 @@ def test_poses_that_join_later_count():
     problem = problem_of(2, 'omnidirectional')
     relaxation, grid = few_of(problem, 10)
     relaxation.raise_bound(lambda: False)
-    before, rng = relaxation.find_choices(1, np.random.default_rng(0), lambda: False)[0], (
-        np.random.default_rng(1))
+    before = relaxation.find_choices(1, np.random.default_rng(0), lambda: False)[0]
     places = problem.region.candidates(problem.rig.models[0], 200)[:, :3]
     first = len(grid.places)
     grid.add_poses(places, [np.zeros((1, 3))] * len(places))
     relaxation.add_columns([Column(0, first, 0)])
     relaxation.raise_bound(lambda: False)
-    after = relaxation.find_choices(4, rng, lambda: False)[0]
+    after = relaxation.find_choices(4, np.random.default_rng(1), lambda: False)[0]
     assert relaxation.bound <= after.loss < before.loss and len(relaxation) == first + len(places)
 
 
@@ -175,27 +172,24 @@ def test_two_models_are_chosen_by_their_counts_and_nobody_too_near():
         {'sensor': 'omnidirectional', 'count': 2},
         {'sensor': 'omnidirectional', 'max_range': 3.0, 'name': 'ball'}], 'spacing': 1.5}))
     problem = Problem.of(made_room(8, 2000), rig, FAST)
-    pool = CandidatePool(problem, 60, max_grid_poses=400)
-    answer = search(problem, pool, Budget(evaluations=40), 0)
+    pool = CandidatePool(problem, 60, max_grid_poses=200)
+    answer = search(problem, pool, Budget(evaluations=20), 0)
     assert problem.region.broken(answer.poses) == []
     assert answer.certificate.bound <= answer.loss == problem.objective.evaluate(
         answer.poses).loss
 
 
-@pytest.mark.parametrize('seconds', [0, 3, 30, 300])
+@pytest.mark.parametrize('seconds', [0.5, 3.0, 30.0, 700.0])
 def test_every_part_obeys_the_clock(seconds):
-    problem = problem_of(3, regions=[MUST])
-    pool, now, late = CandidatePool(problem, 60, max_grid_poses=2000), [0.0], [0]
-
-    def clock():
-        now[0] += 1.0
-        late[0] += now[0] > seconds
-        return now[0]
-
-    answer = search(problem, pool, Budget(float(seconds) or 0.5, clock=clock), 0)
+    problem, looks = problem_of(3, regions=[MUST]), count(1)
+    pool = CandidatePool(problem, 60, max_grid_poses=600)
+    budget = Budget(seconds, clock=lambda: float(next(looks)))
+    answer = search(problem, pool, budget, 0)
     assert problem.region.broken(answer.poses) == []
-    # Each place, program and move looks at the clock once more and ends; all take thousands.
-    assert late[0] < 400
+    # Each place, program and move looks at the clock once more and ends; all take 1,400.
+    assert next(looks) < seconds + 200.0
+    # Of what takes the longest, the proof, there is time for a part.
+    assert (answer.certificate is not None) == (seconds == 700.0)
     if answer.certificate is not None:
         assert answer.certificate.bound <= answer.loss
 
@@ -213,9 +207,9 @@ def test_off_the_grid_it_is_better_than_on_it():
 def plan(room_folder, undrawn, capsys):
     """Return a function that plans two cameras with a region, with more keys and options."""
     def printed_plan(more, *options):
-        (room_folder / 'rig.yaml').write_text(
-            'cameras: [{sensor: realsense_d455, count: 2}]\nspacing: 0.8\n'
-            f'regions: [{{name: table, box: [[2, 2, 0], [5, 5, 1.5]], weight: 2.0}}]\n{more}')
+        (room_folder / 'rig.yaml').write_text(yaml.safe_dump(
+            {'cameras': [{'sensor': 'realsense_d455', 'count': 2}], 'spacing': 0.8,
+             'regions': [TABLE], **more}))
         return printed(capsys, 'plan', 'room.ply', '--rig', 'rig.yaml', *options)
 
     return printed_plan
@@ -224,7 +218,7 @@ def plan(room_folder, undrawn, capsys):
 @pytest.mark.parametrize('planner', ['greedy_error', 'rig_search'])
 def test_a_plan_names_its_planner_and_says_how_much_better_others_may_be(
         plan, room_folder, capsys, planner):
-    found = plan('', '--planner', planner, '--evaluations', 200, '--seconds', 60)
+    found = plan({}, '--planner', planner, '--evaluations', 120, '--seconds', 60)
     search = found['search']
     known = search['certificate']
     assert found['broken'] == [] and search['planner'] == planner
@@ -235,8 +229,8 @@ def test_a_plan_names_its_planner_and_says_how_much_better_others_may_be(
     # A bound is no proof that nothing is better.
     assert ' 0.0 %' not in known['sentence'] and '15 degrees' in known['sentence']
     written = room_folder / 'out' / 'plan'
-    created = yaml.safe_load((written / 'placement.yaml').read_text())['created']
-    assert created['planner'] == planner
+    placement = yaml.safe_load((written / 'placement.yaml').read_text())
+    assert placement['created']['planner'] == planner
     for page in ('installer.md', 'report.html'):
         text = (written / page).read_text()
         assert known['sentence'] in text and planner in text
@@ -246,5 +240,5 @@ def test_a_plan_names_its_planner_and_says_how_much_better_others_may_be(
 
 
 def test_a_plan_without_a_bound_says_why(plan):
-    known = plan('seen_by: 2\n', '--evaluations', 100)['search']['certificate']
+    known = plan({'seen_by': 2}, '--evaluations', 100)['search']['certificate']
     assert known['gap'] is None and 'seen_by: 2' in known['sentence']

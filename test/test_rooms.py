@@ -24,18 +24,11 @@ from hypothesis import strategies
 from matplotlib.image import imread
 import numpy as np
 from ocp_ros.cli import main as cli
+from ocp_ros.rooms import scanning
 from ocp_ros.rooms.furniture import make_solid, moved_piece, SOLID_KINDS
 from ocp_ros.rooms.generator import generate_room, mesh_of
 from ocp_ros.rooms.room_kinds import draw_plan, ROOM_KINDS
 from ocp_ros.rooms.room_plan import mirrored_plan, RoomPlan
-from ocp_ros.rooms.scanning import (
-    boxes_of,
-    exposed_points,
-    is_position_free,
-    sampling_densities,
-    scan,
-    surface_of,
-)
 from ocp_ros.scenes.scene_files import load_scene
 from plyfile import PlyData
 import pytest
@@ -59,13 +52,10 @@ def box_plan(*solids, size=(6.0, 5.0, 3.0)):
 
 
 def test_the_same_seed_gives_the_same_room_with_however_many_points():
-    first, again = made_room(5, 3000), generate_room(5, 3000)
+    first, again, more = made_room(5, 3000), generate_room(5, 3000), generate_room(5, 8000)
     np.testing.assert_array_equal(first.points, again.points)
-    np.testing.assert_array_equal(first.mesh.vertices, again.mesh.vertices)
-    np.testing.assert_array_equal(first.mesh.triangles, again.mesh.triangles)
-    assert first.name == 'room-5'
-    more = generate_room(5, 8000)
-    np.testing.assert_array_equal(first.mesh.vertices, more.mesh.vertices)
+    for other in (again, more):
+        np.testing.assert_array_equal(first.mesh.corners, other.mesh.corners)
     assert len(first) < len(more)
 
 
@@ -88,7 +78,7 @@ def test_a_generated_room_is_a_furnished_room(seed):
         assert depth_in(scene.points, part).max() < 0.06
 
 
-@pytest.mark.parametrize('seed', range(3))
+@pytest.mark.parametrize('seed', range(2))
 def test_points_lie_on_the_mesh_exactly_or_with_the_noise_of_a_scan(seed):
     open3d = pytest.importorskip('open3d')
     exact, scanned = generate_room(seed, 4000, scanned=False), made_room(seed, 4000)
@@ -107,8 +97,8 @@ def test_exact_points_are_evenly_spread():
 
 def test_scans_are_thinner_where_they_look_askance_and_have_holes():
     plan = plan_of(1)
-    surface = surface_of(plan, 0.1, np.random.default_rng(0))
-    points, _ = scan(plan, len(surface.points), np.random.default_rng(0))
+    surface = scanning.surface_of(plan, 0.1, np.random.default_rng(0))
+    points, _ = scanning.scan(plan, len(surface.points), np.random.default_rng(0))
     # Columns of the floor, all of which have as many points before the scan.
     counts = np.histogram2d(*points[points[:, 2] < 0.05, :2].T, bins=(20, 12))[0]
     assert (counts == 0).sum() > 5
@@ -116,17 +106,16 @@ def test_scans_are_thinner_where_they_look_askance_and_have_holes():
 
 
 def test_what_no_tripod_sees_is_not_scanned():
-    wall = make_solid('wall', (3.0, 0.0, 0.0), (3.1, 4.0, 3.0))
-    plan = box_plan(wall)
+    plan = box_plan(make_solid('wall', (3.0, 0.0, 0.0), (3.1, 4.0, 3.0)))
     points = np.array([[5.9, 1.0, 1.0], [5.9, 4.9, 1.0], [1.0, 1.0, 0.0], [3.0, 2.0, 1.0],
                        [3.1, 2.0, 1.0]])
     normals = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0], [1.0, 0, 0]])
     tripod = np.array([[2.0, 4.5, 1.5]])
-    seen = sampling_densities(points, normals, tripod, *boxes_of(plan)) > 0.0
+    seen = scanning.sampling_densities(points, normals, tripod, *scanning.boxes_of(plan)) > 0.0
     np.testing.assert_array_equal(seen, [False, True, True, True, False])
     # A second one beyond the wall sees the rest, and the near one denser.
-    both = sampling_densities(points, normals, np.vstack([tripod, [[5.0, 2.0, 1.5]]]),
-                              *boxes_of(plan))
+    tripods = np.vstack([tripod, [[5.0, 2.0, 1.5]]])
+    both = scanning.sampling_densities(points, normals, tripods, *scanning.boxes_of(plan))
     assert (both[[0, 4]] > 0.0).all() and both[4] > 0.1
 
 
@@ -140,7 +129,7 @@ def test_rays_are_blocked_as_sampled_ones_are(seed):
     tripod = rng.uniform(0.0, [6.0, 5.0, 3.0], (1, 3))
     normals = points - tripod
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    seen = sampling_densities(points, normals, tripod, *boxes_of(plan)) > 0.0
+    seen = scanning.sampling_densities(points, normals, tripod, *scanning.boxes_of(plan)) > 0.0
     steps = np.linspace(0.0, 1.0, 2000)[:, None]
     deepest = np.array([depth_in(tripod + steps * (point - tripod), plan.solids[0]).max()
                         for point in points])
@@ -153,21 +142,20 @@ def test_what_touches_is_not_exposed():
     table = make_solid('table', (1, 1, 0.7), (2, 2, 0.74))
     lying = make_solid('clutter', (1.2, 1.2, 0.74), (1.5, 1.5, 0.9))
     plan = box_plan(table, lying)
+    boxes = scanning.boxes_of(plan)
     points = np.array([[1.3, 1.3, 0.74], [1.8, 1.8, 0.74], [1.3, 1.3, 0.9], [3.0, 3.0, 0.0]])
-    owner = np.array([0, 0, 1, -1])
-    keep = exposed_points(points, owner, plan.size, *boxes_of(plan), 0.03)
+    keep = scanning.exposed_points(points, np.array([0, 0, 1, -1]), plan.size, *boxes, 0.03)
     np.testing.assert_array_equal(keep, [False, True, True, True])
-    assert is_position_free(np.array([3.0, 3.0, 1.5]), 0.3, *boxes_of(plan))
-    assert not is_position_free(np.array([2.1, 1.5, 0.72]), 0.3, *boxes_of(plan))
+    assert scanning.is_position_free(np.array([3.0, 3.0, 1.5]), 0.3, *boxes)
+    assert not scanning.is_position_free(np.array([2.1, 1.5, 0.72]), 0.3, *boxes)
 
 
 def test_windows_return_nothing():
     plan = box_plan(make_solid('clutter', (2, 2, 0), (3, 3, 1)))
     plan.windows.append(np.array([[-0.01, 1.0, 1.0], [0.01, 3.0, 2.0]]))
-    points, kinds = scan(plan, 12000, np.random.default_rng(0))
-    in_glass = (np.abs(points[:, 0]) < 0.05) & (points[:, 1] > 1.1) & (points[:, 1] < 2.9) \
-        & (points[:, 2] > 1.1) & (points[:, 2] < 1.9)
-    assert not in_glass.any()
+    points, kinds = scanning.scan(plan, 12000, np.random.default_rng(0))
+    low, high = [-0.05, 1.1, 1.1], [0.05, 2.9, 1.9]
+    assert not ((points > low) & (points < high)).all(axis=1).any()
     assert {SOLID_KINDS[k] for k in np.unique(kinds)} == {'ceiling', 'floor', 'wall', 'clutter'}
 
 
@@ -178,9 +166,8 @@ def test_a_mirrored_room_is_the_room_in_a_mirror(seed, flip):
     back = mesh_of(mirrored_plan(plan, np.array(flip))).vertices.reshape(-1, 8, 3)
     back[..., :2] = np.where(flip, plan.size[:2] - back[..., :2], back[..., :2])
     # Corners come in another order.
-    for one, other in zip(there, back):
-        apart = np.linalg.norm(one[:, None] - other[None], axis=2)
-        assert apart.min(axis=0).max() < 1e-3 and apart.min(axis=1).max() < 1e-3
+    apart = np.linalg.norm(there[:, :, None] - back[:, None], axis=3)
+    assert apart.min(axis=1).max() < 1e-3 and apart.min(axis=2).max() < 1e-3
 
 
 def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
@@ -191,10 +178,9 @@ def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
     np.testing.assert_array_equal(scene.points, made_room(30, 3000).points)
     mesh = PlyData.read(tmp_path / 'room-30_mesh.ply')
     assert len(mesh['face']) == len(made_room(30, 3000).mesh.triangles)
-    picture = tmp_path / 'sheet.png'
     assert cli.main(['rooms', 'preview', '30', str(tmp_path / 'room-30.ply'), '--points', '3000',
-                     '--out', str(picture)]) == 0
-    assert imread(picture).shape == (315, 750, 4)
+                     '--out', str(tmp_path / 'sheet.png')]) == 0
+    assert imread(tmp_path / 'sheet.png').shape == (315, 750, 4)
 
 
 @pytest.mark.system
@@ -235,12 +221,9 @@ def test_nobody_is_told_of_a_pipe_that_was_closed(tmp_path):
     """As where ``head`` has seen enough."""
     read, write = os.pipe()
     os.close(read)
-    try:
-        done = subprocess.run(
-            [sys.executable, '-m', 'ocp_ros.cli.main', 'rooms', 'make', '3', '--points', '1000',
-             '--out', str(tmp_path)], stdout=write, stderr=subprocess.PIPE, text=True)
-    finally:
-        os.close(write)
-    assert done.returncode == 0
-    assert 'ipe' not in done.stderr
+    done = subprocess.run(
+        [sys.executable, '-m', 'ocp_ros.cli.main', 'rooms', 'make', '3', '--points', '1000',
+         '--out', str(tmp_path)], stdout=write, stderr=subprocess.PIPE, text=True)
+    os.close(write)
+    assert done.returncode == 0 and 'ipe' not in done.stderr
     assert list(tmp_path.glob('room-3*.ply'))

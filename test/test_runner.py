@@ -73,24 +73,26 @@ def test_an_interrupt_that_a_library_turns_into_another_error_ends_it_with_0():
     assert done.returncode == 0, done.stderr
 
 
+def called_at_once(node, callback):
+    """Return a node with a timer that is due."""
+    node.create_timer(0.0, callback)
+    return node
+
+
 def test_no_native_thread_handles_signals_and_all_is_saved_before_ros_is_taken_down():
     seen = []
 
     class Saving(Node):
 
         def stop(self):
-            seen.extend([get_current_signal_handlers_options(), rclpy.ok()])
-            seen.append(self.count_publishers('a'))
+            seen.extend([get_current_signal_handlers_options(), rclpy.ok(),
+                         self.count_publishers('a')])
             # An impatient user.
             signal.raise_signal(signal.SIGINT)
             seen.append('saved')
 
-    def make_node():
-        node = Saving('saving')
-        node.create_timer(0.0, lambda: signal.raise_signal(signal.SIGTERM))
-        return node
-
-    assert run(make_node, []) == 0
+    assert run(lambda: called_at_once(
+        Saving('saving'), lambda: signal.raise_signal(signal.SIGTERM)), []) == 0
     assert seen == [SignalHandlerOptions.NO, True, 0, 'saved'] and not rclpy.ok()
 
 
@@ -99,12 +101,7 @@ def test_an_interrupt_that_a_callback_takes_for_an_error_of_its_own_ends_a_node(
         with suppress(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
 
-    def make_node():
-        node = Node('deaf')
-        node.create_timer(0.0, callback)
-        return node
-
-    assert run(make_node, []) == 0
+    assert run(lambda: called_at_once(Node('deaf'), callback), []) == 0
 
 
 #: Waits in native code that keeps the interpreter's lock.

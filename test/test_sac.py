@@ -29,7 +29,7 @@ from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.augmentation import CloudReplayBuffer, SYMMETRIES, turned_observation
 from ocp_ros.training.demonstrations import Demonstrator
-from ocp_ros.training.encoded_environment import CameraByCamera, encoded_space, playable
+from ocp_ros.training.encoded_environment import action_space, cameras_of, encoded_space, playable
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.sac_state import load_replay, load_state, save_replay, save_state
 from ocp_ros.training.training_config import SacConfig
@@ -58,8 +58,7 @@ def env(room, agent):
 
 def test_the_environment_is_one(env):
     check_env(env, warn=False)
-    first, second = (env.reset(seed=5)[0] for _ in range(2))
-    assert_same(first, second)
+    assert_same(env.reset(seed=5)[0], env.reset(seed=5)[0])
 
 
 @pytest.mark.parametrize('augmentation', ['symmetries', 'jitter'])
@@ -86,13 +85,12 @@ def test_the_replay_gives_back_what_was_stored_but_for_a_symmetry(room, small_ag
     numbers = set()
     for index in range(40):
         # One and the same symmetry turns the observation, the action and what followed.
-        fitting = [number for number, matrix in enumerate(SYMMETRIES)
-                   if is_turned(drawn.observations, before, matrix, index)
-                   and is_turned(drawn.next_observations, after, matrix, index)
-                   and torch.allclose(drawn.actions[index],
-                                      torch.from_numpy(action[0]) @ matrix.T)]
-        assert len(fitting) == 1
-        numbers.update(fitting)
+        (fitting,) = [number for number, matrix in enumerate(SYMMETRIES)
+                      if is_turned(drawn.observations, before, matrix, index)
+                      and is_turned(drawn.next_observations, after, matrix, index)
+                      and torch.allclose(drawn.actions[index],
+                                         torch.from_numpy(action[0]) @ matrix.T)]
+        numbers.add(fitting)
     assert len(numbers) > 5
     assert moved == (len(torch.unique(drawn.observations['points'].abs().sum(dim=(1, 2)))) > 30)
 
@@ -149,26 +147,20 @@ def test_demonstrated_episodes_end_at_good_placements(room, small_agent):
     assert env.unwrapped.episode.turn.depth_error < 0.5 * start
 
 
-def played_by_sac(model, env, seen):
-    """Play a turn; return what was seen and the moves made, in units of the longest step."""
-    episode = env.unwrapped.episode
-    cloud, positions, step = episode.observed_cloud, episode.turn.positions, episode.turn.step
-    while episode.turn.step == step:
-        action, _ = model.predict(seen, deterministic=True)
-        seen, _, _, truncated, _ = env.step(action)
-    moves = (episode.turn.positions - positions)[:, :2] / episode.config.max_step
-    return (cloud, positions, step), moves, seen, truncated
-
-
 def test_the_policy_gives_sacs_own_actions(env, agent):
+    """In an environment in which a camera knows where those before it will be."""
     model = make_sac(SAC, agent, env, seed=3)
     policy = Policy(actor_checkpoint(model, 'r', {}))
     (seen, _), truncated, longest = env.reset(seed=0), False, 0.0
+    episode = env.unwrapped.episode
     while not truncated:
-        np.testing.assert_allclose(policy.choose(seen),
-                                   model.predict(seen, deterministic=True)[0], atol=1e-5)
-        (cloud, positions, step), expected, seen, truncated = played_by_sac(model, env, seen)
-        found = policy.act(cloud, positions, step, 6)
+        cloud, before, step = episode.observed_cloud, episode.turn.positions, episode.turn.step
+        while episode.turn.step == step:
+            action, _ = model.predict(seen, deterministic=True)
+            np.testing.assert_allclose(policy.choose(seen), action, atol=1e-5)
+            seen, _, _, truncated, _ = env.step(action)
+        expected = (episode.turn.positions - before)[:, :2] / episode.config.max_step
+        found = policy.act(cloud, before, step, 6)
         # What is longer than the longest step is shortened by the environment.
         length = np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1.0)
         np.testing.assert_allclose(found / length, expected, atol=1e-5)
@@ -176,48 +168,10 @@ def test_the_policy_gives_sacs_own_actions(env, agent):
     assert longest > 0.05
 
 
-@pytest.fixture
-def one_by_one(room, small_agent):
-    """Return an environment of two to four cameras that choose one after the other."""
-    return CameraByCamera(CameraPlacementEnv([room], SIMULATION, 128, fewest=2), small_agent)
-
-
-def test_cameras_choose_one_after_the_other_and_nobody_is_always_the_first(one_by_one):
-    env, asked = one_by_one, []
-    seen, _ = env.reset(seed=2, options={'cameras': 3})
-    episode = env.unwrapped.episode
-    while not episode.turn.truncated:
-        before = episode.turn.step
-        asked.append(env.camera)
-        assert env.observation_space.contains(seen)
-        seen, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        # The turn is played when all have chosen.
-        assert episode.turn.step - before == (len(asked) % 3 == 0)
-        assert not terminated and truncated == episode.turn.truncated
-    assert len(asked) == 6 * 3
-    turns = np.reshape(asked, (6, 3))
-    assert (np.sort(turns, axis=1) == [0, 1, 2]).all() and set(turns[:, 0]) == {0, 1, 2}
-
-
-def test_a_camera_is_told_where_those_before_it_will_be(one_by_one):
-    seen = []
-    for action in ([1.0, 0.0], [-1.0, 0.0], [-1.0, 0.0]):
-        one_by_one.reset(seed=2, options={'cameras': 2})
-        episode, camera = one_by_one.unwrapped.episode, one_by_one.camera
-        before = episode.turn.positions.copy()
-        after, *_ = one_by_one.step(np.array([action], dtype=np.float32))
-        seen.append(after)
-        other = one_by_one.encoded.positions
-        np.testing.assert_allclose(other[camera] - before[camera], [0.5 * action[0], 0.0, 0.0],
-                                   atol=1e-6)
-        np.testing.assert_array_equal(other[1 - camera], before[1 - camera])
-    assert_same(seen[1], seen[2])
-    assert not np.allclose(seen[0]['others'], seen[1]['others'])
-
-
-def test_the_rewards_of_single_cameras_add_up_to_what_the_episode_gained(one_by_one):
-    one_by_one.reset(seed=5)
-    episode, rng, shares = one_by_one.unwrapped.episode, np.random.default_rng(0), []
+def test_cameras_choose_one_after_the_other_and_share_what_the_episode_gained(room, small_agent):
+    env = environment(room, small_agent, fewest=2)
+    env.reset(seed=2, options={'cameras': 3})
+    episode, rng, asked, shares = env.unwrapped.episode, np.random.default_rng(0), [], []
 
     def worth(turn):
         simulator = episode.simulator
@@ -226,9 +180,18 @@ def test_the_rewards_of_single_cameras_add_up_to_what_the_episode_gained(one_by_
 
     first = worth(episode.turn)
     while not episode.turn.truncated:
-        _, value, *_, info = one_by_one.step(rng.uniform(-0.4, 0.4, (1, 2)).astype(np.float32))
+        before = episode.turn.step
+        asked.append(env.camera)
+        seen, value, terminated, truncated, info = env.step(
+            rng.uniform(-0.4, 0.4, (1, 2)).astype(np.float32))
         shares.append(value)
-        assert info['reward'] == value
+        assert info['reward'] == value and env.observation_space.contains(seen)
+        # The turn is played when all have chosen.
+        assert episode.turn.step - before == (len(asked) % 3 == 0)
+        assert not terminated and truncated == episode.turn.truncated
+    turns = np.reshape(asked, (6, 3))
+    # Nobody is always the first.
+    assert (np.sort(turns, axis=1) == [0, 1, 2]).all() and set(turns[:, 0]) == {0, 1, 2}
     assert sum(shares) == pytest.approx(worth(episode.turn) - first, abs=1e-9)
     assert np.count_nonzero(shares) > 0.5 * len(shares)
 
@@ -263,8 +226,7 @@ def test_a_gradient_step_reads_each_cloud_once(small_agent, monkeypatch):
     before = [value.clone() for value in model.actor.features_extractor.parameters()]
     model.train(2, SAC.batch_size)
     assert read == 6 * [SAC.batch_size]
-    assert not all(torch.equal(one, value) for one, value in zip(
-        before, model.actor.features_extractor.parameters()))
+    assert not all(map(torch.equal, before, model.actor.features_extractor.parameters()))
 
 
 def test_residual_heads_act_as_they_were_trained(room, small_agent):
@@ -273,20 +235,16 @@ def test_residual_heads_act_as_they_were_trained(room, small_agent):
     model = make_sac(replace(SAC, bfloat16=True), config, env, seed=3)
     model.learn(SAC.learning_starts + 5)
     seen, _ = env.reset(seed=0)
-    found = Policy(actor_checkpoint(model, 'r', {})).choose(seen)
-    expected, _ = model.predict(seen, deterministic=True)
-    np.testing.assert_allclose(found, expected, atol=0.05)
+    np.testing.assert_allclose(Policy(actor_checkpoint(model, 'r', {})).choose(seen),
+                               model.predict(seen, deterministic=True)[0], atol=0.05)
     with pytest.raises(ConfigurationError, match='agent.blocks'):
         AgentConfig(inputs='paper', blocks=2)
 
 
 def test_weights_go_into_sac_and_come_out(agent):
-    model = make_sac(SAC, agent)
-    start = random_checkpoint(agent, seed=5)
+    model, start = make_sac(SAC, agent), random_checkpoint(agent, seed=5)
     load_actor(model, start)
-    assert_same({name: value.numpy() for name, value in start.weights.items()},
-                {name: value.numpy() for name, value in
-                 actor_checkpoint(model, 'r', {}).weights.items()})
+    assert_same(start.weights, actor_checkpoint(model, 'r', {}).weights)
     with pytest.raises(CheckpointError, match='agent settings'):
         load_actor(model, random_checkpoint(replace(agent, hidden=8)))
 
@@ -308,21 +266,19 @@ def test_the_same_seed_is_the_same_training(room, agent):
 
 @pytest.mark.system
 def test_training_resumes_where_it_stopped(env, agent, tmp_path):
-    model = make_sac(SAC, agent, env, seed=1)
+    model, other = (make_sac(SAC, agent, env, seed=seed) for seed in (1, 2))
     model.learn(30)
     save_state(model, tmp_path / 's.safetensors', 'abc')
-    other = make_sac(SAC, agent, env, seed=2)
     assert load_state(other, tmp_path / 's.safetensors') == 'abc'
     assert (other._n_updates, other.num_timesteps) == (model._n_updates, 30)
-    before, after = model.policy.state_dict(), other.policy.state_dict()
-    assert all(torch.equal(after[name], value) for name, value in before.items())
+    assert_same(model.policy.state_dict(), other.policy.state_dict())
     assert torch.equal(model.log_ent_coef, other.log_ent_coef)
     for get in (lambda m: m.critic.optimizer, lambda m: m.actor.optimizer,
                 lambda m: m.ent_coef_optimizer):
         before, after = (get(m).state_dict()['state'] for m in (model, other))
         assert before.keys() == after.keys()
-        assert all(torch.equal(after[index][slot], value)
-                   for index, slots in before.items() for slot, value in slots.items())
+        for index, slots in before.items():
+            assert_same(slots, after[index])
     other.learn(5, reset_num_timesteps=False)
     with pytest.raises(CheckpointError):
         load_state(make_sac(SAC, replace(agent, hidden=8)), tmp_path / 's.safetensors')
@@ -333,8 +289,7 @@ class Bandit(gym.Env):
 
     def __init__(self, agent):
         self.observation_space = encoded_space(agent)
-        cameras = 1 if agent.one_by_one else agent.cameras
-        self.action_space = gym.spaces.Box(-1.0, 1.0, (cameras, 2), np.float32)
+        self.action_space = action_space(cameras_of(agent))
         self.seen = observation(agent)
 
     def reset(self, *, seed=None, options=None):

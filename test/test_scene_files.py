@@ -14,24 +14,16 @@
 
 """Scans in files of every format, and files that are none."""
 
+from functools import partial
 import logging
-import warnings
 
-from benchmarks.drills.spoilt_files import (
-    write_e57,
-    write_las,
-    write_pcd,
-    write_ply,
-    write_records,
-    write_text,
-)
+from benchmarks.drills import spoilt_files as files
 from conftest import made_room, refusal, ROOT
 import numpy as np
 from ocp_ros.geometry.voxels import voxel_downsample
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scene_of, SceneWarning
 from ocp_ros.scenes.up_axis import map_from_file
-from plyfile import PlyData, PlyElement
 import pytest
 
 SCANS = ROOT.parent / 'shared' / 'data' / 'rooms'
@@ -39,116 +31,110 @@ ROOM = made_room(3, 2500).points
 NORMALS = ('nx', 'ny', 'nz')
 
 
-def write_table(path, points, separator, header='', decimal='.'):
+def write_table(path, points, separator, header='', axes='xyz', decimal='.'):
+    """Write a line for each point, below a header that may have their number."""
     lines = [separator.join(f'{value:.7f}'.replace('.', decimal) for value in point)
-             for point in points.tolist()]
-    path.write_text('\n'.join([header, *lines] if header else lines) + '\n', encoding='utf-8')
+             for point in points[:, ['xyz'.index(axis) for axis in axes]].tolist()]
+    header = [header.format(len(points))] if header else []
+    path.write_text('\n'.join([*header, *lines]) + '\n', encoding='utf-8')
 
 
 def ptx_of(points):
     """Return a scan of one column, turned by 90 degrees, with two returns that are none."""
     local = (points - [1.0, 2.0, 0.5])[:, [1, 0, 2]] * [-1.0, 1.0, 1.0]
     rows = np.insert(local, [0, len(local)], 0.0, axis=0)
-    head = [1, len(rows), '1 2 0.5', '0 -1 0', '1 0 0', '0 0 1', '0 -1 0 0', '1 0 0 0',
-            '0 0 1 0', '1 2 0.5 1']
-    lines = [' '.join(f'{value:.7f}' for value in row) + ' 0.5' for row in rows.tolist()]
-    return '\n'.join([*map(str, head), *lines]) + '\n'
+    head = (f'1\n{len(rows)}\n1 2 0.5\n0 -1 0\n1 0 0\n0 0 1\n'
+            '0 -1 0 0\n1 0 0 0\n0 0 1 0\n1 2 0.5 1\n')
+    return head + ''.join('{:.7f} {:.7f} {:.7f} 0.5\n'.format(*row) for row in rows.tolist())
 
 
 def write_with_comments(path, points):
-    """Write a text with blank lines and comments."""
-    write_text(path, points, '  # a point')
+    files.write_text(path, points, '  # a point')
     path.write_text(f'# a scan\n\n{path.read_text()}\n# the end')
 
 
-def write_pcd_with_open3d(path, points, **options):
+def write_pcd_with_open3d(path, points):
     open3d = pytest.importorskip('open3d')
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.astype(np.float64)))
-    assert open3d.io.write_point_cloud(str(path), cloud, **options)
+    assert open3d.io.write_point_cloud(str(path), cloud, compressed=True)
 
 
 FORMATS = {
-    'binary.ply': write_ply,
-    'ascii.ply': lambda path, points: write_ply(path, points, text=True),
-    'double.ply': lambda path, points: write_ply(path, points, kind='f8', order='zxy'),
-    'binary.pcd': write_pcd,
-    'double.pcd': lambda path, points: write_pcd(path, points, size=8),
-    'ascii.pcd': lambda path, points: write_pcd(path, points, data='ascii'),
-    'open3d.pcd': write_pcd_with_open3d,
-    'open3d_ascii.pcd': lambda path, points: write_pcd_with_open3d(path, points, write_ascii=True),
-    'compressed.pcd': lambda path, points: write_pcd_with_open3d(path, points, compressed=True),
-    'scan.las': write_las,
-    'scan.laz': write_las,
-    'scan.e57': write_e57,
-    'two_scans.e57': lambda path, points: write_e57(
-        path, points, ((1.0, 0.0, 0.0, 0.0, 1.0, 2.0, 1.5), (0.6, 0.0, 0.0, 0.8, -3.0, 0.5, 1.4))),
-    'array.npy': np.save,
-    'wide.npy': lambda path, points: np.save(path, np.hstack([points, points])),
-    'records.npy': write_records,
-    'scan.xyz': write_text,
-    'colours.txt': lambda path, points: write_text(path, points, ' 12 34 56'),
-    'CAPITALS.XYZ': write_text,
-    'commas.csv': lambda path, points: write_table(path, points, ','),
-    'named.csv': lambda path, points: write_table(path, points[:, ::-1], ',', 'Z,"Y",X'),
-    'excel.csv': lambda path, points: write_table(path, points, ';', '\ufeffx;y;z', ','),
-    'cloud_compare.txt': lambda path, points: write_table(path, points, ' ', '//X Y Z'),
-    'cloud_compare.asc': lambda path, points: write_table(
-        path, np.hstack([points, points]), ' ', '//X Y Z R G B'),
-    'units.csv': lambda path, points: write_table(path, points, ',', 'x [m],y [m],z [m]'),
-    'numbered.csv': lambda path, points: write_table(path, points, ';', 'X1 (m);Y1 (m);Z1 (m)'),
-    'prefix.txt': lambda path, points: write_table(
-        path, points[:, ::-1], ' ', 'pos_z pos_y pos_x'),
-    'paraview.csv': lambda path, points: write_table(
-        path, np.hstack([points[:, :1] + 9.0, points]), ',',
-        'range,Points_m_XYZ:0,Points_m_XYZ:1,Points_m_XYZ:2'),
-    'counted.pts': lambda path, points: write_table(
-        path, np.hstack([points, points]), ' ', str(len(points))),
-    'two_scans.ptx': lambda path, points: path.write_text(''.join(map(ptx_of, (
-        points[:900], points[900:])))),
-    'sensor.pcd': lambda path, points: write_pcd(
+    'ascii.ply': partial(files.write_ply, text=True),
+    'double.ply': partial(files.write_ply, kind='f8', order='zxy'),
+    'double.pcd': partial(files.write_pcd, size=8),
+    'ascii.pcd': partial(files.write_pcd, data='ascii'),
+    'compressed.pcd': write_pcd_with_open3d,
+    'sensor.pcd': lambda path, points: files.write_pcd(
         path, (points - [3.0, 2.0, 1.4])[:, [1, 0, 2]] * [1.0, -1.0, 1.0],
         viewpoint='3 2 1.4 0.70710678 0 0 0.70710678'),
+    'scan.las': files.write_las,
+    'scan.laz': files.write_las,
+    'two_scans.e57': partial(files.write_e57, poses=(
+        (1.0, 0.0, 0.0, 0.0, 1.0, 2.0, 1.5), (0.6, 0.0, 0.0, 0.8, -3.0, 0.5, 1.4))),
+    'wide.npy': lambda path, points: np.save(path, np.hstack([points, points])),
+    'records.npy': files.write_records,
+    'CAPITALS.XYZ': files.write_text,
     'comments.xyz': write_with_comments,
     # As in a copy of S3DIS.
-    'broken_colours.txt': lambda path, points: write_text(path, points, ' 185\x10187 184'),
+    'broken_colours.txt': partial(files.write_text, tail=' 185\x10187 184'),
+    'commas.csv': partial(write_table, separator=','),
+    'named.csv': partial(write_table, separator=',', header='Z,"Y",X', axes='zyx'),
+    'excel.csv': partial(write_table, separator=';', header='\ufeffx;y;z', decimal=','),
+    'cloud_compare.asc': partial(
+        write_table, separator=' ', header='//X Y Z R G B', axes='xyzxyz'),
+    'numbered.csv': partial(write_table, separator=';', header='X1 (m);Y1 (m);Z1 (m)'),
+    'prefix.txt': partial(
+        write_table, separator=' ', header='pos_z [m] pos_y [m] pos_x [m]', axes='zyx'),
+    'paraview.csv': partial(
+        write_table, separator=',', header='range,Points_m_XYZ:0,Points_m_XYZ:1,Points_m_XYZ:2',
+        axes='zxyz'),
+    'counted.pts': partial(write_table, separator=' ', header='{}', axes='xyzxyz'),
+    'two_scans.ptx': lambda path, points: path.write_text(
+        ptx_of(points[:900]) + ptx_of(points[900:])),
 }
 
 
-@pytest.fixture(params=FORMATS)
-def room_file(request, tmp_path):
-    path = tmp_path / request.param
-    FORMATS[request.param](path, ROOM)
-    return path
-
-
-def test_every_format_gives_back_the_points(room_file):
-    scene = load_scene(room_file)
-    assert scene.name == room_file.stem
+@pytest.mark.parametrize('name', FORMATS)
+def test_every_format_gives_back_the_points_and_is_refused_where_it_is_spoilt(tmp_path, name):
+    path = tmp_path / name
+    FORMATS[name](path, ROOM)
+    scene = load_scene(path)
+    assert scene.name == path.stem
     assert scene.points.dtype == np.float32 and scene.points.flags.c_contiguous
     np.testing.assert_allclose(scene.points, ROOM, atol=1e-4)
+    content = path.read_bytes()
+    spoilt = [b'', b'GIF89a\x00\xff\n' * 300]
+    for share in (0.003, 0.5, 0.97):
+        size = int(share * len(content))
+        if path.suffix in ('.xyz', '.XYZ', '.txt', '.csv'):
+            # Within the second number of a line, where text shows that it broke off.
+            size = content.index(b'\n', size) + 14
+        spoilt.append(content[:size])
+    for bad in spoilt:
+        path.write_bytes(bad)
+        refusal(path)
+    FORMATS[name](path, ROOM[:99])
+    assert 'found 99 points' in refusal(path)
 
 
-def test_ply_normals_are_kept_turned_and_of_length_one(tmp_path):
+def test_ply_normals_are_kept_turned_and_of_length_one_unless_they_are_zero(tmp_path):
     path, normals = tmp_path / 'room.ply', 3.0 * Scene(ROOM).normals_or_estimate
     to_file = map_from_file('y')
-    write_ply(path, ROOM @ to_file, **dict(zip(NORMALS, (normals @ to_file).T)))
+    files.write_ply(path, ROOM @ to_file, **dict(zip(NORMALS, (normals @ to_file).T)))
     scene = load_scene(path, up='y')
     np.testing.assert_allclose(scene.points, ROOM, atol=1e-6)
     np.testing.assert_allclose(scene.normals, normals / 3.0, atol=1e-5)
     assert load_scene(path, up='y', voxel_size=0.3).normals is None
-
-
-def test_normals_of_zero_are_not_normals(tmp_path):
     # As 3D Gaussian splatting writes them.
-    path = tmp_path / 'splats.ply'
-    write_ply(path, ROOM, nx=0.0, ny=0.0, nz=0.0)
+    files.write_ply(path, ROOM, nx=0.0, ny=0.0, nz=0.0)
     assert load_scene(path).normals is None
 
 
 def test_duplicates_go_and_their_normals_with_them(tmp_path):
     path = tmp_path / 'room.ply'
     heights = np.arange(1.0, 2.0 * len(ROOM) + 1.0)
-    write_ply(path, np.concatenate([ROOM, ROOM]), nx=heights, ny=0.0, nz=1.0)
+    files.write_ply(path, np.concatenate([ROOM, ROOM]), nx=heights, ny=0.0, nz=1.0)
     scene = load_scene(path)
     np.testing.assert_array_equal(scene.points, ROOM)
     np.testing.assert_allclose(scene.normals[:, 0] / scene.normals[:, 2], heights[:len(ROOM)],
@@ -160,7 +146,7 @@ def test_the_frame_of_the_file_is_found_again_and_far_coordinates_are_not_rounde
         tmp_path, caplog):
     corner = np.array([512_345_600.0, 1000.0, 5_400_000_000.0])
     source = 1000.0 * ROOM.astype(np.float64) @ map_from_file('y') + corner
-    write_las(tmp_path / 'utm.las', source, offsets=corner)
+    files.write_las(tmp_path / 'utm.las', source, offsets=corner)
     scene = load_scene(tmp_path / 'utm.las', scale=0.001, up='y')
     assert abs(scene.points).max() < 1000.0 and not scene.source.is_map
     assert 'utm.las: ' in caplog.text and '(512300, -5400000, 0)' in caplog.text
@@ -186,8 +172,7 @@ def test_down_sampling_is_logged_and_remarked(tmp_path, caplog):
     assert few.remarks == (f'{len(few):,} of {len(ROOM):,} points kept (--points)',)
 
 
-@pytest.mark.parametrize('name', ['ascii.ply', 'ascii.pcd', 'compressed.pcd', 'array.npy',
-                                  'scan.xyz'])
+@pytest.mark.parametrize('name', ['ascii.ply', 'compressed.pcd', 'wide.npy', 'CAPITALS.XYZ'])
 def test_points_that_are_not_finite_are_refused_or_dropped_but_never_silently(
         tmp_path, caplog, name):
     path, points = tmp_path / name, ROOM.copy()
@@ -201,26 +186,10 @@ def test_points_that_are_not_finite_are_refused_or_dropped_but_never_silently(
     assert name in caplog.text and str(len(ROOM) - 2) in caplog.text
 
 
-def test_files_that_are_spoilt_are_refused_in_every_format(room_file):
-    content = room_file.read_bytes()
-    spoilt = [b'', b'GIF89a\x00\xff\n' * 300]
-    for share in (0.003, 0.5, 0.97):
-        size = int(share * len(content))
-        if room_file.suffix in ('.xyz', '.XYZ', '.txt', '.csv'):
-            # Within the second number of a line, where text shows that it broke off.
-            size = content.index(b'\n', size) + 14
-        spoilt.append(content[:size])
-    for bad in spoilt:
-        room_file.write_bytes(bad)
-        refusal(room_file)
-    FORMATS[room_file.name](room_file, ROOM[:99])
-    assert 'found 99 points' in refusal(room_file)
-
-
 def test_a_folder_is_refused_and_the_file_inside_named(tmp_path):
     folder = tmp_path / 'office_1'
     folder.mkdir()
-    write_text(folder / 'office_1.txt', ROOM)
+    files.write_text(folder / 'office_1.txt', ROOM)
     assert 'office_1.txt' in refusal(folder)
 
 
@@ -235,21 +204,13 @@ def test_a_file_that_the_disk_does_not_give_is_refused(tmp_path, monkeypatch):
     assert 'Permission denied' in refusal(path)
 
 
-@pytest.mark.parametrize(('name', 'hint'), [
-    ('room.pdc', 'did you mean .pcd'), ('room.dae', 'CloudCompare'), ('room', 'CloudCompare')])
-def test_an_unknown_suffix_is_refused_with_the_known_ones(tmp_path, name, hint):
-    write_text(tmp_path / name, ROOM)
-    message = refusal(tmp_path / name)
-    assert hint in message and '.csv .e57 .glb' in message
-
-
 @pytest.mark.parametrize(('broken', 'found'), [
     ('1.0 2.\x100 3.0 1 2 3', r'2.\x100'), ('1.0 2.0', "'1.0 2.0'"), ('x y z', "'x y z'"),
     ('1.0,2.0,3.0', "'1.0,2.0,3.0'")])
 def test_a_broken_line_is_named_with_its_number(tmp_path, broken, found):
     # As in some copies of S3DIS: Area_5/hallway_6 has a control character within a number.
     path = tmp_path / 'hallway_6.txt'
-    write_text(path, ROOM, ' 1 2 3')
+    files.write_text(path, ROOM, ' 1 2 3')
     lines = path.read_text().splitlines()
     path.write_text('\n'.join(['# S3DIS', '', *lines[:1500], broken, *lines[1500:]]) + '\n')
     message = refusal(path)
@@ -258,70 +219,43 @@ def test_a_broken_line_is_named_with_its_number(tmp_path, broken, found):
 
 def test_nan_of_windows_is_nan(tmp_path):
     path = tmp_path / 'room.xyz'
-    write_text(path, ROOM)
+    files.write_text(path, ROOM)
     path.write_text('1.#QNAN -1.#IND 1.#INF\n' + path.read_text())
     assert 'NaN' in refusal(path)
     np.testing.assert_allclose(load_scene(path, drop_nonfinite=True).points, ROOM, atol=1e-4)
 
 
-def write_normals_of_words(path):
-    """Write an array whose normals are words."""
-    rows = np.zeros(len(ROOM), dtype=[*zip('xyz', ['f4'] * 3), *zip(NORMALS, ['U2'] * 3)])
-    np.save(path, rows)
-
-
-def write_normals_of_lists(path):
-    """Write a PLY file whose normals are lists."""
-    rows = np.zeros(len(ROOM), dtype=[*zip('xyz', ['f4'] * 3), *zip(NORMALS, 'OOO')])
-    for name in NORMALS:
-        rows[name][:] = [np.zeros(2, np.float32)] * len(ROOM)
-    PlyData([PlyElement.describe(rows, 'vertex')]).write(str(path))
-
-
-def write_npz(path):
-    """Write an archive of arrays."""
-    with path.open('wb') as file:
-        np.savez(file, ROOM)
-
-
-FAR = ROOM + [500_000.0, 5_000_000.0, 100.0]
 #: Files that are refused: a function that writes each, and what the message names.
 REFUSED = {
+    'none.ply': (lambda path: None, 'no such file'),
+    'room.pdc': (lambda path: files.write_text(path, ROOM), 'did you mean .pcd'),
+    'room.dae': (lambda path: files.write_text(path, ROOM), 'CloudCompare'),
+    'room': (lambda path: files.write_text(path, ROOM), '.csv .e57 .glb'),
     'without coordinates.csv': (
         lambda path: write_table(path, ROOM, ',', 'range,azimuth,elevation'), 'azimuth'),
-    'none.ply': (lambda path: None, 'no such file'),
     'wrong count.pts': (lambda path: write_table(path, ROOM, ' ', str(len(ROOM) + 5)),
                         f'{len(ROOM) + 5:,}'),
     'broken off.xyz': (lambda path: path.write_text('1 2 3 4 5 6\n' * 200 + '1 2 3 4'),
                        '4 numbers'),
     'comments alone.xyz': (lambda path: path.write_text('# only\n\n# comments\n'), 'no points'),
     'strips.ply': (lambda path: path.write_text(
-        'ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\n'
-        'property float z\nelement tristrips 1\nproperty list int int vertex_indices\n'
-        'end_header\n0 0 0\n4 0 0\n0 4 0\n4 4 2\n4 0 1 2 3\n'), 'tristrips'),
-    'no z.ply': (lambda path: write_ply(path, ROOM, order='xy', r=0.0), 'no z'),
-    'faces.ply': (lambda path: path.write_text(
-        'ply\nformat ascii 1.0\nelement face 1\nproperty list uchar int vertex_indices\n'
-        'end_header\n3 0 1 2\n'), 'export'),
-    'no rows.ply': (lambda path: write_ply(path, ROOM[:0]), 'no points'),
-    'rounded.ply': (lambda path: write_ply(path, FAR), 'float32'),
-    'short.ply': (lambda path: write_ply(path, 1000.0 * ROOM, kind='i2'), '--scale 0.001'),
-    'one more.pcd': (lambda path: write_pcd(path, ROOM, count=len(ROOM) + 1), 'export'),
-    'one more in text.pcd': (lambda path: write_pcd(
+        'ply\nformat ascii 1.0\nelement tristrips 1\nproperty int a\nend_header\n1\n'),
+        'tristrips'),
+    'no vertices.ply': (lambda path: path.write_text(
+        'ply\nformat ascii 1.0\nelement camera 1\nproperty int a\nend_header\n1\n'),
+        'no vertices'),
+    'no z.ply': (lambda path: files.write_ply(path, ROOM, order='xy', r=0.0), 'no z'),
+    'no rows.ply': (lambda path: files.write_ply(path, ROOM[:0]), 'no points'),
+    'rounded.ply': (lambda path: files.write_ply(path, ROOM + [5e5, 5e6, 1e2]), 'float32'),
+    'short.ply': (lambda path: files.write_ply(path, 1000.0 * ROOM, kind='i2'), '--scale 0.001'),
+    'one more.pcd': (lambda path: files.write_pcd(
         path, ROOM, data='ascii', count=len(ROOM) + 1), 'export'),
-    'millimetres.npy': (lambda path: np.save(path, 1000.0 * ROOM), '--scale 0.001'),
     'a point.npy': (lambda path: np.save(path, 0.01 * ROOM), '--scale, 1000'),
-    'flat.npy': (lambda path: np.save(path, ROOM * [1, 1, 0]), 'wall'),
     'all alike.npy': (lambda path: np.save(path, np.tile(ROOM[::40][:60], (5, 1))), '60 points'),
-    'all nan.npy': (lambda path: np.save(path, np.full((300, 3), np.nan)), 'remove'),
     'two axes.npy': (lambda path: np.save(path, ROOM[:, :2]), 'float32'),
     'one axis.npy': (lambda path: np.save(path, ROOM[:900].ravel()), '(2700,)'),
     'pickled.npy': (lambda path: np.save(path, np.array([{}], dtype=object)), 'export'),
     'words.npy': (lambda path: np.save(path, ROOM.astype(str)), '<U'),
-    'complex.npy': (lambda path: np.save(path, ROOM.astype(complex)), 'complex'),
-    'an archive.npy': (write_npz, 'cannot be read'),
-    'normals of words.npy': (write_normals_of_words, 'cannot be read'),
-    'normals of lists.ply': (write_normals_of_lists, 'cannot be read'),
 }
 
 
@@ -336,7 +270,7 @@ def test_files_that_are_no_scan_are_refused(tmp_path, name):
 def test_las_says_what_is_noise_and_what_its_unit_is(tmp_path):
     laspy = pytest.importorskip('laspy')
     foot, path = 1200.0 / 3937.0, tmp_path / 'room.laz'
-    write_las(path, np.vstack([ROOM, ROOM[:40] + [0.0, 3.0, 0.0]]) / foot)
+    files.write_las(path, np.vstack([ROOM, ROOM[:40] + [0.0, 3.0, 0.0]]) / foot)
     content = laspy.read(path)
     content.classification[-40:-20], content.withheld[-20:] = 7, 1
     wkt = 'PROJCS["x",GEOGCS["y",UNIT["degree",0.0174]],UNIT["US survey foot",0.304800609601219]]'
@@ -354,48 +288,34 @@ def test_vertices_without_faces_are_points(tmp_path):
     np.testing.assert_allclose(load_scene(path).points, ROOM, atol=1e-5)
 
 
-@pytest.mark.parametrize('options', [{'up': 'file'}, {'scale': 0.0}])
-def test_points_in_memory_say_nothing_of_their_unit_and_axes(options):
-    with pytest.raises(SceneError, match=next(iter(options))):
-        scene_of(ROOM, **options)
-
-
 @pytest.mark.parametrize('options', [
-    {'voxel_size': -0.1}, {'voxel_size': 1e-5}, {'voxel_size': np.nan}, {'voxel_size': 5.0},
-    {'max_points': -1}, {'max_points': 10}, {'scale': -1.0}, {'scale': np.inf}, {'scale': 1e308},
-    {'up': 'w'}])
+    {'voxel_size': 1e-5}, {'voxel_size': np.nan}, {'voxel_size': 5.0}, {'max_points': 10},
+    {'scale': -1.0}, {'scale': np.inf}, {'up': 'w'}])
 def test_options_without_a_meaning_are_refused(tmp_path, options):
     np.save(tmp_path / 'room.npy', ROOM)
     assert next(iter(options)) in refusal(tmp_path / 'room.npy', **options)
 
 
-def real_scan(name):
+def test_points_in_memory_say_nothing_of_their_unit_and_axes():
+    for option, value in (('up', 'file'), ('scale', 0.0)):
+        with pytest.raises(SceneError, match=option):
+            scene_of(ROOM, **{option: value})
+
+
+@pytest.mark.parametrize(('name', 'options', 'size'), [
+    ('washitsu.ply', {}, [3.7, 2.6, 2.5]), ('office_floor.ply', {}, [38.9, 14.7, 3.0]),
+    # Behind a wall of the living room there is a strip of another room.
+    ('living_room_open.ply', {'all_rooms': True}, [7.4, 6.3, 3.2]),
+    ('room_scan2.pcd', {}, [17.1, 14.9, 3.3]),
+    pytest.param('indoor.laz', {'up': 'y'}, [27.8, 17.6, 9.4], marks=pytest.mark.system)])
+def test_real_scans_load_and_only_turned_ones_warn(tmp_path, name, options, size):
     if not (SCANS / name).exists():
         pytest.skip(f'no real scan {SCANS / name}')
-    return SCANS / name
-
-
-@pytest.mark.parametrize('name', ['washitsu.ply', 'office_open.ply', 'living_room_open.ply',
-                                  'office_floor.ply', 'room_scan2.pcd'])
-def test_real_scans_load_and_only_turned_ones_warn(tmp_path, name):
-    with warnings.catch_warnings():
-        warnings.simplefilter('error')
-        # Behind a wall of the living room there is a strip of another room.
-        scene = load_scene(real_scan(name), max_points=15000, all_rooms=name.startswith('living'))
-    assert 10000 < len(scene) <= 15000
-    assert scene.spacing.min() > 0.0 and 2.0 < scene.size[2] < 4.5
-    if name.startswith('washitsu'):
-        np.testing.assert_allclose(scene.size, [3.7, 2.6, 2.5], atol=0.15)
+    scene = load_scene(SCANS / name, max_points=15000, **options)
+    assert 10000 < len(scene) <= 15000 and scene.spacing.min() > 0.0
+    np.testing.assert_allclose(scene.size, size, atol=0.15)
     for up in 'yx':
         path = tmp_path / f'{up}.npy'
         np.save(path, scene.points @ map_from_file(up))
         with pytest.warns(SceneWarning, match=f'--up {up}'):
             load_scene(path)
-
-
-def test_a_real_hall_with_y_up_warns_until_it_is_turned(tmp_path):
-    hall = load_scene(real_scan('indoor.laz'), up='y', max_points=15000)
-    assert hall.size[2] == pytest.approx(9.4, abs=0.5)
-    np.save(tmp_path / 'hall.npy', hall.points @ map_from_file('y'))
-    with pytest.warns(SceneWarning, match='--up y'):
-        load_scene(tmp_path / 'hall.npy')

@@ -39,14 +39,13 @@ from std_msgs.msg import Float64, Float64MultiArray
 from std_srvs.srv import Trigger
 from visualization_msgs.msg import Marker, MarkerArray
 
-TURN = ((PointCloud2, topics.OBSERVATION), (PoseArray, topics.CAMERA_POSES),
-        (Float64MultiArray, topics.REWARD))
-
 
 @pytest.fixture
 def loop(graph, probe):
     """Return the probe, listening, and a function that starts a sim with a command publisher."""
-    for kind, topic in TURN:
+    for kind, topic in ((PointCloud2, topics.OBSERVATION), (PoseArray, topics.CAMERA_POSES),
+                        (Float64MultiArray, topics.REWARD), (Float64, topics.SPACE_COVERAGE),
+                        (Float64, topics.DEPTH_ERROR)):
         probe.listen(kind, topic, qos.LOOP)
 
     def start(**parameters):
@@ -78,15 +77,14 @@ def test_poses_say_how_the_cameras_are_turned(loop):
     loop.start(rig__sensors='azure_kinect_wfov', rig__tilt=0.5)
     poses = loop.last(topics.CAMERA_POSES).poses
     assert len(poses) == 4
-    for k, pose in enumerate(poses):
+    for yaw, pose in zip(np.arange(4) * np.pi / 2, poses):
         q = pose.orientation
-        forward = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([1.0, 0.0, 0.0])
-        expected = [np.cos(k * np.pi / 2) * np.cos(0.5), np.sin(k * np.pi / 2) * np.cos(0.5),
-                    -np.sin(0.5)]
-        np.testing.assert_allclose(forward, expected, atol=1e-9)
+        np.testing.assert_allclose(
+            Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([1.0, 0.0, 0.0]),
+            [np.cos(yaw) * np.cos(0.5), np.sin(yaw) * np.cos(0.5), -np.sin(0.5)], atol=1e-9)
 
 
-def test_an_observation_is_the_cloud_seen_so_far(loop):
+def test_a_turn_is_published_with_one_stamp(loop):
     sim = loop.start()
     message = loop.last(topics.OBSERVATION)
     assert message.header.frame_id == 'map'
@@ -94,63 +92,49 @@ def test_an_observation_is_the_cloud_seen_so_far(loop):
     assert message.point_step == 12 and message.is_dense and not message.is_bigendian
     assert np.array_equal(msg_to_cloud(message), sim.episode.observed_cloud)
     assert 0 < message.width < len(sim.simulator.scene)
-
-
-def test_the_three_messages_of_a_turn_share_their_stamp(loop):
-    sim = loop.start()
     previous = loop.last(topics.CAMERA_POSES).header.stamp
     answer(loop)
     stamp = loop.last(topics.CAMERA_POSES).header.stamp
     loop.graph.until(lambda: loop.last(topics.OBSERVATION).header.stamp == stamp)
     loop.graph.until(lambda: fields_of(loop)['step'] == 1)
-    latest = fields_of(loop)
+    latest, turn = fields_of(loop), sim.episode.turn
     assert (latest['stamp_sec'], latest['stamp_nanosec']) == (stamp.sec, stamp.nanosec)
     assert (latest['previous_sec'], latest['previous_nanosec']) == (previous.sec, previous.nanosec)
-    assert latest['episode'] == 1 and latest['reward'] == sim.episode.turn.terms.reward
-    assert latest['depth_error'] == sim.episode.turn.depth_error
+    assert latest['episode'] == 1 and latest['reward'] == turn.terms.reward
+    assert latest['depth_error'] == turn.depth_error
+    # For plots.
+    plots = topics.SPACE_COVERAGE, topics.DEPTH_ERROR
+    while not all(loop.received[topic] for topic in plots):
+        answer(loop)
+    turn = sim.episode.turn
+    loop.graph.until(lambda: [loop.last(topic).data for topic in plots] == [
+        turn.space_coverage, turn.depth_error])
 
 
-def test_a_command_moves_the_cameras_by_the_longest_step_at_most(loop):
-    sim = loop.start(episode__max_step=0.2)
-    for move, expected in (((0.1, -0.1), (0.1, -0.1)), ((3.0, 4.0), (0.12, 0.16))):
-        before = sim.episode.turn.positions
-        answer(loop, move)
-        np.testing.assert_allclose(sim.episode.turn.positions - before, [[*expected, 0.0]] * 4,
-                                   atol=1e-9)
-
-
-def test_a_stale_command_is_ignored(loop):
-    sim = loop.start(resend_period=0.05)
-    old = loop.last(topics.CAMERA_POSES)
-    answer(loop)
-    loop.commands.publish(old)
-    loop.graph.until(lambda: counted(sim, 'stale_commands') == 1)
-    assert sim.episode.turn.step == 1
-
-
-def test_malformed_commands_are_refused_and_the_node_lives(loop):
-    sim = loop.start()
-    warnings = warnings_of(sim)
+def test_a_turn_is_sent_again_until_a_command_can_be_used(loop):
+    sim = loop.start(resend_period=0.05, episode__max_step=0.2)
+    loop.graph.until(lambda: len(loop.received[topics.OBSERVATION]) >= 3)
+    assert len({stamp_to_ns(m.header.stamp) for m in loop.received[topics.OBSERVATION]}) == 1
+    old, warnings = loop.last(topics.CAMERA_POSES), warnings_of(sim)
     for count, (spoil, word) in enumerate((
             (lambda command: command.poses.pop(), 'cameras'),
             (lambda command: setattr(command.poses[1].position, 'x', np.nan), 'finite'),
             (lambda command: setattr(command.header, 'frame_id', 'elsewhere'), 'elsewhere')),
             start=1):
-        command = deepcopy(loop.last(topics.CAMERA_POSES))
+        command = deepcopy(old)
         spoil(command)
         loop.commands.publish(command)
         loop.graph.until(lambda: counted(sim, 'refused_commands') == count)
         assert 'command refused: ' in warnings[-1] and word in warnings[-1]
-    answer(loop)
-    assert sim.episode.turn.step == 1
-    assert np.isfinite(sim.episode.turn.positions).all()
-
-
-def test_a_turn_is_sent_again_until_it_is_answered(loop):
-    sim = loop.start(resend_period=0.05)
-    loop.graph.until(lambda: len(loop.received[topics.OBSERVATION]) >= 3)
-    stamps = {stamp_to_ns(m.header.stamp) for m in loop.received[topics.OBSERVATION]}
-    assert len(stamps) == 1 and sim.episode.turn.step == 0
+    # No camera moves farther than the longest step.
+    for move, expected in (((0.1, -0.1), (0.1, -0.1)), ((3.0, 4.0), (0.12, 0.16))):
+        before = sim.episode.turn.positions
+        answer(loop, move)
+        np.testing.assert_allclose(sim.episode.turn.positions - before, [[*expected, 0.0]] * 4,
+                                   atol=1e-9)
+    loop.commands.publish(old)
+    loop.graph.until(lambda: counted(sim, 'stale_commands') == 1)
+    assert sim.episode.turn.step == 2
 
 
 def test_an_episode_ends_truncated_and_stays_there(loop):
@@ -169,21 +153,17 @@ def test_an_episode_ends_truncated_and_stays_there(loop):
     assert sim.episode.turn.step == 2
 
 
-def test_the_next_episode_begins_by_itself_where_wanted(loop):
+def test_the_next_episode_begins_by_itself_where_wanted_and_when_asked_for(loop):
     sim = loop.start(episode__turns=1, auto_reset=True)
     first = sim.episode
     answer(loop)
     loop.graph.until(lambda: sim.episode is not first)
-    assert sim.episode.turn.step == 0
-
-
-def test_reset_begins_a_new_episode(loop):
-    sim = loop.start()
-    answer(loop)
+    second = sim.episode
+    assert second.turn.step == 0
     done = loop.call(Trigger, '/sim_node/reset')
-    assert done.success and done.message == 'episode 2'
-    assert sim.episode.turn.step == 0
-    loop.graph.until(lambda: fields_of(loop)['episode'] == 2.0)
+    assert done.success and done.message == 'episode 3'
+    assert sim.episode is not second
+    loop.graph.until(lambda: fields_of(loop)['episode'] == 3.0)
 
 
 def test_who_comes_late_gets_the_scene_and_the_markers(graph, probe):
@@ -195,18 +175,6 @@ def test_who_comes_late_gets_the_scene_and_the_markers(graph, probe):
     ranges = [m for m in markers if m.ns == 'ranges']
     assert len(markers) == 12 and len(ranges) == 4
     assert all(m.type == Marker.SPHERE and m.scale.x == 8.0 for m in ranges)
-
-
-def test_coverage_and_error_are_published_for_plots(loop):
-    kinds = (topics.SPACE_COVERAGE, topics.DEPTH_ERROR)
-    for topic in kinds:
-        loop.listen(Float64, topic, qos.LOOP)
-    sim = loop.start()
-    while not all(loop.received[topic] for topic in kinds):
-        answer(loop)
-    turn = sim.episode.turn
-    loop.graph.until(lambda: [loop.last(topic).data for topic in kinds] == [
-        turn.space_coverage, turn.depth_error])
 
 
 @pytest.mark.parametrize(('parameters', 'error', 'words'), [

@@ -14,9 +14,9 @@
 
 """The server of the studio: who can reach it, and what clients can do to it."""
 
+from contextlib import closing, contextmanager, ExitStack
 from dataclasses import replace
 import http.client
-from pathlib import Path
 import socket
 from urllib.parse import urlsplit
 
@@ -38,13 +38,11 @@ from websockets.exceptions import InvalidStatus  # noqa: E402
 def status_of(url, path=None, **headers):
     """Return the status of the answer to a request."""
     parts = urlsplit(url)
-    connection = http.client.HTTPConnection(parts.hostname, parts.port, timeout=HUNG)
-    connection.request('GET', parts.path if path is None else path, headers=headers)
-    answer = connection.getresponse()
-    answer.read()
-    answer.close()
-    connection.close()
-    return answer.status
+    with closing(http.client.HTTPConnection(parts.netloc, timeout=HUNG)) as connection:
+        connection.request('GET', path or parts.path, headers=headers)
+        answer = connection.getresponse()
+        answer.read()
+        return answer.status
 
 
 def test_it_listens_on_this_machine_alone(page):
@@ -58,23 +56,18 @@ def test_it_listens_on_this_machine_alone(page):
     assert not is_local('0.0.0.0') and not is_local('192.168.0.1') and not is_local('example.org')
 
 
-def test_a_page_of_another_origin_cannot_connect(page):
+def test_pages_of_other_origins_and_names_that_point_to_this_machine_are_refused(page):
     _, url = page
-    with PageClient(url) as client:
-        client.look()
-        assert client.until(lambda message: message['type'] == 'PointCloudMessage')
+    with client_of(url, lambda message: message['type'] == 'PointCloudMessage'):
+        pass
     for origin in ('http://example.org', 'null', '', url.replace('127.0.0.1', 'localhost'),
                    'http://127.0.0.1:1'):
         with pytest.raises(InvalidStatus, match='403'):
             PageClient(url, origin=origin)
-
-
-def test_a_name_that_points_to_this_machine_is_refused(page):
-    _, url = page
-    assert status_of(url) == 200
-    assert status_of(url, Host=f'localhost:{urlsplit(url).port}') == 200
+    port = urlsplit(url).port
+    assert status_of(url) == status_of(url, Host=f'localhost:{port}') == 200
     assert status_of(url, Host='example.org') == 403
-    assert status_of(url, Host=f'example.org:{urlsplit(url).port}') == 403
+    assert status_of(url, Host=f'example.org:{port}') == 403
 
 
 def test_another_address_needs_the_token_of_its_server():
@@ -82,19 +75,16 @@ def test_another_address_needs_the_token_of_its_server():
     try:
         token = urlsplit(url).path
         here = f'http://127.0.0.1:{urlsplit(url).port}{token}'
-        assert len(token) > 30
-        assert status_of(here) == 200
+        assert len(token) > 30 and status_of(here) == 200
         other_letter = 'y' if token[1] == 'x' else 'x'
         for path in ('/', '/index.html', f'/{other_letter}{token[2:]}', '/%2e%2e/'):
             assert status_of(here, path) == 403
-        with PageClient(here) as client:
-            client.look()
-            assert client.receive(HUNG)
-        for path in ('', '/', '/x', token[:-2]):
+        with client_of(here):
+            pass
+        for wrong in ({'path': ''}, {'path': '/'}, {'path': '/x'}, {'path': token[:-2]},
+                      {'origin': 'http://example.org'}):
             with pytest.raises(InvalidStatus, match='403'):
-                PageClient(here, path=path)
-        with pytest.raises(InvalidStatus, match='403'):
-            PageClient(here, origin='http://example.org')
+                PageClient(here, **wrong)
         other, other_url = start_server('0.0.0.0', 0)
         other.stop()
         assert urlsplit(other_url).path != token
@@ -107,15 +97,13 @@ def test_an_address_that_this_machine_does_not_have_is_refused():
         start_server('192.0.2.1', 0)
 
 
-def test_the_public_tunnel_is_never_opened(page, monkeypatch):
-    opened = []
-    monkeypatch.setattr('viser._viser.ViserTunnel', lambda *_: opened.append(True))
-    assert isinstance(page[0].server, LocalServer)
-    with PageClient(page[1]) as client:
+@contextmanager
+def client_of(url, ready=lambda message: True):
+    """Yield a client that looks at a page, and has got a message."""
+    with PageClient(url) as client:
         client.look()
-        client.send('ShareUrlRequest')
-        dragged(client, page[0])
-    assert not opened
+        client.until(ready)
+        yield client
 
 
 def first_can_be_dragged(message):
@@ -124,55 +112,52 @@ def first_can_be_dragged(message):
         'TransformControlsMessage', '/cameras/realsense_d455_2')
 
 
-def dragged(client, page, height=2.0):
-    """Drag a camera, and wait until the room is coloured anew."""
-    client.until(first_can_be_dragged)
+def drag(client, page, height):
+    """Drag the first camera."""
     middle = page.studio.scene.bounds.mean(axis=0)[:2].tolist()
     client.drag('/cameras/realsense_d455_1', (*middle, height))
-    return client.until(paints)
 
 
-def test_all_clients_see_what_one_of_them_moves(page):
+def test_all_clients_see_what_one_of_them_moves_and_no_tunnel_is_opened(page, monkeypatch):
+    opened = []
+    monkeypatch.setattr('viser._viser.ViserTunnel', lambda *_: opened.append(True))
     page, url = page
-    clients = [PageClient(url) for _ in range(4)]
-    for client in clients:
-        client.look()
-        client.until(first_can_be_dragged)
-    middle = page.studio.scene.bounds.mean(axis=0)[:2].tolist()
-    clients[2].drag('/cameras/realsense_d455_1', (*middle, 1.9))
-    for client in clients:
-        client.until(paints)
-        client.socket.close()
-    assert page.studio.state.poses[0, 2] == pytest.approx(1.9)
+    assert isinstance(page.server, LocalServer)
+    with ExitStack() as stack:
+        clients = [stack.enter_context(client_of(url, first_can_be_dragged)) for _ in range(4)]
+        clients[2].send('ShareUrlRequest')
+        drag(clients[2], page, 1.9)
+        for client in clients:
+            client.until(paints)
+    assert page.studio.state.poses[0, 2] == pytest.approx(1.9) and not opened
 
 
 def test_a_client_that_vanishes_while_it_drags_leaves_no_lock(page):
     page, url = page
-    with PageClient(url) as client:
-        client.look()
-        client.send('TransformControlsDragStartMessage', name='/cameras/realsense_d455_1')
-        dragged(client, page, 1.8)
-        client.socket.socket.close()
-    with PageClient(url) as client:
-        client.look()
-        dragged(client, page, 2.1)
+    for height in (1.8, 2.1):
+        with client_of(url, first_can_be_dragged) as client:
+            client.send('TransformControlsDragStartMessage', name='/cameras/realsense_d455_1')
+            drag(client, page, height)
+            client.until(paints)
+            client.socket.socket.close()
     assert page.studio.state.poses[0, 2] == pytest.approx(2.1)
     assert page.studio.history.undo() and page.studio.history.undo()
+
+
+def set_value(client, handle, value):
+    """Enter a value into a control of the panel."""
+    client.send('GuiUpdateMessage', uuid=handle._impl.uuid, updates={'value': value})
 
 
 def test_numbers_that_are_none_change_nothing(page):
     page, url = page
     before = page.studio.state
-    with PageClient(url) as client:
-        client.look()
-        client.until(first_can_be_dragged)
+    with client_of(url, first_can_be_dragged) as client:
         for position, wxyz in (((np.nan, 0, 0), (1, 0, 0, 0)), ((1e30, 0, 0), (1, 0, 0, 0)),
                                ((0, 0, 0), (0, 0, 0, 0)), ((0, 0, 0), (np.inf, 0, 0, 0))):
             client.drag('/cameras/realsense_d455_1', position, wxyz)
-        client.send('GuiUpdateMessage', uuid=page.panel.camera_list._impl.uuid,
-                    updates={'value': 'no such camera'})
-        client.send('GuiUpdateMessage', uuid=page.panel.sensor_list._impl.uuid,
-                    updates={'value': 'no such sensor'})
+        set_value(client, page.panel.camera_list, 'no such camera')
+        set_value(client, page.panel.sensor_list, 'no such sensor')
         client.until(lambda message: 'no such sensor' in str(message.get('updates', '')))
     assert np.array_equal(page.studio.state.poses, before.poses)
 
@@ -195,7 +180,7 @@ def test_no_typed_name_leaves_the_folder(tmp_path, name):
 
 
 def test_files_of_others_are_not_replaced(tmp_path):
-    Path(tmp_path / 'mine.yaml').write_text('kept')
+    (tmp_path / 'mine.yaml').write_text('kept')
     folder = Folder(tmp_path)
     with pytest.raises(ConfigurationError, match='mine'):
         folder.claim_path('mine')
@@ -221,18 +206,15 @@ def test_a_mesh_is_cut_at_a_height(studio_room):
     mesh, height = studio_room[0].mesh, 1.1
     low, turned = mesh_below(mesh, height), replace(mesh, vertices=mesh.vertices * [1, 1, -1])
     assert low[0][low[1]][..., 2].max() == pytest.approx(height, abs=1e-6)
-    assert area_of(*low) + area_of(*mesh_below(turned, -height)) == pytest.approx(
-        area_of(mesh.vertices, mesh.triangles), rel=1e-5)
-    assert 0.2 < area_of(*low) / area_of(mesh.vertices, mesh.triangles) < 0.8
+    whole = area_of(mesh.vertices, mesh.triangles)
+    assert area_of(*low) + area_of(*mesh_below(turned, -height)) == pytest.approx(whole, rel=1e-5)
+    assert 0.2 < area_of(*low) / whole < 0.8
 
 
 def test_the_room_is_shown_as_a_mesh(page):
     page, url = page
-    with PageClient(url) as client:
-        client.look()
-        client.until(first_can_be_dragged)
-        client.send('GuiUpdateMessage', uuid=page.panel.room_list._impl.uuid,
-                    updates={'value': texts.MESH})
+    with client_of(url, first_can_be_dragged) as client:
+        set_value(client, page.panel.room_list, texts.MESH)
         found = set()
         client.until(lambda message: found.add((message['type'], message.get('visible')))
                      or {('MeshMessage', None), ('SetSceneNodeVisibilityMessage', False)} <= found)
@@ -241,12 +223,9 @@ def test_the_room_is_shown_as_a_mesh(page):
 def test_buttons_and_fields_of_the_panel_edit_compare_and_save(page, tmp_path, undrawn):
     page, url = page
     panel, studio = page.panel, page.studio
-    with PageClient(url) as client:
-        client.look()
-        client.until(first_can_be_dragged)
-
+    with client_of(url, first_can_be_dragged) as client:
         def press(handle, value, holds):
-            client.send('GuiUpdateMessage', uuid=handle._impl.uuid, updates={'value': value})
+            set_value(client, handle, value)
             wait_until(holds)
 
         press(panel.edit_buttons, 'Add', lambda: len(studio.state.poses) == 4)

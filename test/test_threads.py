@@ -33,8 +33,8 @@ def threads():
     set_threads(1)
 
 
-@pytest.mark.parametrize('count', [1, 2, 3, 8])
-@pytest.mark.parametrize('items', [0, 1, 2, 7, 40])
+@pytest.mark.parametrize('count', [1, 2, 8])
+@pytest.mark.parametrize('items', [0, 1, 7, 40])
 def test_what_is_mapped_keeps_its_order(threads, count, items):
     threads(count)
     assert mapped(lambda item: item * item, range(items)) == [item ** 2 for item in range(items)]
@@ -43,20 +43,14 @@ def test_what_is_mapped_keeps_its_order(threads, count, items):
 def test_as_many_work_at_once_as_were_asked_for(threads):
     threads(3)
     together = threading.Barrier(3, timeout=HUNG)
-    assert len(set(mapped(lambda item: (together.wait(), threading.get_ident())[1],
-                          range(3)))) == 3
+    assert sorted(mapped(lambda _: together.wait(), range(3))) == [0, 1, 2]
 
 
 @pytest.mark.parametrize('wrong', range(4))
 def test_what_fails_in_a_thread_fails(threads, wrong):
     threads(2)
-
-    def fail(item):
-        if item == wrong:
-            raise KeyError(item)
-
-    with pytest.raises(KeyError):
-        mapped(fail, range(4))
+    with pytest.raises(ZeroDivisionError):
+        mapped(lambda item: 1 // (item - wrong), range(4))
 
 
 @pytest.mark.parametrize('name', ['learned', 'lookahead'])

@@ -14,7 +14,7 @@
 
 """``trainer_node`` on real DDS, and the loop of all three nodes."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 import threading
 
 from conftest import (
@@ -58,23 +58,21 @@ from ocp_ros.util.settings import ConfigurationError
 import pytest
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
-AGENT = {'agent__inputs': 'cloud', 'agent__points': 64, 'agent__keys_1': 8, 'agent__group_1': 4,
-         'agent__radius_1': 1.5, 'agent__keys_2': 4, 'agent__group_2': 4, 'agent__radius_2': 3.0,
-         'agent__channels': 8, 'agent__pooled': 12, 'agent__hidden': 16}
 SAC = {'sac__learning_starts': 12, 'sac__batch_size': 8, 'sac__buffer_size': 400,
        'sac__device': 'cpu', 'publish_every': 8, 'save_every': 8}
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9]])
 
 
 @pytest.fixture
-def start(graph, tmp_path, monkeypatch):
+def start(graph, tmp_path, small_agent, monkeypatch):
     """Return a function that starts a trainer of small networks, which looks round often."""
     monkeypatch.setattr(trainer_node, 'create_steady_timer', lambda node, seconds, tick: (
         create_steady_timer(node, seconds / 10.0, tick)))
+    agent = {f'agent__{name}': value for name, value in asdict(small_agent).items()}
 
     def starter(**parameters):
-        return graph.add(TrainerNode, folder=str(tmp_path / 'run'), **{
-            **AGENT, **SAC, **parameters})
+        return graph.add(TrainerNode, **{
+            'folder': str(tmp_path / 'run'), **agent, **SAC, **parameters})
     return starter
 
 
@@ -96,14 +94,16 @@ class Loop:
         self.poses = publisher(PoseArray, topics.CAMERA_POSES)
         self.rewards = publisher(Float64MultiArray, topics.REWARD)
 
-    def experience(self, stamp, turn, targets=POSITIONS, spoil=lambda experience: None):
-        """Send what a policy chose, maybe spoilt."""
+    def experience(self, stamp, turn, /, **lies):
+        """Send what a policy chose; lies replace what the second camera has seen and done."""
         choices = [Choice(observation(self.agent, 10 * stamp + number),
                           np.full((1, 2), 0.1 * number, np.float32))
-                   for number in range(len(targets))]
-        made = Experience(stamp, turn, targets, choices)
-        spoil(made)
-        self.experiences.publish(bytes_to_msg(to_bytes(made)))
+                   for number in range(len(POSITIONS))]
+        arrays = {**choices[1].observation, 'actions': choices[1].actions}
+        for name, wrong in lies.items():
+            arrays[name].flat[0] = wrong
+        self.experiences.publish(bytes_to_msg(to_bytes(
+            Experience(stamp, turn, POSITIONS, choices))))
 
     def pose(self, stamp, at=POSITIONS):
         """Send where the cameras are."""
@@ -117,13 +117,10 @@ class Loop:
         values |= {topics.share_field(number): share for number, share in enumerate(shares)}
         self.rewards.publish(fields_to_msg(values))
 
-    def turn(self, stamp):
-        """Send all parts of the turn that ends with a stamp; the first turn is 1."""
-        if stamp == 1:
-            self.reward(0, 1, 0.0)
-        else:
-            self.reward(stamp - 1, stamp, stamp - 1)
-        self.experience(stamp, stamp - 1)
+    def turn(self, stamp, first=1):
+        """Send all parts of the turn that ends with a stamp, given that of the first turn."""
+        self.reward(stamp - 1, stamp, stamp - first)
+        self.experience(stamp, stamp - first)
         self.pose(stamp)
 
 
@@ -134,11 +131,6 @@ def loop(probe, start):
     made = Loop(probe, trainer.config.agent)
     made.trainer, made.graph, made.source = trainer, probe.graph, trainer.sources['/']
     return made
-
-
-def counts_of(trainer):
-    """Return the counts of all sources by their namespaces."""
-    return {name: source.status() for name, source in trainer.sources.items()}
 
 
 @pytest.mark.parametrize('inputs', [CLOUD, PAPER])
@@ -156,7 +148,7 @@ def test_what_is_learned_over_ros_is_what_is_learned_in_one_process(
     sim = graph.add(SimNode, seed=3, rig__cameras=cameras, episode__turns=turns, **SMALL)
     count = turns * (1 if inputs == PAPER else cameras)
     graph.until(lambda: len(learned) >= count)
-    assert counts_of(trainer)['/'] == {
+    assert trainer.sources['/'].status() == {
         'turns': turns, 'transitions': count, 'incomplete': 0, 'inconsistent': 0, 'refused': 0,
         'dropped': 0}
     env = CameraPlacementEnv([sim.simulator.scene], sim.config)
@@ -180,15 +172,11 @@ def test_what_is_learned_over_ros_is_what_is_learned_in_one_process(
         before = after
 
 
-RIG = """\
-cameras: [{sensor: realsense_d455, count: 2}]
-fixed: [{sensor: realsense_d455, position: [1.0, 1.0, 1.9], yaw: 45, pitch: 25}]
-"""
-
-
 def test_turns_of_a_rig_file_are_learned_from(graph, start, model, tmp_path):
-    (tmp_path / 'rig.yaml').write_text(RIG)
     rig_file = str(tmp_path / 'rig.yaml')
+    (tmp_path / 'rig.yaml').write_text("""
+        cameras: [{sensor: realsense_d455, count: 2}]
+        fixed: [{sensor: realsense_d455, position: [1.0, 1.0, 1.9], yaw: 45, pitch: 25}]""")
     trainer = start()
     graph.add(PolicyNode, model=model, explore=True, turns=4, rig_file=rig_file)
     sim = graph.add(SimNode, scene__seed=8, episode__turns=4, rig_file=rig_file, **SMALL)
@@ -200,19 +188,10 @@ def test_turns_of_a_rig_file_are_learned_from(graph, start, model, tmp_path):
     graph.until(lambda: trainer.learner.transitions == 2 * assembler.assembled)
 
 
-#: Numbers that no policy reads or chooses, by the names of their arrays.
-LIES = (('keys_1', 64), ('groups_1', -1), ('keys_2', 8), ('groups_2', 500), ('points', 3e38),
-        ('others', 1e20), ('turn', -3e38), ('actions', 1e30), ('actions', -20.0))
-
-
 def test_parts_that_cannot_be_are_refused_and_the_training_goes_on(loop, probe):
-    def spoilt_by(name, wrong):
-        def spoil(experience):
-            choice = experience.choices[1]
-            array = choice.actions if name == 'actions' else choice.observation[name]
-            array.flat[0] = wrong
-        return spoil
-
+    # Numbers that no policy reads or chooses.
+    lies = (('keys_1', 64), ('groups_1', -1), ('keys_2', 8), ('groups_2', 500), ('points', 3e38),
+            ('others', 1e20), ('turn', -3e38), ('actions', 1e30), ('actions', -20.0))
     other = Loop(probe, AgentConfig(CLOUD))
     cases = [(lambda: other.experience(1, 0), 'agent settings'),
              (lambda: loop.pose(2, np.full((2, 3), np.nan)), 'poses'),
@@ -221,8 +200,8 @@ def test_parts_that_cannot_be_are_refused_and_the_training_goes_on(loop, probe):
               for wrong in (1e308, -3e38, np.nan, np.inf, -np.inf)]
     cases += [(lambda blob=blob: loop.experiences.publish(bytes_to_msg(blob)), 'experience')
               for blob in (b'', b'\xff' * 64, b'\x80\x04K\x01.')]
-    cases += [(lambda lie=lie: loop.experience(1, 0, spoil=spoilt_by(*lie)), f'found {lie[0]}')
-              for lie in LIES]
+    cases += [(lambda lie={name: wrong}: loop.experience(1, 0, **lie), f'found {name}')
+              for name, wrong in lies]
     warnings = warnings_of(loop.trainer)
     for count, (send, word) in enumerate(cases, start=1):
         send()
@@ -237,9 +216,7 @@ def test_parts_that_cannot_be_are_refused_and_the_training_goes_on(loop, probe):
 
 def test_stamps_may_begin_anew(loop):
     for stamp in (101, 102, 103):
-        loop.experience(stamp, stamp - 101)
-        loop.pose(stamp)
-        loop.reward(stamp - 1, stamp, stamp - 101)
+        loop.turn(stamp, first=101)
     loop.graph.until(lambda: loop.source.assembler.assembled == 2)
     for stamp in (1, 2):
         # One after the other: a first turn that came before its reward would be forgotten.
@@ -252,43 +229,36 @@ def test_stamps_may_begin_anew(loop):
 
 def test_many_policies_are_learned_from_counted_and_told(graph, probe, start):
     trainer = start(updates_per_turn=4.0)
-    loops = {name: Loop(probe, trainer.config.agent, name) if name == '/' else None
-             for name in ('/', '/env_0', '/far/env_1')}
-    for name in ('/env_0', '/far/env_1'):
-        # Whoever explores is found; what else has the name of the topic is not listened to.
-        probe.node.create_publisher(
-            UInt8MultiArray, topic_of(name, topics.EXPERIENCE), qos.LOOP)
+    # What else has the name of the topic is not listened to.
     probe.node.create_publisher(PoseArray, '/wrong/experience', qos.LOOP)
-    graph.until(lambda: len(trainer.sources) == 3)
+    loops = {name: Loop(probe, trainer.config.agent, name)
+             for name in ('/', '/env_0', '/far/env_1')}
     assert set(trainer.sources) == set(loops)
-    heard = {name: [] for name in loops}
-    status = {name: [] for name in loops}
-    for name in loops:
-        loops[name] = loops[name] or Loop(probe, trainer.config.agent, name)
-        for kind, topic, found in ((UInt8MultiArray, topics.POLICY_WEIGHTS, heard[name]),
-                                   (Float64MultiArray, topics.TRAINING, status[name])):
-            probe.node.create_subscription(kind, topic_of(name, topic), found.append, qos.LATCHED)
+    weights, status = ([topic_of(name, topic) for name in loops]
+                       for topic in (topics.POLICY_WEIGHTS, topics.TRAINING))
+    for topic in (*weights, *status):
+        kind = UInt8MultiArray if topic in weights else Float64MultiArray
+        probe.listen(kind, topic, qos.LATCHED)
     for number, loop in enumerate(loops.values()):
         for stamp in range(1, 5 + number):
             loop.turn(stamp)
     graph.until(lambda: trainer.learner.transitions == 2 * (3 + 4 + 5))
-    assert [one['turns'] for one in counts_of(trainer).values()] == [3, 4, 5]
-    assert [counted(trainer, name) for name in ('turns /env_0', 'turns', 'sources')] == [4, 12, 3]
+    assert [counted(trainer, name) for name in (
+        *(f'turns {name}' for name in loops), 'turns', 'sources')] == [3, 4, 5, 12, 3]
     # The same weights for all.
-    graph.until(lambda: all(heard.values()))
-    updates = {Checkpoint.from_bytes(msg_to_bytes(found[0])).updates for found in heard.values()}
-    assert len(updates) == 1
-    for name, turns in zip(loops, (3, 4, 5)):
-        graph.until(lambda of=name, count=turns: any(
-            msg_to_fields(message, topics.TRAINING_FIELDS)['turns'] == count
-            for message in status[of]))
+    graph.until(lambda: all(probe.received[topic] for topic in weights))
+    assert len({Checkpoint.from_bytes(msg_to_bytes(probe.received[topic][0])).updates
+                for topic in weights}) == 1
+    graph.until(lambda: all(
+        msg_to_fields(probe.last(topic), topics.TRAINING_FIELDS)['turns'] == turns
+        for topic, turns in zip(status, (3, 4, 5))))
 
 
 def test_sources_that_are_silent_make_room_for_others(graph, probe, start, monkeypatch):
     monkeypatch.setattr(trainer_node, 'MAX_SOURCES', 3)
     trainer = start()
-    names = [f'/fake_{number}/experience' for number in range(4)]
-    fakes = [probe.node.create_publisher(UInt8MultiArray, name, qos.LOOP) for name in names]
+    fakes = [probe.node.create_publisher(UInt8MultiArray, f'/fake_{number}/experience', qos.LOOP)
+             for number in range(4)]
     graph.until(lambda: len(trainer.sources) == 3)
     first, second = list(trainer.sources)[1:]
     # Both go, and the others have their turn.
@@ -327,7 +297,7 @@ def test_policies_wait_while_the_trainer_is_behind(graph, start, model, monkeypa
         answered = counted(policy, 'turns_answered')
         resent = counted(sim, 'resent_turns')
         # The simulation goes on asking, and the policy on waiting.
-        graph.until(lambda: counted(sim, 'resent_turns') >= resent + 5)
+        graph.until(lambda: counted(sim, 'resent_turns') >= resent + 3)
         assert counted(policy, 'turns_answered') <= answered + 1
     finally:
         release.set()
@@ -358,8 +328,7 @@ def test_weights_go_from_the_trainer_to_the_policy(graph, probe, start, model, t
     graph.until(lambda: counted(policy, 'weights_swapped') >= 2)
     assert policy.policy.checkpoint.run == trainer.learner.run
     assert trainer.learner.transitions >= 12
-    counts = counts_of(trainer)['/']
-    assert counts['inconsistent'] == 0 and counts['refused'] == 0
+    assert [counted(trainer, name) for name in ('inconsistent', 'refused')] == [0, 0]
     graph.until(lambda: any(
         status.name == '/trainer_node' and status.message == 'training'
         for message in probe.received['/diagnostics'] for status in message.status))
@@ -369,26 +338,26 @@ def test_weights_go_from_the_trainer_to_the_policy(graph, probe, start, model, t
 
 
 def test_who_comes_late_gets_the_latest_weights(graph, probe, start):
+    def latest(topic):
+        probe.listen(UInt8MultiArray, topic, qos.LATCHED)
+        found = Checkpoint.from_bytes(msg_to_bytes(probe.last(topic)))
+        return found.run, found.updates
+
     trainer = start()
     # Enough for eight gradient steps, then for eight more.
     for published, seeds in enumerate((range(20), range(20, 30)), start=1):
         for seed in seeds:
             trainer.learner.add(made_up(trainer.config.agent, seed))
         graph.until(lambda: trainer._published_weights == published)
-    probe.listen(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
-    found = Checkpoint.from_bytes(msg_to_bytes(probe.last(topics.POLICY_WEIGHTS)))
-    assert found.run == trainer.learner.run and found.updates == 16
+    assert latest(topics.POLICY_WEIGHTS) == (trainer.learner.run, 16)
     # Also in a namespace that is found later.
     probe.node.create_publisher(UInt8MultiArray, '/late/experience', qos.LOOP)
-    probe.listen(UInt8MultiArray, '/late/policy_weights', qos.LATCHED)
-    assert Checkpoint.from_bytes(msg_to_bytes(probe.last('/late/policy_weights'))).updates == 16
+    assert latest('/late/policy_weights') == (trainer.learner.run, 16)
     # A trainer that is started again continues and publishes its weights.
     graph.remove(trainer)
     again = start()
     assert (again.learner.run, again.learner.transitions) == (trainer.learner.run, 30)
-    probe.listen(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
-    found = Checkpoint.from_bytes(msg_to_bytes(probe.last(topics.POLICY_WEIGHTS)))
-    assert (found.run, found.updates) == (trainer.learner.run, trainer.learner.updates)
+    assert latest(topics.POLICY_WEIGHTS) == (trainer.learner.run, trainer.learner.updates)
 
 
 def test_messages_never_wait_for_a_gradient_step(loop, monkeypatch):

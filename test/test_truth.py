@@ -17,8 +17,7 @@
 from dataclasses import replace
 from functools import cache
 
-from conftest import box_room, box_sides, made_room
-from hypothesis import given, settings
+from conftest import box_room, box_sides, for_any, made_room
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.compare.judging import judged_room, JudgedRoom, MOUNTING_ERRORS
@@ -44,30 +43,23 @@ PANEL = Mesh(np.array([[1, -1, -1], [1, 1, -1], [1, 1, 1], [1, -1, 1]], dtype=np
              np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32))
 
 
-def seen_by_rays(points, pose, model):
-    """Return which points rays reach past the panel: (N,) bool."""
-    points = np.asarray(points, dtype=np.float32)
+@pytest.mark.parametrize(('model', 'points', 'expected'), [
+    # The panel hides what is behind it and nothing else.
+    (CameraModel(max_range=6.0),
+     [[1.0, 0.5, 0.0], [2.0, 0.5, 0.0], [2.0, 3.0, 0.0], [-1.0, 0.0, 0.0], [0.5, 0.0, 0.0]],
+     [True, False, True, True, True]),
+    # A camera has a range and a viewing cone.
+    (CameraModel(0.5, 0.9, np.deg2rad(60.0), np.deg2rad(40.0)),
+     [[0.8, 0.0, 0.0], [0.2, 0.0, 0.0], [-0.8, 0.0, 0.0], [0.8, 0.9, 0.0]],
+     [True, False, False, False])])
+def test_rays_reach_what_a_camera_sees_past_the_panel(model, points, expected):
+    points = np.array(points, dtype=np.float32)
     visibility = RayVisibility(points, points, PANEL)
     seen, covered = no_bits(len(points)), no_bits(len(points))
-    visibility.look(Pose.of(np.array(pose)), model.lens, seen, covered)
+    visibility.look(Pose.of(np.zeros(6)), model.lens, seen, covered)
     np.testing.assert_array_equal(seen, covered)
-    found = np.empty(len(points), dtype=bool)
-    found[visibility.order] = unpack(seen, len(points))
-    return found
-
-
-def test_a_panel_hides_what_is_behind_it_and_nothing_else():
-    points = [[1.0, 0.5, 0.0], [2.0, 0.5, 0.0], [2.0, 3.0, 0.0], [-1.0, 0.0, 0.0],
-              [0.5, 0.0, 0.0]]
-    found = seen_by_rays(points, (0.0, 0.0, 0.0), CameraModel(max_range=6.0))
-    np.testing.assert_array_equal(found, [True, False, True, True, True])
-
-
-def test_rays_are_held_to_the_range_and_the_viewing_cone():
-    points = [[0.8, 0.0, 0.0], [0.2, 0.0, 0.0], [-0.8, 0.0, 0.0], [0.8, 0.9, 0.0]]
-    model = CameraModel(0.5, 0.9, np.deg2rad(60.0), np.deg2rad(40.0))
-    found = seen_by_rays(points, (0.0, 0.0, 0.0, 0.0, 0.0, 0.0), model)
-    np.testing.assert_array_equal(found, [True, False, False, False])
+    np.testing.assert_array_equal(
+        unpack(seen, len(points)), np.array(expected)[visibility.order])
 
 
 def test_the_engine_agrees_with_the_truth_about_a_room(room):
@@ -143,8 +135,7 @@ def test_seeing_nothing_costs_the_same_and_seeing_all_nothing_whatever_the_folds
     np.testing.assert_array_equal(error.depth_map(0), error_of(1)[1].depth_map(0))
 
 
-@settings(max_examples=15, deadline=None)
-@given(seed=st.integers(0, 2 ** 31), share=st.floats(0.05, 0.95))
+@for_any(15, seed=st.integers(0, 2 ** 31), share=st.floats(0.05, 0.95))
 def test_seeing_more_never_costs_more_in_any_fold(seed, share):
     points, error = error_of(3)
     rng = np.random.default_rng(seed)
@@ -185,13 +176,10 @@ def changes(scene, other, moved, kind):
     """Return how much the errors of some placements change in another scan of the same room."""
     config = SimulationConfig(engine=EngineConfig('fine', 32, error_folds=2, viewpoints=kind))
     one, two = Simulator(scene, config), Simulator(other, config)
-    rng, (low, high) = np.random.default_rng(0), scene.bounds
-    found = []
-    for _ in range(10):
-        places = rng.uniform(low + 0.5, high - 0.5, (4, 3))
-        found.append(two.evaluate(moved(places)).depth_error
-                     / one.evaluate(places).depth_error - 1.0)
-    return np.abs(found)
+    low, high = scene.bounds
+    placements = np.random.default_rng(0).uniform(low + 0.5, high - 0.5, (10, 4, 3))
+    return [abs(two.evaluate(moved(places)).depth_error / one.evaluate(places).depth_error - 1.0)
+            for places in placements]
 
 
 @pytest.mark.parametrize(('seed', 'kind'), [(501, 'air'), (8, 'paper')])
@@ -200,13 +188,12 @@ def test_the_error_is_that_of_the_room_however_it_was_scanned(seed, kind):
     found = []
     for angle in (17.0, 45.0):
         rotation = rotation_matrix(np.deg2rad(angle))
-        found += [changes(scene, turned(scene, angle), lambda at, by=rotation: at @ by.T, kind)]
-    far = np.array([1e5, -1e5, 0.0], dtype=np.float32)
+        found += changes(scene, turned(scene, angle), lambda at, by=rotation: at @ by.T, kind)
+    far, mirror = np.array([1e5, -1e5, 0.0], dtype=np.float32), np.array([-1.0, 1.0, 1.0])
     near = Scene(scene.points + far - far, 'near')
-    found += [changes(near, Scene(scene.points + far, 'far'), lambda at: at + far, kind)]
-    mirror = np.array([-1.0, 1.0, 1.0])
-    found += [changes(scene, Scene(scene.points * mirror, 'mirrored'), lambda at: at * mirror,
-                      kind)]
+    found += changes(near, Scene(scene.points + far, 'far'), lambda at: at + far, kind)
+    mirrored = Scene(scene.points * mirror, 'mirrored')
+    found += changes(scene, mirrored, lambda at: at * mirror, kind)
     assert np.mean(found) <= 0.02 and np.max(found) <= 0.15
 
 

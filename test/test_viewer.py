@@ -32,9 +32,6 @@ from ocp_ros.rig.rig_file import rig_of, sensor_named, SENSORS
 from ocp_ros.rooms.scene_source import room_named
 import pytest
 
-ASKED = {'regions': [{'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]]}],
-         'keep_out': [{'polygon': [[0, 0], [1, 0], [1, 1]], 'height': [0, 9]}]}
-
 
 def judged_with(points, **more):
     """Judge two cameras in a room, at little cost."""
@@ -54,9 +51,10 @@ def judged():
 def test_the_page_of_a_large_room_is_small_and_says_what_the_engine_says(tmp_path):
     judged = judged_with(45000)
     assert len(judged.scene) > SHOWN
-    write_view(tmp_path / 'new' / 'view.html', judged.scene, judged)
-    page = (tmp_path / 'new' / 'view.html').read_text()
-    assert len(page.encode()) < 6e6
+    path = tmp_path / 'new' / 'view.html'
+    write_view(path, judged.scene, judged)
+    page = path.read_text()
+    assert path.stat().st_size < 6e6
     data = json.loads(re.search(r'const \{facing, paints\} = (\{.*\});', page).group(1))
     levels = np.concatenate([np.frombuffer(b64decode(text), np.uint8)
                              for text in data['paints'][0]['values']]) // 64
@@ -67,12 +65,13 @@ def test_the_page_of_a_large_room_is_small_and_says_what_the_engine_says(tmp_pat
 
 
 def test_what_can_be_switched_is_what_the_rig_has(judged):
-    names = {layer.name: len(layer.traces) for layer in layers_of(judged_with(1500, **ASKED))
-             if layer.traces}
+    asked = judged_with(1500, regions=[{'name': 'table', 'box': [[2, 2, 0], [5, 5, 1.5]]}],
+                        keep_out=[{'polygon': [[0, 0], [1, 0], [1, 1]], 'height': [0, 9]}])
+    names, plain = ({layer.name: len(layer.traces) for layer in layers_of(found) if layer.traces}
+                    for found in (asked, judged))
     assert names == {'cameras': 1, 'fields of view': 2, 'ranges': 2,
                      'weighted regions': 1, 'keep-out zones': 1, 'one more camera': 1}
-    plain = {layer.name for layer in layers_of(judged) if layer.traces}
-    assert not {'weighted regions', 'keep-out zones'} & plain
+    assert not {'weighted regions', 'keep-out zones'} & set(plain)
 
 
 def test_every_way_to_colour_points_has_a_share_for_each(judged):
@@ -106,10 +105,9 @@ def test_a_cone_is_drawn_as_a_camera_sees(name):
     assert np.linalg.norm(ring, axis=1) == pytest.approx(2.0)
     body = ring @ rotation_matrix(*pose[3:])
     # A little further in is inside, a little further out is not.
-    ahead = np.array([1.0, 0.0, 0.0])
     if model.horizontal_fov < np.pi:
-        assert all(in_view(*way, model.lens) for way in 0.99 * body + 0.02 * ahead)
-        assert not any(in_view(*way, model.lens) for way in body - 0.05 * ahead)
+        assert all(in_view(*way, model.lens) for way in 0.99 * body + [0.02, 0.0, 0.0])
+        assert not any(in_view(*way, model.lens) for way in body - [0.05, 0.0, 0.0])
     flat = reach(model, pose, (0.0, 3.0))
     assert np.linalg.norm(flat - pose[:2], axis=1).max() <= model.max_range + 1e-9
 

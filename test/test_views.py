@@ -60,8 +60,7 @@ def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe):
     for topic in TRUE_CLOUDS:
         probe.listen(PointCloud2, topic, qos.LATCHED)
     probe.listen(CameraInfo, topics.camera_info_topic(1), qos.LATCHED)
-    coverage, error, info = (probe.last(topic) for topic in (
-        *TRUE_CLOUDS, topics.camera_info_topic(1)))
+    coverage, error, info = map(probe.last, (*TRUE_CLOUDS, topics.camera_info_topic(1)))
     turn, counts, lost = sim.episode.turn, values_of(coverage), values_of(error)
     assert (coverage.fields[3].name, error.fields[3].name) == ('count', 'error')
     np.testing.assert_array_equal(msg_to_cloud(coverage), sim.simulator.scene.points)
@@ -80,9 +79,8 @@ def test_nothing_is_made_that_nobody_sees(graph, probe):
     sim = graph.add(SimNode, resend_period=0.05, **SMALL)
     policy = graph.add(PolicyNode)
     views = (sim._cloud_view, sim._rig_view, policy._views._cloud_view)
-    publishers = [publisher for view in views for publisher in view._publishers]
     graph.until(lambda: sim.episode.turn.step >= 2)
-    assert not any(publisher.messages_made for publisher in publishers)
+    assert not any(publisher.messages_made for view in views for publisher in view._publishers)
     for topic in (*CLOUDS, *TRUE_CLOUDS):
         probe.listen(PointCloud2, topic, qos.LATCHED)
     probe.listen(MarkerArray, topics.MARKERS, qos.LATCHED)
@@ -99,7 +97,7 @@ def test_the_policy_shows_what_it_knows(probe, room):
     for topic in CLOUDS:
         probe.listen(PointCloud2, topic, qos.LATCHED)
     probe.send_turn(7, room.points, positions_to_msg(POSITIONS, Header()))
-    coverage, error = (probe.last(topic) for topic in CLOUDS)
+    coverage, error = map(probe.last, CLOUDS)
     expected = observed_maps(room.points, [Pose.of(p) for p in POSITIONS],
                              (CameraModel(max_range=3.0),))
     assert coverage.header == error.header == Header(stamp=ns_to_stamp(7), frame_id='map')
@@ -127,18 +125,16 @@ def test_a_camera_info_projects_as_the_camera_sees(sensor):
     assert inside > 10
 
 
-@pytest.mark.parametrize('model', [
-    CameraModel(), SENSORS['velodyne_vlp16'].model,
-    CameraModel(horizontal_fov=1.0, vertical_fov=1.0)])
-def test_cameras_without_an_image_have_no_camera_info(model):
-    assert camera_info(model, Header()) is None
+def test_cameras_without_an_image_have_no_camera_info():
+    for model in (CameraModel(), SENSORS['velodyne_vlp16'].model,
+                  CameraModel(horizontal_fov=1.0, vertical_fov=1.0)):
+        assert camera_info(model, Header()) is None, model
 
 
 def test_a_frustum_is_as_far_and_as_wide_as_the_camera_sees():
     model = SENSORS['realsense_d435'].model
     pose = Pose(np.array([1.0, 2.0, 1.9]), rotation_matrix(0.7, 0.4, 0.2))
-    edges = frustum_edges(pose, model)
-    away = edges - pose.position
+    away = frustum_edges(pose, model) - pose.position
     far = away[np.linalg.norm(away, axis=1) > 1e-9]
     np.testing.assert_allclose(np.linalg.norm(far, axis=1), model.max_range)
     body = far @ pose.rotation
@@ -159,35 +155,27 @@ def test_markers_show_frusta_or_ranges_and_ways():
     assert [len(kinds['trajectories', k].points) for k in range(3)] == [2, 2, 2]
 
 
-#: What RViz calls its displays of a type.
-RVIZ = {'rviz_default_plugins/PointCloud2': 'sensor_msgs/msg/PointCloud2',
-        'rviz_default_plugins/MarkerArray': 'visualization_msgs/msg/MarkerArray',
-        'rviz_default_plugins/PoseArray': 'geometry_msgs/msg/PoseArray'}
+SHOWN = {'sensor_msgs/msg/PointCloud2', 'visualization_msgs/msg/MarkerArray',
+         'geometry_msgs/msg/PoseArray'}
 
 
 def test_rviz_shows_every_topic_that_can_be_shown():
-    config = yaml.safe_load((ROOT / 'config' / 'ocp.rviz').read_text())
-    manager = config['Visualization Manager']
+    manager = yaml.safe_load((ROOT / 'config' / 'ocp.rviz').read_text())['Visualization Manager']
     assert manager['Global Options']['Fixed Frame'] == 'map'
-    displays = {display['Topic']['Value'].lstrip('/'): display
-                for display in manager['Displays'] if 'Topic' in display}
-    assert {topic: RVIZ[display['Class']] for topic, display in displays.items()} == {
-        topic: kind for topic, kind in topics.TYPES.items() if kind in RVIZ.values()}
     latched = {topics.SCENE, topics.MARKERS, topics.RIG_MARKERS, topics.PLACEMENT, *CLOUDS,
                *TRUE_CLOUDS}
-    for topic, display in displays.items():
-        assert display['Topic']['Durability Policy'] == (
-            'Transient Local' if topic in latched else 'Volatile'), topic
-        assert display['Topic']['Reliability Policy'] == 'Reliable'
-
-
-#: What panels of Foxglove show.
-FOXGLOVE = {'3D': set(RVIZ.values()), 'Plot': {'std_msgs/msg/Float64'},
-            'RawMessages': {'std_msgs/msg/String'}}
+    found = {display['Topic']['Value'].lstrip('/'): (
+        display['Class'].split('/')[1], display['Topic']['Durability Policy'],
+        display['Topic']['Reliability Policy'])
+        for display in manager['Displays'] if 'Topic' in display}
+    assert found == {
+        topic: (kind.split('/')[2], 'Transient Local' if topic in latched else 'Volatile',
+                'Reliable') for topic, kind in topics.TYPES.items() if kind in SHOWN}
 
 
 def test_foxglove_shows_every_topic_that_can_be_shown():
     layout = json.loads((ROOT / 'config' / 'ocp_foxglove.json').read_text())
+    shown = {'3D': SHOWN, 'Plot': {'std_msgs/msg/Float64'}, 'RawMessages': {'std_msgs/msg/String'}}
 
     def names(tree):
         return [tree] if isinstance(tree, str) else names(tree['first']) + names(tree['second'])
@@ -200,10 +188,10 @@ def test_foxglove_shows_every_topic_that_can_be_shown():
         paths = panel.get('topics') or [path['value'] for path in panel.get('paths', [])] or [
             panel['topicPath']]
         found = {path.removesuffix('.data').lstrip('/') for path in paths}
-        assert {topics.TYPES[topic] for topic in found} <= FOXGLOVE[kind]
+        assert {topics.TYPES[topic] for topic in found} <= shown[kind]
         seen |= found
     assert seen == {topic for topic, kind in topics.TYPES.items()
-                    if kind in set().union(*FOXGLOVE.values())}
+                    if kind in set().union(*shown.values())}
 
 
 def test_the_types_of_topics_are_those_that_nodes_publish(graph, tmp_path):
