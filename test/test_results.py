@@ -52,8 +52,8 @@ TABLES = [
      'paper_agent/test/over/{row}/{key}', 'ratio interval/0 interval/1 wins')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
-    (README, 'ends with {} times the smallest known error after 5 turns with moves of up to 2 m, '
-     'and with {} times after 30 turns',
+    (README, 'error is {} times the smallest known one after 5 turns of up to 2 m, and {} times '
+     'after 30 turns',
      'few_turns_test/summary/{key}/learned_lookahead/ratio_to_best', '5x2 30x0.5'),
     (README, 'it takes {} ms per camera, and its F1 score against ray casting is {}',
      'engine/{key}/fine.40000', 'ms f1'),

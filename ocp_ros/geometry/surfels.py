@@ -542,7 +542,8 @@ def kept_in_cone(points, bounds, pose, lens, seen):
     :returns: (W,) uint64, packed bits of the visible points that are in the viewing cone.
     """
     kept, blocks = np.zeros_like(seen), np.empty(bounds.shape[0], dtype=np.uint32)
-    # One memory with two names: eight points in an octet, a flag of one byte for each point.
+    # One memory with two names: ``flags`` has one byte for each point of a block, ``octets`` has
+    # eight of these bytes in each integer, which ``_add_bits`` packs at once.
     octets = np.empty(POINTS_PER_BLOCK // 8, dtype=np.uint64)
     flags = octets.view(np.uint8)
     block_count = find_blocks_in_view(bounds, pose, lens, blocks)

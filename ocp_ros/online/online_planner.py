@@ -205,7 +205,9 @@ class PlannedTurn(NamedTuple):
     :ivar positions: (K, 3) metres, positions of the cameras at that time step.
     :ivar turn: time steps taken before that time step.
     :ivar turns: time steps of the whole episode.
-    :ivar rig_state: state of the rig at that time step; None for omnidirectional cameras.
+    :ivar rig_state: state of the rig to plan with; None for omnidirectional cameras. A
+        :class:`PipelinedPlanner` stores that before the move, as it does not know the headings
+        after it.
     """
 
     cloud: np.ndarray
@@ -282,7 +284,8 @@ class PipelinedPlanner(Online):
             return
         cloud, positions, turn, turns, rig_state = self._next_turn
         self._next_turn = None
-        # The plan is for the poses that the cameras will have.
+        # Plan with the state that was stored, so that the plan is the same whether or not a newer
+        # state has been set since.
         current_state = self.rig_state
         self.rig_state = rig_state
         try:

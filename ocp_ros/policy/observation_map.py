@@ -241,7 +241,7 @@ class _AirColumns:
         low, high = (corners_of(cells) if len(cells) else np.zeros((2, 3), dtype=np.int64))[:, :2]
         self._shape = tuple(high - low + 1)
         column = cells[:, :2] - low
-        self._columns = column[:, 0] * self._shape[1] + column[:, 1]
+        self._column_numbers = column[:, 0] * self._shape[1] + column[:, 1]
         self._slices = {2: (heights > SPLIT_M).astype(np.int64),
                         len(AIR_SLICES_M) + 1: np.searchsorted(AIR_SLICES_M, heights)}
         # For each row and each column of the grid: index in the air, and whether there is air.
@@ -254,19 +254,21 @@ class _AirColumns:
 
     def shares(self, bits: np.ndarray, slices: int) -> np.ndarray:
         """
-        Return the share of the air above each cell whose bits are set: (S, 64, 64).
+        Return the share of the air above each cell of the grid that has its bit set: (S, 64, 64).
 
         :param bits: packed bits of the partial map's cells.
         :param slices: S, number of slices by height, 2 or 3.
         """
-        flags = unpack(bits, self._count)[self._air_cells]
+        is_set = unpack(bits, self._count)[self._air_cells]
+        # Count the cells of the air, and those with their bit set, by slice and column of air.
         size = self._shape[0] * self._shape[1]
-        index = self._slices[slices] * size + self._columns
+        index = self._slices[slices] * size + self._column_numbers
         counts = np.bincount(index, minlength=slices * size)
-        set_counts = np.bincount(index[flags], minlength=slices * size)
+        set_counts = np.bincount(index[is_set], minlength=slices * size)
         share = (set_counts / np.maximum(counts, 1)).reshape(slices, *self._shape)
-        rows, columns = self._air_indices
-        return share[:, rows[:, None], columns[None, :]] * self.has_air
+        # Each cell of the grid has the share of the column of air at its centre, 0 outside.
+        x_indices, y_indices = self._air_indices
+        return share[:, x_indices[:, None], y_indices[None, :]] * self.has_air
 
 
 def _cell_sums(index: np.ndarray, channels: int, weights: np.ndarray | None = None) -> np.ndarray:

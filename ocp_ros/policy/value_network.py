@@ -196,7 +196,8 @@ def action_of(cells: Tensor) -> Tensor:
     """
     Return the centres of cells as actions.
 
-    :param cells: (B,) numbers of cells: row * 64 + column.
+    :param cells: (B,) numbers of cells: row * 64 + column. Rows are numbered along x, columns
+        along y.
     :returns: (B, 2), x and y from the map's centre, in units of half its side.
     """
     row_and_column = torch.stack([cells // CELLS, cells % CELLS], dim=-1)

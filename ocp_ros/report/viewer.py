@@ -142,10 +142,11 @@ def groups_of(points: np.ndarray) -> tuple[list[np.ndarray], list[list[float]]]:
     # The numbers of the points take the place of their colours, to see which points are left.
     room = room_of(points, np.arange(len(points))[:, None])
     directions = [[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]]
-    votes = room.inward[:, :2] @ np.array(directions).T
-    # The number of each point's direction; -1 for points that are always visible. The inward
-    # vector of a wall has a length of more than 0.3 along its direction.
-    wall = np.where(votes.max(axis=1) > 0.3, votes.argmax(axis=1), -1)
+    # The length of each point's inward vector along each direction: longer is more certain.
+    lengths = room.inward[:, :2] @ np.array(directions).T
+    # The number of the direction that the wall of each point faces. Points with less than 0.3
+    # along every direction belong to no wall: -1, always visible.
+    wall = np.where(lengths.max(axis=1) > 0.3, lengths.argmax(axis=1), -1)
     indices = room.colours[:, 0]
     groups = [indices[wall == k] for k in range(-1, 4)]
     # The ceiling is the points that ``room_of`` has removed.

@@ -240,11 +240,11 @@ def _next_on_path(cells: Floor, position: np.ndarray, target: np.ndarray, straig
     :param straight: (2,) metres, the end of the straight move; the end nearest to it is chosen.
     :param max_step: the largest length of a move, metres.
     """
-    # The target is one move away from the cells of the first floor, at most two moves away from
-    # the cells of the second floor, and so on. A shortest path leads to the first floor within
-    # reach of the camera. If more than 60 moves are needed, the camera moves straight on.
-    for floor in islice(cells.reachable_floors(target, max_step), 60):
-        near = floor.cells_near(position, max_step)
+    # Work backwards from the target: the n-th set has the cells from which the target is at most
+    # n moves away. The smallest set with a cell within reach of the camera is on a shortest path.
+    # If more than 60 moves are needed, the camera moves straight on.
+    for cells_before in islice(cells.reachable_floors(target, max_step), 60):
+        near = cells_before.cells_near(position, max_step)
         if near.open.any():
             return near.nearest_centre(straight)
     return straight

@@ -57,7 +57,7 @@ def _add_at_walls(plan: RoomPlan, count: int, build: Callable[..., Piece], low: 
 def _add_desks(plan: RoomPlan, count: int) -> None:
     """Place desks along the walls, each with its chair."""
     def build_workplace() -> Piece:
-        # The chair stands in front of the desk and roughly faces it.
+        # The chair stands 0.75 m before the middle of the desk and roughly faces it.
         moved_chair = moved_piece(
             furniture.build_chair(plan.rng), (plan.rng.uniform(-0.25, 0.25), 0.75),
             np.pi + plan.rng.normal(0.0, 0.5))

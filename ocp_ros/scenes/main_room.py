@@ -143,17 +143,24 @@ def _facing_points(points: np.ndarray, is_room: np.ndarray, cell: float, tree: c
 
 
 def _ceiling_height(heights: np.ndarray) -> float:
-    """Return the height of the ceiling, given heights of points above the floor, metres."""
+    """
+    Return the height of the ceiling above the floor, metres.
+
+    :param heights: (N,) metres, heights of points above the floor.
+    :returns: without a clear ceiling, the height below which 99 % of the points are.
+    """
     top = float(np.percentile(heights, 99))
     layer_m = 0.1
     min_ceiling_m = 1.9
     upper_heights = heights[heights > min_ceiling_m] - min_ceiling_m
     layer_counts = np.bincount((upper_heights / layer_m).astype(int), minlength=2)
-    # The ceiling may lie across the border of two layers.
+    # The ceiling may lie across the border of two layers: each layer gets the points of the layer
+    # below it as well.
     layer_counts[1:] += layer_counts[:-1].copy()
-    # The layer of the ceiling has three times as many points as the median layer.
+    # A ceiling has more than three times as many points as the median layer.
     if layer_counts.max() <= 3.0 * np.median(layer_counts):
         return top
+    # The middle of the layer; if the ceiling lies across a border, that of the upper layer.
     return min(top, min_ceiling_m + layer_m * (int(layer_counts.argmax()) + 0.5))
 
 

@@ -48,8 +48,8 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     """
     Read the vertices of a PLY file, ascii or binary.
 
-    Elements after the vertices are not read. If lists come before the vertices, a separate process
-    reads the file.
+    Elements after the vertices are not read. If lists come before the vertices or in them, a
+    separate process with limits of time and memory reads the file.
 
     :returns: each column (N,) of the vertices by its name; an empty dictionary if the file has no
         vertices. From a file with lists before its vertices, only coordinates and normals.

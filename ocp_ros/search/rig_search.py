@@ -156,8 +156,9 @@ class ColumnGenerationSearch(RigSearch):
             # together as the spacing allows.
             results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
         best = results[0]
-        # One loss for each refined choice, and two for a given placement: refined and unrefined.
-        # The best one is replaced by the final loss.
+        # The losses of all searches, for the report: one for each refined choice, and two for a
+        # given placement, refined and as given. The repetitions went on from the first of them,
+        # which is the least, so the final loss takes its place.
         losses = (best.loss, *(result.loss for result in first_results[1:]))
         return SearchResult(best.sites, best.loss, losses, self.evaluations, *prove_gap(
             self.problem, lambda: relaxation, best.loss, loss_on_grid, self.budget))

@@ -119,7 +119,8 @@ class Problem:
         """
         Draw the start of an episode: feasible poses near random points around the room's centre.
 
-        :param cameras: K; it has to be the number of cameras of the rig.
+        :param cameras: K. Here it has to be the number of cameras of the rig;
+            :class:`PlaneProblem` can also start with another number.
         :returns: (K, 6) metres, map frame, and radians.
         :raises ConfigurationError: if there is no room for all cameras.
         """
@@ -129,7 +130,8 @@ class Problem:
         occupied = self.fixed_poses[:, :3]
         for camera, target in zip(rig.cameras, targets):
             mounted = self.region.onto_mount(np.array([[*target, centre[2]]]))
-            # The target itself if a camera may be there, and positions all over the room.
+            # The target, moved onto the mount, if a camera may be there; and positions all over
+            # the room.
             candidates = np.vstack([mounted[self.region.allowed(mounted, camera.model)],
                                     self._start_positions[camera.model]])
             candidates = candidates[satisfies_spacing(candidates, occupied, rig.spacing)]

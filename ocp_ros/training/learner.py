@@ -115,14 +115,15 @@ class Learner:
         # The replay file may have transitions that came after the state was saved: count them too.
         buffered = self.model.replay_buffer.size()
         self.model.num_timesteps = max(self.transitions, buffered)
-        #: Number of transitions when the replay file was written last.
+        #: Number of transitions at the start, or when the replay file was written last.
         self._saved_transitions = self.transitions
-        #: Number of transitions that are not in memory any more.
+        #: Number of transitions that were lost before this start: overwritten in the full buffer,
+        #: or not in the replay file when the process ended.
         self._lost_transitions = self.transitions - buffered
-        # Steps due for the transitions in memory. All other steps were taken for lost transitions.
-        total_steps = max(self._total_steps(self.transitions), 0.0)
-        #: Number of gradient steps that do not count for the transitions in memory.
-        self._steps_of_lost = max(self.updates - total_steps, 0.0)
+        # The gradient steps that the transitions in memory call for.
+        steps_of_kept = max(self._steps_for(self.transitions), 0.0)
+        #: Number of gradient steps beyond these: they were taken for lost transitions.
+        self._steps_of_lost = max(self.updates - steps_of_kept, 0.0)
         return run
 
     @property
@@ -142,10 +143,14 @@ class Learner:
 
     def _steps_due(self, transitions: int) -> float:
         """Return the number of gradient steps still due for a number of transitions."""
-        return self._total_steps(transitions) - (self.updates - self._steps_of_lost)
+        return self._steps_for(transitions) - (self.updates - self._steps_of_lost)
 
-    def _total_steps(self, transitions: int) -> float:
-        """Return the total number of gradient steps for a number of transitions."""
+    def _steps_for(self, transitions: int) -> float:
+        """
+        Return the number of gradient steps that a number of transitions calls for.
+
+        Lost transitions and the first ``learning_starts`` call for none; it is below 0 until then.
+        """
         counted = transitions - self._lost_transitions - self.sac.learning_starts
         return counted * self.config.updates_per_turn
 

@@ -58,7 +58,7 @@ class TrainingRun(ABC):
     :param folder: folder of the run.
     :param pool: worker pool that plays episodes.
     :param progress: shows the progress bars.
-    :ivar name: name of the run, 12 random digits.
+    :ivar name: name of the run, 12 random hexadecimal digits.
     :ivar past: the lines of progress that earlier processes of the run have written.
     """
 
@@ -73,6 +73,7 @@ class TrainingRun(ABC):
         self.folder = folder
         self.pool = pool
         self.progress = progress
+        # The name of a new run; a run that resumes gets its name from its saved state.
         self.name = new_run()
         self.past = records(folder)
         #: The clock goes on from the last line of progress.

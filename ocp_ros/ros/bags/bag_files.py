@@ -112,15 +112,15 @@ class Bag:
         """Start the process that reads; return its description of the bag, topics and times."""
         size = sum(file.stat().st_size for file in self._files)
         packed_files = sum(file.suffix == PACKED_SUFFIX for file in self._files)
-        # All compressed files together may unpack to 500 MB plus 50 times the size of the bag. The
-        # process has a limit for each file that it writes: one for each compressed file.
-        unpacked_bytes = 500_000_000 + 50 * size
+        # All compressed files together may unpack to 500 MB plus 50 times the size of the bag.
+        # Each is unpacked to a file of its own; the limit of the process is for a single file.
+        max_file_bytes = (500_000_000 + 50 * size) // max(packed_files, 1)
         self._process = GuardedProcess(
             'ocp_ros.ros.bags.bag_process',
             ['1' if self._is_ros1 else '2', self._folder.name, str(self._bag_path.absolute()),
              *(str(file.absolute()) for file in self._files)],
             ReadingCost(memory=1_500_000_000, memory_per_byte=0, seconds=10), size,
-            unpacked_bytes // max(packed_files, 1),
+            max_file_bytes,
             {'TMPDIR': self._folder.name, 'SQLITE_TMPDIR': self._folder.name})
         # The content of the first answer is the description.
         return json.loads(self._read_answer()[-1])
