@@ -170,6 +170,7 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     task = PlanTask(planner, seconds, evaluations, seed, counting)
     full_rig = _read_rig(rig, cameras, sensor, mount)
     scene, record = _read_room(room, points, reading)
+    # The constructor runs the search.
     planned = PlannedRig(scene, full_rig, task, *task.budgets(), progress)
     assessment = planned.judged(planned.placement(record, 'ocp_ros.plan'))
     search = assessment.found['search']
@@ -242,6 +243,7 @@ def _read_room(room: RoomLike, max_points: int, options: dict[str, Any]
                                  'or more, (N, 3) points or a Scene')
     scene = room if isinstance(room, Scene) else scene_of(room, max_points=max_points, **options)
     record: dict[str, Any] = {'sha256': sha256_of(scene)}
+    # Placement files need a transform if the axes or units of the input are not those of the map.
     if not scene.source.is_map:
         record['source_from_map'] = scene.source.matrix.tolist()
     return scene, record
@@ -249,7 +251,7 @@ def _read_room(room: RoomLike, max_points: int, options: dict[str, Any]
 
 def _read_rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
               mount: str | None = None) -> Rig:
-    """Return a rig; with ``'auto'`` it has one kind of camera, and planning sets the number."""
+    """Return a rig; with ``'auto'``, planning replaces its number of cameras later."""
     auto = isinstance(cameras, str) and cameras == AUTO
     if not auto:
         # The check accepts None, with which the rig says the number.
@@ -272,7 +274,8 @@ def _read_rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
         raise ConfigurationError(f'rig: found {type(rig).__name__}; expected the path of a rig '
                                  'file, its content as a mapping, or a rig; see '
                                  'docs/reference/rig.md')
-    # With ``'auto'`` the number stays, but a rig with several groups of cameras is refused.
+    # ``with_count`` refuses a rig with several groups of cameras; with ``'auto'`` it is called for
+    # this check only, and the number stays.
     return rig if cameras is None else with_count(rig, int(count or len(rig.cameras)))
 
 

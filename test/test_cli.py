@@ -119,7 +119,7 @@ def test_json_is_all_that_a_command_prints(files, capsys, monkeypatch, command, 
     ('train --config train.yaml --out out', 'nonsense'), ('evaluate --seeds 0', '--seeds'),
     ('evaluate --cameras 4,0', '--cameras'),
     ('train --config train.yaml --out out --seed 202611212346', '--seed'),
-    ('score holes.ply placement.yaml', '--drop-nonfinite'),
+    ('score holes.ply placement.yaml', '--drop-nonfinite'), ('info room.ply --scale mm', "'mm'"),
     ('score 8 placement.yaml --drop-nonfinite', '--drop-nonfinite'),
     # Frames of ROS have names that begin with a letter.
     ('score 7 placement.yaml --frame-prefix 1st_', "'1st_'"),

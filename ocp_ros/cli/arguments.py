@@ -41,12 +41,13 @@ def whole(low: int, high: int | None = None, name: str = 'a whole number') -> Ca
 
     :param low: smallest number.
     :param high: largest number; None for no limit.
-    :param name: what the number is, for errors.
+    :param name: what the number is, for errors; without ``high`` the error does not need it.
     """
     expected = f'{low} or more' if high is None else f'{name} from {low} to {high}'
 
     def read(text: str) -> int:
-        # -1 is always refused. A number of 19 digits is larger than any limit.
+        # -1 stands for a text that is no number, and is always refused: ``low`` is 0 or more.
+        # A number of more than 18 digits, which may not fit into 64 bits, is refused too.
         value = int(text) if text.isdecimal() and len(text) < 19 else -1
         if value < low or (high is not None and value > high):
             raise argparse.ArgumentTypeError(f'found {text!r}; expected {expected}')
@@ -93,7 +94,7 @@ def read_number(text: str, expected: str, is_valid: Callable[[float], bool]) -> 
 
 def read_scale(text: str) -> float:
     """Read metres per unit; refuse 0, which in settings means the unit of the file."""
-    return read_number(text, 'metres per unit, not 0', lambda value: value != 0.0)
+    return read_number(text, 'metres per unit, above 0', lambda value: 0.0 < value < math.inf)
 
 
 def read_names(text: str) -> tuple[str, ...]:

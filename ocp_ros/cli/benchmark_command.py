@@ -69,6 +69,7 @@ def run(arguments: argparse.Namespace) -> Found:
     from ocp_ros.util.files import folder_to_write
     check_cameras(arguments)
     claim_folder(arguments, arguments.out, RESULTS, 'protocol.json')
+    # With --sensor, this also sets the option --rig, which ``protocol_of`` reads.
     rig_files = [] if arguments.sensor is None else [_write_rig(arguments)]
     protocol = protocol_of(arguments)
     folder = folder_to_write(arguments.out)
@@ -78,9 +79,10 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def show(summary: Found) -> None:
-    """Print a table: results of each planner at its largest budget; online planners have none."""
+    """Print the results of planners at the largest budget; online planners have no budget."""
     from ocp_ros.compare.summary import budgets_of, last_runs
     from ocp_ros.report.terminal import print_table, show_notes, wide_console
+    # The largest budget is 0 if all planners are online.
     budget = int(budgets_of(summary)[-1])
     runs = f'{budget:,} evaluations' if budget else 'the turns of online planners'
     console = wide_console()
@@ -128,7 +130,7 @@ def add_comparison(command: argparse.ArgumentParser) -> None:
 
 def check_cameras(arguments: argparse.Namespace) -> None:
     """Raise an error if options about cameras contradict each other."""
-    # ``ocp evaluate`` has no --sensor and no --mount.
+    # ``ocp evaluate`` has no --sensor and no --mount; its --cameras is a tuple of numbers.
     for option in ('cameras', 'sensor', 'mount'):
         if arguments.rig is not None and (value := getattr(arguments, option, None)) is not None:
             text = ','.join(map(str, value)) if isinstance(value, tuple) else value
@@ -152,5 +154,6 @@ def _write_rig(arguments: argparse.Namespace) -> Path:
     path = folder_to_write(arguments.out) / 'rig.yaml'
     write_atomically(path, written(rig.document.data, path.suffix))
     arguments.rig = path
+    # The rig file contains the number of cameras.
     arguments.cameras = None
     return path

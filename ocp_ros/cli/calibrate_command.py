@@ -104,7 +104,7 @@ def run(arguments: argparse.Namespace) -> Found:
     with FileSet(arguments.out, written, figures_name) as files:
         save_placement(files.aside / placement_name, built)
         refused = [row['camera'] for row in rows if row['refused']]
-        launch = launch_of(built, (), arguments.frame_prefix, refused)
+        launch = launch_of(built, prefix=arguments.frame_prefix, omitted=refused)
         write_atomically(files.aside / launch_name, launch)
         write_atomically(files.aside / figures_name, json_text(result) + '\n')
     if all(row['refused'] for row in rows):
@@ -119,7 +119,7 @@ def show(result: Found) -> None:
     """Print the result of each camera, with its largest deviations in metres and in degrees."""
     from ocp_ros.report.terminal import print_table, wide_console
     console = wide_console()
-    # Of the six deviations, 0 is the largest along an axis, and 3 the largest about an axis.
+    # The six deviations are three along axes, then three about axes, each three the largest first.
     rows = [(row['camera'], ', '.join(f'{value:.3f}' for value in row['position']),
              ', '.join(f'{row[angle]:.1f}' for angle in ('yaw', 'pitch', 'roll')),
              f'{row["moved_metres"]:.3f} m, {row["moved_degrees"]:.1f}°',
@@ -175,6 +175,7 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str,
         files[name] = Path(path)
     check_known(files, names, '--clouds, cameras')
     clouds = {name: load_cloud(path) for name, path in files.items()}
+    # Without --cloud-frame, the points of files are in the optical frame.
     return clouds if arguments.cloud_frame == 'body' else {
         name: points @ OPTICAL_TO_BODY.T for name, points in clouds.items()}
 

@@ -95,7 +95,12 @@ class Commands:
         return self.add_parser(self._subparsers, name, purpose, example)
 
     def add_parser(self, parsers: Any, name: str, purpose: str, example: str) -> Parser:
-        """Add a command to argparse's subparsers, and return its parser, with ``--json``."""
+        """
+        Add a command to argparse's subparsers, and return its parser.
+
+        The parser has the option ``--json`` if there is an example; a command without an example
+        only has subcommands.
+        """
         parser = parsers.add_parser(
             name, help=purpose, description=f'{purpose[0].upper()}{purpose[1:]}.',
             epilog=f'example:\n  {example}' if example else None,
@@ -151,6 +156,7 @@ def run(parser: argparse.ArgumentParser, argv: Sequence[str]) -> int:
     except UsageError as error:
         if not as_json:
             error.parser.print_usage(sys.stderr)
+            # This call raises SystemExit, so the line after it is reached with --json only.
             error.parser.exit(
                 EXIT_WRONG_INPUT, f'{error.parser.prog}: error: {printable(str(error))}\n')
         return _print_error(str(error), as_json)
@@ -221,7 +227,7 @@ def _json_value(value: Any) -> Any:
 
 
 def show_written(result: Found) -> None:
-    """Print the written files' names; after an error print the cameras, as they may be lost."""
+    """Print the names of the written files; if some could not be written, print the cameras."""
     for path in result.get('written', ()):
         print(f'wrote {printable(str(path))}')
     if 'error' in result:
@@ -273,13 +279,15 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[st
     """
     Check that a command may write files to a folder, before it does any work.
 
-    The folder must be new or empty, or have a file that an earlier run has left.
+    The folder must be new or empty, or have a file that an earlier run has left. Hidden files do
+    not count. A folder in which files may be replaced may have other files too.
 
     :param names: of the files that are written, or removed if an earlier run has left them.
     :param mark: name of a file that every run leaves in the folder; may contain ``*``.
     :param more_inputs: inputs in addition to those of :func:`inputs_of`.
     :param option: option that names the folder, for errors.
-    :raises ConfigurationError: if an input would be replaced, or the folder has other files.
+    :raises ConfigurationError: if an input would be replaced, a folder has one of the names, or
+        the folder has other files.
     """
     names = list(names)
     _check_inputs([folder / name for name in names], [*inputs_of(arguments), *more_inputs], option)

@@ -54,6 +54,7 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--out', type=Path, default=Path('out/evaluation'),
                          help='folder of the results; an interrupted evaluation continues')
     add_comparison(command)
+    # The scale 0.0 and ``file`` mean the unit and the direction that the file says.
     command.set_defaults(run=run, show=show, scale=0.0, up='file')
 
 
@@ -83,7 +84,8 @@ def show(result: Found) -> None:
     from ocp_ros.report.terminal import print_table
     from rich.console import Console
     for cameras, figures in result['cameras'].items():
-        # The first planner is compared with all others. A key may end in a comma and the budget.
+        # The first planner is compared with all others. It has the first key, since the rows are
+        # in the order of the planners. A key may end in a comma and the budget.
         first = next(iter(figures['pairs'])).split(',')[0]
         rows = []
         for name, pair in sorted(figures['pairs'].items(), key=lambda item: item[1]['sum']):
@@ -118,7 +120,7 @@ def protocols_of(arguments: argparse.Namespace) -> 'list[Protocol]':
 
 
 def _results_by_room(protocol: 'Protocol', comparison: 'Comparison') -> dict[str, Any]:
-    """Return results of pairs of planners, errors by room, and each planner's slowest turn."""
+    """Return results of pairs of planners, errors by room, and online planners' slowest turns."""
     from ocp_ros.compare.summary import per_room
     rows = comparison.rows
     stems = Counter(Path(room).stem for room in protocol.rooms)

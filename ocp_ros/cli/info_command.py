@@ -41,6 +41,7 @@ def run(arguments: argparse.Namespace) -> Found:
     claim_file(arguments, arguments.out, 'a picture')
     scene, room = room_asked(arguments, {})
     size = ' x '.join(f'{edge:.1f}' for edge in scene.size)
+    # The room is measured in a thread while the picture is drawn.
     with ThreadPoolExecutor(1) as executor:
         facts = executor.submit(facts_of, scene)
         draw_rooms(arguments.out, [(f'{scene.name}: {size} m', scene)])

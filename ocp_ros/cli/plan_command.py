@@ -106,6 +106,7 @@ def run(arguments: argparse.Namespace) -> Found:
     scene, room = room_asked(arguments, {})
     folder = folder_to_write(arguments.out)
     budget, proof_seconds = task.budgets()
+    # The constructor of ``PlannedRig`` runs the search.
     with _stop_at_ctrl_c(budget), _show_progress(arguments.json) as progress:
         planned = PlannedRig(scene, rig, task, budget, proof_seconds, progress)
     placement = planned.placement(room, command_of(arguments.argv))
@@ -160,7 +161,7 @@ def _keep_placement(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]'
 
 
 def rig_asked(arguments: argparse.Namespace) -> 'Rig':
-    """Return the rig of a command line; with ``--cameras auto``, a rig to count cameras with."""
+    """Return the rig; with ``--cameras auto``, planning replaces its number of cameras later."""
     from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
     number = arguments.count  # 0 for ``auto``, None without the option.
@@ -172,6 +173,8 @@ def rig_asked(arguments: argparse.Namespace) -> 'Rig':
         raise ConfigurationError(
             f'--mount: found {arguments.mount} with --rig; expected one of the two: the rig file '
             'says its mount; leave --mount out, or change the key mount of the file')
+    # ``with_count`` refuses a rig with several groups of cameras; with ``auto`` it is called for
+    # this check only, and the number stays.
     return rig if number is None else with_count(rig, number or len(rig.cameras))
 
 
@@ -199,7 +202,7 @@ def _show_progress(silent: bool) -> Iterator[Callable[[float, float], None]]:
     """
     Show the progress as a bar on a terminal, else as a line every 10 s.
 
-    :param silent: whether to print no lines.
+    :param silent: whether to print no lines, for ``--json``; a bar on a terminal is shown anyway.
     :returns: a context that yields ``report(share, loss)``: share of the budget used so far, and
         smallest objective value so far.
     """

@@ -41,7 +41,8 @@ def main() -> int:
     try:
         code = run()
     except BaseException:
-        # An interrupt may come before the command runs, or as another error of a library.
+        # An interrupt may come before the command runs, and a library may turn it into another
+        # error. Errors without an interrupt are raised again.
         if not interrupts:
             raise
         code = EXIT_STOPPED

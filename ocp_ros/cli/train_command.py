@@ -43,7 +43,8 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Train a policy, and return its results in the test rooms."""
-    # ocp_ros.training sets a variable that torch reads when it is imported.
+    # ocp_ros.training sets a variable that torch reads when it is imported, so ``checkpoint``,
+    # which imports torch, comes later.
     from ocp_ros.training.run_folder import read_config
     from ocp_ros.training.train import train
     config = read_config(arguments.config)

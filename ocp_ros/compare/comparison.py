@@ -103,7 +103,7 @@ def run_tasks(protocol: Protocol, folder: Path, workers: int = 0, ray_address: s
     :param folder: the rows of each task are written to a file here as soon as it is done.
     :param workers: number of processes on this machine; 0 for one on each core.
     :param ray_address: of a Ray cluster that runs the tasks instead, such as ``auto``.
-    :param progress: called with the number of finished tasks and of all tasks, for its effect.
+    :param progress: called with the number of finished tasks and the number of all tasks.
     :raises ConfigurationError: if the folder belongs to another comparison.
     """
     tasks = protocol.tasks

@@ -81,7 +81,8 @@ class JudgedRoom:
         self.config = config
         if name.isdecimal():
             self.search_scene = make_room(name, rotation, search_points)
-            # A second scan from the same tripods has other points.
+            # A second scan from the same tripods. Its points are others because their number is
+            # another: the random numbers of both scans begin with the same seed.
             self.judge_scene = make_room(name, rotation, judge_points)
         else:
             self.search_scene, self.judge_scene = _split_scan(
@@ -100,6 +101,7 @@ class JudgedRoom:
 
     def ray_simulator(self) -> Simulator:
         """Create a simulator on the scan for searches, with ray casting if there is a mesh."""
+        # The coverage grid is as coarse as that of the judge, because rays to its cells take time.
         engine = replace(self.config.engine, coverage_cell=JUDGE_ENGINE.coverage_cell)
         return Simulator(self.search_scene, replace(
             self.config, engine=with_rays(engine, self.search_scene)))
@@ -124,7 +126,7 @@ class JudgedRoom:
 
 @lru_cache(maxsize=2)
 def judged_room(*settings) -> JudgedRoom:
-    """Return a room, given the arguments of :class:`JudgedRoom`; the last two are cached."""
+    """Return a room, given the arguments of :class:`JudgedRoom`; cache the last two rooms."""
     return JudgedRoom(*settings)
 
 

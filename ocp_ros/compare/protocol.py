@@ -171,7 +171,7 @@ class Protocol:
                 f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '
                 'planners choose where cameras are, not where they look')
         self.simulation.placed_rig.check_rotations(
-            self.rotations, f'rotations: found {list(self.rotations)}', '0 alone')
+            self.rotations, found=f'rotations: found {list(self.rotations)}', expected='0 alone')
         if not self.rooms or not self.budgets or min(self.budgets) < 1 or self.seeds < 1:
             raise ConfigurationError(
                 f'protocol: found {len(self.rooms)} rooms, budgets {list(self.budgets)} and '
@@ -253,11 +253,12 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
 
 
 def _run_all(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
-    """Run a planner or reference with every budget and seed; yield the figures of each run."""
+    """Return an iterator that runs a planner or reference, and yields the figures of each run."""
     if planner == RANDOM_PLACEMENT:
         return _draw_placements(room.judge_problem)
     if planner == PROVED_OPTIMUM:
         return _prove_optimum(protocol, room.search_problem)
+    # In a free rig, cameras move on a plane without any constraint.
     if planner == RAY_SEARCH and room.search_problem.rig.free:
         return _search_with_rays(protocol, room.ray_simulator())
     if planner == RAY_SEARCH:
@@ -321,12 +322,14 @@ def _prove_optimum(protocol: Protocol, problem: Problem) -> Iterator[Row]:
 
     # Find the best choice on the grid.
     add_places(space.grid(protocol.candidates))
+    # The smallest distance of two cameras is 0.
     relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid], [space.cameras], 0.0,
                                   len(simulator.scene))
     relaxation.raise_bound(should_stop)
     max_choices = 8
+    # The best choice comes first.
     best = relaxation.find_choices(max_choices, rng, should_stop)[0]
-    # One round after the other, places on rings around the best cameras join the grid.
+    # In each round, places on two rings around each camera of the best choice join the grid.
     directions = 8
     angles = np.arange(directions) * (2.0 * np.pi / directions)
     ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)

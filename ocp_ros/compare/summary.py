@@ -111,6 +111,7 @@ def summarise(rows: Rows) -> dict[str, Any]:
     """
     best_errors = best_known(rows)
     rooms = list(dict.fromkeys(row['room'] for row in rows))
+    # The budget of a random placement is 1.
     random_errors = per_room(rows, RANDOM_PLACEMENT, 1, 'depth_error')
     lower_bounds = per_room(rows, RANDOM_PLACEMENT, 1, 'lower_bound')
     # Here, a run is a planner with a budget, over all seeds.
@@ -162,6 +163,7 @@ def _proof_figures(rows: Rows, proofs: Rows, best_errors: dict[str, float]) -> d
     """Return the figures of the placements of column generation, and their optimality gaps."""
     # A placement without any error has no gap.
     gaps = [_ratio(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
+    # The budget of a proof is the number of candidates, the same in all rooms.
     candidates = proofs[0]['budget']
     return {**_planner_figures(rows, PROVED_OPTIMUM, candidates, best_errors),
             'candidates': candidates, 'proved': sum(row['proved'] for row in proofs),
@@ -216,9 +218,9 @@ def ranks(errors: dict[str, np.ndarray]) -> dict[str, Any]:
     :param errors: by planner (R,), one for each of R rooms.
     :returns: ``mean_rank`` by planner (1 is best), ``leader`` (the planner of best mean rank),
         ``friedman_p``, the p-value of the Friedman test that all planners are equal, and
-        ``against_leader``, for each planner the p-value of Wilcoxon's signed-rank test against the
-        leader, corrected after Holm. There are no p-values with fewer than five rooms or three
-        planners.
+        ``against_leader``, for each planner that differs from the leader in a room, the p-value of
+        Wilcoxon's signed-rank test against the leader, corrected after Holm. With fewer than five
+        rooms or three planners, ``friedman_p`` is None and ``against_leader`` is empty.
     """
     names = list(errors)
     table = np.array(list(errors.values()))
@@ -251,7 +253,8 @@ def pairs(rows: Rows, first: str) -> dict[str, dict[str, Any]]:
         the number of rooms in which the first planner is better; ``rooms``, their number;
         ``ratio``, the first planner's error divided by the other's, with its 95 % bootstrap
         ``interval``; and ``p`` of the signed-rank test, None with fewer than five rooms or only
-        equal errors. The first planner has its last budget.
+        equal errors. If the first planner has several budgets, its errors are those with the last
+        one.
     """
     runs = planners_and_budgets(rows)
     errors = {run: per_room(rows, *run, 'depth_error') for run in runs}

@@ -103,6 +103,7 @@ def run_episode(options: argparse.Namespace, domain: int, watch: Watch) -> None:
             'policy_node', domain, logs / 'policy_node.log', policy_parameters(options)))
         # The first move waits for the start of policy_node, later moves do not.
         turn_timeout_s = START_TIMEOUT_S
+        # Turn 0, before the first move.
         turns = watcher.turns()[:1]
         while watcher.final_turn() is None:
             watch.spin_until(

@@ -35,7 +35,7 @@ def free_domain() -> tuple[int, socket.socket]:
         processes inherit the socket: a node that outlives its parent keeps the domain reserved.
     :raises RuntimeError: if all domains are in use.
     """
-    # Only one demo can bind the port of a domain, which is its number above this one.
+    # A demo reserves domain d by the port first_port + d, which only one process can bind.
     first_port = 32768
     for domain in range(1, 101):
         reservation = socket.socket()
@@ -127,6 +127,7 @@ def stopped_at_the_end(processes: list[NodeProcess]) -> Iterator[None]:
     try:
         yield
     finally:
+        # A Ctrl-C or another signal to end must not interrupt the wait for the nodes.
         with undisturbed():
             for process in processes:
                 process.interrupt()

@@ -103,7 +103,7 @@ def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict
         start_nodes(options, domain, processes)
 
         def is_done() -> bool:
-            # Store a new loss; the trainer reports ``-`` before the first one.
+            # Store the loss if it has changed; the trainer reports ``-`` before the first one.
             loss = trainer_value('critic_loss', '-')
             if loss != '-' and losses[-1:] != [float(loss)]:
                 losses.append(float(loss))

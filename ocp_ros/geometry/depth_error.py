@@ -254,7 +254,7 @@ class DepthError:
         self._count = len(points)
         self.viewpoints = viewpoints
         self.shape = (rows, 2 * rows)
-        # The paper sums over five viewpoints.
+        # The paper sums over five viewpoints. With folds, this number is scaled below.
         self.pixels = rows * 2 * rows * len(viewpoints) / 5
         # Half the side of the paper's cube is the spacing of the points. Smaller cubes leave holes
         # in the maps of a whole room.
@@ -276,6 +276,7 @@ class DepthError:
             depth_map.setflags(write=False)
             self._maps.append(depth_map)
         self.trees = Trees(*(np.concatenate(field) for field in zip(*all_trees)))
+        # Calling this object computes an error, here without any visible point.
         self.worst = self(no_bits(len(points)))
         if folds > 1:
             # The error of seeing nothing without folds, to which the error with folds is scaled.
@@ -306,9 +307,11 @@ class DepthError:
         _list_points(covered, order, columns, counts, np.empty(0, dtype=np.int32))
         starts = np.concatenate([[0], np.cumsum(counts)])
         indices = np.empty(starts[-1], dtype=np.int32)
+        # The call raises the starts to the ends of the lists, so it gets a copy.
         _list_points(covered, order, columns, starts[:-1].copy(), indices)
         depth_map = np.full(rows * columns, self.far, dtype=np.float32)
         filled = counts > 0
+        # The first point of each list is the nearest.
         depth_map[filled] = projection.distance[indices[starts[:-1][filled]]]
         # Leave out the points of the fold, and count the others of each list by cumulated sums.
         if kept is not None:
@@ -368,13 +371,14 @@ class DepthError:
 
         :param given_views: any number of views: (W,) uint64, packed bits of the visible points.
         :param views: M views of the same form.
-        :param floor_share: the share of the error of seeing nothing that is added to both errors.
+        :param floor_share: the share of the error of seeing nothing that is added to both errors,
+            since 0 has no logarithm.
         :returns: (M,) logarithms of (error with the view / error without it); less is better.
         """
         seen = np.bitwise_or.reduce([no_bits(self._count), *given_views])
-        floor = floor_share * self.worst
+        offset = floor_share * self.worst
         errors = np.array([*map(self.given(seen), views)])
-        return np.log((errors + floor) / (self(seen) + floor))
+        return np.log((errors + offset) / (self(seen) + offset))
 
     def error_by_point(self, seen: np.ndarray) -> np.ndarray:
         """

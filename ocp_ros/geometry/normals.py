@@ -63,14 +63,15 @@ def _fit_planes(points, neighbours):
             for a in range(3):
                 mean[a] += points[neighbours[i, k], a]
         mean /= size
+        # Only the upper half, since ``_diagonalise`` uses no other entries.
         scatter[:] = 0.0
         for k in range(size):
             for a in range(3):
                 for b in range(a, 3):
                     scatter[a, b] += ((points[neighbours[i, k], a] - mean[a])
                                       * (points[neighbours[i, k], b] - mean[b]))
-        # The normal is the axis along which the neighbours are spread least.
         _diagonalise(scatter, axes)
+        # The normal is the axis along which the neighbours are spread least.
         thinnest = 0
         for a in range(1, 3):
             if scatter[a, a] < scatter[thinnest, thinnest]:

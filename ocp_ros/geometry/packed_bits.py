@@ -45,7 +45,7 @@ def spatial_order(points: np.ndarray) -> np.ndarray:
         return np.empty(0, dtype=np.int64)
     low, high = corners_of(points)
     extent = max(float((high - low).max()), 1e-9)
-    # Cells from 0 to 1023 along each axis: 10 bits, which the code interleaves.
+    # Cells from 0 to 1023 along each axis: 10 bits, which the Morton code interleaves.
     cells = ((points - low) / extent * 1023).astype(np.int64)
     codes = np.zeros(len(points), dtype=np.int64)
     for bit in range(10):
@@ -97,6 +97,7 @@ def find_blocks_in_view(bounds, pose, lens, found):
             z += pose.rotation[axis, 2] * offset
         if squared_gap > lens.max_range * lens.max_range:
             continue
+        # For other cameras only the range is checked.
         if lens.kind == PINHOLE:
             # The largest distance of the block's centre outside a plane of the viewing cone.
             excess = max(-x, (abs(y) - lens.half_horizontal * x) / side_length,

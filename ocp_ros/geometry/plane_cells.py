@@ -15,8 +15,8 @@
 """
 Cells of a horizontal grid: close those near surfaces, and find the nearest open cell.
 
-A grid has X cells along x, its rows, and Y cells along y, its columns. Cameras may be in open
-cells only.
+A grid is an (X, Y) array. Contrary to an image, its rows are numbered along x and its columns
+along y. Cameras may be in open cells only.
 """
 
 import math
@@ -45,7 +45,8 @@ def close_cells(points, heights, clearance, low, edge, cells):
         height_gap = max(heights[0] - z, z - heights[1], 0.0)
         if height_gap >= clearance:
             continue
-        # In units of cells: the disc in which the sphere of radius ``clearance`` meets the plane.
+        # The disc in which the sphere of radius ``clearance`` around the point meets the nearest
+        # plane of cameras: its radius and its centre in units of cells.
         radius = math.sqrt(clearance * clearance - height_gap * height_gap) / edge
         x, y = (points[point, 0] - low[0]) / edge, (points[point, 1] - low[1]) / edge
         first, last = int(math.floor(x - radius)), int(math.floor(x + radius))

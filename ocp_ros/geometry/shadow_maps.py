@@ -85,7 +85,7 @@ def _arctan2(y, x):
     """Return the angle of (x, y), to 1e-11 radians, by a polynomial, which LLVM can vectorise."""
     x_size, y_size = abs(x), abs(y)
     low, high = min(x_size, y_size), max(max(x_size, y_size), 1e-300)
-    # Between an eighth and a quarter of pi the angle to a quarter of pi is taken.
+    # For an angle from pi / 8 to pi / 4, the polynomial gives the angle minus pi / 4.
     steep = low > TAN_EIGHTH * high
     ratio = (low - high if steep else low) / (low + high if steep else high)
     square = ratio * ratio
@@ -119,6 +119,7 @@ def projected(coordinates, pose, lens):
         dx, dy, dz = xs[i] - x0, ys[i] - y0, zs[i] - z0
         level_distance = math.sqrt(dx * dx + dy * dy)
         r = math.sqrt(dx * dx + dy * dy + dz * dz)
+        # A distance that is 0 as float32 has no inverse, so the point is left out.
         inside = (r >= lens.min_range) & (r <= lens.max_range) & (f32(r) > f32(0.0))
         distance[i] = f32(r) if inside else f32(np.inf)
         elevation[i] = _arctan2(dz, level_distance)
@@ -186,7 +187,7 @@ def footprints(projection, half_sides, rows, columns):
         elevation = np.float64(projection.elevation[i])
         half_angle = min(np.float64(half_sides[i]) / projection.distance[i], PI)
         row = _row_of(elevation, rows)
-        # Rows and columns are measured from the centre of the first cell.
+        # Rows and columns are measured from the centre of the first cell, whose edge is at -0.5.
         centre_row = (elevation + HALF_PI) * rows_per_radian - 0.5
         half_rows = half_angle * rows_per_radian
         first_row[i] = max(min(_ceil(centre_row - half_rows), row), i32(0))
@@ -195,6 +196,7 @@ def footprints(projection, half_sides, rows, columns):
         over_pole = (half_angle >= HALF_PI - abs(elevation)) | (half_azimuth >= PI)
         centre_column = (projection.azimuth[i] + PI) * columns_per_radian - 0.5
         half_columns = min(half_azimuth, PI) * columns_per_radian
+        # Measured from the edge instead, the floor is the cell that contains the point.
         column = _floor(centre_column + 0.5)
         first = min(_ceil(centre_column - half_columns), column)
         last = max(_floor(centre_column + half_columns), column)
@@ -244,7 +246,7 @@ def look_at_cubes(points, half_sides, places, pose, lens, settings, seen, covere
 
     :param points: (3, N) float32, x, y and z of N points in contiguous rows, metres, map frame.
     :param half_sides: (N,) float32, half the side of each point's cube, metres.
-    :param places: (3, M) float32, the same of M positions.
+    :param places: (3, M) float32, the same of M positions in the air.
     :param pose: the camera's :class:`Pose`.
     :param lens: the camera model's :class:`~ocp_ros.geometry.cameras.Frustum`.
     :param settings: :class:`CubeSettings`.

@@ -87,7 +87,7 @@ class SurfelPlaces(NamedTuple):
     :ivar x: x of the position.
     :ivar y: y of the position.
     :ivar z: z of the position.
-    :ivar radius: 0.
+    :ivar radius: 0; the field exists because :func:`mark_visible_points` reads it.
     """
 
     x: np.ndarray
@@ -109,9 +109,10 @@ class SurfelSettings(NamedTuple):
     :ivar rows: rows of the map; it has twice as many columns.
     :ivar base_tolerance: depth tolerance of a visible point, metres.
     :ivar radius_tolerance: additional tolerance in multiples of the disc's radius.
-    :ivar single_limit: discs of fewer cells than this fill only their own cell.
-    :ivar quad_limit: other discs of fewer cells than this fill up to the four nearest cells;
-        larger ones fill the cells whose centre they cover.
+    :ivar single_limit: discs whose radius is less than this number of columns fill only their own
+        cell.
+    :ivar quad_limit: other discs whose radius is less than this number of columns fill up to the
+        four nearest cells; larger ones fill the cells whose centre they cover.
     :ivar setback: the share of the depth that a disc's plane spans in one cell, along rows and
         columns, by which the disc is set back in the map.
     """
@@ -149,7 +150,7 @@ class Workspace(NamedTuple):
         the four cells around it, 1/m.
     :ivar quad_cell: (256,) uint32, the lower left one of these four cells.
     :ivar flags: (256,) uint8, whether a point is visible.
-    :ivar octets: (32,) uint64, the same memory as ``flags``.
+    :ivar octets: (32,) uint64, the same memory as ``flags``, with eight flags in each integer.
     :ivar distance: (N,) float32, the distance of each of all N points, metres.
     :ivar lower_left: (N,) uint32, the lower left one of the four cells around each point.
     :ivar blocks: (B,) uint32, the indices of the blocks to process, of all B blocks.
@@ -183,6 +184,7 @@ class Workspace(NamedTuple):
         octets = np.zeros(size // 8, u64)
         # Writing a whole vector may go beyond the end of the last row.
         maps = [np.full(cells + LANES, np.inf, f32)[:cells] for _ in range(2)]
+        # The eight fields from ``inverse`` to ``radius_columns``.
         block = [np.empty(size, f32) for _ in range(8)]
         own_cell, quad_cell = (np.empty(size, u32) for _ in range(2))
         return cls._make([
@@ -231,6 +233,7 @@ def project_block(surfels, number, position, max_range, settings, work):
     rows = settings.rows
     setback, range_limit = f32(settings.setback), f32(max_range)
     x0, y0, z0 = f32(position[0]), f32(position[1]), f32(position[2])
+    # The same for columns: a map has 2 * rows columns for 2 pi.
     rows_per_radian, radians_per_row = f32(rows) / PI, PI / f32(rows)
     # Elevation pi / 2 and azimuth pi belong to the last row and column.
     last_row, last_column = f32(rows) - f32(1e-3), f32(2 * rows) - f32(2e-3)
@@ -259,7 +262,8 @@ def project_block(surfels, number, position, max_range, settings, work):
         column = min((_arctan2(dy, dx) + PI) * rows_per_radian, last_column)
         work.row[j], work.column[j] = row, column
         work.distance[i] = distance
-        # Cell (r, c) of the map is cell (r + 1, c + 1) with the border.
+        # The lower left one of the four nearest cells is (floor(row - 0.5), floor(column - 0.5)).
+        # The border adds 1 to both indices.
         work.lower_left[i] = u32(i32(row + HALF)) * stride + u32(i32(column + HALF))
         work.elevation_cosine[j] = max(cos_e, f32(1e-4))
         work.step_row[j], work.step_column[j] = step_row, step_column
@@ -312,6 +316,8 @@ def _splat_quads(discs, stride, work, inverse_map):
     zero, values = f32(0.0), work.quad_values
     for k in range(len(discs)):
         j = discs[k]
+        # Rows and columns from the centre of the first border cell: the border adds 1, and its
+        # centre is at 0.5. So the integer part is the lower left one of the four nearest cells.
         inverse, row, column = work.inverse[j], work.row[j] + HALF, work.column[j] + HALF
         step_row, step_column = work.step_row[j], work.step_column[j]
         # With half a cell at least, a disc fills one of the four cells or more.
@@ -373,7 +379,8 @@ def _splat_ellipse(inverse, row, column, cosine, radius, step_row, step_column, 
     last_row = min(max(-_ceil(HALF - row - half_rows), own_row), rows - 1)
     for r in range(first_row, last_row + 1):
         row_offset = f32(r) + HALF - row
-        # A disc that extends over the pole covers these rows on both sides of the pole.
+        # The distances, in rows, from the point over each pole to this row on the other side. A
+        # disc that extends so far over a pole covers the row on both sides, so the whole row.
         if min(row + f32(r) + HALF, f32(2 * rows) - row - f32(r) - HALF) <= radius:
             value = _clamped(inverse + step_row * row_offset, inverse)
             for cell in range(u64((r + 1) * stride + 1), u64((r + 1) * stride + 1 + columns)):
@@ -442,6 +449,7 @@ def _join_edges(rows, stride, inverse_map):
     columns = stride - 2
     for row in range(1, rows + 1):
         first = row * stride
+        # A border cell and the cell that it repeats: discs may have been written to either one.
         for left, right in ((0, columns), (1, columns + 1)):
             nearer = max(inverse_map[first + left], inverse_map[first + right])
             inverse_map[first + left] = inverse_map[first + right] = nearer
@@ -516,13 +524,13 @@ def mark_visible_points(points, blocks, pose, lens, settings, work, seen):
         flags[count:] = 0
         if lens.kind != OMNIDIRECTIONAL:
             _clear_outside_cone(points, first, count, pose, lens, flags)
-        # The octets are the memory of ``flags``.
+        # The octets are the memory of ``flags``, eight flags in each.
         _add_bits(work.octets, seen, u64(number) * u64(WORDS_PER_BLOCK))
 
 
 @njit(nogil=True)
 def _clear_outside_cone(points, first, count, pose, lens, flags):
-    """Clear the flags (256,) of those of ``count`` points from ``first`` on outside the cone."""
+    """Clear the flags (256,) of points outside the cone; flag j is that of point first + j."""
     x0, y0, z0 = pose.position[0], pose.position[1], pose.position[2]
     for j in range(count):
         i = first + j
@@ -542,27 +550,27 @@ def kept_in_cone(points, bounds, pose, lens, seen):
     :returns: (W,) uint64, packed bits of the visible points that are in the viewing cone.
     """
     kept, blocks = np.zeros_like(seen), np.empty(bounds.shape[0], dtype=np.uint32)
-    # One memory with two names: ``flags`` has one byte for each point of a block, ``octets`` has
-    # eight of these bytes in each integer, which ``_add_bits`` packs at once.
-    octets = np.empty(POINTS_PER_BLOCK // 8, dtype=np.uint64)
-    flags = octets.view(np.uint8)
+    # One memory with two names: ``flags`` has one byte for each point of a block, ``flag_groups``
+    # has eight of these bytes in each integer, which ``_add_bits`` packs at once.
+    flag_groups = np.empty(POINTS_PER_BLOCK // 8, dtype=np.uint64)
+    flags = flag_groups.view(np.uint8)
     block_count = find_blocks_in_view(bounds, pose, lens, blocks)
     for number in blocks[:block_count]:
         first, count = _block_range(number, points.x.shape[0])
         flags[:count], flags[count:] = 1, 0
         _clear_outside_cone(points, first, count, pose, lens, flags)
-        _add_bits(octets, kept, u64(number) * u64(WORDS_PER_BLOCK))
+        _add_bits(flag_groups, kept, u64(number) * u64(WORDS_PER_BLOCK))
     return kept & seen
 
 
 @njit(nogil=True, inline='always')
-def _add_bits(octets, seen, first):
-    """Set the bits of 256 flags, eight bytes in each octet, in the four words from ``first``."""
+def _add_bits(flag_groups, seen, first):
+    """Set the bits of 256 flags, eight in each integer, in the four words from ``first``."""
     for word in range(u64(WORDS_PER_BLOCK)):
         bits = u64(0)
         for k in range(u64(8)):
             # The product moves the lowest bit of each byte into the highest byte.
-            byte = (octets[word * u64(8) + k] * u64(0x0102040810204080)) >> u64(56)
+            byte = (flag_groups[word * u64(8) + k] * u64(0x0102040810204080)) >> u64(56)
             bits |= byte << (k * u64(8))
         seen[first + word] |= bits
 

@@ -38,7 +38,8 @@ def put_nearer(typing, cells, first, value, step, low, high, last):
     :param low: float32, the lower limit of the written values, 1/m.
     :param high: float32, the upper limit of the written values, 1/m.
     :param last: float32, the number of cells after the first one.
-    :returns: the signature and the code generator, for Numba.
+    :returns: the signature and the code generator, for Numba. This function gets the types of the
+        arguments, and ``generate`` their LLVM values.
     """
     def generate(context, builder, signature, arguments):
         cells, first, *scalars = arguments
@@ -60,7 +61,8 @@ def put_nearer(typing, cells, first, value, step, low, high, last):
         ramp = ir.Constant(vector, [float(lane) for lane in range(LANES)])
         value = builder.fadd(value, builder.fmul(ramp, step, flags=FASTMATH), flags=FASTMATH)
         value = call_intrinsic('maxnum', call_intrinsic('minnum', value, high), low)
-        # An inverse distance of 0 occludes nothing; storing only some lanes would be slow.
+        # Lanes after the last cell get 0, which is infinitely far away, so that the maximum below
+        # does not change their cells; storing only some lanes would be slow.
         value = builder.select(builder.fcmp_ordered('<=', ramp, last), value,
                                ir.Constant(vector, [0.0] * LANES))
         # The alignment is that of one cell, 4 bytes: a row may begin anywhere.

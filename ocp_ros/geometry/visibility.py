@@ -47,8 +47,8 @@ FINE = SurfelSettings(rows=160, base_tolerance=0.01, radius_tolerance=0.35, sing
                       quad_limit=1.5)
 FAST = SurfelSettings(rows=64, base_tolerance=0.02, radius_tolerance=0.15, single_limit=0.8,
                       quad_limit=2.0, setback=0.25)
-#: The cube of arXiv 2110.11106, twice as wide as the spacing, and a constant compensation, for
-#: which the paper gives no value.
+#: The cube of arXiv 2110.11106, twice as wide as the spacing (``cube_scale`` sets half its side),
+#: and a constant compensation, for which the paper gives no value.
 PAPER = CubeSettings(rows=128, cube_scale=1.0, compensation=0.2)
 #: The preset for scenes with a mesh: rays are cast instead of filling maps.
 MESH = 'mesh'
@@ -89,6 +89,7 @@ class SurfelVisibility:
         """Return a copy with other rules, which shares the points and the positions."""
         other = copy(self)
         other.settings = settings
+        # The size of a workspace depends on the rules.
         other._free_workspaces = deque()
         return other
 
@@ -132,15 +133,15 @@ class SurfelVisibility:
     def narrowed(self, pose: Pose, lens: Frustum, seen: np.ndarray, covered: np.ndarray
                  ) -> tuple[np.ndarray, np.ndarray]:
         """
-        Clip what an omnidirectional camera sees to the viewing cone of a camera at its position.
+        Clip what an omnidirectional camera sees to the frustum of a camera at the same position.
 
         So one call of :meth:`look` serves many viewing directions from one position.
 
         :param pose: the camera's pose.
         :param lens: the camera model.
         :param seen: (W,) uint64, packed bits of the points that the omnidirectional camera sees.
-        :param covered: (V,) uint64, packed bits of the positions that it sees.
-        :returns: both, without what is outside the viewing cone.
+        :param covered: (V,) uint64, packed bits of the positions that this camera sees.
+        :returns: copies of both, without the points and positions outside the frustum.
         """
         return (kept_in_cone(self._surfels, self._bounds, pose, lens, seen),
                 kept_in_cone(self._places, self._place_bounds, pose, lens, covered))

@@ -88,6 +88,7 @@ def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
     occupied = grid.assign_points(voxel_size)
     counts = np.bincount(grid.ranks)
     means = np.column_stack([np.bincount(grid.ranks, column) / counts for column in points.T])
+    # Cell numbers are in the order of x, then y, then z; see :func:`_rank_voxels`.
     return means[np.argsort(grid.cells[:occupied])].astype(np.float32)
 
 
@@ -97,7 +98,8 @@ def thinned_to(points: np.ndarray, max_points: int) -> np.ndarray:
 
     :param points: (N, 3), N points, metres.
     :param max_points: the largest number of points wanted.
-    :returns: the points themselves; if there are more, the means (M, 3) of those in each voxel.
+    :returns: the given array if it is small enough; otherwise the mean of the points in each of M
+        voxels, (M, 3) float32, see :func:`voxel_downsample`.
     """
     if len(points) <= max_points:
         return points
@@ -113,9 +115,10 @@ def voxel_size_for(points: np.ndarray, max_points: int) -> float:
     :returns: the voxel size, metres.
     """
     grid = _VoxelGrid(points)
+    # The voxel size is between these limits, metres.
     low, high = MIN_VOXEL_M, 1000.0
     x, y, z = np.maximum(np.ptp(grid.corners, axis=0), MIN_VOXEL_M)
-    # A room has about the surface of its bounding box.
+    # A room has about the surface of its bounding box; the first trial divides it into squares.
     trial = np.sqrt(2.0 * (x * y + y * z + z * x) / max_points)
     attempt = 0
     while high / low > 1.02:
@@ -144,14 +147,16 @@ class _VoxelGrid:
     :ivar corners: (2, 3) the lowest and the highest corner of their bounding box.
     :ivar ranks: (N,) int64: the rank of each point's voxel, in the order in which voxels are
         found.
-    :ivar cells: (N,) int64: the number of each voxel found; later entries are undefined.
+    :ivar cells: (N,) int64: the number of the grid's cell for each rank; entries after the last
+        rank are undefined.
     """
 
     def __init__(self, points: np.ndarray) -> None:
         self._points = np.asarray(points)
         self.corners = corners_of(self._points)
         self.ranks, self.cells = np.empty((2, len(points)), dtype=np.int64)
-        # At least half of the slots stay empty, so that searches are short.
+        # A power of two, as the search needs it; at least half of the slots stay empty, so that
+        # searches are short.
         self._slots = np.empty(1 << (2 * len(points)).bit_length(), dtype=np.int64)
 
     def assign_points(self, voxel_size: float) -> int:
@@ -184,7 +189,8 @@ def _rank_voxels(points, corners, edge, slots, ranks, cells):
         y = np.int64(np.floor((points[i, 1] - low[1]) / edge))
         z = np.int64(np.floor((points[i, 2] - low[2]) / edge))
         cell = (x * y_count + y) * z_count + z
-        # The slots after the first one are tried until the cell or an empty slot is found.
+        # The search begins at a slot that the upper half of the product selects. It tries the next
+        # slots until it finds the cell or an empty slot.
         slot = np.int64((np.uint64(cell) * HASH_MULTIPLIER) >> np.uint64(32)) & mask
         while slots[slot] != EMPTY and cells[slots[slot]] != cell:
             slot = (slot + 1) & mask

@@ -67,8 +67,9 @@ def _merge_others(camera, choice, seen, covered, trees):
     Merge the views of all cameras of a choice but one.
 
     :param camera: the camera that is left out; for all else see :func:`_anneal_choice`.
-    :returns: the trees without nodes whose error the merged view decides, the summed error of
-        removed trees (metres), and the packed bits (V,) of the cells that the merged view covers.
+    :returns: the trees without nodes whose error the merged view decides; the summed error of
+        trees that were removed as a whole, metres, not yet divided by ``pixels``; and the packed
+        bits (V,) of the cells that the merged view covers.
     """
     others_seen, others_covered = np.zeros_like(seen[0]), np.zeros_like(covered[0])
     for other in range(len(choice)):
@@ -85,8 +86,9 @@ def _site_value(site, max_value, others, seen, covered, pixels, weight, values, 
     Return the objective value of a site together with the other cameras; cache this value.
 
     :param site: the number of the site; for all else see :func:`_anneal_choice`.
-    :param max_value: metres; for a larger value, any result above this one may be returned.
-    :param others: the result of :func:`_merge_others`.
+    :param max_value: metres; if the objective value is larger, any number above ``max_value`` may
+        be returned.
+    :param others: the result of :func:`_merge_others` for the other cameras.
     :param values: (S,) metres, in and out: cached values of the sites, or lower bounds of them.
     :param is_exact: (S,) bool, in and out: whether a cached value is exact.
     """
@@ -105,12 +107,15 @@ def _choose_greedily(seen, covered, trees, pixels, weight, kind_of, sites, start
     """
     Choose the best site for one camera after the other; parameters as in :func:`_anneal_choice`.
 
-    The gain of a site never rises as the choice grows (the objective is submodular). So sites
-    whose last known gain is below the best present gain are skipped.
+    The gain of a site never rises as the choice grows (the objective is submodular). So its gain
+    for an earlier camera is an upper bound. Sites whose bound is below the best present gain are
+    skipped.
     """
     choice = np.empty(len(kind_of), dtype=np.int64)
+    # Upper bound of each site's gain.
     gains = np.full(len(seen), np.inf)
     for camera in range(len(kind_of)):
+        # Only the cameras before this one have a site, so no camera has to be left out.
         others = _merge_others(camera, choice[:camera], seen, covered, trees)
         open_trees, settled_error, others_covered = others
         value_before = ((settled_error + lost_depth(open_trees, np.zeros_like(seen[0]))) / pixels
@@ -121,7 +126,7 @@ def _choose_greedily(seen, covered, trees, pixels, weight, kind_of, sites, start
         kind_sites = sites[starts[kind_of[camera]]:starts[kind_of[camera] + 1]]
         # Most promising sites first; merge sort keeps the order of sites with equal gains.
         for site in kind_sites[np.argsort(-gains[kind_sites], kind='mergesort')]:
-            # A nanometre is the tolerance for rounding.
+            # No later site has a larger gain. A nanometre is the tolerance for rounding.
             if value_before - gains[site] > best_value + 1e-9:
                 break
             value = _site_value(site, best_value, others, seen, covered, pixels, weight, values,
@@ -243,7 +248,7 @@ class Candidates:
         fixed = model.together(fixed_views(model, rig_state))
         self._seen = np.array([view.seen for view in views]) | fixed.seen
         self._covered = (np.array([view.covered for view in views]) | fixed.covered) & unseen
-        # Proposals that do not draw among all candidates draw among the 12 nearest.
+        # A proposal draws among all candidates of the kind, or among the 12 most similar ones.
         self.neighbours = np.zeros((len(views), 12), dtype=np.int64)
         for candidates, camera in zip(self.of_kind, first_cameras):
             # The heading of an omnidirectional camera means nothing.
@@ -254,7 +259,7 @@ class Candidates:
     def _neighbours_of(self, candidates: np.ndarray, metres_per_radian: float) -> np.ndarray:
         """Return the most similar others for each of C candidates of one kind: (C, n <= N)."""
         tree = cKDTree(pose_features(self.poses[candidates], metres_per_radian))
-        # Rank 1 is the candidate itself.
+        # Rank 1 is the candidate itself, so the ranks from 2 are used.
         ranks = np.arange(2, min(self.neighbours.shape[1] + 1, len(candidates)) + 1)
         _, indices = tree.query(tree.data, ranks)
         return candidates[indices]
@@ -293,8 +298,8 @@ def kinds_of(rig_state: RigState) -> tuple[np.ndarray, list[int]]:
 
     :returns: (K,) the kind of each camera, and the first camera of each kind.
     """
-    # Angles that may not change must be equal within a kind: the roll (column 5 of a pose), or all
-    # angles (from column 3).
+    # Cameras of a kind have the same frustum and are equal in the angles that may not change: the
+    # roll (column 5 of a pose), or all angles (from column 3).
     first_kept = 5 if rig_state.may_rotate else 3
     keys = [(lens, () if model.omnidirectional else tuple(pose[first_kept:])) for lens, model, pose
             in zip(rig_state.lenses[:rig_state.movable], rig_state.models, rig_state.placement)]

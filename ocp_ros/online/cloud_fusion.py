@@ -69,6 +69,7 @@ class FusedCloud:
             numbers; then no point is added.
         """
         points, numbers = self._thin(np.asarray(points, dtype=np.float32))
+        # ``assume_unique`` holds: after thinning each voxel has one point.
         is_new = ~np.isin(numbers, self._voxel_numbers, assume_unique=True)
         self._points = np.concatenate([self._points, points[is_new]])
         self._voxel_numbers = np.sort(np.concatenate([self._voxel_numbers, numbers[is_new]]))
@@ -78,7 +79,7 @@ class FusedCloud:
             self._voxel_numbers = np.sort(numbers)
 
     def _thin(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the first of the points (M, 3) in each of V voxels, and V voxel numbers."""
+        """Return the first of the points (M, 3) in each of V voxels, and its voxel's number."""
         max_distance = MAX_CELL * self.edge
         if not (np.abs(points) < max_distance).all():
             raise ValueError(

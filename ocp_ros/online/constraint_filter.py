@@ -46,7 +46,8 @@ class FilteredTargets(NamedTuple):
     Feasible targets of K movable cameras.
 
     :ivar targets: (K, 3) metres, map frame.
-    :ivar held: messages, one for each camera that stays because it has no feasible position.
+    :ivar held: messages, one for each camera that stays because it has no feasible position; a
+        single one for all cameras if the feasible region could not be computed.
     """
 
     targets: np.ndarray
@@ -86,7 +87,8 @@ class StepConstraints:
         """
         Return the feasible targets of K movable cameras.
 
-        :param cloud: (N, 3) float32, metres: the observed cloud; it may be empty.
+        :param cloud: (N, 3) float32, metres: the observed cloud. If it is empty, only the length
+            of the moves is limited.
         :param state: current state of the cameras.
         :param moves: (K, 2) metres, the moves that a planner chose.
         """
@@ -142,7 +144,11 @@ class FreeDistances(NamedTuple):
         return cls(pose.position, np.min([np.roll(distances, k) for k in (-1, 0, 1)], axis=0))
 
     def are_free(self, positions: np.ndarray, margin: float) -> np.ndarray:
-        """Return which positions (P, 3) are ``margin`` metres or more before any surface: (P,)."""
+        """
+        Return which positions (P, 3) are ``margin`` metres or more before any surface: (P,) bool.
+
+        In a direction without observed points no position counts as free.
+        """
         offsets = (positions - self.position)[:, :2]
         return np.linalg.norm(offsets, axis=1) + margin <= self.distances[_sectors(offsets)]
 
@@ -163,7 +169,8 @@ class ConstraintFilter:
 
     def __init__(self, rig: Rig, wall_margin: float) -> None:
         self.rig, self.wall_margin = rig, wall_margin
-        # Fixed cameras may be outside the observed bounding box.
+        # The feasible region rejects fixed cameras far outside the bounding box, and the observed
+        # one may be small; so its rig has none.
         self._movable_rig = replace(rig, fixed=())
         #: Heights of the cameras and cloud of the last feasible region.
         self._computed_for: tuple[np.ndarray, np.ndarray] | None = None
@@ -174,7 +181,7 @@ class ConstraintFilter:
         self.reset()
 
     def reset(self) -> None:
-        """Discard the region that was prepared in the last episode."""
+        """Make the next call check whether the region is up to date, also if it was prepared."""
         self._is_prepared = False
 
     def prepare(self, cloud: np.ndarray, positions: np.ndarray) -> None:
@@ -223,7 +230,8 @@ class ConstraintFilter:
                 zip(self.rig.cameras, positions, targets, strict=True)):
             others = np.concatenate([np.delete(chosen, camera, axis=0), fixed])
             place = self._nearest(position, target, others, bounds, max_step, new_points)
-            # A move of at most 1 cm counts as staying.
+            # A move of at most 1 cm counts as staying. After a search in a prepared region, the
+            # free space is tried in the second call below.
             is_moving = np.linalg.norm(target - position) > 0.01
             if place is None and is_moving and state is not None and not was_prepared:
                 place = self._nearest(position, target, others, bounds, max_step, None,
@@ -277,7 +285,7 @@ class ConstraintFilter:
         :param free_distances: replace the check for observed floor; None to require this floor.
         """
         if new_points is not None:
-            # Points farther away are not too near to any place that the camera can reach.
+            # Only these points can be within ``keep_clear`` of a place that the camera can reach.
             radius = max_step + self.rig.keep_clear + ROUNDING
             offsets = np.abs(new_points[:, :2] - position[:2].astype(np.float32))
             new_points = new_points[(offsets <= radius).all(axis=1)]
@@ -297,13 +305,17 @@ class ConstraintFilter:
                              lambda places: self._at_height(places, position[2]), are_feasible)
 
     def _at_height(self, places: np.ndarray, height: float) -> np.ndarray:
-        """Return places (P, 3) at a height, or just below the ceiling if the mount needs it."""
+        """
+        Return places (P, 3) at a height, or just below the ceiling if the mount needs it.
+
+        Where the ceiling is unknown, the places have the given height too.
+        """
         places = places.copy()
         places[:, 2] = height
         if self.rig.mount.heights is None and self.rig.mount.on == 'ceiling':
             surface = self._region.surface
             ceiling = surface.height_above(places[:, :2])
-            # Too far below the ceiling, or above it; the height of an unknown ceiling is -inf.
+            # Too far below the ceiling, or not below it; the height of an unknown ceiling is -inf.
             is_off = ~surface.at(places).on | (ceiling <= places[:, 2])
             mounted = np.where(np.isfinite(ceiling), ceiling - STAND_OFF, height)
             places[is_off, 2] = mounted[is_off]

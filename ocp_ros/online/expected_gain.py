@@ -46,8 +46,8 @@ class ExpectedGain(NamedTuple):
         :param max_range: effective range of the omnidirectional cameras, metres.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
-        # An operator waits for the result: there are few points, and few rows in the depth maps of
-        # the error. ``FINE`` sets the maps of visibility.
+        # An operator waits for the result, so the model has few points, and the depth maps of the
+        # error have few rows. The maps of visibility are other maps, with the size in ``FINE``.
         model = PartialMap(cloud, state.placement[:, :3], max_range, max_points=12000, rows=64,
                            settings=FINE)
 

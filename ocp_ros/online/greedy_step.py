@@ -74,7 +74,7 @@ def _move_values(observed: ObservedTurn, camera: int, elapsed_share: float) -> n
     model, space = observed.model, observed.space
     others = observed.merge_other_views(camera)
     new_cells = observed.unseen & ~others.covered
-    # Added to each error and to the largest one, before the former is divided by the latter.
+    # A share is (error + error_floor) / (worst error + error_floor).
     error_floor = 0.01 * model.depth_error.worst
     max_error = model.depth_error.worst + error_floor
     positions = space.placement(space.inside(observed.positions[camera, :2] + MOVES[1:]))
@@ -85,5 +85,5 @@ def _move_values(observed: ObservedTurn, camera: int, elapsed_share: float) -> n
         error = (model.depth_error(others.seen | view.seen) + error_floor) / max_error
         return error - cell_bonus * int(count_bits(view.covered & new_cells))
 
-    # The first move is to stay, without bonus: the cells in the current views are not unseen.
+    # The first move is to stay. It has no bonus: the cells in the current views are not unseen.
     return np.array([(observed.error + error_floor) / max_error, *mapped(value, positions)])

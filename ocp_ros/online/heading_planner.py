@@ -191,13 +191,13 @@ class HeadingPlanner:
     def _candidates(self, goal: np.ndarray, heading: np.ndarray, max_angle: float) -> np.ndarray:
         """Return the candidate headings (H, 3) of a camera with a goal (3,) and a heading (3,)."""
         # All yaws at the pitch of the goal, then the grid of directions; both are relative to the
-        # goal's yaw. The roll is that of the camera.
+        # goal's yaw. The roll is that of the camera. The grid begins with all yaws at one pitch.
         at_goal_pitch = self._directions[:YAWS] * [1.0, 0.0, 0.0] + [0.0, goal[1], 0.0]
         grid = np.concatenate([at_goal_pitch, self._directions]) + [goal[0], 0.0, heading[2]]
         return self._allowed(grid, heading, max_angle)
 
     def _allowed(self, headings: np.ndarray, start: np.ndarray, max_angle: float) -> np.ndarray:
-        """Return the headings (H, 3) in the pitch limits and in reach of a start heading (3,)."""
+        """Return those headings (H, 3) in the pitch limits and within an angle of a start (3,)."""
         low, high = self._pitch_limits
         is_allowed = (headings[:, 1] >= low) & (headings[:, 1] <= high)
         angles = np.linalg.norm(way_between(start, headings), axis=-1)
@@ -236,7 +236,9 @@ class _Search:
         Set the bonus for each unseen cell that the goals' views cover.
 
         The bonus is divided by the mean number of cells in a view, not by the number of all unseen
-        cells: a camera that turns away from observed points does not lose them.
+        cells as in the choice of positions. While most of the air is unseen, each cell then counts
+        more: a camera that rotates away from observed points does not lose them, because they stay
+        in the observed cloud.
 
         :param bonus: bonus for a view whose cells are all unseen, in multiples of the depth error
             without any visible point.

@@ -129,13 +129,13 @@ class Lookahead(PipelinedPlanner):
         #: The remaining parts of the survey, see :meth:`_survey`.
         self._remaining_survey: Iterator[object] = iter(())
         self._is_surveyed = False
-        #: Time step in which the last model or the last candidates were created.
+        #: Time step in which the last refining model or the last candidates were created.
         self._model_turn = 0
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
         pipelined = self._ahead(turns)
-        # In a pipelined episode, the survey needs some time steps before the refinement.
+        # In a pipelined episode (``pipelined`` is 1), the survey begins some time steps earlier.
         if turn >= TUNING.refining_share * turns - TUNING.survey_turns * pipelined:
             # The refinement begins as soon as the last part of the survey is done.
             if self._is_surveyed or self._do_survey(cloud, positions, turn, turns):
@@ -171,8 +171,9 @@ class Lookahead(PipelinedPlanner):
         Create candidates on a model, and choose the best plan among given ones and a greedy one.
 
         :param weight: bonus for each covered cell of ``unseen`` (packed bits), metres.
-        :param plans: placements (K, 6) of K = ``cameras`` cameras, metres and radians. A greedy
-            plan is compared only if there is no current plan.
+        :param plans: placements (K, 6), metres and radians; the list may be empty. A greedy plan
+            is compared only if there is no current plan.
+        :param cameras: K, the number of movable cameras, which an empty list does not show.
         """
         count = int(np.clip(space.area / TUNING.spacing_m ** 2, 4, TUNING.max_positions))
         plans = [np.hstack([space.placement(space.inside(plan[:, :2])), plan[:, 3:]])
@@ -207,6 +208,7 @@ class Lookahead(PipelinedPlanner):
         proposals = TUNING.pipelined_proposals if self._ahead(turns) else TUNING.proposals
         if self._model_turn == turn:
             proposals = TUNING.model_turn_proposals
+        # The survey has created the first model.
         model, self._space = self._kept_model.made
         spaces = [self._space.reached(position[:2], self.max_step, turns - turn)
                   for position in positions]
@@ -232,6 +234,7 @@ class Lookahead(PipelinedPlanner):
 
         :returns: whether the survey is complete.
         """
+        # The first part creates the model; without a model the survey has not begun.
         if self._kept_model.made is None:
             self._remaining_survey = self._survey(cloud, positions, turn)
         # Each item is a part that was just done, see :meth:`_survey`.
@@ -250,7 +253,7 @@ class Lookahead(PipelinedPlanner):
         """
         self._create_refining_model(cloud, positions, turn)
         model, space = self._kept_model.made
-        # This first access computes the depth error, as a part of its own.
+        # The first access computes the depth error; the first part ends with it.
         yield model.depth_error
         self._choose_plan(model, space, self.memory.unseen(model), 0.0,
                           self._current_plans(len(positions)), len(positions))
@@ -260,7 +263,11 @@ class Lookahead(PipelinedPlanner):
             yield
 
     def _planned_headings(self) -> np.ndarray | None:
-        """Return the headings (K, 3) of the plan; None if all cameras are omnidirectional."""
+        """
+        Return the headings (K, 3) of the plan; None if all cameras are omnidirectional.
+
+        Cameras without a plan, and cameras that may not rotate, have their current headings.
+        """
         if not self.directional:
             return None
         if self.headings is not None and self.rig_state.may_rotate:
@@ -302,6 +309,7 @@ class Refinement:
         self._fixed_views = fixed_views(model, rig_state)
         #: Number of the camera that the next proposals move.
         self._camera = 0
+        #: Least depth error so far, metres; the start plan sets it before it is used.
         self._best_error = np.inf
         #: Number of the present group of proposals, and elapsed share, from 0 to 1.
         self._group = 0
@@ -317,10 +325,12 @@ class Refinement:
         :param shares: elapsed share of the refinement, from 0 to 1, for each group of proposals.
         :returns: positions and headings of the same form.
         """
+        # All spaces have the same height of the cameras.
         positions = self.spaces[0].placement(targets)
         plan = tuple(self._planned_camera(
             camera, position, None if headings is None else headings[camera])
             for camera, position in enumerate(positions))
+        # The start plan is judged before the first proposals; any camera may be the moving one.
         self._move_next(plan, 0)
         best = annealed(plan, self._judge, self._propose, self._temperatures(shares), self.rng)
         return (np.array([camera.position[:2] for camera in best]),

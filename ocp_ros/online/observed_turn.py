@@ -75,7 +75,7 @@ class ObservedTurn:
 
     @property
     def unseen_share(self) -> float:
-        """Return the share of the model's cells that no camera has covered."""
+        """Return ``unseen_count`` as a share of all cells of the model, ``NO_CELL`` included."""
         return self.unseen_count / max(len(self.model.cells), 1)
 
     def seen_now(self, camera: int) -> tuple[np.ndarray, np.ndarray]:

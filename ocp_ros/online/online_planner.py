@@ -202,12 +202,12 @@ class PlannedTurn(NamedTuple):
     A time step whose plan is still to be computed.
 
     :ivar cloud: (M, 3) float32, metres: the observed cloud.
-    :ivar positions: (K, 3) metres, positions of the cameras at that time step.
+    :ivar positions: (K, 3) metres, expected positions of the cameras at that time step.
     :ivar turn: time steps taken before that time step.
     :ivar turns: time steps of the whole episode.
     :ivar rig_state: state of the rig to plan with; None for omnidirectional cameras. A
-        :class:`PipelinedPlanner` stores that before the move, as it does not know the headings
-        after it.
+        :class:`PipelinedPlanner` stores the state before the move, because it does not know the
+        headings after the move.
     """
 
     cloud: np.ndarray
@@ -263,7 +263,7 @@ class PipelinedPlanner(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        # The plan in advance, if it was not computed while the cameras moved.
+        # Compute the plan for this time step here if no caller did so while the cameras moved.
         self.plan_ahead()
         record_views(self.memory, positions, self.rig_state)
         try:

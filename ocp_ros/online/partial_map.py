@@ -83,6 +83,7 @@ class PartialMap:
             box = enlarged_box(box, positions[:, :2] + air_radius)
         centres, numbers, self.edge = cells_of_the_air(box)
         self._lens = CameraModel(max_range=max_range).lens
+        # A corner counts as visible if a place inside of it is, at the height of the cameras.
         test_places = np.column_stack([
             moved_inwards(corners), np.full(4, np.median(positions[:, 2]))])
         self.visibility = SurfelVisibility(
@@ -95,7 +96,7 @@ class PartialMap:
             distances = np.linalg.norm(centres[:, None, :2] - positions[None, :, :2], axis=2)
             is_air |= distances.min(axis=1) <= air_radius
         self.points = scene.points[self.visibility.order]
-        # The four test places follow the cells and are none.
+        # The four test places follow the cells in the visibility, but are no cells.
         numbers = np.append(np.where(is_air, numbers, NO_CELL), [NO_CELL] * 4)
         self.cells = numbers[self.visibility.place_order]
         self._views: dict[tuple[bytes, Frustum | None], View] = {}
@@ -126,7 +127,7 @@ class PartialMap:
         for camera in np.unique(nearest_cameras):
             view = self.together([])
             self.visibility.look(Pose.of(positions[camera]), lens, view.seen, view.covered)
-            # Back from the order of the bits to that of the places; the tested ones are last.
+            # Back from the order of the bits to that of the places; the test places are last.
             covered = np.empty(len(place_order), dtype=bool)
             covered[place_order] = unpack(view.covered, len(place_order))
             are_visible |= covered[-4:] & (nearest_cameras == camera).any(axis=1)
@@ -158,7 +159,8 @@ class PartialMap:
         :param headings: (H, 3) yaw, pitch and roll in radians.
         :param lens: frustum of the camera; None for an omnidirectional camera.
         """
-        # Views of all headings are cut out of one omnidirectional view with the same range.
+        # Views of all headings are cut out of one omnidirectional view with the same range. A
+        # ``lens`` of None stays None.
         full_view = self.look(position, lens and lens._replace(kind=OMNIDIRECTIONAL))
         if lens is None or lens.kind == OMNIDIRECTIONAL:
             return [full_view] * len(headings)
@@ -273,6 +275,7 @@ class LookHistory:
 
     def unseen(self, model: PartialMap) -> np.ndarray:
         """Return packed bits of the model's cells that no camera has covered so far."""
+        # The views since the last call are computed in this model.
         self._convert_to_edge(model.edge)
         covered = [model.covered_cells(*visited) for visited in self._visited]
         self._covered = np.unique(np.concatenate([self._covered, *covered]))
@@ -367,6 +370,7 @@ def smallest_rectangle(points: np.ndarray) -> np.ndarray:
     best = int(np.argmin(np.prod(high - low, axis=1)))
     corners = np.array([[x, y] for x in (low[best, 0], high[best, 0])
                         for y in (low[best, 1], high[best, 1])])
+    # Back from the directions of the best side to the map frame.
     return corners @ axes[best]
 
 

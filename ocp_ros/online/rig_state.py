@@ -109,7 +109,8 @@ class Command(NamedTuple):
 
     :ivar placement: (K + F, 6) metres, map frame, and radians.
     :ivar rotated: numbers of the cameras whose heading is commanded.
-    :ivar held: messages, one for each camera that stays because it has no feasible position.
+    :ivar held: messages about cameras that stay because they have no feasible position; see
+        :class:`~ocp_ros.online.constraint_filter.FilteredTargets`.
     """
 
     placement: np.ndarray
@@ -160,7 +161,7 @@ def record_views(memory: LookHistory, positions: np.ndarray, rig_state: RigState
     Record the poses of all cameras at a time step, fixed cameras included.
 
     :param memory: the record, changed here.
-    :param positions: (K, 3) metres, of the K movable cameras.
+    :param positions: (K, 3) metres, of the K movable cameras; used only without ``rig_state``.
     :param rig_state: state of the rig at that time step; None for omnidirectional cameras.
     """
     if rig_state is None:
@@ -175,9 +176,9 @@ def directions(pitch: tuple[float, float], yaws: int, pitches: int) -> np.ndarra
 
     :param pitch: radians, smallest and largest pitch; positive is down.
     :param yaws: number of yaws at each pitch.
-    :param pitches: largest number of pitches. There are fewer if the range is small: each pitch
-        is the centre of an equal part of the range, of at most 30 degrees.
-    :returns: (H, 3) yaw, pitch and roll in radians.
+    :param pitches: largest number of pitches. Each pitch is the centre of an equal part of the
+        range; there are fewer if parts of at most 30 degrees need fewer.
+    :returns: (H, 3) yaw, pitch and roll in radians: all yaws at the first pitch, then at the next.
     """
     low, high = pitch
     count = int(np.clip(np.ceil((high - low) / np.deg2rad(30.0)), 1, pitches))

@@ -37,7 +37,7 @@ def state_of(episode: Episode) -> RigState:
 @dataclass(frozen=True)
 class Outcome:
     """
-    Result of the rollout of an episode of T time steps with K movable cameras.
+    Result of the rollout of an episode with K movable cameras; T time steps were taken.
 
     :ivar trajectory: (T + 1, K, 3) metres: positions of the cameras, the start first.
     :ivar depth_error: (T + 1,) metres, of the start and of the placement after each time step.

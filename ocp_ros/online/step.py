@@ -77,6 +77,7 @@ class OnlineStep:
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
         """
+        # No effect if the caller did this while the cameras moved.
         self.plan_ahead()
         moves = self.plan(cloud, state, turn, turns)
         placement = state.placement.copy()

@@ -115,7 +115,7 @@ class Checkpoint:
         :param blob: from :meth:`to_bytes`.
         :param source: name of the file or message, for errors.
         :raises CheckpointError: if the blob is incomplete, has another format or network, or has
-            weights that are not finite.
+            weights that are not finite or exceed ``MAX_WEIGHT``.
         """
         try:
             card = json.loads(read_metadata(blob)[METADATA_KEY])
@@ -180,7 +180,7 @@ def read_metadata(blob: bytes) -> dict[str, str]:
     :raises ValueError: if the blob is shorter than its header.
     """
     size = 8  # Bytes of the length.
-    # A blob without a whole length is padded here, and rejected below.
+    # A blob shorter than the length is padded here, and rejected below: its rest is below 0.
     (length,) = struct.unpack('<Q', blob[:size].ljust(size, b'\0'))
     if length > len(blob) - size:
         raise ValueError(f'{len(blob)} bytes are too few for a header of {length}')

@@ -57,6 +57,7 @@ class EncodedTurn:
         marks = np.zeros((self._config.points, MARKS), dtype=np.uint8)
         if observed is not None:
             marks = np.stack(observed.seen_now(camera), axis=1).astype(np.uint8)
+            # The rows of the same points as in ``encode``.
             marks = thinned(marks, self._config.points)
         return {**self._cloud, 'cameras': self._cloud['cameras'][camera:camera + 1],
                 'others': features_of_others(camera, self.positions, self._has_chosen,
@@ -71,7 +72,8 @@ class EncodedTurn:
 
         :param camera: number of the camera, from 0.
         :param action: (2,) the wanted move in x and y, in units of ``max_step``.
-        :returns: (2,) the corrected move, which ends over the observed floor, in the same units.
+        :returns: (2,) the corrected move, in the same units; it ends over the observed floor if
+            there is a partial map.
         """
         wanted = bounded_moves(action, self._max_step)
         start = self.positions[camera:camera + 1, :2]
@@ -108,6 +110,7 @@ class Encoder:
                  wall_margin: float = 0.1, clearance: float = CLEARANCE) -> None:
         self.config = config
         self.max_step = max_step
+        # The depth error of the partial map is not used, so the number of ``rows`` is irrelevant.
         self.partial_maps = ObservedTurns(max_range, wall_margin, clearance, points=6000, rows=16)
 
     def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> EncodedTurn:

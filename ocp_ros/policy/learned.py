@@ -69,5 +69,6 @@ def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | Map
     if isinstance(policy, ValuePolicy):
         return MapActor(policy, *settings)
     _, max_step, max_range, *margins = settings
+    # The policy was made with an encoder for default settings.
     policy.encoder = Encoder(policy.checkpoint.config, max_range, max_step, *margins)
     return Learned(policy, *settings)

@@ -131,7 +131,8 @@ class MapActor(PipelinedPlanner):
 
     def asked(self, cameras: int, turn: int, turns: int) -> np.ndarray:
         """Return the numbers of the cameras that choose again in this time step, in order."""
-        # Two cameras or more choose again in a time step, and each eight times in an episode.
+        # At least two choices in a time step, and on average eight or more of each camera in an
+        # episode.
         min_choices = 2
         choices = max(min_choices, ceil(8 * cameras / turns))
         # In one plan all cameras choose twice: the first plan of a short episode, the second plan
@@ -170,11 +171,12 @@ class MapActor(PipelinedPlanner):
         bonus = bonus_weight * _mean_nearby(map_turn.room.unseen_air(), window).ravel()
         # A metre of path costs 0.01 in units of the value, the logarithm of a ratio of errors.
         costs = 0.01 * map_turn.distances(camera) - bonus
-        scores = np.where(map_turn.feasible_cells(camera), values.min(axis=0) + costs, np.inf)
-        # The cells with the best values of the network are scored on the partial map too.
+        # The score of a cell has the value of its best heading.
+        cell_scores = np.where(map_turn.feasible_cells(camera), values.min(axis=0) + costs, np.inf)
+        # The cells with the best scores are scored on the partial map too.
         scored_cells = 16
-        best = np.argpartition(scores, scored_cells)[:scored_cells]
-        best = best[np.isfinite(scores[best])]
+        best = np.argpartition(cell_scores, scored_cells)[:scored_cells]
+        best = best[np.isfinite(cell_scores[best])]
         poses, cell_indices = self._poses_at(camera, np.column_stack(
             [map_turn.cells[best], np.full(len(best), target[2])]))
         # The first pose is the present target.
@@ -188,15 +190,15 @@ class MapActor(PipelinedPlanner):
         # from a share of 0.2.
         trust = float(np.clip(5.0 * _unseen_share(map_turn.model, map_turn.unseen), 0.35, 1.0))
         network_values = interpolate_yaws(values, cells, poses[:, 3])
-        scores = trust * network_values + (1.0 - trust) * map_values + costs[cells]
-        chosen = int(np.argmin(scores))
+        pose_scores = trust * network_values + (1.0 - trust) * map_values + costs[cells]
+        chosen = int(np.argmin(pose_scores))
         # The target changes only for an improvement of 0.02. A present target outside the
         # observed part of the map has the score inf.
-        if scores[chosen] <= scores[0] - 0.02:
+        if pose_scores[chosen] <= pose_scores[0] - 0.02:
             map_turn.set_target(camera, poses[chosen], views[chosen])
 
     def _poses_at(self, camera: int, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return poses (M * H, 6), all H headings at places (M, 3), and the place of each."""
+        """Return poses (M * H, 6), all H headings at places (M, 3), and each one's place index."""
         headings = np.zeros((1, 3))
         if self.directional:
             headings = self.rig_state.headings(camera, YAWS, PITCHES)

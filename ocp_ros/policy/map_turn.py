@@ -30,7 +30,8 @@ class MapTurn:
     :param model: partial map of the observed cloud.
     :param space: feasible region of the cameras in the observed part of the room.
     :param unseen: packed bits of the model's cells of the air that no camera has covered yet.
-    :param plan: (K, 6) metres, map frame, and radians: target poses of the K cameras.
+    :param plan: (K, 6) metres, map frame, and radians: target poses of the K cameras;
+        :meth:`set_target` changes this array.
     :param positions: (K, 3) metres, map frame: current positions of the cameras.
     :param rig_state: camera models and headings; None for omnidirectional cameras.
     :param max_range: of the cameras, metres.

@@ -63,7 +63,8 @@ def used_part(room: np.ndarray) -> tuple[slice, slice]:
     :param room: (``OF_ROOM``, 64, 64) channels of :class:`ObservationMap`.
     :returns: rows and columns; the number of each is a multiple of 8.
     """
-    # The network has layers at 1/8 of the resolution.
+    # The network has layers at 1/8 of the resolution. The box is in the middle of the map, so the
+    # margins on both sides are equal.
     stride = 8
     inside = room[BOX] > 0
     borders = 2 * round(BORDER_M / EDGE_M)
@@ -108,7 +109,7 @@ def interpolate_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) ->
     steps = yaws * (count / (2.0 * np.pi))
     below = np.floor(steps).astype(np.int64)
     result, above = values[below % count, cells], values[(below + 1) % count, cells]
-    # Cells outside the observed bounding box are inf at all yaws, and inf - inf would be NaN.
+    # Cells outside the used part of the map are inf at all yaws, and inf - inf would be NaN.
     finite = np.isfinite(result)
     result[finite] += (steps - below)[finite] * (above[finite] - result[finite])
     return result
@@ -117,6 +118,8 @@ def interpolate_yaws(values: np.ndarray, cells: np.ndarray, yaws: np.ndarray) ->
 class Window(NamedTuple):
     """
     Position of the grid in the map frame.
+
+    Rows are numbered along x and columns along y, unlike in images; cell = row * 64 + column.
 
     :ivar low: (2,) metres, map frame: corner of the first cell.
     :ivar edge: of the cells, metres.
@@ -176,9 +179,9 @@ class ObservationMap:
         floor = model.bounds[0, 2]
         heights = model.points[:, 2] - floor
         cells = self.window.cell_of(model.points)
-        #: For each point its cell in the low or the high layer, -1 outside the grid.
+        #: For each point layer * 64 * 64 + cell, layer 0 (low) or 1 (high); -1 outside the grid.
         self._layer_cells = np.where(cells >= 0, cells + (heights > SPLIT_M) * CELLS * CELLS, -1)
-        self._air = _AirColumns(model, self.window, floor)
+        self._air = _AirStacks(model, self.window, floor)
         slices = np.searchsorted(SLICES_M, heights)
         slice_cells = np.where(cells >= 0, cells + slices * CELLS * CELLS, -1)
         point_errors = model.depth_error.error_by_point(no_bits(len(model.points)))
@@ -188,7 +191,8 @@ class ObservationMap:
             _encode_error_shares(cell_errors / model.depth_error.worst),
             _to_uint8(self._air.shares(~unseen, len(AIR_SLICES_M) + 1)),
             self._box_mask(), _draw_spots(self.window, model.depth_error.viewpoints)])
-        #: The first scalar inputs, scaled to about 1.
+        #: All scalar inputs but the last, scaled to about 1: number of other cameras, range as a
+        #: share of the map's side, height of the cameras above the floor, edge of the cells.
         self._scalars = ((cameras - 1) / 7.0, max_range / self.window.edge / CELLS,
                          (height - floor) / 3.0, 2.0 * self.window.edge)
 
@@ -205,7 +209,7 @@ class ObservationMap:
         unseen = ~unpack(joint.seen, len(model.points))
         errors = model.depth_error.error_by_point(joint.seen)
         worst = model.depth_error.worst
-        # With this floor, the logarithm in the last scalar input is from -5.3 to 0.
+        # With this addition, the logarithm in the last scalar input is from about -5.3 to 0.
         error = float(errors.sum()) + ERROR_FLOOR * worst
         channels = np.concatenate([
             _encode_counts(_cell_sums(np.where(unseen, self._layer_cells, -1), 2)),
@@ -221,13 +225,17 @@ class ObservationMap:
         return 255 * np.logical_and.outer(*inside).astype(np.uint8)[None]
 
     def unseen_air(self) -> np.ndarray:
-        """Return the unseen share of the observed air above each cell: (64, 64)."""
+        """Return the unseen share of the air above each cell, 0 where there is none: (64, 64)."""
         seen_share = self.room[SEEN_AIR].mean(axis=0) / 255.0
         return np.where(self._air.has_air, 1.0 - seen_share, 0.0)
 
 
-class _AirColumns:
-    """The cells of the partial map's air above each cell of the grid."""
+class _AirStacks:
+    """
+    The cells of the partial map's air above each cell of the grid.
+
+    A stack has all cells of the air at the same x and y.
+    """
 
     def __init__(self, model: PartialMap, window: Window, floor: float) -> None:
         self._count = len(model.cells)
@@ -240,11 +248,13 @@ class _AirColumns:
         # A very low room has no cells of the air in this range.
         low, high = (corners_of(cells) if len(cells) else np.zeros((2, 3), dtype=np.int64))[:, :2]
         self._shape = tuple(high - low + 1)
-        column = cells[:, :2] - low
-        self._column_numbers = column[:, 0] * self._shape[1] + column[:, 1]
+        stack = cells[:, :2] - low
+        self._stack_numbers = stack[:, 0] * self._shape[1] + stack[:, 1]
+        #: The slice of each cell, by the number of slices.
         self._slices = {2: (heights > SPLIT_M).astype(np.int64),
                         len(AIR_SLICES_M) + 1: np.searchsorted(AIR_SLICES_M, heights)}
-        # For each row and each column of the grid: index in the air, and whether there is air.
+        # For each row and each column of the grid: index of the stack at its centre along x or y,
+        # and whether there is one.
         self._air_indices, has_air = [], []
         for k, axis in enumerate(window.centres_by_axis):
             index = np.floor(axis / model.edge).astype(np.int64) - low[k]
@@ -260,13 +270,13 @@ class _AirColumns:
         :param slices: S, number of slices by height, 2 or 3.
         """
         is_set = unpack(bits, self._count)[self._air_cells]
-        # Count the cells of the air, and those with their bit set, by slice and column of air.
+        # Count the cells of the air, and those with their bit set, by slice and stack.
         size = self._shape[0] * self._shape[1]
-        index = self._slices[slices] * size + self._column_numbers
+        index = self._slices[slices] * size + self._stack_numbers
         counts = np.bincount(index, minlength=slices * size)
         set_counts = np.bincount(index[is_set], minlength=slices * size)
         share = (set_counts / np.maximum(counts, 1)).reshape(slices, *self._shape)
-        # Each cell of the grid has the share of the column of air at its centre, 0 outside.
+        # Each cell of the grid has the share of the stack at its centre, 0 without a stack.
         x_indices, y_indices = self._air_indices
         return share[:, x_indices[:, None], y_indices[None, :]] * self.has_air
 
@@ -291,7 +301,7 @@ def _encode_counts(counts: np.ndarray) -> np.ndarray:
 
 def _encode_error_shares(shares: np.ndarray) -> np.ndarray:
     """Return shares of an error as uint8 on a logarithmic scale; a share of 0.03 becomes 255."""
-    resolution = 500.0  # A larger factor resolves smaller shares.
+    resolution = 500.0  # A larger factor distinguishes smaller shares.
     return _to_uint8(np.log1p(resolution * shares) / np.log1p(resolution * 0.03))
 
 

@@ -133,7 +133,8 @@ class ValueMapNetwork(ValueMap):
                     target[:, :source.shape[1]] = source
                     target[:, source.shape[1]:] = 0.0
                 else:
-                    # Only the last layer has another shape: its weights repeat for each heading.
+                    # The last layer has more outputs: its weights repeat for each heading. All
+                    # other layers have the same shape, so their weights are used once.
                     repeats = len(target) // len(source)
                     target.copy_(source.repeat(repeats, *[1] * (target.dim() - 1)))
 

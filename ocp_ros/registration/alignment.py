@@ -122,7 +122,9 @@ class Matches(NamedTuple):
 
 def matches_of(surfaces: Surfaces, patches: Patches, poses: Poses, max_distance: float) -> Matches:
     """
-    Return the match of each measured point: the nearest surface point, if that faces the camera.
+    Return the match of each measured point: the nearest surface point, if it is suitable.
+
+    A suitable surface point faces the camera and has a normal similar to that of the point.
 
     :param surfaces: the surfaces of the scan.
     :param patches: the measured points of the camera.

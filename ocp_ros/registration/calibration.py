@@ -85,6 +85,7 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
     """
     Return a sentence for each camera that has moved since it was calibrated.
 
+    A camera whose cloud is unusable or does not match the scan gets a sentence too.
     Only certain displacements are reported: a camera that the scan does not constrain may not have
     moved.
 
@@ -106,7 +107,7 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
         degrees = float(np.rad2deg(radians))
         if registration.mismatched:
             sentences.append(f'{name} no longer fits the scan: {registration.refused}')
-        # More than 2 cm or 1 degree, and three times the largest expected deviation.
+        # More than 2 cm or 1 degree, and three times the largest expected deviation, the first.
         elif (metres > max(0.02, 3.0 * registration.certainty.metres[0])
               or degrees > max(1.0, 3.0 * registration.certainty.degrees[0])):
             sentences.append(
@@ -129,14 +130,15 @@ def as_built(placement: Placement, found: Mapping[str, Registration], command: s
     calibrated = [name for name, registration in found.items() if not registration.refused]
     created = {**created_by(command, placement.created.get('planner', '')),
                'calibrated': ', '.join(calibrated)}
-    # The scores of the plan do not hold for the placement as built.
+    # The scores of the plan do not hold for measured poses. A camera at a measured pose keeps its
+    # planned pose in ``planned``; for others this is None.
     scores = {} if any(placed.planned for placed in cameras) else placement.scores
     return replace(placement, cameras=cameras, rig=rig, scores=scores, created=created,
                    document=None, key_paths=())
 
 
 def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
-    """Return the registration of a camera as plain data for JSON."""
+    """Return the registration of a camera as plain data for JSON, without a pose if refused."""
     certainty = found.certainty
     row = {'camera': placed.camera.name, 'refused': found.refused,
            'residual': found.residual, 'overlap': found.overlap, 'violated': found.violated_share,
@@ -169,7 +171,7 @@ def _with_fixed_poses(rig: Rig, fixed: list[Placed]) -> Rig:
 
     :param fixed: the fixed cameras, in the order of the rig file.
     """
-    # A measured camera keeps its planned pose in ``planned``; for others this is None.
+    # ``planned`` is None for cameras without a measured pose, see :func:`as_built`.
     if not any(placed.planned for placed in fixed):
         return rig
     # The rig is read again from a changed copy of its document.

@@ -182,7 +182,7 @@ def _start_poses(start: Pose) -> Poses:
 
 
 def _sampled(patches: Patches, count: int) -> Patches:
-    """Return a random subset of at most ``count`` patches."""
+    """Return a random subset of at most ``count`` patches, the same one in each call."""
     return patches.subset(np.random.default_rng(0).permutation(len(patches.points))[:count])
 
 
@@ -190,12 +190,17 @@ def _explained_shares(surfaces: Surfaces, patches: Patches, poses: Poses, kernel
                       ) -> np.ndarray:
     """Return the share of patches that surfaces explain at each of S poses, 0 to 1: (S,)."""
     weight = weights_of(matches_of(surfaces, patches, poses, 0.3), patches.deviation, kernel_width)
-    # A weight times the variance is 1 at distance 0 and decreases to 0.
+    # A weight times the variance is 1 at distance 0 and decreases; it is 0 without a match within
+    # 0.3 m.
     return (weight * patches.deviation ** 2).mean(axis=1)
 
 
 def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pose]:
-    """Return the distinct poses around a start that best explain the cloud."""
+    """
+    Return up to three distinct poses around a start that best explain the cloud.
+
+    :returns: the best pose first; the start alone if no pose is near enough to it.
+    """
     poses = _coarse_poses(scan, view, start)
     patches = _sampled(view.patches, OUTLINE_PATCHES)
     scores = (_explained_shares(scan.coarse, patches, poses, 5.0)
@@ -203,7 +208,7 @@ def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pos
     distinct: list[Pose] = []
     for k in np.argsort(-scores, kind='stable'):
         pose = Pose(poses.positions[k], poses.rotations[k])
-        # At most 1.6 m and 45 degrees from the start, and at most 0.2 worse than the best score.
+        # At most 1.6 m and 45 degrees from the start, and less than 0.2 worse than the best score.
         if (not _differ(pose, start, (1.6, np.deg2rad(45.0))) and scores[k] > scores.max() - 0.2
                 and len(distinct) < 3 and all(_differ(pose, other) for other in distinct)):
             distinct.append(pose)
@@ -224,11 +229,15 @@ def _differ(pose: Pose, other: Pose, limits: tuple[float, float] = DISTINCT_POSE
 
 
 def _refined(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> Pose:
-    """Return a pose after fine registration: to sided surfaces, then to all in view."""
+    """
+    Return a pose after fine registration: to ``sided`` surfaces, then to ``every`` one in view.
+
+    See :class:`~ocp_ros.registration.scan_surfaces.SurfacesInView` for both.
+    """
     for stage in (AlignmentStage((0.15, 0.08), (4.0, 2.0), 16),
                   AlignmentStage((0.1, 0.08), (2.0, 1.0), 16)):
         surfaces = scan.in_view(pose, model).sided
-        # Sided surfaces are not used if they are fewer than 2 % of the patches.
+        # Sided surfaces are not used if their points are fewer than about 2 % of the patches.
         if len(surfaces.points) < len(view.patches.points) // 50 + 1:
             break
         pose = _first_pose(aligned_poses(surfaces, view.patches, _as_poses(pose), stage))
@@ -275,7 +284,8 @@ def _best_shift(in_view: SurfacesInView, patches: Patches, pose: Pose) -> tuple[
     # The six independent directions in which the pose may be wrong, as steps: the eigenvectors of
     # the information matrix.
     directions = np.linalg.eigh((jacobians * weights[0, :, None]).T @ jacobians)[1].T
-    # A rotation by one radian counts as 2.5 m.
+    # A rotation by one radian counts as 2.5 m. Each direction is scaled to 1 m: that is its
+    # displacement or its rotation, whichever is larger.
     arm_m = 2.5
     directions /= np.maximum(np.linalg.norm(directions[:, 3:], axis=1),
                              arm_m * np.linalg.norm(directions[:, :3], axis=1))[:, None]
@@ -287,7 +297,7 @@ def _best_shift(in_view: SurfacesInView, patches: Patches, pose: Pose) -> tuple[
     few_patches = _sampled(patches, 2000)
     ends = aligned_poses(surfaces, few_patches, moved_poses(starts, steps), FINEST_STAGE)
     scores = _fit_scores(in_view, few_patches, ends)
-    # The result of a shifted start has to be better by this.
+    # The result of a shifted start has to be better than that of the pose itself by this.
     scores[0] += 1e-3
     if scores.argmax() != 0:
         # Compare with all patches: the better one of both is the pose.
@@ -306,7 +316,8 @@ def _fit_scores(in_view: SurfacesInView, patches: Patches, poses: Poses) -> np.n
     """
     Return the fit scores of S finely registered poses: (S,), at most 2.
 
-    Surfaces whose scanned side is certain count twice, since ``every`` contains them too.
+    The sum is over both fields of ``in_view``. Surfaces whose scanned side is certain count twice,
+    since ``every`` contains them too.
     """
     return np.sum([_explained_shares(surfaces, patches, poses, FINEST_STAGE.kernel_widths[1])
                    - BEHIND_WEIGHT * _behind_shares(surfaces, patches, poses)
@@ -357,8 +368,8 @@ def _behind_shares(surfaces: Surfaces, patches: Patches, poses: Poses) -> np.nda
     """
     Return the share of patches closely behind a surface that faces each of S cameras: (S,).
 
-    A camera can see neither side of a panel there, and objects moved since the scan are mostly
-    farther away.
+    Such points are a sign of a wrong pose: the scanned surface hides what is closely behind it,
+    also the back of a thin panel, and objects moved since the scan are mostly farther away.
     """
     matches = matches_of(surfaces, patches, poses, MAX_MATCH_DISTANCE_M)
     # More than two standard deviations and 6 mm behind the plane, seen from the camera.

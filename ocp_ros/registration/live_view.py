@@ -60,6 +60,7 @@ class LiveView:
         points = thinned_to(averaged(self.points, self._distance), 5000).astype(np.float64)
         neighbours = nearest(points, PLANE_NEIGHBOURS)[1]
         normals = edge_aware_normals(points, neighbours).astype(np.float64)
+        # The camera is at the origin of the points, so its rays have the directions of the points.
         facing_away = np.einsum('ij,ij->i', normals, points) > 0.0
         normals[facing_away] *= -1.0
         return Patches(points, normals, standard_deviation(np.linalg.norm(points, axis=1)))
@@ -69,14 +70,16 @@ class LiveView:
         """Return the least and the largest distance measured around each cell of directions."""
         # Cells without a measurement have inf as least and -inf as largest distance.
         low, high = np.full((2, FREE_SPACE_ROWS, 2 * FREE_SPACE_ROWS), np.inf)
+        high[:] = -np.inf
         cells = _direction_cells(self.points, self._distance)
         np.minimum.at(low, cells, self._distance)
-        high[:] = -np.inf
         np.maximum.at(high, cells, self._distance)
         empty = np.isinf(low)
-        # Columns, the azimuths, continue on the other side of the map; rows do not.
+        # Include the eight cells around each cell. Columns, the azimuths, continue on the other
+        # side of the map; rows do not.
         mode = ('nearest', 'wrap')
         low, high = minimum_filter(low, 3, mode=mode), maximum_filter(high, 3, mode=mode)
+        # A cell without its own measurement stays empty.
         low[empty], high[empty] = np.inf, -np.inf
         return low, high
 
@@ -92,12 +95,18 @@ class LiveView:
                          for rotation, position in zip(*poses)])
 
     def _violated_share(self, points: np.ndarray) -> float:
-        """Return the share of scan points (N, 3), body frame, in space measured as free."""
+        """
+        Return the share of the scan points in view that are in space measured as free.
+
+        :param points: (N, 3) metres, body frame.
+        :returns: from 0 to 1; 0 if no point is in view.
+        """
         distance = np.maximum(np.linalg.norm(points, axis=1), 1e-6)
         cells = _direction_cells(points, distance)
         low, high = (values[cells] for values in self._ranges)
-        # Five centimetres in front of a measured point, in addition to its noise, the space is
-        # certainly free.
+        # A difference of distances is certain if it is larger than 5 cm plus three standard
+        # deviations. A point certainly behind the farthest measured point is hidden, so it is not
+        # in view. A point certainly in front of the nearest measured point is in free space.
         margin = 0.05 + 3.0 * standard_deviation(distance)
         in_view = np.isfinite(low) & (distance < high + margin)
         in_free_space = in_view & (distance < low - margin)
@@ -123,9 +132,10 @@ def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
     """
     # Beams are 0.6 degrees wide.
     beam_rows = 300
-    # Directions have twice as many columns as rows.
     row, column = _direction_cells(points, distance, beam_rows)
+    # The number of each point's beam: a row has twice as many columns as there are rows.
     beam = row * 2 * beam_rows + column
+    # By beam, and by distance within a beam: ``lexsort`` takes the last key first.
     order = np.lexsort((distance, beam))
     beam, distance = beam[order], distance[order]
     # Within a beam, a gap in distance separates surfaces behind each other.
@@ -138,7 +148,11 @@ def averaged(points: np.ndarray, distance: np.ndarray) -> np.ndarray:
 
 def _direction_cells(points: np.ndarray, distance: np.ndarray, rows: int = FREE_SPACE_ROWS
                      ) -> tuple[np.ndarray, np.ndarray]:
-    """Return row (N,) and column (N,) of the directions of points (N, 3) in the body frame."""
+    """
+    Return row (N,) and column (N,) of the directions of points (N, 3) in the body frame.
+
+    Row 0 is straight down. Column 0 begins at the direction -x; there are ``2 * rows`` columns.
+    """
     elevation = np.arcsin(np.clip(points[:, 2] / distance, -1.0, 1.0))
     azimuth = np.arctan2(points[:, 1], points[:, 0])
     row = (elevation / np.pi + 0.5) * rows

@@ -52,8 +52,9 @@ class Certainty(NamedTuple):
         """
         Return the deviations of the pose if the scan may be partly wrong.
 
-        Displaced surfaces may have been moved, or the scan may show their other side; then other
-        surfaces may be wrong as well. With little overlap, few surfaces reveal this.
+        Displaced surfaces were moved, or the scan shows their other side. The more of them there
+        are, the more of the other surfaces may be wrong too. With little overlap, few surfaces
+        would show such errors.
 
         :param overlap: the share of the cloud that the scan explains, 0 to 1.
         :param displaced_share: the share of displaced surfaces, 0 to 1.
@@ -64,7 +65,7 @@ class Certainty(NamedTuple):
 
     @property
     def loose_motions(self) -> list[str]:
-        """Return descriptions of the unconstrained directions."""
+        """Return descriptions of the unconstrained directions; empty if there are none."""
         # Up to 5 cm or 2 degrees, a direction counts as constrained.
         return [*(f'can slide along {axis_name(axis)}' for axis, deviation
                   in zip(self.slide_axes, self.metres) if deviation > 0.05),
@@ -75,10 +76,12 @@ class Certainty(NamedTuple):
 def axis_name(axis: np.ndarray) -> str:
     """Return the name in messages of an axis (3,), map frame, independently of its sign."""
     largest = int(np.abs(axis).argmax())
+    # Axes up to 18 degrees from x, y or z are named after it.
     if abs(axis[largest]) > 0.95:
         return ('the x direction', 'the y direction', 'the vertical')[largest]
+    # Other axes up to 17 degrees from the level are named by their direction in the plan.
     if abs(axis[2]) < 0.3:
-        # Lines have no sign: 0 to 180 degrees from x.
+        # Lines have no sign, so their angles are from 0 to 180 degrees.
         angle = np.rad2deg(np.arctan2(axis[1], axis[0])) % 180.0
         return f'the level line at {angle:.0f} degrees from x'
     # The largest component is positive; adding 0.0 turns -0.0 into 0.0 for the text.
@@ -109,21 +112,23 @@ def estimate_certainty(points: np.ndarray, normals: np.ndarray, matches: Matches
     np.add.at(information, blocks, weighted[:, :, None] * jacobians[used][:, None])
     np.add.at(gradients, blocks, weighted * matches.residuals[0, used, None])
     total_weight = np.bincount(blocks, weights[used], count)
-    fill_share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE_BLOCK_POINTS, 1.0)
-    # The little information that keeps unconstrained directions solvable.
-    floor = np.eye(6) / FREE_DEVIATION ** 2
+    # A weak prior keeps unconstrained directions solvable.
+    prior = np.eye(6) / FREE_DEVIATION ** 2
+    # The mean of the squared residuals of each block.
     mean_square = np.bincount(
         blocks, weights[used] * matches.residuals[0, used] ** 2, count) / total_weight
     # A fifth of the variance within a block is common to its points.
     variance = _block_deviation(matches.residuals[0, used], blocks) ** 2 + 0.2 * mean_square
     # A whole block counts as one measurement with this variance, a block of few points as less.
+    fill_share = np.minimum(np.bincount(blocks, minlength=count) / WHOLE_BLOCK_POINTS, 1.0)
     independent = (information * (fill_share / total_weight / variance)[:, None, None]).sum(axis=0)
-    covariance = np.linalg.inv(independent + floor)
-    # The jackknife: the step of the pose if each block is left out. The floor is converted
-    # from the information of independent blocks to that of all points.
+    covariance = np.linalg.inv(independent + prior)
+    # The jackknife: the step of the pose if each block is left out. The gradients of all blocks
+    # add up to about 0, so that of the others is the opposite of that of the block. The prior is
+    # converted from the information of independent blocks to that of all points.
     scale = np.trace(independent) / max(np.trace(information.sum(axis=0)), 1e-30)
     others = information.sum(axis=0) - information
-    steps = np.linalg.solve(others + floor / max(scale, 1e-12), gradients[..., None])[..., 0]
+    steps = np.linalg.solve(others + prior / max(scale, 1e-12), gradients[..., None])[..., 0]
     covariance = covariance + (count - 1) / max(count, 1) * steps.T @ steps
     slide_axes, metres = _principal_axes(covariance[3:, 3:])
     turn_axes, radians = _principal_axes(covariance[:3, :3])
@@ -136,7 +141,7 @@ def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
 
     :param residuals: (M,) metres, of M points.
     :param blocks: (M,) the number of the block of each point.
-    :returns: at least 3 mm.
+    :returns: at least 3 mm; 2 cm if fewer than four blocks are whole.
     """
     # The medians of the residuals in whole blocks.
     ends = np.cumsum(np.bincount(blocks))[:-1]
@@ -145,7 +150,7 @@ def _block_deviation(residuals: np.ndarray, blocks: np.ndarray) -> float:
     # Fewer than four whole blocks do not show how accurate the scan is: 2 cm are assumed.
     if len(medians) < 4:
         return 0.02
-    # Few panels were scanned from the other side, so the median ignores them.
+    # Few panels were scanned from the other side, so the median ignores their errors.
     # 1.4826 is the standard deviation of a normal distribution over its median absolute deviation.
     return max(1.4826 * float(np.median(np.abs(medians))), 0.003)
 

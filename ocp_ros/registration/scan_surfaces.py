@@ -42,7 +42,8 @@ class SurfacesInView(NamedTuple):
     The surfaces of a scan in the view of a camera.
 
     :ivar sided: surfaces whose side towards the camera was certainly scanned.
-    :ivar every: these, and surfaces whose other side may have been scanned instead.
+    :ivar every: the surfaces of ``sided``, and surfaces whose other side may have been scanned
+        instead.
     """
 
     sided: Surfaces
@@ -66,7 +67,8 @@ class ScanSurfaces:
         edge = voxel_size_for(scene.points, 100_000)
         if self.oriented:
             # Six groups, by the main axis of the normal and its sign. Both sides of a thin panel
-            # share voxels, but belong to different groups.
+            # share voxels, but belong to different groups. Groups with too few points to fit
+            # planes are left out.
             normals = sign * scene.normals
             axis = np.abs(normals).argmax(axis=1)
             group = 2 * axis + (np.take_along_axis(normals, axis[:, None], 1)[:, 0] > 0.0)
@@ -90,6 +92,7 @@ class ScanSurfaces:
     @cached_property
     def _visibility(self) -> SurfelVisibility:
         """Return the visibility of the points as surfels."""
+        # The empty array is for positions in the air, which are not needed here.
         return SurfelVisibility(self.points.astype(np.float32), self.normals.astype(np.float32),
                                 self._pitch, np.empty((0, 3), dtype=np.float32), FAST)
 
@@ -150,6 +153,7 @@ class ScanSurfaces:
         kept = seen.mask
         facing = np.einsum('ij,ij->i', pose.position - self.points, self.normals)
         if self.oriented:
+            # A surface whose oriented normal faces the camera was scanned from that side.
             every = self._subset(kept & (facing > 0.0) & ~self._thin)
             return SurfacesInView(every, every)
         # The other side lies against the normal if the normal faces the camera, else along it.
@@ -178,13 +182,13 @@ class ScanSurfaces:
         column = np.rad2deg(np.arctan2(offsets[:, 1], offsets[:, 0])) // cell_deg
         # Rows and columns are from -30 to 30, so each pair gives another number.
         cell = np.unique(row * 1000.0 + column, return_inverse=True)[1]
-        # The last point of each cell, by distance, is its farthest.
+        # Sorted by cell and then by distance, the last point of each cell is its farthest.
         order = np.lexsort((distance, cell))
         ends = np.flatnonzero(np.append(np.diff(cell[order]) > 0, True))
         farthest = self.points[order[ends]][cell]
         # How far the farthest point of its cell lies behind the plane of each point, metres.
         behind = -sign * np.einsum('ij,ij->i', farthest - self.points, self.normals)
-        # Hidden surfaces are at least 10 cm behind others.
+        # Points whose cell has no point 10 cm or more behind their plane are outermost.
         return behind < 0.1
 
 
@@ -199,8 +203,8 @@ def inward_sign(scene: Scene) -> float:
     inward = np.einsum('ij,ij->i', scene.normals[outer], scene.bounds.mean(axis=0)
                        - scene.points[outer]) > 0.0
     share = inward.mean()
-    # If the normals of a file are consistent, those of at least this share of the outermost points
-    # point to the same side.
+    # Normals count as consistent if more than this share of those of the outermost points point
+    # into the room, or out of it.
     min_share = 0.8
     return 1.0 if share > min_share else -1.0 if share < 1.0 - min_share else 0.0
 

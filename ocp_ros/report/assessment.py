@@ -198,6 +198,7 @@ def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str
 def _mismatch_notes(placement: Placement, room: dict[str, Any], loss: float) -> list[str]:
     """Return a note if the scan or the objective value is not as in the placement file."""
     recorded = placement.scores.get('loss')
+    # A file without the hash of its scan cannot be compared with this scan.
     if placement.room.get('sha256') not in (None, room['sha256']):
         return ['the file was made for another scan; the scores in the file are not those of '
                 'this scan']

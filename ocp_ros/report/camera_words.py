@@ -93,13 +93,15 @@ def aim_text(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor
     depths = offsets @ axis
     axis_distances = np.linalg.norm(offsets - depths[:, None] * axis, axis=1)
     min_distance_m, tolerance_m, surface_depth_m = 0.3, 0.08, 0.3
-    # The axis meets the surface near a point if it is not farther away than ``pitch``, the edge
-    # of the square of surface that the point stands for.
+    # The axis meets the surface near a point if the point is not farther from the axis than
+    # ``pitch``, the edge of the square of surface that the point stands for, or than the tolerance
+    # in dense scans. Points nearer to the camera than ``min_distance_m`` are ignored.
     candidates = np.flatnonzero((depths > min_distance_m)
                                 & (axis_distances <= np.maximum(scene.pitch, tolerance_m)))
     if len(candidates) == 0:
         return ''
-    # Among the points on the first surface, take the point nearest to the optical axis.
+    # The first surface has the points up to ``surface_depth_m`` deeper than the first point. Among
+    # them, take the point nearest to the optical axis.
     candidates = candidates[depths[candidates] <= depths[candidates].min() + surface_depth_m]
     nearest = candidates[np.argmin(axis_distances[candidates])]
     aim = placed.pose[:3] + depths[nearest] * axis

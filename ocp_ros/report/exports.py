@@ -204,7 +204,7 @@ def camera_links(placement: Placement, prefix: str = '', omitted: Collection[str
 
     :param placement: poses of the cameras.
     :param prefix: prefix of frame names.
-    :param omitted: names of cameras to leave out.
+    :param omitted: names of cameras to leave out, such as those whose calibration was refused.
     """
     for number, placed in enumerate(placement.cameras):
         if placed.camera.name not in omitted:
@@ -225,7 +225,7 @@ def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = ''
     :param placement: poses of the cameras.
     :param links: other transforms to publish.
     :param prefix: prefix of frame names.
-    :param omitted: names of cameras to leave out.
+    :param omitted: as in :func:`camera_links`.
     """
     # The launch file is Python, so each transform is written as a tuple of Python.
     lines = [(link.parent, link.child, *map(float, link.position),
@@ -237,7 +237,7 @@ def launch_of(placement: Placement, links: Sequence[Link] = (), prefix: str = ''
 
 def xacro_of(placement: Placement, links: Sequence[Link] = (), prefix: str = '') -> str:
     """Return a xacro macro with links and joints for the same frames as :func:`launch_of`."""
-    # The root frame is the parameter of the macro.
+    # The caller of the macro gives the name of the root frame as its parameter.
     root = '${parent}'
     joints = ''
     for link in (*(link._replace(parent=root) for link in links),

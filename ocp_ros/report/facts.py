@@ -155,7 +155,6 @@ def page_facts_of(assessed: Assessment) -> PageFacts:
         f'made by {strip_folders(created["command"])}' if 'command' in created else '',
         created.get('date', ''),
         f'ocp_ros {created["version"]}' if 'version' in created else '']))
-    # If the scan has the coordinates of the map, readers know the frame as that of the scan.
     return PageFacts(
         **vars(facts_of(assessed.found)),
         title=f'{scene.name}: {count_text(len(cameras), "camera")}',
@@ -164,6 +163,7 @@ def page_facts_of(assessed: Assessment) -> PageFacts:
         origin=printable(origin), meaning=printable('; '.join([
             *scene.remarks, 'distances are perpendicular to the walls, to the centre of the front '
             'of a camera'])),
+        # If the scan has the coordinates of the map, readers know the frame as that of the scan.
         frame=f'metres in the frame of the {"scan" if scene.source.is_map else "map"}'
         if frame.is_map else 'in the axes and units of the scan' + (
             '' if frame.scale == 1.0 else f', {frame.scale:g} m each'),
@@ -272,8 +272,8 @@ def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:
                f'{random["median"]:.4f}, best {random["best"]:.4f}')
     yield (f'lower bound {bound:.4f}: the objective value with a camera at each of the '
            f'{search["candidates"]:,} candidates')
-    # By rounding, the bound may be a little above the objective value.
     if loss > 0.0:
+        # By rounding, the bound may be a little above the objective value.
         yield (f'{percent(min(bound / loss, 1.0))} of the objective value is not visible from any '
                'candidate')
     yield search['certificate']['sentence']

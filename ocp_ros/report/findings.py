@@ -63,7 +63,7 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
 
 
 def _share_notes(missed: dict[str, Any]) -> list[str]:
-    """Return a note if cameras, or even all candidates together, miss most of the points."""
+    """Return a note if all candidates together, or else the cameras, miss too many points."""
     max_hopeless_share, max_missed_share = 0.3, 0.9
     if missed['hopeless'] > max_hopeless_share:
         return [f'found {100.0 * missed["hopeless"]:.0f} % of the points out of sight from '
@@ -176,14 +176,15 @@ def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> 
     """
     objective, simulator, rig = problem.objective, problem.simulator, problem.rig
     evaluation = objective.judge(views)
-    models = [rig.models.index(model) for model in rig.placed_models]
+    # One camera of each model: the first one, by its number in the rig.
+    numbers = [rig.models.index(model) for model in rig.placed_models]
     # All models together have at most 480 candidates.
-    max_count = 480 // len(models)
+    max_count = 480 // len(numbers)
     # For each camera model the best candidate: depth error with it, camera and pose.
     best = []
     # Points that the placement or any candidate sees.
     visible = evaluation.seen.bits.copy()
-    for number in models:
+    for number in numbers:
         try:
             candidates = problem.region.candidates(rig.models[number], max_count)
         except ConfigurationError:
@@ -214,7 +215,7 @@ def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> 
 
 def _fullest_cubes(points: np.ndarray, total: int) -> list[dict[str, Any]]:
     """
-    Return the three cubes of 1 m that contain most points.
+    Return the three cubes of 1 m that contain most points; fewer if the points are in fewer.
 
     :param points: (M, 3) metres, M points.
     :param total: the number of all points of the room, by which the counts are divided.

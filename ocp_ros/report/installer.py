@@ -75,7 +75,8 @@ def installer_page(assessed: Assessment, plan: str) -> str:
         lenses='\n'.join(f'- {escape_markdown(placed.camera.name)}: '
                          + '; '.join(filter(None, (lens_text(placed.camera.model), aim)))
                          for placed, aim in zip(cameras, assessed.aims)),
-        # The depth error on the scan, the expected one, and the share of seen points.
+        # The first three, in the order of ``score_figures``: the depth error on the scan, the
+        # expected one, and the share of seen points.
         figures='; '.join(f'{label} {value} ({remark})'
                           for label, value, remark in facts.figures[:3]),
         certificate=f' {escape_markdown(facts.certificate)}'.rstrip(),

@@ -120,6 +120,7 @@ class PlannedRig:
                                   task.planner)
         self.plans = (list(self._plans_by_count(rig, task.counting)) if task.counting
                       else [self.planner.plan(rig)])
+        # Only the result gets a proof.
         self.plans[-1] = self.planner.certified(self.plans[-1], budget.restarted(proof_seconds))
 
     @property
@@ -174,8 +175,8 @@ class PlannedRig:
     def _search_data(self) -> dict[str, Any]:
         """Return figures of the search, and values to compare the result with, as plain data."""
         plan = self.best
+        # The objective values of random placements.
         random = plan.random
-        # ``everywhere`` has the values with a camera at each candidate, which are lower bounds.
         return {'planner': plan.planner, 'seed': self.task.seed,
                 'loss': plan.evaluation.loss, 'searches': sorted(plan.answer.losses),
                 'evaluations': plan.answer.evaluations, 'seconds': round(plan.seconds, 2),
@@ -183,6 +184,7 @@ class PlannedRig:
                 'random': {'placements': len(random),
                            'median': float(np.median(random)) if len(random) else None,
                            'best': float(random.min()) if len(random) else None},
+                # The values with a camera at each candidate, which are lower bounds.
                 'everywhere': {'loss': plan.union_bound.loss,
                                'depth_error': plan.union_bound.depth_error},
                 'certificate': certificate_data(plan.certificate, plan.uncertain)}

@@ -41,7 +41,8 @@ def facts_of(scene: Scene) -> dict[str, Any]:
     """
     floor, source = floor_height(scene), scene.source
     ceiling = ceiling_of(scene).points
-    # The floor for one camera at the top of the room, without margin and clearance.
+    # The positions over the floor, without margin and clearance. The height is that of the top of
+    # the room, so that furniture counts as well as floor. The number of cameras does not matter.
     space = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0)
     return {
         'name': scene.name, 'points': len(scene), 'spacing': float(np.median(scene.spacing)),
@@ -61,22 +62,23 @@ def openings_of(scene: Scene, air: Air) -> dict[str, float]:
     :param scene: the room.
     :param air: the air in the room.
     :returns: shares of the solid angle: ``all``, and one for each of the six ``SIDES``; empty if
-        no air was found.
+        there is no air at half the height of the room.
     """
-    # From this elevation on a direction counts as above or below.
-    steep_degrees = 30.0
     if len(air.cells(float(scene.bounds[:, 2].mean()))) == 0:
         return {}
     # Depth maps from viewpoints inside the room.
     places = viewpoints_of(scene)
-    # In these depth maps of 64 rows a point is a cube, whose half side is 0.75 point spacings.
+    # In these depth maps of 64 rows a point is a cube, whose half side is 0.75 of its pitch.
     maps = DepthError(scene.points, 0.75 * scene.pitch, scene.diameter, places, 64)
     rows, columns = maps.shape
     # As in the depth maps, row 0 is straight down, and column 0 begins at the direction -x.
     elevation = (np.arange(rows) + 0.5) * 180.0 / rows - 90.0
     azimuth = (np.arange(columns) + 0.5) * 360.0 / columns - 180.0
     side = np.empty((rows, columns), dtype=int)
+    # The first four sides are quarters of a turn, around the azimuths 0, 90, 180 and 270 degrees.
     side[:] = np.round(azimuth / 90.0).astype(int) % 4
+    # From this elevation on a direction counts as above or below.
+    steep_degrees = 30.0
     side[elevation > steep_degrees] = SIDES.index('above')
     side[elevation < -steep_degrees] = SIDES.index('below')
     # The solid angle of a pixel is proportional to the cosine of its elevation.

@@ -91,7 +91,8 @@ def write_view(path: str | Path, scene: Scene, assessed: Assessment | None = Non
     points = scene.points.astype(np.float64)
     indices = choose_indices(len(points), SHOWN)
     groups, facing = groups_of(points[indices])
-    # The last group is the ceiling, a layer that is invisible at first.
+    # From here on, groups have indices of the scene's points. The last group is the ceiling, a
+    # layer that is invisible at first.
     *groups, ceiling = (indices[group] for group in groups)
     paints = paints_of(scene, assessed)
     layers = [Layer('ceiling', [_point_trace(points[ceiling], '#a3aeb6')], shown=False)]
@@ -193,7 +194,11 @@ def _base64_of(shares: np.ndarray) -> str:
 
 
 def layers_of(assessed: Assessment) -> Iterator[Layer]:
-    """Yield the layers: cameras, fields of view, ranges, zones of the rig, one more camera."""
+    """
+    Yield the layers: cameras, fields of view, ranges, zones of the rig, one more camera.
+
+    A layer for which there is nothing to draw has no traces.
+    """
     cameras, scene = assessed.placement.cameras, assessed.scene
     yield Layer('cameras', [_camera_trace(assessed)])
     diagonal = float(np.linalg.norm(scene.size))

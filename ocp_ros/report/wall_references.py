@@ -114,6 +114,7 @@ def walls_around(scene: Scene) -> list[ReferenceWall]:
     sides = [_outermost_wall(plan_points[is_upright], outward, edge, span)
              for outward, edge, span in zip(outwards, edges, spans)]
     offsets = [offset for offset, _ in sides]
+    # As for ``spans``, but with the offsets of the walls.
     lengths = [offsets[1] + offsets[3], offsets[0] + offsets[2]] * 2
     return [ReferenceWall(letter, outward, offset, length, stands) for letter, outward, length,
             (offset, stands) in zip('ABCD', outwards, lengths, sides)]
@@ -127,14 +128,15 @@ def _wall_direction(normals: np.ndarray, areas: np.ndarray) -> float:
     :param areas: (M,) area of the wall around each point, square metres.
     """
     bins = 90
-    tolerance_degrees = 5.0
     angles = np.rad2deg(np.arctan2(normals[:, 1], normals[:, 0])) % 90.0
-    counts, _ = np.histogram(angles, bins, (0.0, 90.0), weights=areas)
+    bin_areas, _ = np.histogram(angles, bins, (0.0, 90.0), weights=areas)
     # Two bins may share a peak, so sum three neighbouring bins; 90 degrees are the same as 0.
-    best = np.argmax(counts + np.roll(counts, 1) + np.roll(counts, -1))
+    best = np.argmax(bin_areas + np.roll(bin_areas, 1) + np.roll(bin_areas, -1))
+    # The middle of the best bin.
     direction = (best + 0.5) * 90.0 / bins
     # Differences of directions that repeat every 90 degrees, from -45 to 45.
     deviations = (angles - direction + 45.0) % 90.0 - 45.0
+    tolerance_degrees = 5.0
     aligned = np.abs(deviations) <= tolerance_degrees
     if aligned.any():
         direction += np.average(deviations[aligned], weights=areas[aligned])
@@ -240,10 +242,17 @@ class WallReferences:
         self.distances = [self._near_walls(np.asarray(position)) for position in positions]
 
     def _near_walls(self, position: np.ndarray) -> list[Distance]:
-        """Return the distances to a camera's own wall, or else the nearest, and to one across."""
+        """
+        Return a camera's distances to at most two perpendicular walls, the nearest first.
+
+        One of them is the wall that the camera is mounted on. If there is none, it is the nearer
+        of the walls in the directions of side A and of its opposite side.
+        """
         contact = self._standing_points.at(position[None])
-        # Distances and outward directions of walls; first along one direction, then across it.
+        # ``walls`` has distances and outward directions along one direction, ``across`` those
+        # perpendicular to it.
         if contact.on[0]:
+            # The normal points from the wall to the camera.
             outward = -contact.normals[0, :2]
             walls = [(float(contact.distances[0]), outward)]
         else:
@@ -312,8 +321,8 @@ class WallReferences:
                                & (depths <= MAX_DISTANCE_M + SHEET_M))
         strip = strip[np.argsort(depths[strip], kind='stable')]
         offsets, depths = offsets[strip], depths[strip]
-        # For the sheet that begins at each point, the end. The first sheet with enough points that
-        # the line of measurement meets is the wall.
+        # A sheet begins at each point; ``ends`` is the index after its last point. The wall is the
+        # first sheet that has enough points and that the line of measurement meets.
         ends = np.searchsorted(depths, depths + SHEET_M, side='right')
         for first in np.flatnonzero(ends - np.arange(len(depths)) >= self._min_points):
             sheet = slice(first, ends[first])

@@ -195,7 +195,7 @@ class FeasibleRegion:
                 ('keep_in',), f'no place of the mount {self.rig.mount.on} in any zone over the '
                 f'floor of {self.scene.name}', 'one at least', 'correct the corners of the zones, '
                 'or the mount or its height')
-        # Pitch and roll are allowed ones, so that only the position decides.
+        # Pitch and roll of these poses are allowed, so that only the position decides.
         poses = np.zeros((len(offered.positions), 6))
         poses[:, :3] = offered.positions
         poses[:, 4:] = np.clip(0.0, *self.rig.pitch), self.rig.rolls[0]
@@ -238,7 +238,8 @@ class FeasibleRegion:
             contact = self.surface.at(moved)
             shift = np.where(contact.on, STAND_OFF - contact.distances, 0.0)
             moved += shift[:, None] * contact.normals
-        # Only a ceiling mount has no heights.
+        # Only a ceiling mount may have no heights; the height of the ceiling is not finite where
+        # there is none.
         if heights is None:
             z = self.surface.height_above(moved[:, :2]) - STAND_OFF
             moved[:, 2] = np.where(np.isfinite(z), z, moved[:, 2])
@@ -318,9 +319,9 @@ class FeasibleRegion:
         """
         positions = poses[:, :3]
         contact = None if self.surface is None else self.surface.at(positions)
-        yield (over_floor := self._floor_check(positions, contact, floor_margin))
-        # Where there is no floor, free space is not checked as well.
-        closed = self.air.closed(positions) & ~over_floor.violated
+        yield (floor_check := self._floor_check(positions, contact, floor_margin))
+        # Positions without floor violate that check only, not also the one of free space.
+        closed = self.air.closed(positions) & ~floor_check.violated
         yield Check(FREE_SPACE, closed, lambda k: (
             'found a position inside furniture or behind it; expected one in free space; move it '
             'there'))
@@ -375,7 +376,8 @@ class FeasibleRegion:
             count = min(count, len(points))
             distance, index = tree.query(
                 positions[pending], np.arange(1, count + 1), distance_upper_bound=clearance)
-            # A neighbour beyond the clearance has the distance inf and the index len(points).
+            # With ``k`` as an array, the results have two axes also if ``count`` is 1. A neighbour
+            # beyond the clearance has the distance inf and the index len(points).
             others = np.isfinite(distance)
             more_in_reach = others[:, -1] & (count < len(points))
             if contact is not None:

@@ -60,7 +60,11 @@ class Floor:
 
     @cached_property
     def _nearest(self) -> np.ndarray:
-        """Return the row of the nearest open cell in the column of each cell: (X, Y) int32."""
+        """
+        Return the row of the nearest open cell in the column of each cell: (X, Y) int32.
+
+        Rows are numbered along x, columns along y.
+        """
         return nearest_rows(self.open)
 
     def inside(self, positions: np.ndarray) -> np.ndarray:
@@ -98,9 +102,8 @@ class Floor:
         """
         Yield the cells that a camera can reach with one move, then those with two, and so on.
 
-        A move ends over an open cell; obstacles between start and end are ignored. The last floor
-        is that after which a further move adds no cell. There is no floor if the first move
-        reaches no cell.
+        A move ends over an open cell; obstacles between start and end are ignored. The iteration
+        ends when a further move adds no cell. It yields nothing if the first move reaches no cell.
 
         :param position: (2,) metres, the position of the camera.
         :param max_step: the largest length of a move, metres.
@@ -110,6 +113,7 @@ class Floor:
         while np.count_nonzero(cells) > count:
             yield replace(self, open=cells)
             count = np.count_nonzero(cells)
+            # The distance of each cell from the nearest cell reached so far, between the centres.
             distance = ndimage.distance_transform_edt(~cells, sampling=self.edge)
             cells = self.open & (distance <= max_step + ROUNDING)
 
@@ -158,15 +162,17 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     lowest, highest = corners_of(below)
     if (highest - lowest).max() > MAX_EXTENT_M:
         return None
+    # The grid has a margin of 4 cells on all sides.
     low = lowest - 4.0 * CELL_M
     indices = np.floor((below - low) / CELL_M).astype(np.int64)
     # Radii of the gaps that are filled: the occlusion shadows of furniture, and in sparse scans
     # the space between points.
     radii_cells = (1, 2, 3, 5)
-    # The grid has a margin of 4 cells and the largest radius on all sides, since gaps at the edge
-    # of the grid would not be filled.
+    # The margin is increased by the largest radius on all sides, since gaps at the edge of the
+    # grid would not be filled.
     indices = indices + max(radii_cells)
     low = low - max(radii_cells) * CELL_M
+    # The size is one more than the largest index, plus the whole margin.
     cells = np.zeros(corners_of(indices)[1] + max(radii_cells) + 5, dtype=bool)
     cells[indices[:, 0], indices[:, 1]] = True
     widest = _largest_part(cells, radii_cells[-1])
@@ -194,8 +200,8 @@ def _largest_part(cells: np.ndarray, radius: int) -> np.ndarray:
     cells = ndimage.binary_erosion(_fill_gaps(cells, radius))
     parts, _ = ndimage.label(cells)
     sizes = np.bincount(parts.ravel())
-    # Label 0 is that of the other cells; if there is no part, it is the largest, and ``cells`` is
-    # False everywhere.
+    # Label 0 is that of the other cells. If there is no part, ``argmax`` returns 0 too, but then
+    # ``cells`` is False everywhere.
     sizes[0] = 0
     return (parts == np.argmax(sizes)) & cells
 
@@ -218,7 +224,7 @@ def _fine_cells(floor: Floor | None, low: np.ndarray, high: np.ndarray) -> Floor
             edge *= 2.0
         shape = np.ceil((high - low) / edge).astype(int)
         return Floor(low, np.ones(shape, dtype=bool), edge).cropped_to(low, high)
-    # Only the part of the grid that has open cells is divided.
+    # Only the part of the grid that has open cells is divided. Rows are along x, columns along y.
     rows, columns = (np.flatnonzero(floor.open.any(axis=axis)) for axis in (1, 0))
     cropped = floor.open[rows[0]:rows[-1] + 1, columns[0]:columns[-1] + 1]
     divisions = round(CELL_M / FINE_CELL_M)
@@ -258,7 +264,7 @@ class FreePlane:
     :ivar low: (2,) lowest x and y, metres, map frame.
     :ivar high: (2,) highest x and y, metres.
     :ivar height: z, metres.
-    :ivar cameras: K, the number of cameras.
+    :ivar cameras: K, the number of cameras, whose positions :meth:`random` draws by default.
     :ivar floor: the cells that cameras may be over; None for the whole rectangle.
     :ivar clearance: the least distance of all these positions from all points, metres; 0 for no
         limit.
@@ -282,7 +288,7 @@ class FreePlane:
 
         :param points: (N, 3) metres, the N points of the room.
         :param height: z of the cameras, metres.
-        :param cameras: K, the number of cameras.
+        :param cameras: K, the number of cameras, whose positions :meth:`random` draws by default.
         :param margin: cameras stay this far inside the bounding box, metres.
         :param clearance: cameras keep this distance from all points, metres; 0 for no limit.
         :param heights: z of the lowest and of the highest camera, metres, if they differ.
@@ -361,13 +367,14 @@ class FreePlane:
         return self._free_ends(positions, ends, max_step) if self.clearance else ends
 
     def _free_ends(self, positions: np.ndarray, ends: np.ndarray, max_step: float) -> np.ndarray:
-        """Return the ends (K, 2) of moves, those too near to surfaces moved to allowed ones."""
+        """Return the ends (K, 2) of moves; forbidden ends are moved to allowed positions."""
         moving = (ends != positions).any(axis=1)
         ends = ends.copy()
         for camera in np.flatnonzero(moving & ~self.contains(ends)):
             start = positions[camera]
             # The allowed position nearest to the end may be too far away. Therefore shorter and
-            # shorter shares of the move are tried, until such a position is within reach.
+            # shorter shares of the move are tried, until the nearest allowed position is within
+            # reach: ``argmax`` returns the first such share. If there is none, the end stays.
             shares = (1.0, 0.75, 0.5, 0.25, 0.0)
             places = self.inside(start + np.outer(shares, ends[camera] - start))
             reachable = np.linalg.norm(places - start, axis=1) <= max_step
@@ -387,9 +394,9 @@ class FreePlane:
         :param turns: the largest number of moves, 1 or more.
         """
         cells = self._cells_for(max_step)
-        if cells is not None and (floors := list(
+        if cells is not None and (reached_cells := list(
                 islice(cells.reachable_floors(position, max_step), turns))):
-            return replace(self, floor=floors[-1])
+            return replace(self, floor=reached_cells[-1])
         low, high = (np.clip(position + sign * turns * max_step, self.low, self.high)
                      for sign in (-1.0, 1.0))
         return replace(self, low=low, high=high)
@@ -449,7 +456,8 @@ class FreePlane:
 
         So a random step from one position to another stays as likely as the step back.
         """
-        # Each coordinate goes to and fro over the rectangle; a period has the length of two sizes.
+        # A coordinate that increases goes to and fro over the rectangle. One period is twice its
+        # edge long.
         size = np.maximum(self.size, 1e-12)
         folded = np.mod(positions - self.low, 2.0 * size)
         return self.low + np.minimum(folded, 2.0 * size - folded)
@@ -483,7 +491,7 @@ class FreePlane:
     def _rectangle_grid(self, max_count: int) -> np.ndarray:
         """Return a regular grid (M, 2) of at most ``max_count`` positions in the rectangle."""
         size = np.maximum(self.size, 1e-9)
-        # With this number of columns, the cells are about square.
+        # With this number of positions along x, the cells around positions are about square.
         x_count = max(1, min(max_count, int(np.sqrt(max_count * size[0] / size[1]))))
         counts = x_count, max(1, max_count // x_count)
         axes = [self.low[k] + (np.arange(counts[k]) + 0.5) * size[k] / counts[k] for k in (0, 1)]

@@ -32,7 +32,7 @@ def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
     Return the moves of actions, none longer than ``max_step``.
 
     :param actions: (K, 2) or (K, 3): x, y or x, y, z of each action, in [-1, 1].
-    :param max_step: metres.
+    :param max_step: metres: the length of a move whose action has a length of 1 or more.
     :returns: float64 of the same shape, metres; one row for a single action (2,) or (3,).
     """
     actions = np.atleast_2d(np.asarray(actions, dtype=np.float64))
@@ -41,7 +41,7 @@ def bounded_moves(actions: np.ndarray, max_step: float) -> np.ndarray:
 
 
 def order_of(turn: int, cameras: int) -> np.ndarray:
-    """Return the numbers (K,) of the cameras in their order at a turn; the first one rotates."""
+    """Return the camera numbers (K,) in their order at a turn; each turn begins with another."""
     return np.roll(np.arange(cameras), turn)
 
 
@@ -88,8 +88,8 @@ def turned_towards(headings: np.ndarray, goals: np.ndarray, max_angle: float) ->
     """
     Return headings rotated towards goal headings by at most a given angle.
 
-    A yaw and a pitch are the legs of a right-angled triangle on the sphere of rotations, so the
-    angle of rotation is at most the root of the sum of their squares.
+    The limit applies to the root of the sum of the squared yaw and pitch. The angle of rotation is
+    not larger, since yaw and pitch are the legs of a right-angled triangle on a sphere.
 
     :param headings: (K, 3) yaw, pitch, roll in radians.
     :param goals: (K, 3) the same; the roll is ignored.
@@ -159,6 +159,7 @@ def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
 
     if len(mounted_target := usable_positions(target[None])):
         return mounted_target[0]
+    # Empty until the first search has found a position.
     best = np.empty((0, 3))
     centre = position
     # The number of steps from the centre of a disc to its edge, and of positions on the straight
@@ -172,6 +173,7 @@ def nearest_place(position: np.ndarray, target: np.ndarray, reach: float,
         if len(positions) == 0:
             break
         centre = positions[np.argmin(np.linalg.norm(positions - target, axis=1))]
+        # The second search gets this position as a candidate too, so that no result is worse.
         best = centre[None]
     return best[0] if len(best) else None
 
@@ -200,10 +202,12 @@ class MountingErrors(NamedTuple):
 
 def mounted(placement: np.ndarray, errors: MountingErrors) -> np.ndarray:
     """
-    Return a placement displaced by mounting errors, which are the same for every placement.
+    Return copies of a placement, in which each camera is displaced in a random direction.
+
+    The seed makes the directions the same for every placement of K cameras.
 
     :param placement: (K, 3) or (K, 6), metres and radians.
-    :param errors: size and number of the errors.
+    :param errors: size, number and seed of the errors.
     :returns: (M, K, 3) or (M, K, 6).
     """
     angles = np.random.default_rng(errors.seed).uniform(

@@ -26,7 +26,7 @@ from ocp_ros.rig.structure import floor_height, MountSurface, STAND_OFF
 from ocp_ros.rig.zones import grid_positions, moved_into_nearest, Zone
 from ocp_ros.scenes.scene import Scene
 
-#: The largest number of positions that are examined.
+#: The largest number of positions that are examined; on walls, fewer than four times as many.
 MAX_POSITIONS = 4000
 #: Metres: positions this near to each other count as one.
 MERGE_DISTANCE_M = 0.02
@@ -52,11 +52,13 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
 
     :param space: the positions over the floor.
     :param surface: the ceiling or the walls; None for mounts without a surface.
+    :returns: the positions, of which there may be none.
     """
     on, heights, _ = rig.mount
     floor = floor_height(scene)
     if on == 'walls':
         return _wall_positions(floor + np.array(heights), space, surface, rig.keep_in, floor)
+    # Only a ceiling mount may have no heights: its zones may be at any height of the room.
     low, high = scene.bounds[:, 2] if heights is None else floor + np.array(heights)
     if rig.keep_in:
         lowest, highest = np.append(space.low, low), np.append(space.high, high)
@@ -72,7 +74,8 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
         z = np.tile(levels, len(grid))
     else:
         places = space.grid(MAX_POSITIONS)
-    # On a plane or a ceiling, the mount decides the height, which is -inf without a ceiling.
+    # On a plane or a ceiling, the mount decides the height, also of positions in zones. The height
+    # is -inf where there is no ceiling.
     if on != 'free':
         z = surface.height_above(places) - STAND_OFF if heights is None else np.full(
             len(places), floor + heights[0])
@@ -98,7 +101,7 @@ def _wall_positions(heights: np.ndarray, space: FreePlane, walls: MountSurface,
     if zones:
         offsets = moved_into_nearest(zones, walls.points[used], floor) - walls.points[used]
         used = used[np.linalg.norm(offsets, axis=1) <= band_m]
-    # Of too many points, evenly spaced ones are used.
+    # Of too many points, each second, third, ... is used: fewer than twice MAX_POSITIONS remain.
     used = used[::max(len(used) // MAX_POSITIONS, 1)]
     points, normals = walls.points[used].astype(np.float64), walls.normals[used]
     positions, inwards = [], []

@@ -87,7 +87,7 @@ class Placement:
     :ivar frame: the frame of all poses.
     :ivar document: the document that the placement was read from; None if there is none.
     :ivar key_paths: the keys that lead to each camera in that document, in the order of
-        ``cameras``.
+        ``cameras``; without cameras in place that the rig has and the document leaves out.
     """
 
     cameras: tuple[Placed, ...]
@@ -159,6 +159,7 @@ def _rounded(camera: Camera, pose: np.ndarray, mount: str) -> Placed:
 def _rounded_poses(poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the positions, metres, and angles, degrees, (M, 3) each, rounded as in files."""
     angles = np.rad2deg(poses[:, 3:])
+    # Yaw and roll are wrapped to -180 up to 180 degrees.
     angles[:, [0, 2]] = (angles[:, [0, 2]] + 180.0) % 360.0 - 180.0
     # Cameras are mounted less accurately than to 0.1 mm and 0.001 degrees.
     # Adding 0.0 turns -0.0 into 0.0.
@@ -197,7 +198,7 @@ def placement_from(document: Document, rig: Rig | None = None) -> Placement:
     data = document.data
     if rig is None and 'rig' in data:
         rig = rig_from(document.part('rig'))
-    # Cameras that may be moved come first, then those in place, in whatever order the file has.
+    # Cameras that may be moved come first, then those in place; both groups in the file's order.
     movable, fixed = ([('cameras', k) for k, entry in enumerate(data['cameras'])
                        if (entry.get('mount') == FIXED) == in_place] for in_place in (False, True))
     key_paths = [*movable, *fixed]
@@ -251,6 +252,7 @@ def _renamed_rig(document: Document, rig: Rig, paths: Sequence[Way], names: dict
     cameras = []
     for keys, camera in zip(paths, rig.cameras):
         data = document.value(*keys)
+        # An entry may leave out its sensor, and its name: it then has those of the rig.
         if any(key in data for key in MODEL) and not _has_model(document, keys, camera.model):
             raise document.error(
                 keys, 'the numbers of another sensor', f'those of {camera.name} in '
@@ -268,7 +270,7 @@ def _check_fixed(document: Document, rig: Rig, key_paths: Sequence[Way]) -> None
     """Raise ConfigurationError for cameras in place that differ from those of the rig."""
     for k, keys in enumerate(key_paths):
         data = document.value(*keys)
-        # The number is compared here, since a file may leave out all of these cameras.
+        # The numbers are compared inside the loop, so that a file without such cameras passes.
         if (len(key_paths) != len(rig.fixed)
                 or not _has_model(document, keys, rig.fixed[k].camera.model)
                 or not _same_pose(pose_of(data), rig.fixed[k].pose)):
@@ -285,7 +287,8 @@ def _has_model(document: Document, keys: Way, model: CameraModel) -> bool:
 
 
 def _same_pose(pose: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two poses (6,) are the same, possibly with different angles."""
+    """Return whether two poses (6,) differ by ``POSE_TOLERANCE`` at most."""
+    # Rotations are compared, since different angles may stand for the same rotation.
     difference = rotation_matrix(*pose[3:]) - rotation_matrix(*other[3:])
     return max(np.abs(pose[:3] - other[:3]).max(), np.abs(difference).max()) <= POSE_TOLERANCE
 
@@ -307,10 +310,12 @@ def _rig_like(placement: Placement, floor: float) -> Rig:
     if on == 'plane' and np.ptp(heights) > POSE_TOLERANCE:
         on = 'free'
     mount: dict[str, Any] = {'on': on}
+    # Without a height, a mount on the ceiling has the height of the ceiling.
     if on != 'ceiling':
         mount['height'] = heights[0] if on == 'plane' else [min(heights), max(heights)]
-    # The pitches are 0 to 60 degrees and include those of all cameras. Real cameras are more than
-    # 5 cm in size, so all of them satisfy this distance to surfaces. A spacing of 0 is no limit.
+    # The range of pitches is 0 to 60 degrees, extended to the pitches of all cameras. Real cameras
+    # are more than 5 cm in size, so all of them satisfy this distance to surfaces (keep_clear). A
+    # spacing of 0 is no limit.
     data = {
         'cameras': [{'name': one.camera.name, **numbers_of(one.camera)} for one in movable],
         'fixed': [_entry(one, complete=False) for one in placed if one.mount == FIXED],

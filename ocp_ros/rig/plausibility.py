@@ -56,13 +56,13 @@ def missing_surfaces(scene: Scene) -> tuple[str, ...]:
 
 def _missing_names(scene: Scene, level: _LevelPoints, ceiling: np.ndarray, tilt_deg: float
                    ) -> tuple[str, ...]:
-    """Return the names of missing surfaces, given ceiling points (C, 3), metres, and the tilt."""
+    """Return the names of missing surfaces, given the ceiling points (C, 3), metres."""
     floor = floor_height(scene)
-    # A sloping floor covers a range of heights.
+    # A sloping floor covers a range of heights, so that a wider margin is needed.
     margin = LAYER_M if tilt_deg < MAX_TILT_DEG else SLAB_M
     at_floor = (level.z >= floor - margin) & (level.z <= floor + margin)
     areas = {'ceiling': _area(scene, ceiling), 'floor': level.areas[at_floor].sum()}
-    # A floor or a ceiling fills at least a fifth of the floor plan.
+    # A floor or a ceiling counts as missing if it fills less than a fifth of the floor plan.
     return tuple(name for name, area in areas.items() if area < 0.2 * level.plan_m2)
 
 
@@ -92,7 +92,7 @@ def room_notes(scene: Scene) -> list[str]:
         notes.append('found no floor; expected a level one below everything; check which axis is '
                      'up (--up), or scan the floor as well')
     walls = standing_of(scene).points
-    # A large scan without a ceiling and with few walls is outdoors.
+    # A large scan without a ceiling and with few walls counts as outdoors.
     outdoors = no_ceiling and level.plan_m2 > 300.0 and _area(scene, walls) < 0.3 * level.plan_m2
     if not (no_floor or outdoors or scan_tilted) and (share := _open_share(scene, walls)) > 0.2:
         notes.append(f'found no wall along {100.0 * share:.0f} % of the edge of the floor; '
@@ -111,15 +111,16 @@ def room_notes(scene: Scene) -> list[str]:
 
 
 def _open_share(scene: Scene, walls: np.ndarray) -> float:
-    """Return the share of the floor's edge without wall points (W, 3) nearby; 0 if no floor."""
-    # The height is that of the top of the room, so that all lower points may be floor.
-    floor = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0).floor
-    if floor is None:
+    """Return the share of the floor's border without wall points (W, 3) nearby; 0 if no floor."""
+    # One camera at the top of the room, so that all lower points may be floor; it may be anywhere
+    # over the floor, without a margin and a clearance.
+    grid = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0).floor
+    if grid is None:
         return 0.0
-    # Holes are filled, so that only the outer edge is left; one row of cells is added around.
-    filled = ndimage.binary_fill_holes(np.pad(floor.open, 1))
-    # The centres of the cells at the edge: a half is added, and 1 subtracted for the added row.
-    border = floor.low + floor.edge * (np.argwhere(filled & ~ndimage.binary_erosion(filled)) - 0.5)
+    # Holes are filled, so that only the outer border is left; one row of cells is added around.
+    filled = ndimage.binary_fill_holes(np.pad(grid.open, 1))
+    # The centres of the cells at the border, as indices: 0.5 more, and 1 less for the added row.
+    border = grid.low + grid.edge * (np.argwhere(filled & ~ndimage.binary_erosion(filled)) - 0.5)
     distance = cKDTree(walls[:, :2]).query(border)[0] if len(walls) else np.inf
     # Sparse scans do not show every part of a wall, so the limit is larger for them.
     max_distance_m = 0.6 + 3.0 * float(np.median(scene.pitch))
@@ -131,7 +132,8 @@ def _level_points(scene: Scene) -> _LevelPoints:
     level = np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
     cells = np.floor(scene.points[:, :2] / CELL_M).astype(np.int64)
     plan_m2 = max(len(np.unique(cells, axis=0)) * CELL_M ** 2, 1e-9)
-    # Each point stands for its square, since in sparse scans some cells have no point.
+    # Each point stands for a square of its pitch (the distance of points), since in sparse scans
+    # some cells have no point.
     areas = scene.pitch[level].astype(np.float64) ** 2
     return _LevelPoints(scene.points[level, 2], areas, plan_m2)
 
@@ -142,7 +144,7 @@ def _area(scene: Scene, points: np.ndarray) -> float:
 
 
 def _tilt_deg(scene: Scene) -> float:
-    """Return the main tilt of the level surfaces in the lower half of a room, degrees."""
+    """Return the main tilt of level surfaces in the lower half of a room, degrees; 0 if none."""
     # Normals may have either sign; all of them are made to point up.
     normals = scene.normals_or_estimate * np.sign(scene.normals_or_estimate[:, 2:])
     used = normals[:, 2] > np.cos(np.deg2rad(MAX_LEAN_DEG))
@@ -150,10 +152,11 @@ def _tilt_deg(scene: Scene) -> float:
     normals, areas = normals[used], scene.pitch[used].astype(np.float64) ** 2
     if len(normals) == 0:
         return 0.0
-    # The main direction is the candidate with the largest area of normals within 3 degrees.
+    # The main direction is that of 400 candidates, or fewer, which has the largest area of points
+    # whose normals are within 3 degrees of it.
     candidates = normals[np.linspace(0, len(normals) - 1, min(len(normals), 400)).astype(int)]
-    votes = ((normals @ candidates.T) > np.cos(np.deg2rad(3.0))).T @ areas
-    axis = candidates[int(np.argmax(votes))]
+    near_areas = ((normals @ candidates.T) > np.cos(np.deg2rad(3.0))).T @ areas
+    axis = candidates[int(np.argmax(near_areas))]
     # Replace the direction three times by the mean of the normals within 4 degrees of it.
     for _ in range(3):
         similar = normals @ axis > np.cos(np.deg2rad(4.0))
@@ -170,6 +173,7 @@ def _walls_are_plumb(scene: Scene) -> bool:
     # the least eigenvalue, which eigh returns first.
     scatter = (normals[upright] * areas[upright, None]).T @ normals[upright]
     vertical = np.linalg.eigh(scatter)[1][:, 0]
+    # Walls count as plumb up to half the largest tilt of a floor.
     return bool(np.rad2deg(np.arccos(min(abs(float(vertical[2])), 1.0))) < 0.5 * MAX_TILT_DEG)
 
 
@@ -179,10 +183,10 @@ def _height_notes(height: float) -> list[str]:
     max_height_m = 6.0
     if height <= max_height_m:
         return []
-    # Units that a reader may take for metres: metres per unit, and the name of the unit.
+    # Units of a file that may have been read as metres: metres per unit, and the unit's name.
     units = {0.3048: 'feet', 0.1: 'a unit ten times smaller', 0.01: 'centimetres',
              0.001: 'millimetres', 0.0254: 'inches'}
-    # A room is usually 2.1 to 4 m high.
+    # The first unit is chosen that makes the height usual for a room: 2.1 to 4 m.
     factor = next((factor for factor in units if 2.1 <= factor * height <= 4.0), None)
     remedy = '' if factor is None else (
         f'; if its coordinates are in {units[factor]}, multiply the scale (--scale) by '
@@ -194,10 +198,12 @@ def _storey_notes(level: _LevelPoints) -> list[str]:
     """Return a note if there are more large level layers than a floor and a ceiling."""
     if len(level.z) == 0:
         return []
+    # The lower edges of the bins.
     bins = np.arange(level.z.min() - 0.5 * LAYER_M, level.z.max() + LAYER_M, LAYER_M)
     areas = np.histogram(level.z, np.append(bins, bins[-1] + LAYER_M), weights=level.areas)[0]
-    # A level layer of a storey fills two fifths of the floor plan, in two neighbouring bins.
+    # A bin is large if it and the bin below it, together, fill two fifths of the floor plan.
     large = bins[areas + np.append(0.0, areas[:-1]) >= 0.4 * level.plan_m2]
+    # Large bins farther apart than a slab is thick are different layers.
     count = 0 if len(large) == 0 else 1 + int(np.count_nonzero(np.diff(large) > SLAB_M))
     return [] if count < 3 else [
         f'found {count} large level layers; expected a floor and a ceiling; the scan seems to '
@@ -211,13 +217,14 @@ def _is_overturned(scene: Scene, floor: float, heights: np.ndarray) -> bool:
     Furniture stands low and hides the lower parts of walls, which also have doors. So there is
     more surface low than high, and more wall area high than low. Only clear evidence counts: of 60
     generated rooms that the limit was not tuned on, one is wrongly reported; of the same rooms
-    turned over, 14 are found. Below a sloping roof there is no clear evidence.
+    turned over, 14 are found. Below a sloping roof there is no clear evidence, so that the answer
+    is no.
 
     :param floor: z of the floor, metres.
     :param heights: (C,) z of the C points of the ceiling, metres.
     """
     ceiling = float(np.median(heights))
-    # A ceiling whose lowest and highest tenth differ by more slopes.
+    # A ceiling counts as sloping if the middle 80 % of its heights cover more than 0.3 m.
     if np.subtract(*np.percentile(heights, [90.0, 10.0])) > 0.3:
         return False
     areas = scene.pitch.astype(np.float64) ** 2
@@ -232,6 +239,7 @@ def _is_overturned(scene: Scene, floor: float, heights: np.ndarray) -> bool:
     # More surface low than high, and more wall high than low: both are above 0 in a usual room.
     log_ratios = [np.log((added_m2 + areas[one].sum()) / (added_m2 + areas[other].sum()))
                   for one, other in ((low, high), (high & walls, low & walls))]
+    # The sum has to be well below 0, since only clear evidence counts.
     return bool(sum(log_ratios) < -0.45)
 
 

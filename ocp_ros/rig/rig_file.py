@@ -179,7 +179,7 @@ class Rig:
 
         Their headings change only if the caller changes them.
         """
-        # There is one model for all cameras, or one for each.
+        # The settings have one model for all cameras, or one for each.
         models = config.models * (config.cameras // len(config.models))
         cameras = tuple(Camera(f'camera_{k}', '', model) for k, model in enumerate(models))
         return cls(
@@ -202,9 +202,9 @@ class Rig:
         """
         Return the distance that cameras on a horizontal plane keep from all points, metres.
 
-        :returns: ``keep_clear`` for the mounts plane and free; 0 for walls and ceiling, since on a
-            plane the surface of the mount looks like any other; None without a rig file: then
-            ``episode.clearance`` applies.
+        :returns: ``keep_clear`` for the mounts plane and free; 0 for walls and ceiling, since the
+            cells of a plane do not distinguish the surface of the mount from other surfaces; None
+            without a rig file: then ``episode.clearance`` applies.
         """
         if self.free:
             return None
@@ -436,7 +436,7 @@ def cameras_at(document: Document, key_paths: list[Way]) -> Iterator[Camera]:
 
 def names_of(document: Document, key_paths: list[Way]) -> Iterator[str]:
     """
-    Yield unique camera names from name, sensor or kind, numbered if several share one.
+    Yield unique camera names: the name, else the sensor, else ``camera``; numbered if shared.
 
     :param key_paths: the keys that lead to each camera in the document; those of one group are the
         same.
@@ -444,13 +444,14 @@ def names_of(document: Document, key_paths: list[Way]) -> Iterator[str]:
     """
     entries = [document.value(*keys) for keys in key_paths]
     stems = [entry.get('name', entry.get('sensor', 'camera')) for entry in entries]
+    # How many cameras have each stem: in all, and up to the present camera.
     totals, used = Counter(stems), Counter()
     given_at: dict[str, Way] = {}
     names: set[str] = set()
     for keys, entry, stem in zip(key_paths, entries, stems):
         used[stem] += 1
         named = 'name' in entry
-        # Cameras of one group share a name, followed by a number.
+        # Cameras with the same stem, such as those of one group, are numbered.
         number = '' if totals[stem] == 1 else f'_{used[stem]}'
         name = stem[:MAX_NAME_LENGTH - len(number)] + number
         # Only cameras of one group, which have the same keys, may be given the same name.
@@ -494,7 +495,7 @@ def _calibratable(data: dict[str, Any]) -> Calibratable | None:
 
 
 def _regions(document: Document, cameras: int) -> Iterator[Region]:
-    """Yield the regions, with unique names; ``cameras`` is the number of cameras."""
+    """Yield the regions, with unique names; ``cameras`` is the limit of their ``seen_by``."""
     names = set()
     for k, data in enumerate(document.data.get('regions', [])):
         if data['name'] in names:
@@ -510,7 +511,12 @@ def _regions(document: Document, cameras: int) -> Iterator[Region]:
 
 
 def _sight_condition(document: Document, keys: Way, cameras: int) -> SightCondition | None:
-    """Return the condition for the air of a region to count as seen; None if there is none."""
+    """
+    Return the condition for the air of a region to count as seen; None if there is none.
+
+    :param keys: the keys that lead to the condition, which the document may lack.
+    :param cameras: the number of cameras, which is the limit of ``seen_by``.
+    """
     data = document.value(*keys[:-1]).get('air')
     if data is None:
         return None

@@ -38,7 +38,7 @@ from ocp_ros.util.yaml_files import (
 MOUNTS = ('plane', 'ceiling', 'walls', 'free')
 #: Metres: the limit of all coordinates in a room.
 MAX_COORDINATE_M = 1000.0
-#: The largest number of letters of a name.
+#: The largest number of characters of a name.
 MAX_NAME_LENGTH = 60
 #: Degrees: the least field of view of a depth camera.
 MIN_FOV_DEG = 1.0

@@ -99,16 +99,18 @@ class MountSurface:
         # In subscripts: m is a position, v a neighbour, and k one of x, y and z.
         point_normals = self.normals[index].astype(np.float64)
         cosine = np.einsum('mvk,mk->mv', point_normals, point_normals[:, 0])
-        # Only points with a normal similar to that of the nearest point define the plane. Its
-        # normal is the mean of theirs, after all of them are turned to the same side.
+        # Only points with a normal similar to that of the nearest point define the plane. The
+        # normal of the plane is the mean of their normals, all turned to the same side.
         used = (np.abs(cosine) >= 0.9) & (point_distance <= point_distance[:, :1] + self.gap)
         normals = np.einsum('mv,mvk->mk', np.sign(cosine) * used, point_normals)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         offsets = positions[:, None] - self.points[index]
+        # The mean distance along the normal from the points that define the plane, with a sign.
         distances = np.einsum('mvk,mk,mv->m', offsets, normals, used) / used.sum(axis=1)
         # From now on, the normals point to the positions.
         normals *= np.where(distances < 0.0, -1.0, 1.0)[:, None]
-        # There is a hole if the nearest point is too far away, or too far away along the surface.
+        # There is a hole if the nearest point is too far away, or if its distance along the
+        # surface (here squared, by Pythagoras) is more than half a gap.
         nearest = point_distance[:, 0]
         normal_distance = np.einsum('mk,mk->m', offsets[:, 0], normals)
         hole = (nearest > np.hypot(MAX_MOUNT_GAP_M, self.gap)) | (
@@ -117,7 +119,7 @@ class MountSurface:
 
     def height_above(self, places: np.ndarray) -> np.ndarray:
         """
-        Return the height of the ceiling above positions.
+        Return the height of the ceiling above positions; the ceiling must have points.
 
         :param places: (M, 2), x and y of M positions, metres.
         :returns: (M,) z of the ceiling, metres; -inf where there is none.
@@ -140,7 +142,8 @@ def floor_height(scene: Scene) -> float:
 
     The lowest point is not used, since scans contain stray points and reflections below the floor.
 
-    :returns: the median z of the points of this layer, metres, map frame.
+    :returns: the median z of the points of this layer, metres, map frame; the lowest z of the room
+        if no low point is level.
     """
     z = scene.points[:, 2]
     level = np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
@@ -151,8 +154,8 @@ def floor_height(scene: Scene) -> float:
         return float(scene.bounds[0, 2])
     # Level points from the lowest to the highest.
     heights, areas = np.sort(z[level]), scene.pitch[level][np.argsort(z[level])] ** 2
-    # A layer begins at each point: ``ends`` is the index after its last point. ``area_below`` is
-    # the area of all points before each point.
+    # A layer begins at each point: ``ends`` is the index after the layer's last point.
+    # ``area_below[i]`` is the area of the first i points.
     ends = np.searchsorted(heights, heights + LAYER_M, side='right')
     area_below = np.concatenate([[0.0], np.cumsum(areas)])
     first = int(np.argmax(area_below[ends] - area_below[:-1]))
@@ -199,12 +202,13 @@ def ceiling_of(scene: Scene) -> MountSurface:
     :returns: the points of the ceiling; empty if the scan has none.
     """
     columns = _Columns(scene)
+    # For each point, the highest point in its column and in the eight columns around.
     top = ndimage.maximum_filter(columns.highest(scene.points), 3)[columns.indices(scene.points)]
     z = scene.points[:, 2]
     floor = floor_height(scene)
     height = np.percentile(z, 99.0) - floor
-    # A ceiling is at most 25 cm below the highest point around it, and at least 2 m above the
-    # floor, or 80 % of the height of a lower room.
+    # Level points count as ceiling if they are at most 25 cm below the highest point around, and
+    # at least 2 m above the floor; in rooms lower than 2.5 m, 80 % of the height is enough.
     chosen = ((np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL)
               & (z >= top - 0.25) & (z >= floor + min(2.0, 0.8 * height)))
     return _surface(scene, chosen, scene.normals_or_estimate)
@@ -214,16 +218,16 @@ def walls_of(scene: Scene) -> MountSurface:
     """
     Find the walls: upright surfaces up to the ceiling, which furniture hardly reaches.
 
-    :returns: the points of the walls with level normals.
+    :returns: the points of the walls with level normals; empty if the scan has no walls.
     """
     columns = _Columns(scene)
     # In columns: the highest point around a wall is searched for within about 0.4 m.
     radius = int(np.ceil(0.4 / columns.edge))
     top = ndimage.maximum_filter(columns.highest(scene.points), 2 * radius + 1)
     floor = floor_height(scene)
-    # Walls reach at least 80 % of the height of the room.
+    # Only surfaces that reach 80 % of the height of the room count as walls.
     min_top = floor + 0.8 * (np.percentile(scene.points[:, 2], 99.0) - floor)
-    # The top of a wall lies up to half a metre below the highest point around it.
+    # The top of a wall may lie up to half a metre below the highest point around it.
     return _upright_surfaces(scene, columns, np.maximum(top - 0.5, min_top))
 
 
@@ -231,7 +235,7 @@ def standing_of(scene: Scene) -> MountSurface:
     """
     Find standing obstacles of at least a metre: walls, fences, partitions, cupboards.
 
-    :returns: the upright points of the obstacles with level normals.
+    :returns: the upright points of the obstacles with level normals; empty if there are none.
     """
     # In a room lower than a metre, obstacles reach the top of the room.
     min_top = min(floor_height(scene) + 1.0, np.percentile(scene.points[:, 2], 99.0))
@@ -284,13 +288,15 @@ class Air:
         free = ndimage.distance_transform_edt(~self.grid.taken(scene.points)) * edge > self.ball
         # Only cells over the floor are air.
         centres = [self.grid.low[k] + edge * (np.arange(shape[k]) + 0.5) for k in (0, 1)]
-        columns = np.stack(np.meshgrid(*centres, indexing='ij'), axis=-1)
-        free &= space.contains(columns)[..., None]
-        # Label 0 is that of the cells that are not free. No cell has the label -1.
+        centres_xy = np.stack(np.meshgrid(*centres, indexing='ij'), axis=-1)
+        free &= space.contains(centres_xy)[..., None]
+        # Label 0 is that of the cells that are not free; it is left out of the sizes, so that 1 is
+        # added to the index of the largest. No cell has the label -1.
         parts, count = ndimage.label(free)
         largest = int(np.argmax(np.bincount(parts.ravel())[1:])) + 1 if count else -1
         self._free = parts == largest
-        # The distance of each cell from the air, metres; 0 if there is no air.
+        # The distance of each cell from the air, metres; 0 if there is no air, so that no position
+        # counts as closed.
         self._distance = (edge * ndimage.distance_transform_edt(~self._free) if count
                           else np.zeros(shape))
 
@@ -298,8 +304,8 @@ class Air:
         """
         Return the centres of the cells of the air.
 
-        :param height: z of the cells, metres; None for the cells of all heights.
-        :returns: (M, 3) metres.
+        :param height: z, metres, for the cells at this height only; None for all cells.
+        :returns: (M, 3) metres; z is ``height`` if it is given.
         """
         if height is None:
             return self.grid.middles(np.argwhere(self._free))
@@ -314,4 +320,5 @@ class Air:
         # In a corner of three surfaces, a position that is 0.5 * MIN_BALL_M away from each of them
         # is this far from the nearest centre of a ball that fits there.
         corner_distance = np.sqrt(3.0) * (self.ball - 0.5 * MIN_BALL_M)
+        # A cell is added to the ball's radius, since distances are known to about a cell.
         return distance > max(self.ball + self.grid.edge, corner_distance)

@@ -87,6 +87,7 @@ def _moved_across_edge(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     nearest = on_edges[np.arange(len(points)), edge]
     offset = nearest - points
     distance = np.linalg.norm(offset, axis=1, keepdims=True)
+    # The maximum avoids a division by 0 for points on the edge.
     return nearest + INSET_M * offset / np.maximum(distance, INSET_M)
 
 
@@ -123,7 +124,7 @@ def grid_positions(zones: Sequence[Zone], low: np.ndarray, high: np.ndarray, flo
         size = np.minimum(highest, high) - lowest
         if (size < 0.0).any():
             continue
-        # The step grows until the grid is small enough.
+        # The step grows until the grid is small enough. The first counts only start the loop.
         step_m = 0.1
         counts = np.full(3, max_count)
         while counts.prod() > max(max_count / len(zones), 1):

@@ -133,9 +133,10 @@ def _add_door(plan: RoomPlan) -> None:
     is_open = rng.random() < 0.3
     angle = rng.uniform(1.0, 1.8) if is_open else 0.0
     leaf = make_solid('door', (0.0, -0.025, 0.01), (0.9, 0.025, rng.uniform(2.0, 2.15)))
-    # The leaf is rotated about its hinge, the origin, and then moved: a closed one is centred.
+    # The leaf is rotated about its hinge, the origin, and then moved by half its width, so that a
+    # closed leaf is centred.
     door = moved_piece([leaf], (-0.45, 0.0), angle)
-    # Every try places the same door.
+    # place_at_wall expects a function that builds the piece: this one returns the finished door.
     plan.place_at_wall(lambda: door, width=0.95, depth=0.05, front=0.9)
 
 
@@ -161,6 +162,7 @@ def _add_window(plan: RoomPlan) -> None:
                                       [*(np.maximum(start, end) + 0.01), high]]))
     else:
         add_box(start + 0.04 * wall.inward, end + 0.07 * wall.inward, low, high)
+    # The sill, and the frame at one end of the window.
     add_box(start, end + 0.15 * wall.inward, low - 0.05, low)
     add_box(end - 0.06 * wall.along, end + 0.05 * wall.inward, low, high)
 

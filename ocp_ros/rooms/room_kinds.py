@@ -171,6 +171,7 @@ def furnish_storage(plan: RoomPlan) -> None:
             width = rng.uniform(0.9, 1.2)
             centre = np.array([position + 0.5 * width, offset + 0.5 * depth])
             yaw = rng.choice([0.0, np.pi])
+            # In a room that is longer along y, x and y are exchanged.
             if axis == 1:
                 centre = centre[::-1]
                 yaw += 0.5 * np.pi
@@ -206,8 +207,9 @@ def furnish_open_office(plan: RoomPlan) -> None:
                         furniture.build_chair(rng), (x, side * rng.uniform(1.15, 1.4)),
                         yaw + np.pi + rng.normal(0.0, 0.5))
         return piece
-    # All groups have the same orientation; there is one for 12.5 m2 of floor.
+    # All groups have the same yaw, 0 or 90 degrees.
     half_turns = (0.0,) if rng.random() < 0.5 else (0.5,)
+    # One group for 12.5 m2 of floor, if there is a free position for it.
     for _ in range(max(int(0.08 * np.prod(plan.size[:2])), 1)):
         plan.place_freestanding(build_desk_group, width=3.9, depth=3.0, half_turns=half_turns)
     _add_pieces(plan, shelves=(6, 18), cabinets=(3, 10), desks=(2, 8), chairs=(2, 10),
@@ -247,7 +249,7 @@ def draw_plan(rng: np.random.Generator) -> RoomPlan:
     name = str(rng.choice(list(ROOM_KINDS), p=[kind.share for kind in ROOM_KINDS.values()]))
     kind = ROOM_KINDS[name]
     plan = RoomPlan(name, rng.uniform(kind.low, kind.high), rng)
-    # A straight hallway; the others are L-shaped.
+    # Two of five hallways are straight and narrow; the others are L-shaped.
     if name == 'hallway' and rng.random() < 0.4:
         plan.size[0] = rng.uniform(1.8, 3.2)
         building.build_walls(plan, l_shape_probability=0.0)

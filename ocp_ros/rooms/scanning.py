@@ -181,6 +181,8 @@ def surface_of(plan: RoomPlan, pitch: float, rng: np.random.Generator) -> Scanne
                     kind = 'wall' if axis < 2 else 'floor' if side < 0 else 'ceiling'
                 else:
                     solid = plan.solids[solid_number]
+                    # The points are rows, so that the transposed matrix is multiplied from the
+                    # right.
                     rotation = rotation_matrix(solid.yaw).T
                     points, normals = points @ rotation + solid.centre, normals @ rotation
                     kind = solid.kind
@@ -199,7 +201,7 @@ def _place_tripods(plan: RoomPlan, rng: np.random.Generator) -> np.ndarray:
     for trial in range(200 * count):
         margin = min(free_air_m, 0.4 * plan.size[:2].min())
         position = np.append(rng.uniform(margin, plan.size[:2] - margin), rng.uniform(1.3, 1.7))
-        # In a crowded room the required distances decrease with the attempts.
+        # The required distances decrease with the attempts, for rooms that are crowded.
         relaxation = 1.0 - trial / (200.0 * count)
         distances = [np.linalg.norm(position[:2] - tripod[:2]) for tripod in tripods]
         if (is_position_free(position, free_air_m * relaxation, *boxes)
@@ -234,6 +236,7 @@ def exposed_points(points, solid_numbers, room_size, centres, half_sizes, yaw_ve
     is_exposed = np.ones(len(points), dtype=np.bool_)
     for i in range(len(points)):
         x, y, z = points[i]
+        # A point of a solid has to be away from all sides of the room, which are the shell.
         if solid_numbers[i] >= 0:
             margin = gap + 1e-6
             if not (margin < x < room_size[0] - margin and margin < y < room_size[1] - margin
@@ -297,7 +300,8 @@ def sampling_densities(points, normals, tripods, centres, half_sizes, yaw_vector
         for k in range(len(centres)):
             directions[k] = centres[k] - tripods[t]
             centre_distances[k] = np.sqrt((directions[k] ** 2).sum())
-            # The cone from the tripod around the bounding sphere.
+            # The cone from the tripod around the bounding sphere. For a tripod in the sphere, the
+            # cosine -1 stands for all directions.
             cone_cosines[k] = -1.0
             if centre_distances[k] > radii[k]:
                 cone_cosines[k] = np.sqrt(1.0 - (radii[k] / centre_distances[k]) ** 2)
@@ -306,7 +310,7 @@ def sampling_densities(points, normals, tripods, centres, half_sizes, yaw_vector
             x, y = points[i, 0] - tripods[t, 0], points[i, 1] - tripods[t, 1]
             z = points[i, 2] - tripods[t, 2]
             length = np.sqrt(x * x + y * y + z * z)
-            # The length times the cosine.
+            # The length times the cosine of the angle to the normal.
             slant = abs(x * normals[i, 0] + y * normals[i, 1] + z * normals[i, 2])
             density = slant / max(length, 0.5) ** 3
             if density <= 1e-4:

@@ -103,7 +103,7 @@ def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
     :param name: the path of a scan, or the seed of a generated room.
     :param points: the number of points, as for :func:`make_room`.
     :param reading: options of a scan, as for :func:`make_room`.
-    :returns: the room, and the data under the key ``entry`` of a placement file.
+    :returns: the room, and the data under the key ``room`` of a placement file.
     :raises SceneError: if the scan cannot be used.
     """
     scene = make_room(name, 0.0, points, **reading)

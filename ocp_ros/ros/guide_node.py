@@ -133,7 +133,7 @@ class GuideNode(ManagedNode):
 
     def _on_instructions(self, message: String) -> None:
         """Show what the next time step is expected to bring."""
-        # The sentence of ExpectedGain begins with this word; without it nothing is shown.
+        # The sentence of ExpectedGain begins with this word. If it is missing, nothing is shown.
         self.page.expectation = next((line for line in message.data.splitlines()
                                       if line.startswith('expected')), '')
 
@@ -167,7 +167,7 @@ class GuideNode(ManagedNode):
 
         :param other_parameters: of ``policy_node``, to be set too.
         """
-        # The wider limits exceed the measured values, since the next ones differ a little.
+        # The limits exceed the measured values by this factor, since the next values may differ.
         margin = 1.1
         # policy_node accepts an arrival distance up to 1 m and an arrival angle up to pi radians.
         max_metres, max_radians = 1.0, 3.1
@@ -185,7 +185,8 @@ class GuideNode(ManagedNode):
                        for name, value in zip(ARRIVAL_LIMITS, future.result().values)}
             # rclpy responds without any value if the node lacks one of the parameters.
             if len(present) == len(ARRIVAL_LIMITS):
-                # If the limits are wide already, the values from before that are restored later.
+                # If the limits are widened already, ``present`` has the wide ones: keep the values
+                # from before.
                 self._limits_to_restore = self._limits_to_restore or present
                 widened = {name: max(present[name], needed[name]) for name in ARRIVAL_LIMITS}
                 self._set_policy_parameters(**widened, **other_parameters)

@@ -85,6 +85,7 @@ class PolicyNode(ManagedNode):
     """
 
     def __init__(self, **kwargs) -> None:
+        # Set before the constructor of the base class, which may configure the node.
         self._turns: SimulatedTurns | None = None
         self._live: LiveTurns | None = None
         self._calibrator: Calibrator | None = None
@@ -251,7 +252,7 @@ class PolicyNode(ManagedNode):
 
     def _decide(self, cloud: np.ndarray, poses: PoseArray) -> PoseArray:
         """
-        Return the command of a turn, and publish what follows from it.
+        Return the command of a turn; publish a final placement, experience, views and status.
 
         :param cloud: the N points observed so far, (N, 3) float32, metres.
         :param poses: present poses of the cameras.

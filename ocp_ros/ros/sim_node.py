@@ -225,6 +225,7 @@ class SimNode(ManagedNode):
                 f'command refused: {shortened(error)}', throttle_duration_sec=1.0)
             return
         self._turn_answered = True
+        # The last turn of an episode needs an answer, but no camera moves any more.
         if self.episode.turn.truncated:
             return
         # Fixed cameras stay: their entries in a command are ignored.

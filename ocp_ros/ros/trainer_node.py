@@ -115,11 +115,11 @@ class TrainerNode(Node):
         # Namespaces that were dropped before come after all others.
         new_namespaces = [name for name in found_namespaces if name not in self.sources]
         new_namespaces.sort(key=lambda name: self._drop_times.get(name, 0.0))
-        silent_since = time.monotonic() - MAX_SILENCE_S
+        idle_before = time.monotonic() - MAX_SILENCE_S
         # The first source, the own namespace, is always kept.
         for namespace, source in list(self.sources.items())[1:]:
             is_full = len(self.sources) + len(new_namespaces) > MAX_SOURCES
-            if source.idle_since < silent_since and (is_full or namespace not in found_namespaces):
+            if source.idle_since < idle_before and (is_full or namespace not in found_namespaces):
                 self._drop_source(namespace)
         for namespace in new_namespaces[:MAX_SOURCES - len(self.sources)]:
             self._add_source(namespace)
@@ -146,12 +146,13 @@ class TrainerNode(Node):
         limit = self.config.most_behind / 2 if did_wait else self.config.most_behind
         self._policies_wait = learner.failure is None and learner.behind > limit
         self._tick_count += 1
-        # Every tenth call sends a status message to the policies, also without a change.
-        is_status_due = self._tick_count % 10 == 0
-        if is_status_due:
+        # Every tenth call looks for namespaces, and sends the status even without a change.
+        is_tenth_tick = self._tick_count % 10 == 0
+        if is_tenth_tick:
             self._discover()
-        if is_status_due or self._policies_wait != did_wait:
+        if is_tenth_tick or self._policies_wait != did_wait:
             for source in self.sources.values():
+                # ``behind`` is negative until there are enough transitions to begin the training.
                 source.send_status(self._policies_wait, learner.updates, max(learner.behind, 0.0))
 
     def _publish_weights(self) -> None:
@@ -168,7 +169,7 @@ class TrainerNode(Node):
 
     def totals(self) -> dict[str, int]:
         """Return the sums of the counts over all sources."""
-        # The last item has all names: the first source is never dropped.
+        # The last item has all names: it is a source's, since the first source is never dropped.
         counts = [self._dropped_counts, *(source.status() for source in self.sources.values())]
         return {name: sum(source_counts[name] for source_counts in counts) for name in counts[-1]}
 

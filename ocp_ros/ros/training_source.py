@@ -66,6 +66,7 @@ def check_values(experience: Experience, limits: dict[str, tuple[float, float]])
     for choice in experience.choices:
         for name, values in {**choice.observation, 'actions': choice.actions}.items():
             low, high = limits[name]
+            # Comparisons with NaN are false: NaN is refused as well.
             if values.size and not (values.min() >= low and values.max() <= high):
                 raise ExperienceError(
                     f'experience: found {name} from {values.min():g} to {values.max():g}; '
@@ -98,8 +99,10 @@ class TransitionSource:
         self._store_transition = store_transition
         self._array_types = array_types(agent)
         self._value_limits = value_limits(agent)
-        #: Number of cameras that choose together; None: see :func:`from_bytes`.
+        #: Number of cameras that choose together; None with the map actor, which chooses for one
+        #: camera at a time, and not for every camera in each turn.
         self._cameras_per_choice = None if agent.map else cameras_of(agent)
+        # With the map actor, the last choice of a turn gets the whole reward.
         self.assembler = Assembler(last=agent.map)
         self.counts = {'transitions': 0, 'refused': 0, 'dropped': 0}
         #: Stamp of the latest reward, nanoseconds.
@@ -158,7 +161,8 @@ class TransitionSource:
         fields = msg_to_fields(message, names)
         stamp, previous = ns_of(fields, 'stamp'), ns_of(fields, 'previous')
         if stamp < self._newest_stamp:
-            # The clock of the simulation was set back: a stamp may now be that of a second turn.
+            # The clock of the simulation was set back: another turn may get the stamp of a stored
+            # one.
             self.assembler.clear()
         self._newest_stamp = stamp
         if fields['step'] < 1:

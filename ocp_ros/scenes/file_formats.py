@@ -40,8 +40,8 @@ def _rows_from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
                          f'{" ".join(missing)}; expected x, y and z; export the coordinates too')
     for axis in 'xyz':
         _check_rounding(np.ravel(fields[axis]), axis, name)
-    candidates = ('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')
-    normals = next((names for names in candidates if all(field in fields for field in names)), ())
+    name_sets = ('nx', 'ny', 'nz'), ('normal_x', 'normal_y', 'normal_z')
+    normals = next((names for names in name_sets if all(field in fields for field in names)), ())
     return np.stack([np.ravel(fields[field]).astype(np.float64) for field in (*'xyz', *normals)],
                     axis=-1)
 

@@ -40,11 +40,12 @@ def read_guarded(kind: str, path: Path, columns: int, max_rows: int,
     :returns: (N, columns) float64.
     :raises ValueError: if the file cannot be read, or exceeds a limit.
     """
-    # Each number takes eight bytes. One byte more is read to notice too many rows.
+    # Each number takes eight bytes.
     max_bytes = 8 * columns * max_rows
     arguments = [kind, str(path.absolute()), *reader_arguments]
     with GuardedProcess('ocp_ros.scenes.reading_process', arguments, READING_COSTS[kind],
                         path.stat().st_size) as process:
+        # One byte more is read to notice too many rows.
         content = process.read(max_bytes + 1)
     if len(content) > max_bytes:
         raise ValueError(f'more than {max_rows:,} points')

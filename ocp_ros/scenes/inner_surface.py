@@ -74,10 +74,11 @@ def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
     corners = mesh.corners
     area = _total_area(corners)
     max_points = 2_000_000
-    # Find the air between 60 points per square metre, and 150,000 at least. A row is a point on a
-    # face and the normal of the face.
+    # Find the air between points on the faces: 60 points per square metre, and 150,000 at least. A
+    # row is a point on a face and the normal of the face.
     coarse_rows = sample_faces(corners, int(np.clip(60.0 * area, 150_000, max_points)))
     air = EnclosedAir.of(coarse_rows[:, :3], float(np.sqrt(area / len(coarse_rows))), solids)
+    # About 4000 rows.
     test_rows = coarse_rows[::len(coarse_rows) // 4000]
     if air is None:
         if solids is None and _is_solid(test_rows, rays):
@@ -86,24 +87,27 @@ def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
                 'around; expected a room; cut the room out of the model, or add the walls and '
                 'the ceiling that it lacks')
         return None
-    # Estimate with about 4000 test rows how many rows give the wanted number of points.
+    # Estimate with the test rows how many rows give the wanted number of points.
     is_visible = air.visible_sides(test_rows, rays)
     # The mean number of visible sides per point on a face.
     sides_per_point = float(is_visible.sum(axis=1).mean())
     if sides_per_point == 0.0:
         return None
+    # Each point stands for a square with the edge ``spacing``.
     if spacing:
         point_count = min(int(sides_per_point * area / spacing ** 2), point_count)
-    # Take five per cent more than the estimate requires; later thin evenly to the wanted number.
+    # Take five per cent more rows than the estimate requires.
     rows = sample_faces(corners, int(min(1.05 * point_count / sides_per_point, max_points)))
-    invisible_share = 1.0 - float(is_visible.any(axis=1).mean())
     # A face that is visible from both sides gives two points.
     visible_rows = np.vstack([
         np.hstack([_start_points(rows[is_kept], sign), sign * rows[is_kept, 3:]])
         for is_kept, sign in zip(air.visible_sides(rows, rays).T, (1.0, -1.0))])
+    # Thin evenly to the wanted number.
     count = min(point_count, len(visible_rows))
     points, normals = np.hsplit(visible_rows[np.arange(count) * len(visible_rows) // count], 2)
-    # Hidden faces of given boxes, such as the underside of a cupboard, need no remark.
+    # Hidden faces of given boxes, such as the underside of a cupboard, need no remark, nor does
+    # less than half a per cent of hidden faces.
+    invisible_share = 1.0 - float(is_visible.any(axis=1).mean())
     remarks = () if invisible_share < 0.005 or solids is not None else (
         f'{100.0 * invisible_share:.0f} % of the faces left out: the air of the room does not see '
         'them',)
@@ -223,20 +227,21 @@ class EnclosedAir(NamedTuple):
         for corners in () if solids is None else solids:
             low, high = grid.cells(np.sort(corners, axis=0)).T
             is_air[tuple(slice(a, b + 1) for a, b in zip(low, high))] = False
+        # Roofed air has a surface above it too.
         roofed_air = is_air & np.logical_or.accumulate(is_surface[:, :, ::-1], axis=2)[:, :, ::-1]
         # Most of the eight level directions have to end at a surface.
         level_steps = tuple((x, y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
         is_enclosed = sum(
             _ends_at_surface(is_surface, x, y).astype(np.int8) for x, y in level_steps) >= 5
         candidates = [_label_parts(cells & is_enclosed, edge) for cells in (roofed_air, is_air)]
-        # Without the roof condition, rooms without a ceiling are found. With it, hollow furniture
-        # in such a room could count as the room, so the air under a roof has to be large enough.
+        # Roofed air is the room if its largest part has at least 0.4 of the volume of the largest
+        # part of all air. Otherwise the room has no ceiling; roofed air may be inside furniture.
         largest_volumes = [volumes.max(initial=0.0) for _, volumes in candidates]
         is_roofed = bool(largest_volumes[0] >= 0.4 * largest_volumes[1])
         parts, volumes = candidates[0 if is_roofed else 1]
         part_numbers = np.argsort(-volumes, kind='stable')
         # The largest part comes first. A volume of less than 2 m3 is not a room, except in a room
-        # file, which gives the solids.
+        # file, which gives the solids. Number 0, which is no part, has no volume.
         part_numbers = part_numbers[volumes[part_numbers] > (2.0 if solids is None else 0.0)]
         if len(part_numbers) == 0:
             return None
@@ -256,7 +261,8 @@ class EnclosedAir(NamedTuple):
         """
         is_visible = np.zeros((len(rows), 2), dtype=bool)
         cells = self.grid.cells(rows[:, :3])
-        # Surfaces outside that are visible through doors and windows do not belong to the room.
+        # Surfaces outside that are visible through doors and windows do not belong to the room, so
+        # only faces above, below or near the air of the room are tested.
         max_distance_m = max(0.45, self.min_distance + 2.5 * self.grid.edge)
         near_rows = np.flatnonzero(self.column_distance[tuple(cells[:2])] <= max_distance_m)
         for side, sign in enumerate((1.0, -1.0)):
@@ -301,6 +307,7 @@ def _count_steps_into(cells, points, directions, max_steps):
     for row in range(len(points)):
         step = 1.0
         while step < max_steps and steps[row] == np.inf:
+            # Outside of the grid, the nearest cell of the grid counts.
             x = min(max(int(np.floor(points[row, 0] + step * directions[row, 0])), 0), last[0])
             y = min(max(int(np.floor(points[row, 1] + step * directions[row, 1])), 0), last[1])
             z = min(max(int(np.floor(points[row, 2] + step * directions[row, 2])), 0), last[2])
@@ -335,7 +342,7 @@ def _label_parts(cells: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray
     :param cells: (X, Y, Z) bool.
     :param edge: the edge of a cell, metres.
     :returns: (X, Y, Z) the number of the part of each cell, 0 for no part; and the volume of each
-        part by its number, cubic metres.
+        part by its number, cubic metres, 0 for number 0.
     """
     parts, _ = ndimage.label(cells)
     volumes = np.bincount(parts.ravel()) * edge ** 3
@@ -350,9 +357,11 @@ def _ends_at_surface(is_surface: np.ndarray, x: int, y: int) -> np.ndarray:
     :param is_surface: (X, Y, Z) bool.
     :param x: with ``y``, the step of the path in cells, each -1, 0 or 1.
     """
+    # A path along y alone: swap the axes, since the loop below follows x.
     if x == 0:
         return _ends_at_surface(is_surface.transpose(1, 0, 2), y, 0).transpose(1, 0, 2)
-    # Each row takes over the result of the next row on the path, which is complete before it.
+    # A row is the cells with one x. Each row takes over the result of the next row on the path,
+    # which is complete before it.
     is_ended = is_surface.copy()
     rows = range(1, len(is_surface)) if x < 0 else range(len(is_surface) - 2, -1, -1)
     for row in rows:
@@ -370,26 +379,27 @@ def without_outside(scene: Scene) -> Scene:
     """
     Leave out the points of a solid model that the air of the room does not see; add a remark.
 
-    :returns: the same scene if its points are those of a scan, since a scanner stands in the air.
+    :returns: the same scene if no air is enclosed, or if its points are those of a scan: a scanner
+        stands in the air, so the air sees nearly all its points.
     """
     points, areas = scene.points.astype(np.float64), scene.pitch.astype(np.float64) ** 2
     air = EnclosedAir.of(points, float(np.median(scene.pitch)))
     if air is None:
         return scene
     cells = np.argwhere(air.cells | air.other_cells)
-    # One test position per cubic metre.
+    # One test position per cubic metre, but 40 at least and 300 at most.
     test_count = int(np.clip(len(cells) * air.grid.edge ** 3, 40, 300))
     test_cells = cells[np.random.default_rng(0).permutation(len(cells))[:test_count]]
     view_counts = _count_views(scene, air.grid.middles(test_cells))
     invisible_area = areas[view_counts == 0].sum()
-    # In real scans, at most 8 % of the surface was invisible.
+    # A scene with less than 14 % of invisible surface is a scan: real scans had at most 8 %.
     if invisible_area < 0.14 * areas.sum():
         return scene
     is_hidden, is_behind_face = _find_occluded(scene, air)
     # A point that is visible from half of the test positions is not hidden.
     is_kept = ~(is_hidden & (view_counts < 0.5 * len(test_cells)))
-    # Points of a yard that was scanned too are invisible from the air, but do not lie behind a
-    # wall.
+    # In a model, hidden points behind a wall have at least 40 % of the invisible area. Points of a
+    # yard that was scanned too are invisible as well, but do not lie behind a wall.
     back_area = areas[is_hidden & is_behind_face & (view_counts == 0)].sum()
     if back_area < 0.4 * invisible_area or np.count_nonzero(is_kept) < MIN_POINTS:
         return scene
@@ -400,6 +410,7 @@ def without_outside(scene: Scene) -> Scene:
 
 def _count_views(scene: Scene, positions: np.ndarray) -> np.ndarray:
     """Return from how many of the positions (M, 3), metres, each point is visible: (N,)."""
+    # Visibility of the points alone: there are no positions in the air (the empty array).
     visibility = SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch,
                                   np.empty((0, 3), dtype=np.float32), FINE)
     # An omnidirectional camera whose range covers the room.
@@ -408,6 +419,7 @@ def _count_views(scene: Scene, positions: np.ndarray) -> np.ndarray:
     for position in positions:
         visible_bits = no_bits(len(scene))
         visibility.look(Pose(position, LEVEL), lens, visible_bits)
+        # The bits have the points in the order of ``visibility``.
         counts[visibility.order] += unpack(visible_bits, len(scene))
     return counts
 
@@ -425,19 +437,22 @@ def _find_occluded(scene: Scene, air: EnclosedAir) -> tuple[np.ndarray, np.ndarr
     air_positions = air.grid.middles(air_cells[(slice(None), *air.grid.cells(points))].T)
     air_distances = np.linalg.norm(air_positions - points, axis=1)
     directions = (air_positions - points) / air_distances[:, None]
-    # The nearest air is across the surface, not beside the point along the surface.
+    # The nearest air is across the surface, not beside the point along the surface: within 45
+    # degrees of the normal or of its opposite.
     is_across = np.abs(np.einsum('nk,nk->n', directions, scene.normals_or_estimate)) >= 0.7
     tree = cKDTree(points)
     is_hidden = np.zeros(len(points), dtype=bool)
+    # Look for other points at growing distances along the line from each point to the air.
     distance = 0.05
     # The largest thickness of a wall or slab is 0.6 m.
     while distance < 0.6:
         remaining = np.flatnonzero(~is_hidden & (air_distances > distance + air.grid.edge))
         point_distances, _ = tree.query(points[remaining] + distance * directions[remaining],
                                         distance_upper_bound=2.0 * float(np.median(pitch)))
-        # A point hides another if it is near the line to the air, in proportion to its distance,
-        # and within the square that the hidden point stands for.
+        # Another point hides a point if it is near to this place on the line: nearer than 0.6 of
+        # the distance, and than the edge of the square that the hidden point stands for.
         is_hidden[remaining] = point_distances < np.minimum(0.6 * distance, pitch[remaining])
         distance *= 1.25
-    # Some hidden points pass the test through gaps between the points in front of them.
+    # Some hidden points pass the test through gaps between the points in front of them, so a point
+    # is hidden too if most of the nine points nearest to it (itself included) are.
     return is_hidden | (is_hidden[tree.query(points, 9)[1]].mean(axis=1) > 0.6), is_across

@@ -26,7 +26,7 @@ from ocp_ros.util.terminal_text import printable
 
 _log = logging.getLogger(__name__)
 
-#: Bytes of the largest header of a LAS file.
+#: Bytes that are read of the header of a LAS file; the last eight are the point count of 1.4.
 LAS_HEADER_BYTES = 255
 #: Bytes of a page of an E57 file.
 PAGE_BYTES = 1024
@@ -76,6 +76,7 @@ def las_unit(path: Path) -> tuple[str, float]:
         # The fields that are needed end at byte 104.
         if header[:4] != b'LASF' or len(header) < 104:
             return METRE_UNIT
+        # The records are between the header and the points.
         header_bytes, = struct.unpack_from('<H', header, 94)
         points_offset, record_count = struct.unpack_from('<II', header, 96)
         file.seek(header_bytes)
@@ -100,16 +101,19 @@ def las_unit(path: Path) -> tuple[str, float]:
         # Record 34735 is the projection as numbers (GeoTIFF keys); key 3076 is the unit of length.
         # With location 0 the fourth number of a key is its value.
         elif record_id == 34735:
+            # Each key has four numbers of two bytes.
             keys = np.frombuffer(body[:len(body) // 8 * 8], '<u2').reshape(-1, 4)
             unit = next((GEO_KEY_UNITS[code] for key, location, _, code in keys.tolist()
                          if key == 3076 and location == 0 and code in GEO_KEY_UNITS), unit)
-    return unit if 1e-3 < unit[1] < 1e3 else METRE_UNIT
+    # Units below a millimetre, or of a kilometre or more, are not accepted.
+    return unit if 1e-3 <= unit[1] < 1e3 else METRE_UNIT
 
 
 def _declared_count(path: Path, file_bytes: int) -> tuple[int, bool]:
     """Return the declared number of points and whether they are compressed; refuse wrong sizes."""
     with path.open('rb') as file:
         header = file.read(LAS_HEADER_BYTES)
+    # The shortest header, that of LAS 1.0, has 227 bytes.
     if header[:4] != b'LASF' or len(header) < 227:
         raise ValueError('no LAS header')
     offset, record_count, format_id, point_bytes, count = struct.unpack_from('<IIBHI', header, 96)
@@ -162,6 +166,7 @@ def _read_xml(path: Path, start: int, length: int) -> bytes:
         raise ValueError(f'{length:,} bytes of XML')
     # Each page ends with a checksum.
     checksum_bytes = 4
+    # Read whole pages; the first and the last one may contain only a part of the XML.
     with path.open('rb') as file:
         file.seek(start - start % PAGE_BYTES)
         pages = file.read((length // (PAGE_BYTES - checksum_bytes) + 2) * PAGE_BYTES)

@@ -40,7 +40,8 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     """
     Leave out the points of other rooms and add a note.
 
-    :param points: (N, 3) metres, the points of the file before merging.
+    :param points: (N, 3) metres, the points of the file before merging: the plan is made of these,
+        since ``scene.points`` may be too far apart for fine cells.
     :returns: the same scene if there are no other rooms, or they cannot be separated. A scan of
         many rooms stays whole and gets a remark.
     """
@@ -55,8 +56,8 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     some_points = thin_points[::max(len(thin_points) // 2000, 1)]
     # The median distance to the eighth neighbour; the first found point is the point itself.
     neighbour_distance = float(np.median(tree.query(some_points, k=neighbours)[0][:, -1]))
-    # A disc up to the eighth neighbour has the area of the squares of eight points; a cell is 1.5
-    # times as wide as such a square.
+    # A disc up to the eighth neighbour has the area of eight squares, one for each point. A cell
+    # is 1.5 times as wide as such a square.
     cell = max(0.1, 1.5 * neighbour_distance * np.sqrt(np.pi / (neighbours - 1)))
     # Rooms cannot be separated with coarser cells, nor on a plan of more than 5000 m2.
     if cell > 0.2 or np.prod(np.ptp(thin_points[:, :2], axis=0)) > 5000.0:
@@ -65,8 +66,10 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     if rooms.max() < 2:
         return scene
     find_rooms = _room_finder(rooms, cell)
+    # ``find_rooms`` returns the nearest room, so number 0, which is no room, has no points.
     counts = np.bincount(find_rooms(thin_points), minlength=rooms.max() + 1)
-    # A room of which only a part is visible, through a door, has few walls around that part.
+    # A room of which only a part is visible, through a door, has few walls around that part, so it
+    # gets less weight.
     weights = counts * wall_shares
     main_number = int(weights.argmax())
     floor_areas = np.bincount(rooms.ravel()) * cell * cell
@@ -101,9 +104,9 @@ def _room_finder(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.nd
     # The two faces of a wall belong to two rooms, so the cells are subdivided, into about four
     # million cells at most.
     subdivisions = int(np.clip(np.sqrt(4_000_000 / rooms.size), 1, 4))
-    nearest_rooms = rooms.repeat(subdivisions, axis=0).repeat(subdivisions, axis=1)
-    _, (x, y) = ndimage.distance_transform_edt(nearest_rooms == 0, return_indices=True)
-    nearest_rooms = nearest_rooms[x, y]
+    fine_rooms = rooms.repeat(subdivisions, axis=0).repeat(subdivisions, axis=1)
+    _, (x, y) = ndimage.distance_transform_edt(fine_rooms == 0, return_indices=True)
+    nearest_rooms = fine_rooms[x, y]
 
     def find_rooms(positions: np.ndarray) -> np.ndarray:
         cells = (positions[:, :2] * (subdivisions / cell)).astype(int)
@@ -147,7 +150,8 @@ def _ceiling_height(heights: np.ndarray) -> float:
     Return the height of the ceiling above the floor, metres.
 
     :param heights: (N,) metres, heights of points above the floor.
-    :returns: without a clear ceiling, the height below which 99 % of the points are.
+    :returns: the height of the ceiling; without a clear ceiling, the height below which 99 % of
+        the points are.
     """
     top = float(np.percentile(heights, 99))
     layer_m = 0.1
@@ -174,20 +178,23 @@ def _separate_rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.nda
         the room's border that is wall.
     """
     cells = (points[:, :2] / cell).astype(int)
+    # The empty margin at the far sides is as wide as the one at the corner of the plan.
     shape = tuple(cells.max(axis=0) + 1 + int(2.0 * MAX_FLOOR_GAP_M / cell))
     walls, lintels = _walls_and_lintels(points[:, 2], cells, shape, cell)
-    floor = _floor(_occupied_cells(cells, shape), cell)
+    floor_cells = _floor(_occupied_cells(cells, shape), cell)
     # Rooms are the parts of the free floor that are separate if narrow openings are closed.
     is_barrier = walls | lintels
-    is_free = floor & ~is_barrier
+    is_free = floor_cells & ~is_barrier
     barrier_distance = ndimage.distance_transform_edt(~is_barrier) * cell
     # Half the width of the narrowest opening up to the ceiling that still joins two spaces.
     min_half_opening_m = 0.25
     rooms, count = ndimage.label(is_free & (barrier_distance >= min_half_opening_m))
     # Join rooms that only a beam separates.
-    half_width = ndimage.distance_transform_edt(floor & ~walls) * cell
+    half_width = ndimage.distance_transform_edt(floor_cells & ~walls) * cell
+    # ``room_half_widths`` begins with a value for number 0, which is no room.
     numbers = np.arange(1, count + 1)
     room_half_widths = np.append(0.0, ndimage.maximum(half_width, rooms, numbers))
+    # Rooms begin at ``min_half_opening_m`` from a lintel; 1.5 cells more are a margin.
     joined = _join_rooms(rooms, lintels, half_width, room_half_widths,
                          min_half_opening_m / cell + 1.5)
     # Leave out rooms that are too narrow. Only a strip of the floor behind a door may have been
@@ -195,6 +202,7 @@ def _separate_rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.nda
     wall_distance = ndimage.distance_transform_edt(~walls) * cell
     max_wall_distances = np.append(0.0, ndimage.maximum(wall_distance, rooms, numbers))
     rooms = joined[rooms]
+    # A joined room is wide if one of its parts is wide.
     is_wide = np.zeros(count + 1, dtype=bool)
     is_wide[joined[max_wall_distances >= MIN_HALF_WIDTH_M]] = True
     rooms[~is_wide[rooms]] = 0
@@ -239,11 +247,12 @@ def _walls_and_lintels(heights: np.ndarray, cells: np.ndarray, shape: tuple[int,
     # The range above the floor that contains lintels but not beams. Under a low ceiling lintels
     # begin lower, and in a high room they reach higher.
     lowest, highest = min(2.0, ceiling - 0.35), max(2.35, 0.78 * ceiling)
-    is_in_range = (heights >= lowest) & (heights < ceiling - 0.03)
+    # Faces are measured on all points from ``lowest`` to just under the ceiling.
+    is_upper = (heights >= lowest) & (heights < ceiling - 0.03)
     # The highest point of each cell, and the negative of its lowest point.
     extremes = np.full((2, *shape), -np.inf)
     for extreme, sign in zip(extremes, (1.0, -1.0), strict=True):
-        np.maximum.at(extreme, tuple(cells[is_in_range].T), sign * heights[is_in_range])
+        np.maximum.at(extreme, tuple(cells[is_upper].T), sign * heights[is_upper])
     # The sum is the height range of the points in a cell. It exceeds the edge of the cell on an
     # upright face, but not on a flat ceiling.
     faces = occupied_between(lowest, highest) & (extremes.sum(axis=0) >= 1.3 * cell)
@@ -254,11 +263,11 @@ def _walls_and_lintels(heights: np.ndarray, cells: np.ndarray, shape: tuple[int,
 
 def _floor(is_occupied: np.ndarray, cell: float) -> np.ndarray:
     """Return the cells (X, Y) bool with points, with gaps and small holes filled."""
-    floor = ndimage.binary_closing(is_occupied, _disc(MAX_FLOOR_GAP_M / cell))
-    holes, _ = ndimage.label(ndimage.binary_fill_holes(floor) & ~floor)
+    is_floor = ndimage.binary_closing(is_occupied, _disc(MAX_FLOOR_GAP_M / cell))
+    holes, _ = ndimage.label(ndimage.binary_fill_holes(is_floor) & ~is_floor)
     # A hole of more than 1 m2 consists of walls and rooms that were not scanned.
     is_small = np.bincount(holes.ravel()) * cell * cell <= 1.0
-    return floor | (is_small[holes] & (holes > 0))
+    return is_floor | (is_small[holes] & (holes > 0))
 
 
 def _wall_shares(rooms: np.ndarray, is_barrier: np.ndarray) -> np.ndarray:
@@ -266,6 +275,8 @@ def _wall_shares(rooms: np.ndarray, is_barrier: np.ndarray) -> np.ndarray:
     # In the first row the cells of the border that are barrier, in the second row all its cells.
     counts = np.zeros((2, rooms.max() + 1))
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        # The number of the room in the next cell on one side. The plan has an empty margin, so the
+        # cells that ``roll`` moves to the other end have no room.
         next_rooms = np.roll(rooms, step, axis)
         is_border = (next_rooms > 0) & (next_rooms != rooms)
         counts += [np.bincount(next_rooms[is_counted], minlength=counts.shape[1])
@@ -280,7 +291,8 @@ def _join_rooms(rooms: np.ndarray, lintels: np.ndarray, half_width: np.ndarray,
 
     :param rooms: (X, Y) room numbers.
     :param lintels: (X, Y) bool, cells of possible lintels or beams.
-    :param half_width: (X, Y) metres to the nearest wall.
+    :param half_width: (X, Y) metres to the nearest wall or end of the floor; 0 in walls and
+        outside of the floor.
     :param room_half_widths: the largest value of ``half_width`` in each room, by room number.
     :param radius: the distance in cells from a lintel to the rooms that it separates.
     :returns: by room number, the number of the joined room.
@@ -297,12 +309,13 @@ def _join_rooms(rooms: np.ndarray, lintels: np.ndarray, half_width: np.ndarray,
         window = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
         is_beam = beams[window] == number
         separated = np.setdiff1d(rooms[window][ndimage.binary_dilation(is_beam, disc)], [0])
+        # Half the width of the opening under this beam: the largest value, that in its middle.
         half_opening = half_width[window][is_beam & lintels[window]].max(initial=0.0)
         for pair in combinations(separated.tolist(), 2):
-            # The openings of several beams between columns add up.
+            # The openings under several beams between the same two rooms add up.
             half_openings[pair] = half_openings.get(pair, 0.0) + half_opening
     for (room, other), half_opening in half_openings.items():
-        # The width of an opening, as a share of the narrower room, above which both are one room.
+        # Both are one room if the opening is wider than this share of the narrower room.
         share = 0.75 if half_opening <= MIN_HALF_WIDTH_M else 0.5
         if half_opening > room_half_widths[[room, other]].min() * share:
             # All rooms that were joined with ``other`` now belong to ``room``.

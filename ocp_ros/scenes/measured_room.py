@@ -95,7 +95,7 @@ def triangles_of(document: Document) -> np.ndarray:
                 ('boxes', k, 'box'), f'corners from {low.tolist()} to {high.tolist()}',
                 f'the lowest corner first, and the highest within {size.tolist()}',
                 'correct those that are not')
-        # A box on the floor has no visible underside.
+        # The first face is the underside, which is not visible if the box stands on the floor.
         quads += list(_box_faces(low, high)[int(low[2] == 0.0):])
     # A diagonal divides each rectangle into two triangles.
     corners = np.array(quads)
@@ -114,6 +114,7 @@ def _wall_rectangles(document: Document, wall: str, size: np.ndarray) -> list[np
 
     :param wall: a key of ``WALLS``.
     :param size: (3,) the size of the room, metres.
+    :raises ConfigurationError: if an opening reaches out of the wall.
     """
     axis, is_far = WALLS[wall]
     length, height = size[1 - axis], size[2]
@@ -158,8 +159,9 @@ def room_between(points: np.ndarray) -> tuple[np.ndarray, bool] | None:
         return None
     if len(hull.vertices) < CORNERS:
         return None
-    # ``equations`` holds the normals of the triangles. The two triangles of a flat side have the
-    # same normal, within 3 degrees.
+    # ``equations`` holds the outward normals of the triangles. The two triangles of a flat side
+    # have the same normal, within 3 degrees. So a triangle of a flat side is parallel to at least
+    # two: itself and the other one.
     is_parallel = hull.equations[:, :3] @ hull.equations[:, :3].T >= np.cos(np.deg2rad(3.0))
     return points[hull.simplices], bool((is_parallel.sum(axis=1) >= 2).all())
 
@@ -175,6 +177,7 @@ def document_of(size: Sequence[str], openings: Sequence[Sequence[str]],
     :param boxes: x, y, z of the lowest and then of the highest corner of each box, metres.
     :raises ConfigurationError: if the values are not a valid room.
     """
+    # If an opening has no sill, zip leaves out the last key.
     document = Document('room', {
         'size': list(map(_number, size)),
         'openings': [{'wall': wall, **dict(zip(('at', 'width', 'height', 'sill'),

@@ -51,7 +51,8 @@ def read_mesh(path: Path) -> np.ndarray:
     import_thread = Thread(target=_import_open3d)
     import_thread.start()
     try:
-        # A face takes a byte or more, unless one part is placed many times.
+        # The largest number of faces: each takes a byte or more of the file, but a small file may
+        # place one part many times.
         return read_guarded('mesh', path, 9, max(path.stat().st_size, 2_000_000))
     finally:
         import_thread.join()
@@ -86,7 +87,7 @@ def sample_faces(corners: np.ndarray, count: int = MESH_SAMPLES) -> np.ndarray:
     :param corners: (T, 3, 3), the corners of the triangles, in any unit.
     :param count: the number of points, without the rows of NaN.
     :returns: (N, 6) float64, the points and the unit normals of their faces.
-    :raises ValueError: if there are no faces, or no face has an area.
+    :raises ValueError: if there are no faces, or none of the finite faces has an area.
     """
     if len(corners) == 0:
         raise ValueError('no faces')
@@ -121,6 +122,7 @@ def _spread_points(corners: np.ndarray, areas: np.ndarray, count: int
     # point each.
     offsets = np.random.default_rng(0).random(count)
     positions = (np.arange(count) + offsets) * (area_sums[-1] / count)
+    # Rounding may put the last position behind the last face.
     faces = np.minimum(np.searchsorted(area_sums, positions, side='right'), len(area_sums) - 1)
     # The multiples of these increments fill the unit square evenly (M. Roberts, 2018: R2).
     increments = np.array([0.7548776662466927, 0.5698402909980532])

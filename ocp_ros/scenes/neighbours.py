@@ -43,12 +43,13 @@ def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     size = high - low
     # The surface area of a room is about that of its bounding box.
     surface = 2.0 * float(size @ np.roll(size, 1))
-    # With half as many points per cell, most of the neighbours lie in the 27 cells around a point.
+    # With K / 2 points per cell, most of the K neighbours lie in the 27 cells around a point.
     points_per_cell = 0.5 * count
     edge = np.sqrt(max(surface, 1e-12) * points_per_cell / len(points))
     # A border of empty cells gives each cell with points all its neighbour cells.
     shape = np.floor(size / edge) + 3
-    # The grid of an uneven cloud has many empty cells or crowded ones, so the tree is faster.
+    # The grid of an uneven cloud has many empty cells (checked here) or crowded ones (checked
+    # below), so the tree is faster.
     if len(points) > count and np.prod(shape) <= 16.0 * len(points):
         shape = shape.astype(np.int64)
         cells = ((points - low) / edge).astype(np.int64) + 1
@@ -68,7 +69,8 @@ def nearest(points: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
             grid = points[order], order, cell_numbers[order], starts, cell_offsets
             mapped(lambda k: _search_cells(*grid, ends[k], ends[k + 1], distances, indices),
                    range(part_count))
-            # Nearer points may lie outside the 27 cells.
+            # If the last neighbour is farther away than the edge of a cell, nearer points may lie
+            # outside the 27 cells.
             unsure = np.flatnonzero(distances[:, -1] > edge)
             if len(unsure):
                 distances[unsure], indices[unsure] = _search_tree(points, points[unsure], count)
@@ -93,8 +95,8 @@ def _search_cells(points, order, cell_numbers, starts, cell_offsets, first, end,
     :param cell_numbers: (N,) int64, the number of the cell of each point.
     :param starts: (C + 1,) int64, the index of the first point of each of the C cells.
     :param cell_offsets: (27,) int64, the numbers of the cells around a cell, less its own number.
-    :param first: the index in ``points`` of the first point to search for.
-    :param end: the index after the last point to search for.
+    :param first: the index in ``points`` of the first point whose neighbours are searched for.
+    :param end: the index after the last such point.
     :param distances: (N, K) metres, written, in the caller's order; if the last distance exceeds
         the edge of a cell, nearer points may lie in other cells.
     :param indices: (N, K), written: indices among the caller's points.

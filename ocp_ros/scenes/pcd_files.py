@@ -33,21 +33,22 @@ def read_pcd_fields(path: Path) -> dict[str, np.ndarray]:
     reads 8-byte coordinates as 4-byte ones (0.20), and it takes a second to import.
 
     :param path: a .pcd file.
-    :returns: each field by its name, (N, C) for N points and C values per point, or (N,).
+    :returns: each field by its name, (N, C) for N points and C values per point; (N,) from an
+        ascii file. Only x, y and z if the points were moved, see :func:`_move_to_map`.
     :raises ValueError: if the file is broken.
     """
     with path.open('rb') as file:
         header, header_lines = _read_header(file)
         body = file.read()
     layout, count = _point_layout(header), int(header['POINTS'][0])
-    # Each number in a text takes two bytes. Real binary files, packed or not, need a byte or more
-    # per point; a quarter of that is accepted.
+    # Real files, packed or not, need a byte or more per point; a quarter of that is accepted. In
+    # an ascii file each number takes at least two bytes, a digit and a separator.
     file_bytes = path.stat().st_size
     if count > 4 * file_bytes or (header['DATA'] == ['ascii']
                                   and 2 * count * len(layout.names) > file_bytes):
         raise ValueError(f'{count:,} points in {file_bytes:,} bytes')
     if header['DATA'] == ['ascii']:
-        fields = _read_ascii(path, layout, header_lines)
+        fields = _read_ascii(path, layout, header_lines, count)
     elif header['DATA'] == ['binary']:
         rows = np.frombuffer(body, layout, count)
         fields = {field: rows[field] for field in layout.names}
@@ -65,12 +66,15 @@ def _move_to_map(fields: dict[str, np.ndarray], viewpoint: list[str], name: str
     Move points from the sensor frame to the map frame if the header gives the sensor's pose.
 
     :param fields: the fields of the points by their names.
-    :param viewpoint: x y z in the unit of the file, and a quaternion w x y z.
+    :param viewpoint: x y z in the unit of the file, and a quaternion w x y z; [] if the header
+        has no pose.
+    :param name: the name of the file, for the warning.
     :returns: the same fields if no point was moved; otherwise only x, y and z, since the normals
         are estimated again.
     """
     pose = np.array([float(number) for number in viewpoint])
-    # With this pose, the identity, the points are already in the map frame.
+    # Without a pose, or with the identity, the points are already in the map frame. The caller of
+    # the reader refuses fields without x, y and z.
     if (len(pose) != 7 or np.array_equal(pose, (0, 0, 0, 1, 0, 0, 0))
             or not fields.keys() >= set('xyz')):
         return fields
@@ -86,6 +90,7 @@ def _move_to_map(fields: dict[str, np.ndarray], viewpoint: list[str], name: str
 
 def _read_header(file) -> tuple[dict[str, list[str]], int]:
     """Read the header of a PCD file; return the values by key, and the number of its lines."""
+    # Comments and empty lines become keys too, which are not used.
     header = {}
     line_count = 0
     while 'DATA' not in header and line_count < 1000:
@@ -108,26 +113,29 @@ def _point_layout(header: dict[str, list[str]]) -> np.dtype:
     repeats = header.get('COUNT', ['1'] * len(names))
     if not all(repeat.isdecimal() and int(repeat) for repeat in repeats):
         raise ValueError(f'COUNT {" ".join(repeats)[:60]}')
-    # Padding fields may all have the same name.
+    # All padding fields may have the name _, but the names in a record have to differ.
     return np.dtype([
         (f'{name}{index}' if name == '_' else name, type_codes[number_type] + size, (int(repeat),))
         for index, (name, number_type, size, repeat)
         in enumerate(zip(names, header['TYPE'], header['SIZE'], repeats, strict=True))])
 
 
-def _read_ascii(path: Path, layout: np.dtype, header_lines: int) -> dict[str, np.ndarray]:
+def _read_ascii(path: Path, layout: np.dtype, header_lines: int, count: int
+                ) -> dict[str, np.ndarray]:
     """Read the fields of a PCD file in ascii, which has one point per line."""
     # Of a field with several columns, only the first is read.
     widths = [layout[field].shape[0] for field in layout.names]
     starts = np.cumsum([0, *widths[:-1]]).tolist()
-    table = read_table(path, TableFormat(skipped_lines=header_lines, columns=starts))
+    table = read_table(path, TableFormat(
+        skipped_lines=header_lines, columns=starts, count=count))
     return dict(zip(layout.names, table.T, strict=True))
 
 
 def _unpack_fields(body: bytes, layout: np.dtype, count: int) -> dict[str, np.ndarray]:
     """Unpack the fields of ``count`` points, which are stored one field after the other."""
+    # The body begins with the packed and the unpacked number of bytes, in 4 bytes each.
     packed_bytes, unpacked_bytes = (int(number) for number in np.frombuffer(body, '<u4', 2))
-    # LibLZF unpacks up to 264 bytes from three.
+    # LibLZF unpacks up to 264 bytes from three, 88 from one.
     if unpacked_bytes > 88 * len(body) or layout.itemsize * count > unpacked_bytes:
         raise ValueError(f'{count:,} points in {unpacked_bytes:,} bytes, packed to {len(body):,}')
     unpacked = _unpack_lzf(body[8:8 + packed_bytes], unpacked_bytes)
@@ -151,8 +159,9 @@ def _unpack_lzf(packed: bytes, unpacked_bytes: int) -> bytes:
             output += packed[position:position + control + 1]
             position += control + 1
             continue
-        # A copy is 2 bytes longer than this length, which a further byte extends if it is 7. The
-        # other 5 bits and the last byte are the distance back to its start, less 1.
+        # The upper 3 bits of the control byte are the length of the copy, less 2; if they are 7,
+        # the next byte is added to them. The lower 5 bits and one more byte are the distance from
+        # the end of the output back to the start of the copy, less 1.
         length = control >> 5
         if length == 7:
             length += packed[position]
@@ -162,7 +171,7 @@ def _unpack_lzf(packed: bytes, unpacked_bytes: int) -> bytes:
         if start < 0:
             raise ValueError('a copy from before the start')
         copied = output[start:start + length + 2]
-        # A copy may overlap its own output: then it repeats.
+        # A copy that reaches beyond the end of the output repeats the bytes up to the end.
         output += (copied * ((length + 2) // len(copied) + 1))[:length + 2]
     if len(output) != unpacked_bytes:
         raise ValueError(f'{len(output):,} of {unpacked_bytes:,} bytes')

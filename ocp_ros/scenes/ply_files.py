@@ -52,7 +52,8 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
     separate process with limits of time and memory reads the file.
 
     :returns: each column (N,) of the vertices by its name; an empty dictionary if the file has no
-        vertices. From a file with lists before its vertices, only coordinates and normals.
+        element of vertices. If lists come before the vertices or in them, only coordinates and
+        normals. If x, y or z is missing, the columns are empty.
     :raises ValueError: if the file is broken.
     """
     header, end_of_line, elements = _read_elements(path)
@@ -63,7 +64,7 @@ def read_ply_fields(path: Path) -> dict[str, np.ndarray]:
         return {}
     needed_elements = elements[:names.index('vertex') + 1]
     vertices = needed_elements[-1]
-    # Without x, y and z only the names are returned: the caller lists them in its error.
+    # If x, y or z is missing, the caller needs only the names, for its error.
     if not vertices.types.keys() >= set('xyz'):
         return dict.fromkeys(vertices.types, np.empty(0))
     if any(element.has_lists for element in needed_elements):
@@ -99,12 +100,18 @@ def has_faces(path: Path) -> bool:
 
 
 def _read_elements(path: Path) -> tuple[bytes, bytes, list[DeclaredElement]]:
-    """Return the header, its line ending and its elements; refuse a file too small for them."""
+    """
+    Return the header of a PLY file, its line ending and its elements.
+
+    :returns: the header up to the line ``end_header``, which is left out; the bytes that end a
+        line; and the elements in the order of the file.
+    :raises ValueError: if there is no header, or the file is too small for its elements.
+    """
     # plyfile reads a header byte by byte, so a longer one is refused.
     max_header_bytes = 1 << 18
     with path.open('rb') as file:
         first_bytes = file.read(max_header_bytes)
-    # The first line shows the line ending.
+    # The first line is ``ply``, so the line ending begins at byte 3.
     end_of_line = b'\r\n' if first_bytes[3:5] == b'\r\n' else first_bytes[3:4]
     header, end_marker, _ = first_bytes.partition(end_of_line + b'end_header' + end_of_line)
     if first_bytes[:3] != b'ply' or not end_marker:

@@ -91,6 +91,7 @@ def _read_triangles(open3d_io, path: str) -> tuple[np.ndarray, np.ndarray]:
         raise ValueError('no faces')
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     vertices = np.concatenate([vertices for vertices, _ in parts])
+    # Open3D's reader of .off files rounds to float32 too; only the one of .ply files does not.
     if not path.lower().endswith('.ply'):
         _check_rounding(vertices)
     return vertices, np.concatenate([
@@ -124,7 +125,8 @@ def buffer_files(path: str) -> list[str]:
     if not path.lower().endswith(('.gltf', '.glb')):
         return []
     document = Path(path).read_bytes()
-    # A GLB file begins with a header of 12 bytes and the JSON, whose length is before it.
+    # A GLB file begins with a header of 12 bytes, the length of the JSON in 4 bytes, its type in
+    # 4 bytes, and the JSON.
     if document[:4] == b'glTF':
         document = document[20:20 + int.from_bytes(document[12:16], 'little')]
     folder = Path(path).resolve().parent
@@ -134,7 +136,7 @@ def buffer_files(path: str) -> list[str]:
         uri = buffer.get('uri', 'data:')
         if uri.startswith('data:'):
             continue
-        # Some readers do not decode %20 as a blank.
+        # Some readers decode %20 as a blank, others do not, so both names are allowed.
         candidates = [(folder / file).resolve() for file in (uri, unquote(uri))]
         if not all(file.parent == folder for file in candidates):
             raise ValueError(f'it names {uri[:60]!r}, which is not in its folder')
@@ -163,9 +165,10 @@ def main(arguments: list[str]) -> int:
     kind, path, *reader_arguments = arguments[3:]
     read_rows, *packages = READERS[kind]
     with os.fdopen(os.dup(1), 'wb') as output:
-        # Text that libraries print must not mix with the rows.
+        # Text that libraries print must not mix with the rows, so it goes to the standard error.
         os.dup2(2, 1)
         try:
+            # A missing package is reported by the reader if it needs the package.
             for package in packages:
                 with suppress(ImportError):
                     import_module(package)

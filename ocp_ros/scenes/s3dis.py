@@ -27,7 +27,7 @@ import numpy as np
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 
-#: The areas (floors of buildings) whose rooms are for tests; the others are for training.
+#: The areas (storeys of buildings) whose rooms are for tests; the others are for training.
 TEST_AREAS = (6,)
 
 
@@ -60,10 +60,11 @@ def rooms_of_area(folder: Path, area: int) -> list[Path]:
 
 def chosen_rooms(folder: Path, area: int) -> list[Path]:
     """
-    Choose the ten rooms of an area in which to compare cameras on a plane, as the paper does.
+    Choose up to ten rooms of an area in which to compare cameras on a plane.
 
-    A fitting room has a flat floor that is neither too small nor too large; a room for training is
-    closed too. Of the fitting rooms, those with the largest floors are chosen.
+    The paper (arXiv 2110.11106) compares them in such rooms. A fitting room has a flat floor that
+    is neither too small nor too large; a room for training also has a ceiling. Of the fitting
+    rooms, those with the largest floors are chosen.
 
     :param folder: see :func:`rooms_of_area`.
     :param area: 1 to 6.
@@ -77,7 +78,7 @@ def chosen_rooms(folder: Path, area: int) -> list[Path]:
             continue
         scene = load_cached(path, max_points=15000)
         floor_area = float(np.prod(scene.size[:2]))
-        # Four cameras roughly cover this floor area in square metres.
+        # Square metres: four cameras roughly cover floors between these limits.
         if 20.0 <= floor_area <= 130.0 and (area in TEST_AREAS or is_closed(scene)):
             fitting_rooms.append((-floor_area, path))
     return [path for _, path in sorted(fitting_rooms)[:10]]
@@ -88,7 +89,8 @@ def is_closed(scene: Scene) -> bool:
     points, (low, high) = scene.points, scene.bounds
     # Cells of a plan with edges of 0.25 m.
     cells = np.floor((points[:, :2] - low[:2]) / 0.25).astype(np.int64)
+    # Points within 0.3 m of the lowest point belong to the floor, and points more than 0.5 m above
+    # half the height to the ceiling.
     floor_cells = {tuple(cell) for cell in cells[points[:, 2] < low[2] + 0.3]}
-    # Points more than 0.5 m above half the height belong to the ceiling.
     ceiling_cells = {tuple(cell) for cell in cells[points[:, 2] > 0.5 * (low[2] + high[2]) + 0.5]}
     return len(floor_cells & ceiling_cells) >= 0.9 * max(len(floor_cells), 1)

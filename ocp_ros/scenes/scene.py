@@ -168,8 +168,8 @@ def turned(scene: Scene, degrees: float) -> Scene:
     normals = None if scene.normals is None else scene.normals @ rotation.T
     rotated = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
                     scene.source.rotated(rotation), scene.notes, scene.remarks)
-    # A rotation keeps distances. Those of rotated points would differ by rounding, so the cached
-    # properties are copied.
+    # A rotation keeps distances, but distances of the rotated points would differ by rounding. So
+    # the properties with distances are copied.
     rotated.__dict__.update((name, getattr(scene, name))
                             for name in ('_neighbours', 'spacing', 'pitch', 'diameter'))
     return rotated
@@ -181,7 +181,8 @@ def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
 
     :param points: (N, 3) array.
     :param name: the name of the points in the message.
-    :param up: the direction that points up, one of :data:`~ocp_ros.scenes.up_axis.UP_AXES`.
+    :param up: the direction that points up, one of :data:`~ocp_ros.scenes.up_axis.UP_AXES`; the
+        message guesses a wrong unit from the height.
     :raises SceneError: for a wrong shape, fewer than 100 points, NaN or inf, a flat cloud, or a
         size that no room in metres has.
     """
@@ -245,7 +246,7 @@ def _check_extent(points: np.ndarray, name: str, up: int) -> None:
 
 
 def _likely_units(size: np.ndarray, up: int) -> list[str]:
-    """Return the units in which ``size`` (3,) is that of a room, the most likely first."""
+    """Return the units in which ``size`` (3,) is that of a room, the most likely first, or []."""
     heights = {unit: scale * size[up] for unit, scale in UNITS_M.items()
                if scale * size.max() <= MAX_EXTENT_M}
     # A room is usually 2.7 m high, and always 1.5 to 12 m.

@@ -166,7 +166,7 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     if up_axis.axis_of(up) == 2 and (up_notes := _notes_of_up(points)):
         notes += up_notes
         all_rooms = True
-    # Of a mesh with enclosed air, the sides that this air sees are the room.
+    # If a mesh encloses air, the sides of its faces that are visible from this air are the room.
     mesh = None
     if triangle_corners is not None:
         mesh = _mesh_in_map(triangle_corners, source, corners_of(points))
@@ -179,7 +179,8 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
             return _warn_of_notes(scene if all_rooms else main_room(scene, inner.points), name)
         # Without enclosed air, samples of all faces go on like the points of a scan.
         remarks += ('no air is closed in: all faces count, from both sides',)
-        # Merged points lie near the faces, not on them; ``max_points`` holds without voxels only.
+        # Points that are merged in voxels lie near the faces, not on them. With a voxel size,
+        # ``max_points`` does not apply.
         if voxel_size:
             mesh = replace(mesh, exact=False)
             max_samples = MESH_SAMPLES
@@ -201,7 +202,8 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     scene = without_mirror_images(Scene(
         merged, scene_name, normals, mesh, source, tuple(notes), remarks))
     if len(scene) < len(merged):
-        # Points behind a mirror must not count as another room.
+        # ``main_room`` gets the points before merging. Some of them are behind the mirror and
+        # must not count as another room, so it gets the remaining merged points instead.
         points = scene.points
     # Leave out what lies outside of the room.
     scene = without_outside(scene)
@@ -460,6 +462,7 @@ def _without_duplicates(points: np.ndarray, normals: np.ndarray | None, name: st
     """Return points (float32) and normals without repeated points, whose spacing would be 0."""
     # The 12 bytes of each point are compared, so -0.0 has to become 0.0, by adding 0.0.
     rows = np.ascontiguousarray(points + np.float32(0.0)).view('V12').ravel()
+    # The index of the first of equal points, in the order of the points.
     first = np.sort(np.unique(rows, return_index=True)[1])
     if len(first) == len(points):
         return points, normals

@@ -48,11 +48,13 @@ def isolated_points(points: np.ndarray) -> np.ndarray:
         candidates = np.flatnonzero(is_far | is_isolated)
         neighbourhoods = kept_points[indices[candidates]].astype(np.float64)
         neighbourhoods -= neighbourhoods.mean(axis=1, keepdims=True)
-        # The variances along the principal axes of a neighbourhood, ascending, times its points.
+        # The variances along the principal axes of a neighbourhood, ascending, times the number of
+        # its points.
         variances = np.linalg.eigvalsh(np.einsum('mpi,mpj->mij', neighbourhoods, neighbourhoods))
         # Points on a line, such as the far rings of a laser scanner, are not isolated.
         on_line = variances[:, 1] <= 0.05 * variances[:, 2]
         off_plane = variances[:, 0] >= 0.1 * variances[:, 1]
+        # Points that are alone are isolated, and far points off a plane; points on a line are not.
         is_isolated[candidates] = ~on_line & (is_isolated[candidates] | off_plane)
         # ``is_isolated`` is a mask of the kept points; it is converted to indices of all points.
         is_kept[np.flatnonzero(is_kept)[is_isolated]] = False
@@ -70,12 +72,13 @@ def stray_points(points: np.ndarray) -> np.ndarray:
     bounds, such as a lamp, stay.
 
     :param points: (N, 3), finite, in metres, or in another unit if that is not known yet.
-    :returns: (N,) bool.
+    :returns: (N,) bool; all False if the size overflows.
     """
     points = np.asarray(points, dtype=np.float64)
     # Two per cent of the points at either end do not count for the size of the room.
     core = np.subtract(*np.percentile(points, [98.0, 2.0], axis=0))
-    # The edge of a cell is four times the distance of points that cover the sides of this core.
+    # The edge of a cell is four times the distance that neighbouring points would have if all
+    # points were spread evenly over the sides of this core.
     with np.errstate(over='ignore'):
         area = 2.0 * (core[0] * core[1] + core[1] * core[2] + core[2] * core[0])
         edge = max(0.25, 4.0 * np.sqrt(area / len(points)))
@@ -88,10 +91,12 @@ def stray_points(points: np.ndarray) -> np.ndarray:
     groups = _connected_groups(cells_numbered(numbers))[cell_of_point]
     sizes = np.bincount(groups)
     corners = corners_of(points[groups == np.argmax(sizes)])
+    # For each group, the distance of its nearest point from the bounds of the largest group.
     distances = np.full(len(sizes), np.inf)
     with np.errstate(over='ignore'):
         np.minimum.at(distances, groups, away_from(points, corners))
-    # A group farther away than the diagonal of the room may have more points.
+    # A stray group has at most 0.2 % of the points, or 5 % if it is farther away than the diagonal
+    # of the room.
     max_shares = np.where(distances > np.linalg.norm(corners[1] - corners[0]), 0.05, 0.002)
     # A stray group is more than a metre away, and more than the edge of a cell.
     return ((distances > max(1.0, edge)) & (sizes <= max_shares * len(points)))[groups]

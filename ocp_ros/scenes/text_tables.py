@@ -36,6 +36,7 @@ class TableFormat(NamedTuple):
     :ivar skipped_lines: the number of lines before the numbers.
     :ivar columns: the indices of the columns to read.
     :ivar windows_nonfinite: whether NaN and inf are written as ``1.#QNAN`` and ``1.#INF``.
+    :ivar count: the number of points that the file declares; None if it declares none.
     """
 
     separator: str | None = None
@@ -43,6 +44,7 @@ class TableFormat(NamedTuple):
     skipped_lines: int = 0
     columns: Sequence[int] = (0, 1, 2)
     windows_nonfinite: bool = False
+    count: int | None = None
 
     def split_cells(self, line: str) -> list[str]:
         """Return the cells of a line, without its comment; [] if all cells are empty."""
@@ -72,11 +74,11 @@ def read_points(path: Path) -> np.ndarray:
     otherwise the first three columns are read. The first line may be the number of points instead.
     """
     _check_lines(path)
-    table_format, count = _detect_format(path)
+    table_format = _detect_format(path)
     points = read_table(path, table_format)
-    if count is not None and len(points) != count:
-        raise SceneError(f'{path.name}: found {len(points):,} points; expected {count:,}, as its '
-                         'first line says; copy or export it again')
+    if table_format.count not in (None, len(points)):
+        raise SceneError(f'{path.name}: found {len(points):,} points; expected '
+                         f'{table_format.count:,}, as its first line says; copy it again')
     return points
 
 
@@ -95,6 +97,7 @@ def read_ptx_points(path: Path) -> np.ndarray:
     with path.open(encoding='latin-1') as file:
         while (line := file.readline()).strip():
             count = int(line) * int(file.readline())
+            # A point takes more than a byte.
             if not 0 < count <= path.stat().st_size:
                 raise ValueError(f'a scan of {count:,} points')
             header = np.loadtxt(file, max_rows=4, ndmin=2)
@@ -152,8 +155,8 @@ def _has_windows_numbers(path: Path) -> bool:
         return any(WINDOWS_NONFINITE.search(line) for line in file)
 
 
-def _detect_format(path: Path) -> tuple[TableFormat, int | None]:
-    """Return the format of a text file, and the number of points that it declares, or None."""
+def _detect_format(path: Path) -> TableFormat:
+    """Return the format of a text file; the default format if it has no content."""
     with path.open(encoding='latin-1') as file:
         for line_number, line in enumerate(file, start=1):
             # Some UTF-8 files begin with a byte order mark. CloudCompare writes the column names
@@ -164,16 +167,25 @@ def _detect_format(path: Path) -> tuple[TableFormat, int | None]:
             text = text.strip().removeprefix('//').strip()
             if text:
                 next_line = next(file, '')
-                # A single number before a line of numbers is the number of points.
-                if text.isdecimal() and len(next_line.split()) >= 3:
-                    table_format = _format_of_line(next_line, line_number + 1, '', path.name)
-                    return table_format._replace(skipped_lines=line_number), int(text)
-                return _format_of_line(text, line_number, next_line, path.name), None
-    return TableFormat(), None
+                # A single number before a line of numbers or names is the number of points.
+                if text.isdecimal() and len(re.findall(r'[^\s,;]+', next_line)) >= 3:
+                    table_format = _format_of_line(next_line.strip(), line_number + 1,
+                                                   next(file, ''), path.name)
+                    return table_format._replace(count=int(text))
+                return _format_of_line(text, line_number, next_line, path.name)
+    return TableFormat()
 
 
 def _format_of_line(first_line: str, line_number: int, next_line: str, name: str) -> TableFormat:
-    """Return a file's format, given its first line with content, and the line after that."""
+    """
+    Return the format of a text file.
+
+    :param first_line: its first line with content: numbers or the names of columns.
+    :param line_number: the number of this line, from 1: the lines to skip if it has names.
+    :param next_line: the line after it: the first line with numbers if it has names.
+    :param name: the name of the file, for the error.
+    :raises SceneError: if the line has names, but not those of x, y and z.
+    """
     separator = ';' if ';' in first_line else ',' if ',' in first_line else None
     # A unit may stand after the name of a column.
     names = [re.sub(r'\s*[\[(][^\])]*[\])]\s*$', '', cell.strip(' "\'\t').lower())
@@ -189,7 +201,7 @@ def _format_of_line(first_line: str, line_number: int, next_line: str, name: str
             f'{name}: found the names of columns {" ".join(names)[:80]!r} in line {line_number}, '
             'and not which of them are x, y and z; expected x, y and z among them; name the three '
             'columns of coordinates so')
-    return TableFormat(separator, _has_decimal_comma(separator, first_line))
+    return TableFormat(separator, _has_decimal_comma(separator, first_line), line_number - 1)
 
 
 def _coordinate_columns(names: Sequence[str]) -> list[int] | None:
@@ -227,9 +239,8 @@ def _find_bad_line(path: Path, table_format: TableFormat) -> SceneError | None:
                 if line_number > table_format.skipped_lines and values:
                     [table_format.parse_number(values[column]) for column in table_format.columns]
             except (ValueError, IndexError):
-                # After a header with the number of points, deleting a line would make that number
-                # wrong.
-                remedy = 'copy or export it again' if table_format.skipped_lines > 1 else (
+                # A declared number of points would be wrong after a line is deleted.
+                remedy = 'copy or export it again' if table_format.count is not None else (
                     'name the columns x, y and z, or put # before words that are no names'
                     if line_number == 1 else
                     f'correct the line or delete it: sed -i {line_number}d {path.name}')

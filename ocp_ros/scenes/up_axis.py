@@ -89,7 +89,7 @@ def likely_up(points: np.ndarray) -> str:
     :returns: one of :data:`UP_AXES`.
     """
     axis = likely_up_axis(points)
-    # Cubes of 10 cm count as one point.
+    # All points in a cube of 10 cm count as one point.
     cubes = voxel_downsample(np.asarray(points - points.mean(axis=0), dtype=np.float32), 0.1)
     heights = cubes[:, axis_of(axis)]
     low, high = np.percentile(heights, [0.5, 99.5])
@@ -98,7 +98,7 @@ def likely_up(points: np.ndarray) -> str:
     count_low, count_high = (
         np.count_nonzero((distances > min_distance_m) & (distances < max_distance_m))
         for distances in (heights - low, high - heights))
-    # Added to both counts, since few cubes are no evidence.
+    # This number is added to both counts, since few cubes are no evidence.
     added_cubes = 20
     evidence = np.log((added_cubes + count_low) / (added_cubes + count_high))
     return axis if evidence > (-0.25 if axis == 'z' else 0.0) else f'-{axis}'

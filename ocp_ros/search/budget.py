@@ -81,7 +81,8 @@ class Budget:
         Return the used share of the budget; at 1 or more the budget is used up.
 
         :param evaluations: number of evaluations so far.
-        :param max_evaluations: limit of their number; None if the time alone counts.
+        :param max_evaluations: limit of their number, which may be a part of :attr:`evaluations`
+            if several searches share the budget; None if the time alone counts.
         """
         if self.stopped:
             return 1.0

@@ -120,7 +120,8 @@ class CandidatePool:
 
     :param problem: a rig of these models in the room.
     :param max_candidates: largest number of candidates of all models together.
-    :param drawn_poses: number of poses, spread over the room, from which the candidates are drawn.
+    :param drawn_poses: number of poses, spread over the room, of which the first are the
+        candidates; at least ``max_candidates`` are drawn.
     :param threads: number of threads.
     :param should_stop: returns whether to stop; the views of the first ``MIN_VIEWS`` poses
         of each model are computed in any case.
@@ -145,9 +146,9 @@ class CandidatePool:
             poses = drawn[:count]
             # The first poses, which are spread over the room, stay first. The rank of the others
             # is the first row of their position, so the views of a position are computed together.
-            # Some versions of NumPy return the groups as a column.
             _, first_rows, groups = np.unique(poses[:, :3], axis=0, return_index=True,
                                               return_inverse=True)
+            # Some versions of NumPy return the groups as a column, so they are flattened.
             rank = np.where(np.arange(len(poses)) < MIN_VIEWS, -1, first_rows[groups.ravel()])
             order = np.argsort(rank, kind='stable')
             views = []
@@ -156,10 +157,10 @@ class CandidatePool:
                 batch = order[len(views):][:256]
                 views += problem.simulator.look_many(poses[batch], camera, threads)
             self.complete &= len(views) == len(drawn)
-            # Restore the order in which the poses were drawn.
-            computed = np.argsort(order[:len(views)])
-            poses = poses[order[computed]]
-            views = [views[k] for k in computed]
+            # Restore the order in which the poses were drawn, without poses that have no view.
+            drawn_order = np.argsort(order[:len(views)])
+            poses = poses[order[drawn_order]]
+            views = [views[k] for k in drawn_order]
             if not any(view.seen.any() for view in views):
                 raise _blind_camera_error(problem, camera, len(views))
             self._candidates[model] = CandidateSet(
@@ -219,7 +220,7 @@ class CandidatePool:
     def best_addition(self, objective: Objective, sites: Sequence[MountedCamera],
                       rows: np.ndarray | None = None) -> MountedCamera | None:
         """
-        Choose the candidate for the next camera of a rig with the least ``objective.promise``.
+        Choose the candidate for the next camera of a rig that minimises ``objective.promise``.
 
         :param objective: of the rig.
         :param sites: of the cameras before it.
@@ -305,8 +306,8 @@ def pool_of(problem: Problem, budget: Budget) -> CandidatePool:
     :param problem: the rig in the room.
     :param budget: of the search; the candidates use a share of it.
     """
-    # The views of all poses take time that is not counted as evaluations, so a small budget has
-    # fewer poses.
+    # The views of candidates take time that is not counted as evaluations, so a small budget has
+    # fewer candidates. They are the first of the same poses for every budget.
     max_candidates, max_grid_poses = CANDIDATES, MAX_GRID_POSES
     if budget.evaluations is not None:
         max_candidates = int(np.clip(budget.evaluations // 2, 64, max_candidates))

@@ -66,6 +66,7 @@ class LatticeScorer:
 
     def snapped_positions(self, positions: np.ndarray) -> np.ndarray:
         """Return the feasible positions at, or nearest to, the lattice for positions (n, 2)."""
+        # The positions of the lattice are the centres of its cells.
         return self._space.inside((np.floor(positions / LATTICE_M) + 0.5) * LATTICE_M)
 
 
@@ -81,6 +82,7 @@ class FinishingDescent(Planner):
 
     def __init__(self, elites: Sequence[np.ndarray], space: FreePlane, rng: np.random.Generator,
                  budget: int) -> None:
+        # The base class starts the search, which needs the elites.
         self._elites = list(elites)
         super().__init__(space, rng, budget)
 
@@ -134,16 +136,17 @@ def search_and_finish(planner: Planner, score: ScoreFunction, evaluations: int,
     # The finish has a share of all evaluations; the elites and the robust choice have shares of
     # the finish.
     finish_share, elite_share, choice_share = 0.15, 0.1, 0.15
-    finishing = max(int(finish_share * evaluations), 1)
-    search_result = solve(planner, lattice, max(evaluations - finishing, 1), clock=clock)
-    # Without a local search, the whole finish evaluates elites.
-    choices = (int(choice_share * finishing) // MOUNTING_ERRORS.count) if planner.descends else 0
-    max_elites = max(int(elite_share * finishing), 1) if planner.descends else finishing
+    finish_count = max(int(finish_share * evaluations), 1)
+    search_result = solve(planner, lattice, max(evaluations - finish_count, 1), clock=clock)
+    # Each choice takes an evaluation for each mounting error. Without a local search, there is no
+    # robust choice, and the whole finish evaluates elites.
+    choices = int(choice_share * finish_count) // MOUNTING_ERRORS.count if planner.descends else 0
+    max_elites = max(int(elite_share * finish_count), 1) if planner.descends else finish_count
     # The elites differ by at least a step of the lattice.
     elites = distinct_placements([lattice.snapped_positions(best) for best in search_result.best],
-                                 max_elites, min_distance=0.25)
-    descent = FinishingDescent(elites, planner.space, planner.rng, finishing)
-    limit = (finishing - MOUNTING_ERRORS.count * choices) if planner.descends else len(elites)
+                                 max_elites, min_distance=LATTICE_M)
+    descent = FinishingDescent(elites, planner.space, planner.rng, finish_count)
+    limit = (finish_count - MOUNTING_ERRORS.count * choices) if planner.descends else len(elites)
     result = solve(descent, score, limit, clock=clock)
     # The evaluations and the seconds of the finish follow those of the search.
     later_trace = result.trace + [search_result.evaluations, search_result.seconds, 0.0]
@@ -173,6 +176,7 @@ def choose_robust(result: Result, space: FreePlane, score: ScoreFunction, max_ch
     moved = [mounted(placement, MOUNTING_ERRORS) for placement in placements]
     mean_errors = [np.mean(score(list(displaced)).error) for displaced in moved]
     chosen = placements[int(np.argmin(mean_errors))]
+    # The result has the scores of the placement without mounting errors.
     scores = score([chosen])
     return replace(
         result, placement=chosen, depth_error=float(scores.error[0]),

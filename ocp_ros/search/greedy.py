@@ -124,7 +124,7 @@ def add_cameras(cameras: int, candidates: np.ndarray, energy: Callable[[Scores],
     :param energy: returns the values to minimise, (B,) for B scores.
     :param placed: (n, 2) positions of cameras that are already placed, metres.
     :yields: placements to score; their :class:`Scores` are sent back.
-    :returns: the positions (K, 2) and their depth error.
+    :returns: the positions (K, 2) and their depth error; infinity if no camera was missing.
     """
     error = np.inf
     for _ in range(cameras - len(placed)):
@@ -183,6 +183,7 @@ def descend(planner: Planner, placed: np.ndarray, error: float) -> PlacementStep
     """
     radius_m = 0.4
     directions = 8
+    # ``unchanged`` counts the cameras tried since the last improvement or change of the radius.
     unchanged = camera = 0
     while radius_m >= 0.02:
         # Each ring has a random rotation, so other directions are tried in the next pass.

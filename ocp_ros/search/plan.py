@@ -56,7 +56,8 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,
         an evaluation is a time step: the planner takes as many as the budget and the episode
         allow, or fewer if the budget is stopped.
     :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
-    :param pool: candidates of all models of a rig; None to create them.
+    :param pool: candidates of all models of a rig; None to create them, and to check that they
+        see the required shares of the regions.
     :param seed: random seed.
     :param start: a placement of a rig; the result is not worse. Empty for none.
     :param progress: called several times a second with input ``SCAN``, otherwise after each
@@ -121,6 +122,7 @@ def _place_by_scores(make: Callable, problem: Problem, pool: CandidatePool, budg
     expected = budget.evaluations or _estimate_evaluations(decoder, budget, seed)
     scorer = RigScorer(decoder, budget, progress)
     planner = make(problem.region.space, np.random.default_rng([seed, 0]), expected)
+    # Without evaluations, the scorer ends the search when the time is used up.
     result = solve(planner, scorer, budget.evaluations or sys.maxsize)
     # The planner may have placed fewer cameras than the rig has.
     sites = decoder.completed_sites(decoder(result.placement[:, :2]))
@@ -168,8 +170,8 @@ def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool | No
         if progress is not None:
             # The loss of the placement is not known before the end.
             progress(turns_taken / max_turns, np.inf)
-        # Only a call of ``budget.stop`` ends an episode: it takes only seconds, and the making of
-        # the candidates alone may have used up the time of the budget.
+        # Creating the candidates may already have used up the time of the budget, and an episode
+        # takes only seconds. So only a call of ``budget.stop`` ends an episode, not the time.
         return budget.stopped
 
     outcome = play(online, episode, should_stop, clock)

@@ -56,6 +56,7 @@ class Planner(ABC):
         self.space = space
         self.rng = rng
         self.budget = budget
+        # The search runs up to its first placements, so a subclass sets its own attributes before.
         self._search = self.search()
         self._batch: Sequence[np.ndarray] | None = next(self._search, None)
 

@@ -198,6 +198,7 @@ class BinaryParticleSwarm(Planner):
         mean_velocity = np.log(cameras / max(len(candidates) - cameras, 1))
         velocity = self.rng.normal(mean_velocity, 1.0, (particles, len(candidates)))
         bits = self._draw_bits(velocity, cameras)
+        # The best bits that each particle has had, and their errors.
         best = bits.copy()
         best_error = np.full(particles, np.inf)
         while True:

@@ -138,6 +138,7 @@ class RigSearch:
         self.budget = budget
         self.rng = rng
         self.start = tuple(start)
+        # A subclass that shares the budget with other searches replaces this limit by its share.
         self.max_evaluations = budget.evaluations
         self.evaluations = 0
         self.least_loss = np.inf
@@ -167,13 +168,14 @@ class AnnealingSearch(RigSearch):
         self.coarse_objective = coarse
         if self.max_evaluations is not None:
             self.max_evaluations = max(self.max_evaluations // TUNING.searches, 1)
-        #: Share of the current phase, from 0 to 1; temperatures and moves decrease with it.
+        #: Share of the current phase, from 0 to 1; temperatures and moves decrease with it. Each
+        #: step of :meth:`_temperatures` updates it.
         self._progress = 0.0
 
     def run(self) -> Sites:
         """Return the best placement."""
         first = self.start or self.place_greedily()
-        # Update the smallest loss.
+        # The exchanges do not update the smallest loss, so the first placement is judged here.
         self.judge(first)
         unit = max(self.coarse_objective.loss(views_of(first)), TUNING.min_loss)
         # Exchanges, scored with smaller depth maps.
@@ -182,7 +184,7 @@ class AnnealingSearch(RigSearch):
                             unit, TUNING.exchange_temperatures, 0.0, TUNING.exchange_budget_share),
                         self.rng)
         objective = self.problem.objective
-        # The full depth maps decide between the two placements.
+        # A given placement must not become worse: the full depth maps decide.
         if self.start and objective.loss(views_of(first)) < objective.loss(views_of(best)):
             best = first
         # Small moves, scored with the full depth maps.
@@ -199,10 +201,10 @@ class AnnealingSearch(RigSearch):
             # All cameras together take about a quarter of the evaluations or less.
             max_count = int(np.clip(self.max_evaluations // (4 * len(rig.cameras)), 1, max_count))
         for camera in rig.cameras:
-            total = len(self.pool.candidates_of(camera.model).poses)
+            candidate_count = len(self.pool.candidates_of(camera.model).poses)
             # Without time left, compare few candidates.
-            count = min(max_count if self.used_share() < 1.0 else 8, total)
-            rows = np.sort(self.rng.choice(total, count, replace=False))
+            count = min(max_count if self.used_share() < 1.0 else 8, candidate_count)
+            rows = np.sort(self.rng.choice(candidate_count, count, replace=False))
             self.evaluations += count
             # If all these candidates are too near to other cameras, draw any that is not.
             site = (self.pool.best_addition(self.coarse_objective, sites, rows)
@@ -229,7 +231,7 @@ class AnnealingSearch(RigSearch):
             yield between(first, last, self._progress)
 
     def _exchange_camera(self, sites: Sites) -> list[Sites]:
-        """Return sites with one pose replaced by a candidate; none if cameras are too close."""
+        """Return sites with one pose replaced by a candidate, or [] if cameras are too close."""
         camera = int(self.rng.integers(len(sites)))
         model = self.problem.rig.cameras[camera].model
         candidates = self.pool.candidates_of(model)
@@ -246,7 +248,7 @@ class AnnealingSearch(RigSearch):
         return [(*sites[:camera], site, *sites[camera + 1:])]
 
     def _change_camera(self, sites: Sites) -> list[Sites]:
-        """Return sites with one camera moved, or sometimes exchanged; none if infeasible."""
+        """Return sites with one camera moved, or sometimes exchanged; [] if infeasible."""
         if self.rng.random() < TUNING.exchange_share:
             return self._exchange_camera(sites)
         metres, radians = between(np.array(TUNING.first_deviations),

@@ -85,7 +85,14 @@ class Decoder:
 
     def _mount_near(self, position: np.ndarray, sites: Sequence[MountedCamera],
                     heading: np.ndarray | None) -> MountedCamera | None:
-        """Mount the next camera near (2,) or (3,) metres; None if no candidate is feasible."""
+        """
+        Mount the next camera at a position, or near it.
+
+        :param position: (2,) or, with a desired height, (3,) metres.
+        :param sites: of the cameras before it in the rig.
+        :param heading: (3,) desired yaw, pitch and roll in radians; None for the best ones.
+        :returns: None if no candidate satisfies the spacing.
+        """
         model = self.rig.cameras[len(sites)].model
         # If candidates differ only in position, the nearest one is the best.
         same_height = self.rig.mount.on in ('plane', 'ceiling')
@@ -103,7 +110,7 @@ class Decoder:
         if heading is not None:
             desired_pose[3:] = heading
         site = self._mount_at(desired_pose, sites)
-        # The height and the heading of the candidate may be feasible there.
+        # If the desired height and heading are infeasible here, try those of the candidate.
         if site is None and heading is not None:
             site = self._mount_at(np.concatenate([position[:2], candidate.pose[2:]]), sites)
         return site or candidate

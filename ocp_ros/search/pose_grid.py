@@ -36,7 +36,7 @@ class PoseGrid:
     place and the number of its heading at this place.
 
     :param simulator: the engine.
-    :param camera: index of a camera of this model in the rig.
+    :param camera: index of a camera of this model in the rig; by it the engine finds the model.
     :ivar places: (P, 3) metres, map frame.
     :ivar headings: P arrays (H, 3): yaw, pitch and roll in radians.
     :ivar step: largest distance of a feasible position from the nearest place, metres; 0 if
@@ -74,7 +74,7 @@ class PoseGrid:
         places, headings, grid.step = region.pose_grid(model, distance_m, max_poses)
         # In random order, the first n places are spread over the room for any n.
         order = np.random.default_rng(0).permutation(len(places))
-        # The time is checked before each batch of places.
+        # The time is checked before each batch of places but the first: a grid has some poses.
         batch_size = 16
         for first in range(0, len(places), batch_size):
             if first and should_stop():
@@ -119,6 +119,7 @@ class PoseGrid:
         A place with more than 64 headings has a batch of its own.
 
         :param places: (n,) int, numbers of the places.
+        :returns: the numbers of the places of each batch, in the same order.
         """
         batches: list[list[int]] = []
         # Negative if the next place needs a new batch.

@@ -186,7 +186,7 @@ class RigPlanner:
             # Half of the time is for the views of the grid.
             return relaxation_of(problem, self.pool, budget.deadline_check(0.5))
 
-        # The best loss on the grid is not known; this one stands for it.
+        # The best loss on the grid is not known, so the loss of the plan is given for it.
         loss = plan.evaluation.loss
         certificate, reason = prove_gap(problem, make_relaxation, loss, loss, budget)
         return replace(plan, certificate=certificate, uncertain=reason,
@@ -203,6 +203,7 @@ class RigPlanner:
         :param first_count: first number of cameras.
         :param last_count: last number of cameras; the plans end earlier if no more cameras fit or
             the budget is stopped.
+        :raises ConfigurationError: if the first number of cameras does not fit.
         """
         before = None
         for count in range(first_count, last_count + 1):
@@ -217,4 +218,5 @@ class RigPlanner:
             if self.budget.stopped:
                 return
             before = plan.answer
+            # The search for each number of cameras has the whole budget.
             self.budget = self.budget.restarted()

@@ -113,7 +113,7 @@ class ColumnGenerationSearch(RigSearch):
         super().__init__(problem, pool, budget, np.random.default_rng([seed, 0]), start)
         self._first_choices = TUNING.first_choices
         self._repeated_choices = TUNING.repeated_choices
-        #: Moves of each choice, first and in each repetition.
+        #: Moves of each choice, first and in each repetition; a budget of evaluations sets others.
         self._first_moves = self._repeated_moves = TUNING.moves
         if (total := budget.evaluations) is not None:
             self._first_choices = int(np.clip(total // TUNING.evaluations_per_choice, 1,
@@ -157,8 +157,8 @@ class ColumnGenerationSearch(RigSearch):
             results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
         best = results[0]
         # The losses of all searches, for the report: one for each refined choice, and two for a
-        # given placement, refined and as given. The repetitions went on from the first of them,
-        # which is the least, so the final loss takes its place.
+        # given placement, refined and as given. ``first_results`` is sorted and the repetitions
+        # start from its first results, so the final loss replaces the first one.
         losses = (best.loss, *(result.loss for result in first_results[1:]))
         return SearchResult(best.sites, best.loss, losses, self.evaluations, *prove_gap(
             self.problem, lambda: relaxation, best.loss, loss_on_grid, self.budget))
@@ -285,7 +285,8 @@ def prove_gap(problem: Problem, make_relaxation: Callable[[], ColumnGeneration],
     Prove the optimality gap of a placement with respect to all placements on the grids.
 
     :param problem: the rig in the room.
-    :param make_relaxation: returns the column generation.
+    :param make_relaxation: returns the column generation; if it raises an error, the proof has
+        failed.
     :param loss: of the placement.
     :param loss_on_grid: of the best choice on the grids, before poses were added.
     :param budget: of the search and the proof.

@@ -27,7 +27,7 @@ from ocp_ros.simulation.simulator import Simulator, View
 
 def cached_look(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
     """Return the engine's ``look`` with a cache of views, as a function of pose and camera."""
-    # About 16,000 views in a room of 25,000 points.
+    # About 16,000 views in a room of 25,000 points; in any room, at least 64 views are cached.
     cache_bytes = 64_000_000
     # A view has a bit for each point and for each cell of the coverage grid.
     bytes_per_view = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
@@ -46,7 +46,7 @@ def cached_look(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
 def coarse_objective(objective: Objective) -> Objective:
     """Return the same objective with smaller depth maps; it accepts the same views."""
     simulator = objective.simulator
-    # 32 rows rank placements nearly the same in less time.
+    # Depth maps of 32 rows rank placements nearly the same in less time.
     engine = replace(simulator.config.engine, error_rows=32)
     config = replace(simulator.config, engine=engine)
     return Objective(Simulator(simulator.scene, config, simulator.models), objective.rig)
@@ -57,8 +57,8 @@ class Scorer:
     Score placements by the engine, until the budget is used up.
 
     :param simulator: the engine for a scene.
-    :param budget: of the search. Once it is used up, no more placements are scored, except the
-        first one of all. None for no limit.
+    :param budget: limit of the search; None for no limit. Once it is used up, no more placements
+        are scored. The very first placement is always scored.
     :param progress: called after each placement.
     :ivar evaluations: number of scored placements.
     """

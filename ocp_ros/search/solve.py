@@ -98,7 +98,8 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
         scores = score([planner.space.placement(positions) for positions in batch])
         seconds = clock() - start_time
         for k, energy in enumerate(planner.energy(scores)):
-            # Among equal energies, prefer more cameras, then more space coverage.
+            # The energy is the value that the planner minimises. Among equal energies, prefer more
+            # cameras, then more space coverage.
             rank = float(energy), -len(batch[k]), -float(scores.space_coverage[k])
             archive.add(rank, batch[k])
             if rank < best_rank:
@@ -106,7 +107,8 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
                 best = batch[k].copy(), float(scores.error[k]), float(scores.space_coverage[k])
                 trace.append((count + k + 1, seconds, best[1]))
         count += len(scores.error)
-        # The evaluations or the scorer's budget ended within this batch.
+        # The evaluations or the scorer's budget ended within this batch. ``ask`` still returns the
+        # whole batch, since ``tell`` was not called.
         if len(scores.error) < len(planner.ask()):
             break
         planner.tell(scores)

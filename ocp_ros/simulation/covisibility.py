@@ -15,9 +15,9 @@
 """
 Covisibility: which cameras see the same points, so that they can be calibrated to each other.
 
-Two cameras are linked if enough points are visible to both under a small enough angle. All cameras
-can be brought into one frame if the graph of these links is connected. Cameras in place have known
-poses and count as linked.
+Two cameras are linked if both see enough of the same points with a small enough angle between
+their lines of sight. All cameras can be brought into one frame if the graph of these links is
+connected. Cameras in place have known poses and count as linked.
 """
 
 from collections.abc import Sequence
@@ -37,8 +37,9 @@ class Covisibility(NamedTuple):
     """
     The shares of points that pairs of C cameras have in common.
 
-    :ivar shares: (C, C) the number of points visible to both cameras under a small enough angle,
-        as a share of the points of the camera that sees fewer; 1 between cameras in place.
+    :ivar shares: (C, C) the number of points that both cameras see with a small enough angle
+        between their lines of sight, as a share of the points of the camera that sees fewer; 1
+        between cameras in place.
     :ivar tree: the C - 1 links (camera, camera) that connect all cameras by the largest shares.
     :ivar required: the least share at which two cameras are linked.
     """
@@ -49,7 +50,11 @@ class Covisibility(NamedTuple):
 
     @property
     def missing(self) -> float:
-        """Return the mean relative shortfall of the tree's links below ``required``: 0 to 1."""
+        """
+        Return the mean relative shortfall of the tree's links below ``required``: 0 to 1.
+
+        It is 0 for a single camera, which has no links.
+        """
         shortfalls = [1.0 - min(self.shares[link] / self.required, 1.0) for link in self.tree]
         return float(np.mean(shortfalls)) if shortfalls else 0.0
 
@@ -60,7 +65,8 @@ class Covisibility(NamedTuple):
     @property
     def groups(self) -> list[list[int]]:
         """Return the cameras in groups that are connected by links, the largest group first."""
-        # The number of the group of each camera.
+        # The number of the group of each camera. The links of the tree suffice: a maximum spanning
+        # tree connects all cameras that any links connect.
         labels = list(range(len(self.shares)))
         for camera, other in self.tree:
             if self.linked(camera, other):
@@ -86,6 +92,7 @@ def covisibility(points: np.ndarray, views: Sequence[View], condition: Calibrata
     shared = _count_shared(np.ascontiguousarray(points[::step], dtype=np.float64), seen, positions,
                            float(np.cos(condition.angle)))
     seen_counts = shared.diagonal()
+    # The maximum avoids a division by 0 for cameras that see nothing.
     shares = shared / np.maximum(np.minimum.outer(seen_counts, seen_counts), 1)
     first_fixed = len(views) - fixed_count
     shares[first_fixed:, first_fixed:] = 1.0
@@ -166,8 +173,9 @@ def _has_clique(linked, candidates, count):
     """
     Return whether ``count`` of the candidate cameras are all linked to each other.
 
-    :param linked: (C,) uint64; bit j of entry i: camera j > i is linked to camera i.
+    :param linked: (C,) uint64, C <= 64; bit j of entry i: camera j > i is linked to camera i.
     :param candidates: uint64; bit i: camera i is a candidate.
+    :param count: the number of cameras that have to be linked.
     """
     if count == 0:
         return True
@@ -184,7 +192,7 @@ def _count_watched(cells, numbers, covered, positions, seen_by, cosine):
     """
     Count the cells that C cameras see as :func:`air_share` requires.
 
-    :param cells: see :func:`air_share`, as for ``numbers`` and ``seen_by``.
+    :param cells: as in :func:`air_share`, like ``numbers`` and ``seen_by``.
     :param covered: (C, V) uint64, packed bits of the cells that each camera sees.
     :param positions: (C, 3) metres, of the cameras; NaN for views that count for any direction.
     :param cosine: the cosine of the least angle between two lines of sight.

@@ -94,6 +94,7 @@ class CameraPlacementEnv(gym.Env):
         self.rig = self.config.placed_rig
         self.observation_points = observation_points
         self.rotations = tuple(rotations)
+        #: Returns the problem of a scene's index and a rotation; the last ones are cached.
         self.problem = lru_cache(maxsize=MAX_PROBLEMS)(self._make_problem)
         self.episode: Episode | None = None
         cameras = len(self.rig.cameras)
@@ -110,6 +111,7 @@ class CameraPlacementEnv(gym.Env):
         if 'yaw' in self.axes:
             shapes['camera_headings'] = (cameras, 3)
         self.action_space = spaces.Box(-1.0, 1.0, (cameras, len(self.axes)), np.float32)
+        # The bound of all coordinates in an observation.
         max_coordinate_m = 1000.0
         self.observation_space = spaces.Dict({
             name: spaces.Box(-max_coordinate_m, max_coordinate_m, shape, np.float32)
@@ -147,6 +149,7 @@ class CameraPlacementEnv(gym.Env):
         move_columns = 3 if 'z' in self.axes else 2
         headings = None
         if 'yaw' in self.axes:
+            # The yaw is wrapped here; the problem limits the pitch.
             headings = now.headings.copy()
             headings[:, :2] += bounded_moves(rows[:, move_columns:], self.config.episode.max_turn)
             headings[:, 0] = wrapped(headings[:, 0])
@@ -196,7 +199,7 @@ class RoomsByName(Sequence[Scene]):
         return len(self._names)
 
     def __getitem__(self, index):
-        """Make the scene of one room."""
+        """Make the scene of one room, without a rotation."""
         return make_room(self._names[index], 0.0, self._points)
 
 
@@ -206,7 +209,7 @@ def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points
     """
     Return the environment that ``gymnasium.make`` makes.
 
-    :param rooms: seeds of generated rooms, or paths of scans.
+    :param rooms: seeds of generated rooms, or paths of scans; or a single seed or path.
     :param points: the number of points of a generated room; larger scans are thinned to it.
     :param cameras: the number of cameras without a rig file; 4 by default.
     :param config: rig, engine, episode and reward.

@@ -69,11 +69,12 @@ class Episode:
         self.simulator = problem.simulator
         self.scene, self.config = self.simulator.scene, self.simulator.config.episode
         self.observed = problem.seen_by_fixed()
+        #: Cached ``observed_cloud``; None if it has to be computed again.
         self._cloud: np.ndarray | None = None
         start = problem.start(
             rng, self.config, len(problem.rig.cameras) if cameras is None else cameras)
         self.turn = self._look(0, start)
-        #: The value and the views before the last turn.
+        #: The value and the views before the last turn; those of the start until the first turn.
         self._previous = self.value, self.views
 
     @property
@@ -139,7 +140,11 @@ class Episode:
                       self.simulator.depth_error.worst, self.simulator.config.reward)
 
     def _look(self, step: int, poses: np.ndarray) -> Turn:
-        """Set views and value to those of poses (K, 6); add the points seen to ``observed``."""
+        """
+        Set views and value to those of poses (K, 6); add the points seen to ``observed``.
+
+        :returns: the new state without its reward, which :meth:`move` adds.
+        """
         self.views = self.problem.look(poses)
         result = self.problem.judge(self.views)
         self.value = result.space_coverage, self.problem.error(result)

@@ -104,7 +104,7 @@ class Objective:
         numbers = np.flatnonzero(region.zone.contains(cells, floor_height(scene)))
         # Cells inside furniture are not air.
         numbers = numbers[~self._air.closed(cells[numbers])]
-        # All indices are at least 0, so that a mark stands for each cell.
+        # ``numbers >= 0`` is True for each cell, and empty if the region has no cells.
         self._check_inside(region, numbers >= 0)
         return numbers
 
@@ -146,9 +146,10 @@ class Objective:
 
         The rig must not have regions of air.
 
-        :returns: pairs: (N,) the cost of each unseen point in the engine's order, and the part of
-            the summed costs of unseen points that is free. The first pair is for the weights of
-            all regions, each further pair for one region that must be seen.
+        :returns: pairs: (N,) the cost of each unseen point in the engine's order, and an amount of
+            the summed costs of unseen points that is free: only a larger sum costs, and only its
+            excess. The first pair is for the weights of all regions, if there are any; each
+            further pair is for one region that must be seen.
         """
         # Each point of a region is an equal share of the region; other points are no part of it.
         shares = [unpack(bits, len(self.simulator.scene)) / count_bits(bits)
@@ -177,9 +178,10 @@ class Objective:
         all_views = self._with_fixed(views)
         link_cost = self._link_cost(views)
         seen = self._seen(all_views)
-        # The cells that as many cameras see as the rig requires.
+        # The cells that at least ``rig.seen_by`` cameras see.
         covered = seen_by([view.covered for view in all_views], self.rig.seen_by)[-1]
         loss, error, shares = self._loss_of(seen, all_views)
+        # A cost of links within the tolerance is a rounding error.
         return RigEvaluation(
             loss + link_cost, error, space_coverage(covered, self.simulator.cell_volume), shares,
             Subset(seen, self._order), link_cost <= SHARE_TOLERANCE)
@@ -213,7 +215,8 @@ class Objective:
 
         :param seen: packed bits of the points that count as seen.
         :param views: the views of all cameras, for regions of air.
-        :param max_seen_by: a region of air requires at most this number of cameras for a cell.
+        :param max_seen_by: a region of air requires at most this number of cameras for a cell;
+            :meth:`promise` lowers the requirements in this way.
         """
         error = self.simulator.depth_error(seen)
         shares = np.array([

@@ -103,14 +103,19 @@ class Problem:
     @cached_property
     def _start_positions(self) -> dict[CameraModel, np.ndarray]:
         """Return feasible positions (P, 3), metres, for each camera model."""
-        # At most 4000 poses: one heading for omnidirectional cameras, 24 headings for others.
+        # 166 is 4000 / 24: this number of positions makes about 4000 poses with 24 headings each.
+        # Here only the positions are used.
         return {model: self.region.places(
             model, max_count=4000 if model.omnidirectional else 166)[0].positions
             for model in self.rig.placed_models}
 
     @cached_property
     def _centre(self) -> np.ndarray:
-        """Return the room's centre (3,), metres, at the mount's least height or at the top."""
+        """
+        Return the room's centre (3,), metres, at the mount's least height.
+
+        If the mount has no heights, it is at the top of the room.
+        """
         region, heights = self.region, self.rig.mount.heights
         z = region.top if heights is None else region.floor + heights[0]
         return np.array([*self.simulator.scene.bounds.mean(axis=0)[:2], z])
@@ -119,8 +124,8 @@ class Problem:
         """
         Draw the start of an episode: feasible poses near random points around the room's centre.
 
-        :param cameras: K. Here it has to be the number of cameras of the rig;
-            :class:`PlaneProblem` can also start with another number.
+        :param cameras: K. It is a parameter because :class:`PlaneProblem` can also start with
+            another number; here it has to be the number of cameras of the rig.
         :returns: (K, 6) metres, map frame, and radians.
         :raises ConfigurationError: if there is no room for all cameras.
         """
@@ -130,8 +135,8 @@ class Problem:
         occupied = self.fixed_poses[:, :3]
         for camera, target in zip(rig.cameras, targets):
             mounted = self.region.onto_mount(np.array([[*target, centre[2]]]))
-            # The target, moved onto the mount, if a camera may be there; and positions all over
-            # the room.
+            # Candidates: the target moved onto the mount, if the camera may be there, and allowed
+            # positions all over the room.
             candidates = np.vstack([mounted[self.region.allowed(mounted, camera.model)],
                                     self._start_positions[camera.model]])
             candidates = candidates[satisfies_spacing(candidates, occupied, rig.spacing)]
@@ -148,9 +153,12 @@ class Problem:
     def reached_poses(self, poses: np.ndarray, targets: np.ndarray, config: EpisodeConfig
                       ) -> tuple[np.ndarray, bool]:
         """
-        Return the poses that K cameras reach: the feasible ones nearest to their targets.
+        Return the poses that K cameras reach: the feasible positions nearest to their targets.
 
-        :param poses: (K, 6) metres, map frame, and radians: the present poses.
+        The headings are those of the targets, with the pitch limited to that of the rig. A camera
+        that can reach no feasible position stays where it is.
+
+        :param poses: (K, 6) metres, map frame, and radians: the poses before the move.
         :param targets: (K, 6), no farther than a time step reaches.
         :returns: (K, 6), and whether any target was not allowed.
         """
@@ -161,9 +169,11 @@ class Problem:
         for k, (position, target) in enumerate(zip(poses[:, :3], targets[:, :3])):
             if (target == position).all():
                 continue
-            # Cameras move one after the other: those before this one have moved already.
+            # Cameras move one after the other: in ``reached``, cameras with smaller numbers are at
+            # their new positions, and all others at their old ones.
             others = np.vstack([np.delete(reached, k, axis=0), self.fixed_poses])[:, :3]
 
+            # The defaults are the values for this camera.
             def are_allowed(positions: np.ndarray, k: int = k, others: np.ndarray = others
                             ) -> np.ndarray:
                 headings = np.broadcast_to(reached[k, 3:], positions.shape)
@@ -176,7 +186,7 @@ class Problem:
             if nearest is not None:
                 reached[k, :3] = nearest
             mounted_target = self.region.onto_mount(target[None])[0]
-            # A camera that ends within a centimetre of its target counts as allowed.
+            # A target counts as allowed if the camera ends within a centimetre of it.
             any_refused |= bool(np.linalg.norm(reached[k, :3] - mounted_target) > 0.01)
         return reached, any_refused
 
@@ -216,7 +226,7 @@ class PlaneProblem(Problem):
         self.axes, self.fixed_poses = rig.axes, rig.fixed_poses
         # The simulator has one model for all cameras, or one for each camera.
         self.models = simulator.models * (len(rig.cameras) // len(simulator.models))
-        #: The feasible region by the distances to walls and surfaces, metres.
+        #: Cached feasible regions, by the distances to walls and surfaces, metres.
         self._spaces: dict[tuple[float, float], FreePlane] = {}
 
     def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
@@ -235,6 +245,7 @@ class PlaneProblem(Problem):
         poses[:, 2] = simulator.height
         poses[:, :3], _ = kept_inside(poses[:, :3], bounds, config.wall_margin)
         if config.clearance:
+            # The number of cameras has no effect on ``inside``, so it is not in the key.
             key = config.wall_margin, config.clearance
             if key not in self._spaces:
                 self._spaces[key] = space_of(simulator, cameras, config)
@@ -247,7 +258,7 @@ class PlaneProblem(Problem):
         """
         Return the poses that K cameras reach: their targets, moved into the bounding box.
 
-        :param poses: (K, 6), without effect on a plane.
+        :param poses: (K, 6), a parameter of :class:`Problem`, without effect on a plane.
         :param targets: (K, 6) metres, map frame, and radians, no farther than a time step reaches.
         :returns: (K, 6), and whether any target was outside.
         """

@@ -49,6 +49,7 @@ class RayVisibility:
              covered: np.ndarray = NO_BITS) -> None:
         """Set the bits of visible points and positions; see ``SurfelVisibility.look``."""
         seen |= self._visible(self._points, pose, lens)
+        # An empty array means that the caller needs no positions.
         if len(covered):
             covered |= self._visible(self._places, pose, lens)
 

@@ -173,6 +173,7 @@ class Simulator:
 
     def kind(self, camera: int) -> int:
         """Return the index of the first camera of the rig that has the same model."""
+        # A single model is that of all cameras, whatever their number.
         return self._kinds[camera] if len(self._kinds) > 1 else 0
 
     def look(self, pose: np.ndarray | Pose, camera: int = 0) -> View:
@@ -180,7 +181,7 @@ class Simulator:
         Compute the view of one camera.
 
         :param pose: a row of a placement, or a pose.
-        :param camera: the index of the camera in the rig; unused if all are of one kind.
+        :param camera: the index of the camera in the rig; unused if there is only one model.
         """
         pose, lens = self._aimed(pose, camera)
         view = View(no_bits(len(self.scene)), no_bits(len(self.grid)), pose.position)
@@ -205,7 +206,7 @@ class Simulator:
         return [View(*view) for view in zip(seen, covered, arrays.positions)]
 
     def _aimed(self, pose: np.ndarray | Pose, camera: int) -> tuple[Pose, Frustum]:
-        """Return the pose and the model of a camera, as kernels take them."""
+        """Return the pose and the lens (field of view, range) of a camera, for the kernels."""
         lens = self._lenses[self.kind(camera)]
         # The heading of an omnidirectional camera has no effect.
         if lens.kind == OMNIDIRECTIONAL:
@@ -221,8 +222,8 @@ class Simulator:
         :param headings: (H, 3) yaw, pitch and roll in radians.
         :param camera: the index of the camera in the rig.
         :returns: the n points visible with any heading, (n,) int32 indices in the engine's order,
-            and the headings of each: (n, W) uint64, bit k of word w for heading 64 w + k, in as
-            many words W as are needed.
+            and the headings with which each point is visible: (n, W) uint64, bit k of word w for
+            heading 64 w + k, with W words for H headings.
         """
         lens = self._lenses[self.kind(camera)]
         seen = no_bits(len(self.scene))
@@ -264,7 +265,7 @@ class Simulator:
 
     @staticmethod
     def _checked_poses(poses: Any, name: str, dimensions: int) -> np.ndarray:
-        """Return poses as a float64 array of 2 or 3 dimensions; refuse anything else."""
+        """Return poses as a float64 array with 2 or 3 array dimensions; refuse anything else."""
         shape = '(K, 3) or (K, 6)' if dimensions == 2 else '(M, K, 3) or (M, K, 6)'
         expected = f'expected {shape}, metres and radians, a row for each camera'
         try:
@@ -318,7 +319,8 @@ class Simulator:
     def _look_from(self, poses: np.ndarray, camera: int) -> list[View]:
         """Compute the views of a camera from poses (H, 6) that all have one position."""
         lens, visibility = self._lenses[self.kind(camera)], self.visibility
-        # Clipping saves nothing for these poses, or the visibility has no method for it.
+        # Clipping saves nothing for a single pose or an omnidirectional camera, and the visibility
+        # of the preset ``paper`` has no method for it.
         if len(poses) < 2 or lens.kind == OMNIDIRECTIONAL or not isinstance(
                 visibility, (SurfelVisibility, RayVisibility)):
             return [self.look(pose, camera) for pose in poses]

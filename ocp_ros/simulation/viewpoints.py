@@ -94,10 +94,11 @@ def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
         than 16 cells.
     """
     height = float(corners_of(points)[:, 2].mean())
-    floor = FreePlane.of(points, height, cameras=1, margin=0.0, clearance=MIN_BALL_M).floor
-    if floor is None or np.count_nonzero(floor.open) < VIEWPOINTS:
+    grid = FreePlane.of(points, height, cameras=1, margin=0.0, clearance=MIN_BALL_M).floor
+    if grid is None or np.count_nonzero(grid.open) < VIEWPOINTS:
         return five_viewpoints(corners, height)
-    cells = floor.low + floor.edge * (np.argwhere(floor.open) + 0.5)
+    # The centres of the open cells, which are over the observed floor.
+    cells = grid.low + grid.edge * (np.argwhere(grid.open) + 0.5)
     # Corners 1 and 2 are the neighbours of corner 0.
     sides = corners[1:3] - corners[0]
     lengths = np.linalg.norm(sides, axis=1)
@@ -108,7 +109,7 @@ def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
 
 def _part_centres(cells: np.ndarray, keys: np.ndarray, long_axis: int) -> np.ndarray:
     """
-    Divide cells into 16 equal parts and return the central cell of each.
+    Divide cells into 16 equal parts and return the cell nearest to the mean of each part.
 
     :param cells: (M, D) metres, the positions of M >= 16 cells in D dimensions.
     :param keys: (M, D) metres, the cells' coordinates along the axes of the room; cells are sorted
@@ -125,6 +126,8 @@ def _part_centres(cells: np.ndarray, keys: np.ndarray, long_axis: int) -> np.nda
             variances = keys[part].var(axis=0)
             # The long axis is preferred: noise must not decide how square parts are cut.
             variances[long_axis] *= 1.3
+            # Cells are sorted along the first of these axes; the next ones decide between cells
+            # with equal coordinates.
             axes = [int(np.argmax(variances)), long_axis, 1 - long_axis, *range(2, keys.shape[1])]
             # lexsort takes the last key first.
             part = part[np.lexsort(sort_keys[part].T[axes[::-1]])]
@@ -145,7 +148,11 @@ def paper_viewpoints(scene: Scene) -> np.ndarray:
 
 
 def wall_direction(scene: Scene) -> float:
-    """Return the angle of the walls to the x axis: radians, from 0 to a right angle."""
+    """
+    Return the angle of the walls to the x axis: radians, from about 0 to a right angle.
+
+    It is 0 if no point is on a steep surface. Points on steep surfaces count as points of walls.
+    """
     normals = scene.normals_or_estimate
     steep = np.abs(normals[:, 2]) <= STEEP
     if not steep.any():
@@ -158,8 +165,8 @@ def wall_direction(scene: Scene) -> float:
     bin_areas = np.bincount(bins, point_areas, bin_count)
     # A wall may fall into neighbouring bins; the last bin is a neighbour of the first.
     best = np.argmax(bin_areas + np.roll(bin_areas, 1) + np.roll(bin_areas, -1))
-    # The mean of the directions in these three bins, which are 3 x 0.25 degrees wide; offsets
-    # from the best bin are wrapped to -45 up to 45 degrees.
+    # The result is the mean of the directions in these three bins: those within 1.5 bins of the
+    # centre of the best bin. Offsets from it are wrapped to -45 up to 45 degrees.
     offsets = (angles - best * bin_deg + 45.0) % 90.0 - 45.0
     close = np.abs(offsets) <= 1.5 * bin_deg
     mean_offset = np.average(offsets[close], weights=point_areas[close])

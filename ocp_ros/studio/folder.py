@@ -115,6 +115,7 @@ class Folder:
         """
         assessment = judge(scene, placement, placement.room, command)
         folder = folder_to_write(self.claim_path(name, ''))
+        # The files appear together in the folder, once all of them are written to ``aside``.
         with FileSet(folder, WRITTEN, MARK) as files:
             return [path.name for path in chain(export(files.aside, assessment),
                                                 reports(files.aside, assessment))]

@@ -65,13 +65,15 @@ class GuidePage:
             gui.add_button(label).on_click(lambda _, label=label: on_press(label))
         self.answer = gui.add_html('')
         self.plan = gui.add_html('')
+        # The view until there is a cloud; then :meth:`_show_cloud` sets another one.
         server.initial_camera.position = (-4, -6, 8)
         server.initial_camera.look_at = (0, 0, 1)
 
     def set_cloud(self, points: np.ndarray) -> None:
         """Set the points observed so far: (N, 3) metres, map frame."""
         with self._lock:
-            # A phone draws 20,000 to 40,000 points without delay.
+            # Of a larger cloud, this keeps 20,000 to 40,000 points, which a phone draws without
+            # delay.
             self.points = points[::max(len(points) // 20_000, 1)]
             self._cloud_changed = True
 
@@ -144,7 +146,7 @@ def instruction(number: int, pose: Pose, target: Pose, floor: float) -> str:
     :param target: pose to which the camera shall go.
     :param floor: height of the floor, metres.
     """
-    # Smaller moves are not mentioned.
+    # Smaller moves and smaller turns are not mentioned.
     min_metres, min_degrees = 0.05, 3.0
     move = target.position - pose.position
     # Along x and y: the text for a positive length, then that for a negative one.
@@ -180,8 +182,8 @@ def plan_svg(points: np.ndarray, poses: Sequence[Pose], targets: Sequence[Pose])
     positions = np.array([*points[:, :2], *(pose.position[:2] for pose in (*poses, *targets))])
     if len(positions) == 0:
         return ''
+    # The plan has a margin of 0.3 m, and its longer side has 90 cells.
     low, high = positions.min(axis=0) - 0.3, positions.max(axis=0) + 0.3
-    # The longer side of the plan has 90 cells.
     edge = float((high - low).max()) / 90
     cells = np.unique(np.floor((points[:, :2] - low) / edge).astype(int), axis=0)
     width, height = (high - low).tolist()
@@ -191,8 +193,8 @@ def plan_svg(points: np.ndarray, poses: Sequence[Pose], targets: Sequence[Pose])
         x, y = offset.tolist()
         return x, height - y
 
-    # A cell is a line along x, as wide as it is long.
-    cell_path = ''.join(f'M{x * edge:.2f} {height - y * edge:.2f}h{edge:.2f}'
+    # A cell is drawn as a line through its middle along x that is as wide as it is long.
+    cell_path = ''.join(f'M{x * edge:.2f} {height - (y + 0.5) * edge:.2f}h{edge:.2f}'
                         for x, y in cells.tolist())
     shapes = [f'<path d="{cell_path}" stroke="#a3aeb6" stroke-width="{edge:.3f}"/>']
     for number, pose in enumerate(poses):

@@ -94,6 +94,7 @@ class Evaluation:
 
     def violates_constraint(self, name: str) -> bool:
         """Return whether the pose of a camera violates a constraint."""
+        # Each sentence begins with the name of the camera whose pose violates the constraint.
         return any(line.startswith(f'{name}: ') for line in self.violations)
 
     @cached_property
@@ -157,6 +158,7 @@ class Studio:
         self._views: dict[tuple[CameraModel, bytes], View] = {}
         self._evaluation: Evaluation | None = None
         self._problem = self.problem_of(rig)
+        #: Cached positions for :meth:`_allowed_positions`.
         self._positions_by_model: dict[CameraModel, np.ndarray] = {}
         #: The document of a rig, and the lower bound for this rig.
         self._certificate: tuple[dict[str, Any], Certificate] | None = None
@@ -226,6 +228,7 @@ class Studio:
             if rig is not self._problem.rig:
                 self._set_problem(self.problem_of(rig))
             locked = self.state.locked if locked is None else locked
+            # Removed cameras are no longer locked.
             names = {camera.name for camera in rig.cameras}
             self.history.set_present(State(rig, as_written(poses), locked & names), action)
 
@@ -381,6 +384,7 @@ class Studio:
         pose = state.poses[camera].copy()
         # The yaw stays; pitch and roll become the nearest allowed ones.
         pose[4] = np.clip(pose[4], *rig.pitch)
+        # Without the key, any roll is allowed.
         if 'roll' in rig.document.data:
             rolls = np.array(rig.rolls)
             # Differences of angles, wrapped to -pi up to pi.
@@ -397,7 +401,8 @@ class Studio:
         nearest_around = partial(nearest_place, target=pose[:3], reach=1.0,
                                  move_onto_mount=region.onto_mount, are_allowed=are_allowed)
         nearest = nearest_around(pose[:3])
-        # If there is none, the search is around the nearest one of positions all over the mount.
+        # If it finds none, search around another position: of the allowed ones all over the mount,
+        # the one nearest to the pose.
         if nearest is None:
             positions = self._allowed_positions(region, model)
             if len(positions):
@@ -410,7 +415,11 @@ class Studio:
         return as_written(np.concatenate([nearest, pose[3:]])[None])[0]
 
     def _allowed_positions(self, region: FeasibleRegion, model: CameraModel) -> np.ndarray:
-        """Return P feasible positions of a camera, spread over the room: (P, 3) metres."""
+        """
+        Return P feasible positions of a camera, spread over the room: (P, 3) metres.
+
+        P is 0 if no position is feasible.
+        """
         if model not in self._positions_by_model:
             try:
                 mount_places, *_ = region.places(model, MAX_POSITIONS)
@@ -435,7 +444,7 @@ class Studio:
         self._certificate = rig.document.data, certificate
 
     def certificate(self, evaluation: Evaluation) -> Certificate | None:
-        """Return the last lower bound and the loss of a placement; None for any other rig."""
+        """Return the last lower bound and the loss of a placement; None if the rig has none."""
         if self._certificate is None or self._certificate[0] != evaluation.state.rig.document.data:
             return None
         return replace(self._certificate[1], found=evaluation.rig_evaluation.loss)

@@ -62,7 +62,8 @@ class Page:
         #: Is notified of new actions and drags, and of the end; its lock guards them.
         self._changed = Condition()
         self._actions: list[Callable[[], None]] = []
-        #: Newest position (3,), rotation (3, 3) and gesture of each dragged camera, by its name.
+        #: Newest position (3,), rotation (3, 3) and gesture of each dragged camera, by its name. A
+        #: gesture identifies one drag, whose moves are undone together.
         self._drags: dict[str, tuple[np.ndarray, np.ndarray, object]] = {}
         self._gesture_count = 0
         self._closed = self._details_shown = False
@@ -151,7 +152,8 @@ class Page:
         self._run_action(self._show)
         while True:
             with self._changed:
-                # Closing is work too. wait returns False at a timeout, True after a notification.
+                # Closing counts as work. Without work, the thread waits: ``wait`` returns True
+                # after a notification, and False at the timeout, after which it is quiet.
                 has_work = bool(self._actions or self._drags or self._closed)
                 is_quiet = not has_work and not self._changed.wait(
                     timeout=None if self._details_shown else 0.15)
@@ -204,9 +206,9 @@ class Page:
             self.colour_points()
             self.server.flush()
             self.panel.show_summary(evaluation)
-            self._colour_cameras(evaluation)
             if rig_changed:
                 self._show_rig(evaluation)
+            self._colour_cameras(evaluation)
         self.panel.show_figures(evaluation, self.studio.certificate(evaluation),
                                 self.kept_evaluation)
 
@@ -231,7 +233,8 @@ class Page:
     def _show_rig(self, evaluation: Evaluation) -> None:
         """Show a node for each camera and zone of the rig, and all of them in the panel."""
         state, scene = evaluation.state, self.server.scene
-        # For each node: the values that it shows, and a function that makes it.
+        # For each node: the values that it shows, and a function that makes it. The pose is not
+        # one of the values, since :meth:`_place_cameras` moves nodes.
         cameras: dict[str, tuple[Any, Callable[[], CameraNode]]] = {}
         poses = np.vstack([state.poses, state.rig.fixed_poses])
         for number, (camera, pose) in enumerate(zip(state.rig.all_cameras, poses)):
@@ -263,9 +266,9 @@ class Page:
     def _place_cameras(self) -> None:
         """Move the nodes of the cameras to their poses, since drags move nodes elsewhere."""
         state = self.studio.state
-        for name, pose in zip(state.names, state.poses):
-            if name in self._camera_nodes:
-                self._camera_nodes[name][1].set_pose(pose)
+        for camera, pose in zip(state.rig.all_cameras, [*state.poses, *state.rig.fixed_poses]):
+            if camera.name in self._camera_nodes:
+                self._camera_nodes[camera.name][1].set_pose(pose)
 
     def _colour_cameras(self, evaluation: Evaluation) -> None:
         """Colour each camera; one that violates a constraint gets the colour of unseen points."""
@@ -296,9 +299,11 @@ class Page:
     def start_task(self, work: Callable[[Task], Any], seconds: float) -> None:
         """Stop the present task, and start another one in the background; see :class:`.Task`."""
         self.stop_task()
+        # The gesture identifies this task, whose changes of the placement are undone together.
         gesture = object()
         self.task = Task(work, seconds, lambda progress: self.enqueue(
             lambda: self._show_progress(progress, gesture)))
+        # Poses of the task are used only while this state is the present one.
         self._task_gesture, self._task_state = gesture, self.studio.state
 
     def stop_task(self) -> None:
@@ -332,6 +337,7 @@ class Page:
         cloud = Cloud(self.server.scene, '/kept/room', self._points, self._normals,
                       self._spacing, offset)
         cloud.cut(self.panel.height_slider.value)
+        # In the colouring by camera, camera 0 of the kept placement is the selected one.
         cloud.set_colours(texts.point_colours(kept, self.panel.colouring, 0))
         self._comparison_nodes = [cloud]
         for number, (camera, pose) in enumerate(zip(kept.state.rig.cameras, kept.state.poses)):
@@ -341,6 +347,7 @@ class Page:
 
     def cut_room(self, height: float) -> None:
         """Show the room up to a height, metres."""
+        # Cameras are not cut, and there may be no mesh.
         for node in (self.cloud, self.surfaces, *self._comparison_nodes):
             if isinstance(node, (Cloud, Surfaces)):
                 node.cut(height)

@@ -102,6 +102,7 @@ class Panel:
         self.colouring_list = gui.add_dropdown('Colours', texts.COLOURINGS)
         self.legend = gui.add_html(texts.legend(texts.COLOURINGS.by_count))
         self.room_list = gui.add_dropdown('Room', texts.ROOM_VIEWS, visible=scene.mesh is not None)
+        # The slider ends a little above the room, so that rounding does not cut the top.
         self.height_slider = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1),
                                             STEP_M, round(height, 1))
         self.compare_buttons = self._add_buttons(gui, 'Compare', {
@@ -127,6 +128,7 @@ class Panel:
                 box=zone_edits.box_data(self.low_corner.value, self.high_corner.value)))
         self._connect(self.zone_name, lambda value: self._edit_region(name=value))
         self._connect(self.weight, lambda value: self._edit_region(weight=float(value)))
+        # A share of 0 removes the key from the region.
         self._connect(self.must_see, lambda value: self._edit_region(
             must_see=float(value) if value else None))
         self._connect(self.new_zone_buttons, self._add_zone)
@@ -145,6 +147,7 @@ class Panel:
             self._connect(button, actions[label])
         self.progress_bar = gui.add_progress_bar(0.0, visible=False)
         self.stop_button = gui.add_button('Stop', visible=False)
+        # Without :meth:`_connect`, the task is stopped at once, also while another action runs.
         self.stop_button.on_click(lambda _: self._stop_search())
         self.search_message = gui.add_html('')
         #: Where the messages of the present task are shown.
@@ -175,7 +178,7 @@ class Panel:
         return group
 
     def _connect(self, field: Any, action: Callable[[Any], None]) -> None:
-        """Call an action with the value of a field or button when a person changes or clicks."""
+        """Call an action with the value of a field or button that a person changes or clicks."""
         def run(value: Any) -> None:
             self.show_message('')
             action(value)
@@ -220,6 +223,7 @@ class Panel:
         self.locked_box.value = rig_camera.name in state.locked
         if rig_camera.sensor in SENSORS:
             self.sensor_list.value = rig_camera.sensor
+        # This colouring depends on the selected camera, which may be another one now.
         if self.colouring == texts.COLOURINGS.by_camera:
             self.page.colour_points()
 
@@ -279,7 +283,7 @@ class Panel:
     def _set_typed_pose(self, _: Any) -> None:
         """Move the selected camera to the pose in the fields."""
         pose = np.concatenate([self.position.value, np.deg2rad(self.angles.value)])
-        # A pose that is the same would become a step that people can undo.
+        # An unchanged pose must not become a step that people can undo.
         if not np.allclose(pose, self.studio.state.poses[self.page.selected_camera], atol=1e-9):
             self._edit_camera(self.studio.move_camera, pose)
 
@@ -455,7 +459,7 @@ class Panel:
 
 
 def _set_choices(dropdown: Any, choices: list[str]) -> None:
-    """Set the choices of a list; the value stays if it is still a choice."""
+    """Set the choices of a list; if its value is no longer a choice, select the first one."""
     if not choices:
         raise ConfigurationError('list: found no choice; expected one at least; add one')
     if tuple(choices) != tuple(dropdown.options):

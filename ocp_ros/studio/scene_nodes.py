@@ -62,6 +62,7 @@ class Cloud:
         to_light = np.array([0.36, 0.48, 0.8])
         self._shades = (150 + 105 * np.abs(normals @ to_light)).astype(np.uint16)
         self._offset = np.zeros(3) if offset is None else offset
+        # All points are light grey until :meth:`set_colours` is called.
         self._colours = np.full(points.shape, 200, dtype=np.uint8)
         self._visible = True
         self.cut(np.inf)
@@ -73,6 +74,7 @@ class Cloud:
     def cut(self, height: float) -> None:
         """Show only the points up to a height, metres."""
         self._shown_indices = np.flatnonzero(self._points[:, 2] <= height)
+        # viser replaces the node that has the same name.
         self._node = self._scene.add_point_cloud(
             self._name, self._points[self._shown_indices], self._colours[self._shown_indices],
             point_size=self._point_size, point_shape='circle', precision='float32',
@@ -197,8 +199,8 @@ class ZoneNode:
     :param scene: of the page.
     :param name: of the node.
     :param zone: the zone.
-    :param bounds: (2, 3) metres, lowest and highest corner of the room. A zone without bounds is
-        shown up to 1 m outside the room.
+    :param bounds: (2, 3) metres, lowest and highest corner of the room. Boxes, and the
+        heights of polygons, are shown up to 1 m outside the room.
     :param floor: height of the floor, metres.
     :param colour: red, green and blue of its lines, from 0 to 255.
     :param on_drag: is called when a person drags the zone; None for a zone without handles.

@@ -84,6 +84,7 @@ class History:
             return False
         target.append(self.present)
         self.present = source.pop()
+        # The next change becomes a step of its own, also if it belongs to the same action.
         self._action = None
         return True
 
@@ -102,6 +103,7 @@ def changed_rig(rig: Rig, **new_values: Any) -> Rig:
 
 def split_groups(rig: Rig) -> Rig:
     """Return the same rig with one named entry in its document for each camera to be placed."""
+    # One entry per camera, in the order of ``rig.cameras``.
     groups = [group for group in rig.document.data['cameras']
               for _ in range(group.get('count', 1))]
     return changed_rig(rig, cameras=[camera_entry(group, camera.name)

@@ -159,8 +159,13 @@ def _rig_of_unlocked(state: State, unlocked: list[int]) -> Rig:
 
 def _start_sites(studio: Studio, problem: Problem, state: State, unlocked: list[int]
                  ) -> tuple[MountedCamera, ...]:
-    """Return the unlocked cameras at the nearest allowed poses; () if there are none."""
-    # The poses are a copy, so they may be replaced below.
+    """
+    Return the unlocked cameras at the nearest allowed poses.
+
+    The result is () if a camera has no allowed pose, or if all poses together violate a
+    constraint.
+    """
+    # Indexing by a list makes a copy of the poses, so they may be replaced below.
     start = State(problem.rig, state.poses[unlocked])
     for camera, pose in enumerate(start.poses.copy()):
         if not problem.region.allowed(pose[None], problem.rig.models[camera])[0]:

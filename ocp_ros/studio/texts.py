@@ -71,7 +71,8 @@ def point_colours(evaluation: Evaluation, colouring: str, camera: int) -> np.nda
     :param camera: number of the selected camera.
     """
     counts = evaluation.camera_counts
-    # Each point's index in the legend.
+    # The index of each point's entry in ``LEGENDS[colouring]``. The numbers 0 to 3 below are such
+    # indices too.
     indices = np.minimum(counts, len(COUNT_COLOURS) - 1)
     if colouring == COLOURINGS.by_requirement:
         indices = (counts < evaluation.problem.rig.seen_by).astype(np.uint8)

@@ -57,7 +57,8 @@ def entries_of(rig: Rig) -> Iterator[Entry]:
     """Yield an entry for each zone and region of a rig, in the order of their lists."""
     entry_counts = Counter[str]()
     for kind, name, zone in zones_of(rig):
-        # The kinds must-see region and weighted region, which KEYS lacks, share one list.
+        # The kinds must-see region and weighted region, which KEYS lacks, share one list. The
+        # zones of each list come in the order of the list, so counting them gives the index.
         key = KEYS.get(kind, 'regions')
         number = entry_counts[key]
         entry_counts[key] += 1

@@ -64,6 +64,8 @@ def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, numb
     """
     Return maps, and positions on them, rotated or mirrored by one symmetry of the square.
 
+    Contrary to images, the rows of a map (axis -2) are numbered along x, its columns along y.
+
     :param observation: inputs of the map actor, batched.
     :param places: (B, ..., 2) positions relative to the centre of the maps, in any unit.
     :param number: 0 to 3: number of quarter turns; 4 to 7: the same after a reflection.
@@ -122,16 +124,18 @@ class MapReplayBuffer(DictReplayBuffer):
 
     def __init__(self, *args, **kwargs) -> None:
         super().__init__(*args, **kwargs)
-        #: (rows, environments): code of the used part of the map of each transition.
+        #: (rows, environments): code of the used part of the map after each transition.
         self.parts = np.zeros((self.buffer_size, self.n_envs), dtype=np.int16)
 
     def add(self, obs, next_obs, action, reward, done, infos) -> None:
         """Store a transition of each environment."""
+        # The base class stores the transitions in row ``pos``, and then goes to the next row.
         self.parts[self.pos] = [_part_code(room) for room in next_obs['room']]
         super().add(obs, next_obs, action, reward, done, infos)
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
         """Draw a batch in which all maps have one used part; apply one random symmetry to all."""
+        # The part is that of a random transition, so each part is as frequent as in the buffer.
         codes = self.parts[:self.size()]
         row, column = np.random.randint(codes.shape[0]), np.random.randint(codes.shape[1])
         alike = np.flatnonzero(codes == codes[row, column])
@@ -181,7 +185,7 @@ class CloudReplayBuffer(DictReplayBuffer):
             self.pos = max(self.pos, self.kept_rows)
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
-        """Draw a batch; apply a random symmetry to each transition if ``augmentation`` says so."""
+        """Draw a batch; apply the augmentation, a random symmetry alone or also noise."""
         batch = super().sample(batch_size, env)
         if self.augmentation == 'none':
             return batch
@@ -206,10 +210,12 @@ class CloudReplayBuffer(DictReplayBuffer):
         steps = np.arange(self.n_steps)
         rows = (batch_inds[:, None] + steps) % self.buffer_size
         # A sum ends at the end of an episode, and at rows that no later step follows: the newest
-        # row, and with kept rows also the last kept row and the last row of the buffer.
+        # row, and with kept rows also the last kept row and the last row of the buffer. With kept
+        # rows, ``pos`` is never 0 after a transition was stored.
         last_rows = ([self.pos - 1, self.kept_rows - 1, self.buffer_size - 1] if self.kept_rows
                      else [(self.pos - 1) % self.buffer_size])
         ends = (self.dones[rows, envs[:, None]] > 0.0) | np.isin(rows, last_rows)
+        # A sum ends after n steps at the latest.
         ends[:, -1] = True
         last_steps = ends.argmax(axis=1)
         weights = self.gamma ** steps * (steps <= last_steps[:, None])

@@ -40,7 +40,8 @@ class Demonstrator:
     def __init__(self, envs: Sequence[CameraByCamera], seed: int) -> None:
         self._envs = envs
         self._rng = np.random.default_rng(seed)
-        #: The episode and its targets (K, 2), metres, for K cameras, of each environment.
+        #: The episode and its targets (K, 2), metres, for K cameras, of each environment. The
+        #: episode is None until the first action is chosen.
         self._plans: list[tuple[Episode | None, np.ndarray]] = [
             (None, np.empty((0, 2)))] * len(envs)
 

@@ -165,7 +165,8 @@ class CameraByCamera(gym.Wrapper):
 
     def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
         super().__init__(env)
-        # The last settings are the distances to keep from walls and from points.
+        # The first setting is the random generator, which the encoder does not need; the last ones
+        # are the distances to keep from walls and from points.
         _, max_step, max_range, *margins = settings_of(
             unwrapped(env).config.episode, unwrapped(env).rig, env.np_random)
         self._encoder = Encoder(agent, max_range, max_step, *margins)
@@ -225,6 +226,7 @@ class CameraByCamera(gym.Wrapper):
     def _reward_of(self, camera: int) -> RewardTerms:
         """Return the reward of one camera's move, given the moves chosen before it."""
         episode = unwrapped(self.env).episode
+        # ``encoded.positions`` has the new position of each camera that has chosen.
         pose = np.concatenate([self.encoded.positions[camera], episode.turn.headings[camera]])
         self._views[camera] = episode.simulator.look(pose, camera)
         before, self._value = self._value, episode.value_of(self._views)
@@ -270,11 +272,16 @@ class MapChoices(gym.Wrapper):
         moves = np.zeros(self.env.action_space.shape)
         moves[:len(map_turn.plan)] = self._actor.end(map_turn) / max_step
         _, reward, terminated, truncated, info = self.env.step(moves)
+        # The result is not needed: the points were enough for a map in ``reset``, and more follow.
         self._begin()
         return self._observation(), reward, terminated, truncated, info
 
     def _begin(self, new: bool = False) -> bool:
-        """Prepare a turn; return whether the observed points are enough for a map."""
+        """
+        Prepare a turn; return whether the observed points are enough for a map.
+
+        :param new: whether this is the first turn of an episode.
+        """
         env = unwrapped(self.env)
         episode, turn, turns = env.episode, env.episode.turn, env.config.episode.turns
         if new:

@@ -94,7 +94,7 @@ class Learner:
         self.dropped = 0
         self.losses: deque[float] = deque(maxlen=max(config.publish_every // BURST_STEPS, 1))
         self.failure: BaseException | None = None
-        #: Numbers of transitions and updates in the files, at the start or the last close.
+        #: Numbers of transitions and updates at the start or the last close: the files have these.
         self._saved_counts = self.transitions, self.updates
         self._new_weights: deque[Checkpoint] = deque(maxlen=1)
         if self.updates:
@@ -106,13 +106,14 @@ class Learner:
         self._thread.start()
 
     def _resume(self) -> str:
-        """Resume from the files in the folder; return the name of the run."""
+        """Load the files in the folder, if any, and count; return the name of the run."""
         remove_unfinished(self.folder)
         state, replay = self.folder / STATE, self.folder / REPLAY
         run = load_state(self.model, state) if state.exists() else new_run()
         if replay.exists():
             load_replay(self.model.replay_buffer, replay)
-        # The replay file may have transitions that came after the state was saved: count them too.
+        # The replay file is written before the state, and may have transitions that the state does
+        # not count: count them too.
         buffered = self.model.replay_buffer.size()
         self.model.num_timesteps = max(self.transitions, buffered)
         #: Number of transitions at the start, or when the replay file was written last.
@@ -120,9 +121,10 @@ class Learner:
         #: Number of transitions that were lost before this start: overwritten in the full buffer,
         #: or not in the replay file when the process ended.
         self._lost_transitions = self.transitions - buffered
-        # The gradient steps that the transitions in memory call for.
+        # ``_steps_for`` leaves out the lost transitions.
         steps_of_kept = max(self._steps_for(self.transitions), 0.0)
-        #: Number of gradient steps beyond these: they were taken for lost transitions.
+        #: Number of gradient steps that were taken for lost transitions: all steps beyond those
+        #: that the transitions in memory call for.
         self._steps_of_lost = max(self.updates - steps_of_kept, 0.0)
         return run
 
@@ -149,7 +151,8 @@ class Learner:
         """
         Return the number of gradient steps that a number of transitions calls for.
 
-        Lost transitions and the first ``learning_starts`` call for none; it is below 0 until then.
+        Lost transitions, and the first ``learning_starts`` of the others, call for no steps. While
+        there are fewer transitions than these, the result is below 0.
         """
         counted = transitions - self._lost_transitions - self.sac.learning_starts
         return counted * self.config.updates_per_turn
@@ -178,7 +181,7 @@ class Learner:
 
     def close(self) -> None:
         """Stop training and save; a second call does nothing."""
-        # None ends the thread; wait for room in the inbox.
+        # None ends the thread. If the inbox is full, wait, but not for a thread that has failed.
         while self._thread.is_alive():
             with suppress(queue.Full):
                 self._inbox.put(None, timeout=0.1)
@@ -191,7 +194,7 @@ class Learner:
             self._saved_counts = self.transitions, self.updates
 
     def _work(self) -> None:
-        """Train while gradient steps are due, until the learner is closed."""
+        """Store transitions, and train in bursts, until the learner is closed."""
         try:
             while self._read_inbox():
                 if self._burst_is_due():
@@ -204,7 +207,7 @@ class Learner:
             self.failure = error
 
     def _read_inbox(self) -> bool:
-        """Store new transitions; wait for more if no step is due. Return False once closed."""
+        """Store new transitions; wait for more if no burst is due. Return False once closed."""
         while not self._inbox.empty() or not self._burst_is_due():
             transition = self._inbox.get()
             if transition is None:
@@ -214,7 +217,7 @@ class Learner:
         return True
 
     def _store(self, transition: Transition) -> None:
-        """Put a transition into the replay buffer."""
+        """Put a transition into the replay buffer, as one of its only environment."""
         before, after = ({name: value[None] for name, value in observation.items()}
                          for observation in (transition.observation, transition.next_observation))
         self.model.replay_buffer.add(
@@ -227,7 +230,8 @@ class Learner:
 
     def _log_and_save(self, updates: int) -> None:
         """Publish weights, log and save, each at its interval of gradient steps."""
-        # Updates grow by BURST_STEPS, so a condition holds once in each interval.
+        # Updates grow by BURST_STEPS, so a condition holds once in each interval, or after each
+        # burst if the interval is shorter.
         if updates % self.config.publish_every < BURST_STEPS:
             self._new_weights.append(self.checkpoint())
             self.model.logger.record('train/transitions', self.transitions)
@@ -246,7 +250,8 @@ class Learner:
 
         :param with_replay: write the transitions as well, even if few of them are new.
         """
-        # Transitions first: the next start counts those that the state does not count yet.
+        # Transitions first: if the process ends before the state is written, the next start counts
+        # the transitions in the replay file that the state does not count.
         # Writing transitions is slow: they are written again when there are 10 % more.
         if with_replay or self.transitions >= 1.1 * self._saved_transitions:
             save_replay(self.model.replay_buffer, self.folder / REPLAY)

@@ -23,7 +23,7 @@ from typing import Any
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import PARTS, room_names
 from ocp_ros.util.files import read_regular, write_atomically
-from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
+from ocp_ros.util.settings import ConfigurationError, flatten, from_nested, to_nested
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import read_plain
 import yaml
@@ -66,28 +66,28 @@ def claim(folder: Path, config: TrainingConfig) -> None:
 
     :raises ConfigurationError: if the folder has another run, or files of another origin.
     """
-    path, rooms = folder / CONFIG, folder / ROOMS
+    path, rooms_path = folder / CONFIG, folder / ROOMS
     _check_name(folder)
-    if not rooms.exists() and not path.exists():
+    if not rooms_path.exists() and not path.exists():
         _refuse_unknown_files(folder)
     # Scans are compared by file name, without their folder.
     sets = {part: [Path(name).name for name in room_names(config.rooms, part)] for part in PARTS}
-    asked = _flat_settings(to_nested(config))
-    saved = _flat_settings(to_nested(_saved_config(path))) if path.exists() else asked
+    asked = flatten(to_nested(config))
+    saved = flatten(to_nested(_saved_config(path))) if path.exists() else asked
     may_change = ('interactions', 'workers', 'evaluate_every')
     wrong = [f'{name} {saved[name]!r}' for name in asked
              if name not in may_change and asked[name] != saved[name]
-             # A rig file replaces the settings of the rig.
+             # With a rig file, the settings of the rig have no effect, so they may differ.
              and not (config.simulation.rig_file and name.startswith('simulation.rig.'))]
-    if rooms.exists() and _saved_room_sets(rooms) != sets:
+    if rooms_path.exists() and _saved_room_sets(rooms_path) != sets:
         wrong.append('other rooms')
     if wrong:
         raise ConfigurationError(
             f'{folder}: found a run with {", ".join(wrong)}; expected one with the settings '
             f'asked for, but for {", ".join(may_change)}; name another folder, or remove '
             'this one to begin anew')
-    if not rooms.exists():
-        write_atomically(rooms, json.dumps(sets) + '\n')
+    if not rooms_path.exists():
+        write_atomically(rooms_path, json.dumps(sets) + '\n')
     if not path.exists() or asked != saved:
         write_atomically(path, yaml.safe_dump(to_nested(config), sort_keys=False))
 
@@ -140,17 +140,8 @@ def _saved_room_sets(path: Path) -> dict[str, list[str]]:
     return sets
 
 
-def _flat_settings(nested: dict[str, Any], prefix: str = '') -> dict[str, Any]:
-    """Return the values of nested settings by dotted name, such as ``sac.gamma``."""
-    flat = {}
-    for name, value in nested.items():
-        flat |= _flat_settings(value, f'{prefix}{name}.') if isinstance(value, dict) else {
-            prefix + name: value}
-    return flat
-
-
 def records(folder: Path) -> list[dict[str, Any]]:
-    """Read the lines of progress so far; leave out malformed lines, with a warning."""
+    """Read the lines of progress so far, [] without any; skip malformed lines with a warning."""
     path = folder / PROGRESS
     if not path.exists():
         return []

@@ -41,7 +41,8 @@ class AgentSac(SAC):
     :param config: settings of SAC, with the number of steps of both phases.
     :param agent: inputs and sizes of the networks.
     :param warm: whether the actor is trained already, and chooses the actions from the first turn.
-    :ivar own_updates: number of gradient steps of SAC itself so far.
+    :ivar own_updates: number of gradient steps of SAC itself so far, without the steps on the
+        imitation loss.
     """
 
     def __init__(self, *args, config: SacConfig, agent: AgentConfig, warm: bool = False,
@@ -60,7 +61,7 @@ class AgentSac(SAC):
         """Draw actions: first a demonstrator's, then random ones if the actor is untrained."""
         if self.demonstrator is not None and self.num_timesteps < self.config.demonstrations:
             actions = self.demonstrator()
-            # The actions to play, and those to store.
+            # stable-baselines3 expects the actions to play, and those to store in the buffer.
             return actions, actions
         return super()._sample_action(0 if self.warm else learning_starts, action_noise, n_envs)
 
@@ -76,6 +77,7 @@ class AgentSac(SAC):
         """Take gradient steps of SAC, then one on the imitation loss if it still has a weight."""
         super().train(gradient_steps, batch_size)
         self.own_updates += gradient_steps
+        # The factor is 1 at the end of ``burn_in``, and 0 after ``imitation_fades`` further steps.
         fade = 1.0 - (self.own_updates - self.config.burn_in) / self.config.imitation_fades
         if self.imitation_loss is None or self.own_updates < self.config.burn_in or fade <= 0.0:
             return
@@ -124,7 +126,8 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
         buffer_kwargs = {name: getattr(sac, name) for name in (
             'n_steps', 'gamma', 'augmentation', 'demonstrations')}
     # ``auto_`` means that the entropy coefficient is learned from this first value on. The target
-    # entropy is given for each of the two components of each camera's action.
+    # entropy is given for each of the two components of each camera's action. The first gradient
+    # step comes after the demonstrations.
     model = AgentSac(
         policy_class, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
         buffer_size=sac.buffer_size,

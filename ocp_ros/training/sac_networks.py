@@ -91,7 +91,7 @@ class CloudCritic(ContinuousCritic):
 
     def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Return values (B, 1), one array from each critic, of observations and actions (B, A)."""
-        # Only the actions in the actor's loss need gradients.
+        # Only the actions in the actor's loss need gradients, which shows that the call is for it.
         inputs = torch.cat([self.features_of(obs, actions.requires_grad), actions], dim=1)
         return tuple(network(inputs) for network in self.q_networks)
 
@@ -133,7 +133,7 @@ class FeatureCritic(CloudCritic):
         features = self.features_extractor.cached_features(
             obs, lambda: self.extract_features(obs, self.features_extractor))
         if for_actor:
-            # It is the last loss of a gradient step.
+            # The actor's loss is the last one of a gradient step.
             features = features.detach()
             self.features_extractor.drop_batch()
         return features
@@ -246,10 +246,10 @@ class MapSacActor(Actor):
     def action_log_prob(self, obs) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the probabilities of cells (B, 64 * 64), and the mean log-density (B,)."""
         choices = self.choices_of(obs)
-        # Positions are in [-1, 1]: a cell has the area (2 / CELLS) ** 2. The density in a cell is
-        # its probability / area; the mean of the probabilities' logarithms is -entropy.
-        log_cell_density = 2.0 * math.log(0.5 * CELLS)
-        return choices.shares, log_cell_density - choices.entropy
+        # Positions are in [-1, 1]: a cell has the area (2 / CELLS) ** 2. The log-density in a cell
+        # is log(probability) - log(area); the mean of log(probability) is -entropy.
+        minus_log_area = 2.0 * math.log(0.5 * CELLS)
+        return choices.shares, minus_log_area - choices.entropy
 
 
 class _CellValues(torch.nn.Module):
@@ -261,12 +261,14 @@ class _CellValues(torch.nn.Module):
 
     def forward(self, maps: dict[str, torch.Tensor], actions: torch.Tensor) -> torch.Tensor:
         """
-        Return rewards (B, 1): of positions, or means over the probabilities of all cells.
+        Return expected rewards (B, 1): at positions, or averaged over all cells.
+
+        The number of columns of ``actions`` decides which.
 
         :param actions: (B, 2) positions, or (B, 64 * 64) probabilities.
         """
         are_positions = actions.shape[1] == 2
-        # Only the values of positions train this network; the means train the actor.
+        # Only the rewards at positions train this network; the averages train the actor.
         with torch.set_grad_enabled(are_positions and torch.is_grad_enabled()):
             # Cells outside the used part are inf, and inf * 0 would make the mean NaN.
             network_values = valued(self.network, maps).nan_to_num(posinf=0.0)

@@ -52,7 +52,11 @@ def _weights_and_counters(model: AgentSac) -> dict[str, torch.Tensor]:
 
 
 def saved_slots(optimizer: torch.optim.Optimizer, prefix: str) -> dict[str, torch.Tensor]:
-    """Return the tensors of an optimiser, named by prefix, number of the parameter and key."""
+    """
+    Return the tensors of an optimiser, by name.
+
+    A name has the prefix, the number of the weight, and a key of its state such as ``exp_avg``.
+    """
     return {f'{prefix}{index}.{key}': value
             for index, slot in optimizer.state_dict()['state'].items()
             for key, value in slot.items()}
@@ -119,7 +123,12 @@ def load_state(model: AgentSac, path: Path) -> str:
 
 
 def _expected_slots(model: AgentSac, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
-    """Return tensors shaped like Adam's state of each weight that has a state in the file."""
+    """
+    Return tensors shaped like Adam's state of each weight that has a state in the file.
+
+    :param tensors: those of the file. They are needed as a weight has no state before its first
+        gradient step.
+    """
     slots = {}
     for name, optimizer in _optimizers(model).items():
         weights = [weight for group in optimizer.param_groups for weight in group['params']]
@@ -148,10 +157,11 @@ def _check_tensors(tensors: dict[str, torch.Tensor], expected: dict[str, torch.T
         if tensor.shape != expected[name].shape or tensor.dtype != expected[name].dtype:
             raise ValueError(f'{name} is {tensor.dtype} {tuple(tensor.shape)}, not '
                              f'{expected[name].dtype} {tuple(expected[name].shape)}')
-        # Adam's squares, steps and counters are never negative. The limit 1 << 40 is that of the
-        # setting ``interactions``.
+        # Adam's squares and steps, and the counters, are never negative. All tensors but weights
+        # have the limit of the counters: 1 << 40, that of the setting ``interactions``.
         low = 0.0 if name.endswith(('.exp_avg_sq', '.step')) or 'counter.' in name else -torch.inf
         high = MAX_WEIGHT if name.startswith('policy.') else (1 << 40)
+        # NaN fails each comparison, and is refused too.
         if not ((tensor >= low) & (tensor.abs() <= high)).all():
             raise ValueError(f'{name} has numbers that no training ends with')
 
@@ -184,7 +194,7 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
         unchanged.
     """
     try:
-        # The header of a replay file has less than a megabyte.
+        # The file has at most the arrays of a full buffer, and a header below a megabyte.
         check_regular(path, sum(array.nbytes for array in _rows(buffer).values()) + 1_000_000)
         arrays = safetensors.numpy.load_file(path)
         position, full = arrays.pop(FILLED).tolist()
@@ -209,7 +219,8 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
 def _rows(buffer: DictReplayBuffer) -> dict[str, np.ndarray]:
     """Return by name the arrays (S, E, ...) with an entry for each of S rows, E environments."""
     rows = {}
-    # Observations are dictionaries of arrays. Other attributes of the buffer have other shapes.
+    # Observations are dictionaries of arrays; the key '' stands for an attribute that is itself an
+    # array. Attributes without an entry for each row and environment are left out.
     for name, value in vars(buffer).items():
         arrays = value if isinstance(value, dict) else {'': value}
         rows |= {f'{name}.{key}' if key else name: array for key, array in arrays.items()

@@ -110,7 +110,7 @@ class Run(TrainingRun):
         result = self.judge(checkpoint)
         for name, value in result.items():
             self.model.logger.record(f'validation/{name}', value)
-        # The line is written last, so that its files exist whenever the process ends.
+        # The line of progress is written last: if it exists, the files above exist too.
         if result['ratio'] < self.best:
             self.best = result['ratio']
             checkpoint.save(self.folder / BEST)
@@ -141,6 +141,7 @@ class Run(TrainingRun):
     def _find_best(self) -> None:
         """Set ``best`` to the error ratio of the best weights so far, if there is a file."""
         path = self.folder / BEST
+        # The error ratio of each evaluation, by the number of gradient steps before it.
         ratios = {line['updates']: line['ratio'] for line in self.past if 'ratio' in line}
         if not path.exists():
             if ratios:
@@ -157,7 +158,8 @@ class Run(TrainingRun):
             raise CheckpointError(
                 f'{error}; the best weights so far are lost: put them back from a copy, or remove '
                 'the file, and the run goes on from its last state') from error
-        # A killed process may not have written the ratio of these weights: evaluate them again.
+        # Weights of dense values have no ratio yet, and a killed process may not have written the
+        # ratio of its weights: evaluate them.
         self.best = (ratios[best.updates] if best.updates in ratios
                      else self.judge(best)['ratio'])
 
@@ -173,9 +175,11 @@ class TrainingWatch(BaseCallback):
     """
     Log the terms of the reward, and evaluate at intervals, while SAC learns.
 
-    :ivar due: number of interactions of the next evaluation.
-    :ivar evaluated: number of interactions at the last evaluation.
-    :ivar task: number of the progress bar, set when the training starts.
+    The three attributes below are set when the training starts.
+
+    :ivar due: number of interactions at which the next evaluation is due.
+    :ivar evaluated: number of interactions at the last evaluation, or at the start.
+    :ivar task: number of the progress bar.
     """
 
     def __init__(self, run: Run) -> None:
@@ -184,7 +188,7 @@ class TrainingWatch(BaseCallback):
         self.due = self.evaluated = 0
 
     def _on_training_start(self) -> None:
-        """Show the progress bar."""
+        """Show the progress bar, and plan the first evaluation."""
         self.evaluated = self.num_timesteps
         self.due = self.num_timesteps + self.run.config.evaluate_every
         self.task = self.run.progress.add_task(
@@ -223,6 +227,7 @@ class ThreadedEnvironments(DummyVecEnv):
 
     def step_wait(self) -> VecEnvStepReturn:
         """Play a step in each environment, and begin a new episode where one has ended."""
+        # ``list`` waits for all steps, and raises their exceptions.
         list(self._threads.map(self._play, range(self.num_envs)))
         return (self._obs_from_buf(), self.buf_rews.copy(), self.buf_dones.copy(),
                 [info.copy() for info in self.buf_infos])
@@ -251,9 +256,11 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     scenes = Rooms(rooms, config.rooms)
     envs = [CameraPlacementEnv(scenes, config.simulation, fewest=config.fewest_cameras,
                                rotations=config.rooms.angles) for _ in range(config.environments)]
+    # The depth maps of one engine: they have twice as many columns as rows.
     pixels = VIEWPOINTS * 2 * config.simulation.engine.error_rows ** 2
+    # ``env.problem`` is a function with a cache of its own, which ``__wrapped__`` leaves out. All
+    # environments get one cache, of at least one engine for each of them.
     problem = lru_cache(max(MAX_DEPTH_PIXELS // pixels, len(envs)))(envs[0].problem.__wrapped__)
-    # ``problem`` is a cached function: all environments share one cache.
     for env in envs:
         env.problem = problem
     return VecMonitor(ThreadedEnvironments([partial(playable, env, config.agent) for env in envs]))
@@ -264,8 +271,11 @@ def learn(run: Run) -> None:
     config, model = run.config, run.model
     if model.num_timesteps >= config.interactions:
         return
+    # The actor plays from the first turn, without random actions, if it has first weights, is the
+    # map actor, or has learned before.
     model.warm = bool(config.model) or config.agent.map or model.num_timesteps > 0
-    # If the replay buffer was lost, collect transitions before the first gradient step.
+    # ``learning_starts`` counts from the beginning of the run. If the replay buffer was lost,
+    # collect as many transitions again before the next gradient step.
     if not model.replay_buffer.size():
         model.learning_starts += model.num_timesteps
     vec_env = environments(config, room_names(config.rooms, 'training'))
@@ -274,7 +284,7 @@ def learn(run: Run) -> None:
         envs = vec_env.venv.envs  # type: ignore[attr-defined]
         model.demonstrator = Demonstrator(envs, config.seed)
     # The seed depends on the number of interactions, so that a resumed run plays other episodes.
-    # Half of the 32-bit number is less than MAX_SEED.
+    # The shift halves the 32-bit number, so that it is less than MAX_SEED.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
     try:
@@ -312,7 +322,7 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
         run.resume()
         learn(run)
         if not (folder / BEST).exists():
-            # The file was lost after the last evaluation.
+            # The file was lost, and no evaluation has written it again.
             run.evaluate()
         return report(run, command)
 
@@ -325,14 +335,15 @@ def build_model(config: TrainingConfig, folder: Path, start: Checkpoint | None =
     :param folder: folder of the run.
     :param start: weights from which the actor starts; None for random ones.
     """
-    # Gradient steps per step of all environments. If less than 1, there are several steps of the
-    # environments per gradient step.
+    # Gradient steps per step of all environments. If less than 1, the environments take several
+    # steps per gradient step.
     steps = config.updates_per_turn * config.environments
     model = make_sac(config.sac, config.agent, seed=config.seed,
                      environments=config.environments,
                      train_freq=1 if steps == 0.0 else max(round(1.0 / steps), 1),
                      gradient_steps=max(round(steps), 1) if steps else 0,
                      tensorboard=str(folder / 'tensorboard'))
+    # ``Run`` writes to the logger also outside ``learn``, which would set it up.
     model.set_logger(configure(str(folder / 'tensorboard'), ['tensorboard']))
     if start is not None:
         load_actor(model, start)
@@ -345,6 +356,7 @@ def report(run: TrainingRun, command: str) -> Checkpoint:
     best = Checkpoint.load(run.folder / BEST)
     # The results are computed with the finest engine, even if the run learned on another.
     fine_engine = EngineConfig(preset='fine')
+    # Without weights, these trials are those of random moves.
     trials = [replace(trial, simulation=replace(trial.simulation, engine=fine_engine))
               for trial in trials_of(config, 'test')]
     cpu = f'CPU, {config.workers or cores()} processes, {torch.get_num_threads()} threads'

@@ -151,7 +151,7 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         """Take the number of cameras from a rig file; refuse settings that contradict others."""
         rig = self.simulation.placed_rig
-        # Not free: the cameras are those of a rig file, and all of them are in each episode.
+        # A rig that is not free has the cameras of a rig file; each episode has all of them.
         if not rig.free:
             object.__setattr__(self, 'fewest_cameras', len(rig.cameras))
             rig.check_rotations(self.rooms.angles,

@@ -79,6 +79,8 @@ class Rooms(Sequence):
     """
     Rooms that are made at first use, and kept up to ``MAX_CACHED_POINTS`` points in all.
 
+    Rooms beyond this limit are made again at each use.
+
     :param names: names of the rooms, from :func:`room_names`.
     :param config: options for making the rooms.
     """
@@ -93,7 +95,7 @@ class Rooms(Sequence):
         return len(self._names)
 
     def __getitem__(self, index: int) -> Scene:
-        """Return a room; others use the same object, so do not change it."""
+        """Return a room; the caller must not change it, as it is given to other callers too."""
         if index in self._kept:
             return self._kept[index]
         scene = make_scene(self._config, self._names[index])

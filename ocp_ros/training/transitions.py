@@ -99,8 +99,9 @@ class Assembler:
         """Drop all turns, for example when the stamps begin again; count the incomplete ones."""
         # When the constructor calls this method, there are no rewards yet.
         self.incomplete += len(getattr(self, '_rewards', ()))
+        # Choices and positions stay longer than rewards, which wait for ``patience`` turns.
         capacity = 2 * self.patience
-        #: The data of turns, by stamp.
+        #: The choices and the positions of turns, by stamp.
         self._experiences: BoundedDict = BoundedDict(capacity)
         self._positions: BoundedDict = BoundedDict(capacity)
         #: The stamps of all turns whose reward has arrived, as keys.
@@ -120,7 +121,7 @@ class Assembler:
         return self._take_complete()
 
     def add_reward(self, reward: Reward) -> list[Transition]:
-        """Store the first reward of a turn; return as ``add_experience``."""
+        """Store the reward of a turn, unless the turn has one; return as ``add_experience``."""
         if reward.stamp in self._rewarded:
             return []
         self._rewarded[reward.stamp] = True
@@ -147,20 +148,22 @@ class Assembler:
         before, after = self._experiences[reward.previous], self._experiences[reward.stamp]
         choices, positions = before.choices, self._positions[reward.stamp]
         if len(reward.shares) == len(before.targets):
-            # The positions of fixed cameras, which have no share, come last.
+            # Leave out the positions of fixed cameras, which have no share and no target. They
+            # come last.
             positions = positions[:len(reward.shares)]
         shares: Sequence[float] = reward.shares
         if self.last or len(choices) == 1:
+            # The last choice, which may be the only one, gets the whole reward.
             shares = (len(choices) - 1) * [0.0] + [reward.reward]
-        # The last condition: a camera is more than 5 cm from its target.
+        # The last condition: a camera is more than 5 cm from its target along x or y.
         if (before.targets.shape != positions.shape or before.turn != reward.step - 1
                 or len(shares) != len(choices)
                 or np.abs(before.targets - positions)[:, :2].max() > 0.05):
             self.inconsistent += 1
             return []
         self.assembled += 1
-        # The observation after a choice is that of the next choice, of the last one that of the
-        # next turn.
+        # The observation after a choice is that of the next choice. The last choice of a turn is
+        # followed by the first one of the next turn.
         next_choices = [*choices[1:], after.choices[0]]
         terminated = (len(choices) - 1) * [False] + [reward.terminated]
         return [Transition(choice.observation, choice.actions, share, next_choice.observation, end)

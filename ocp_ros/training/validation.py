@@ -75,6 +75,7 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     :returns: depth errors at start and end, metres, and space coverage at the end, cubic metres.
     """
     problem = _cached_problem(trial.rooms, trial.room, trial.rotation, trial.simulation)
+    # Planner and episode have one generator each, so the start does not depend on the planner.
     rng = np.random.default_rng([trial.seed, 1])
     settings = settings_of(trial.simulation.episode, problem.rig, rng)
     if trial.weights:
@@ -126,7 +127,8 @@ def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial], weights: bytes
 
     :param pool: the worker pool that runs the episodes.
     :param trials: the settings of the episodes.
-    :param weights: weights of the policy to evaluate, as one blob; empty: those of each trial.
+    :param weights: weights of the policy to evaluate, as one blob; empty: each trial runs its own
+        weights or, without any, its own planner.
     :returns: mean depth error at start and end (metres), their ratio, and mean space coverage at
         the end (cubic metres).
     """

@@ -30,7 +30,7 @@ import numpy as np
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import read_metadata
 from ocp_ros.policy.observation_map import CELLS, used_part, yaws_of
-from ocp_ros.policy.value_network import ValueMap
+from ocp_ros.policy.value_network import TEMPERATURE, ValueMap
 from ocp_ros.training.augmentation import turned_maps
 from ocp_ros.training.sac_state import load_slots, saved_slots
 from ocp_ros.training.training_config import ValuesConfig
@@ -50,15 +50,16 @@ class ValueSet:
     """
 
     def __init__(self, states: Sequence[dict[str, np.ndarray]]) -> None:
-        # The number of the first map of each room.
+        # The number of the first map of each room; ``zip`` below ignores the last sum.
         first_maps = np.cumsum([0] + [len(arrays['room']) for arrays in states])
-        #: The arrays of all rooms, joined.
+        #: The arrays of all rooms, joined; ``numbers`` are scalar inputs of the network.
         self._joined = {name: torch.from_numpy(np.concatenate([arrays[name] for arrays in states]))
                         for name in ('room', 'others', 'numbers', 'lens', 'places', 'values')}
         #: The number of the map of each choice.
         self._map_numbers = torch.from_numpy(np.concatenate(
             [arrays['of'] + first for arrays, first in zip(states, first_maps)])).long()
-        #: (M, 2) first used row and column of each of M maps.
+        #: (M, 2) first used row and column of each of M maps. This corner defines the used part,
+        #: which is central.
         self._corners = np.array([[part.start for part in used_part(room)]
                                   for room in self._joined['room'].numpy()])
         corners, map_groups = np.unique(self._corners, axis=0, return_inverse=True)
@@ -79,14 +80,14 @@ class ValueSet:
     def draw(self, rng: np.random.Generator, size: int) -> Tensor:
         """Draw the numbers of ``size`` choices whose maps have the same used part."""
         # Draw a used part with a probability proportional to its number of choices.
-        shares = np.array([len(rows) for rows in self._alike]) / len(self)
+        shares = np.array([len(choices) for choices in self._alike]) / len(self)
         alike = self._alike[rng.choice(len(shares), p=shares)]
         return torch.from_numpy(rng.choice(alike, size))
 
     def batches(self, size: int) -> Iterator[Tensor]:
         """Yield the numbers of all choices, at most ``size`` of the same used part at a time."""
-        for rows in self._alike:
-            yield from torch.from_numpy(rows).split(size)
+        for choices in self._alike:
+            yield from torch.from_numpy(choices).split(size)
 
     def batch(self, rows: Tensor) -> tuple[dict[str, Tensor], Tensor, Tensor]:
         """
@@ -97,6 +98,7 @@ class ValueSet:
             and the labels (B, P, D), NaN where there is no label.
         """
         joined, map_rows = self._joined, self._map_numbers[rows]
+        # All maps have the used part of the first one.
         corner = self._corners[map_rows[0]]
         # The used part is central: the margins on opposite sides are equal.
         used = (slice(None), slice(None), *(slice(first, CELLS - first) for first in corner))
@@ -110,10 +112,12 @@ def values_at(maps: Tensor, places: Tensor) -> Tensor:
     Return the values of maps at positions, by linear interpolation.
 
     :param maps: (B, D, rows, columns) values.
-    :param places: (B, P, 2) positions, row and column in cells.
-    :returns: (B, P, D) values.
+    :param places: (B, P, 2) positions, row and column in cells from the outer edge of the first
+        cell; the value of a cell is that at its centre, index + 0.5.
+    :returns: (B, P, D) values; beyond the outermost centres, the value of the nearest cell.
     """
-    # grid_sample expects positions from -1 to 1, in the order of image axes: columns first.
+    # grid_sample expects positions from -1 to 1, between the outer edges of the map as
+    # ``align_corners`` is False, in the order of image axes: columns first.
     scale = 2.0 / torch.tensor(maps.shape[2:])
     grid = (places * scale - 1.0).flip(-1)[:, :, None]
     return grid_sample(maps, grid, align_corners=False,
@@ -129,6 +133,7 @@ def turned_inputs(observation: dict[str, Tensor], places: Tensor, number: int
     :param places: (B, P, 2) positions, row and column in cells.
     :param number: the number of the symmetry, 0 to 7; see
         :func:`~ocp_ros.training.augmentation.turned_maps`.
+    :returns: the observation, and the positions in cells, both rotated or mirrored.
     """
     centre = 0.5 * torch.tensor(observation['room'].shape[2:])
     turned, offsets = turned_maps(observation, places - centre, number)
@@ -138,6 +143,7 @@ def turned_inputs(observation: dict[str, Tensor], places: Tensor, number: int
 def turned_headings(count: int, number: int) -> Tensor:
     """Return for each of ``count`` headings its index after symmetry ``number``: (count,)."""
     yaws = torch.from_numpy(yaws_of(count))
+    # Directions turn like positions relative to the centre of a map; there are no maps to turn.
     _, directions = turned_maps({}, torch.stack([yaws.cos(), yaws.sin()], dim=-1), number)
     turned_yaws = torch.atan2(directions[:, 1], directions[:, 0])
     return (turned_yaws * (count / (2.0 * math.pi))).round().long() % count
@@ -162,11 +168,11 @@ def loss_of(predicted: Tensor, labels: Tensor) -> Tensor:
     weights = known * (1.0 + 6.0 * torch.exp((labels.amin(dim=1, keepdim=True) - labels) / 0.1))
     # The loss is quadratic in errors up to 0.1, linear in larger ones.
     losses = smooth_l1_loss(predicted, labels, beta=0.1, reduction='none')
-    temperature = 0.05
-    true_policy = torch.softmax(-labels / temperature, dim=1)
+    true_policy = torch.softmax(-labels / TEMPERATURE, dim=1)
     # With the logit -1e4, the predicted policy never chooses a position without a label either.
-    log_policy = torch.where(known, -predicted / temperature, -1e4).log_softmax(dim=1)
-    # The clamp avoids the logarithm of 0.
+    log_policy = torch.where(known, -predicted / TEMPERATURE, -1e4).log_softmax(dim=1)
+    # The terms of the divergence D(true policy || predicted policy), whose weight in the loss is
+    # 0.03. The clamp avoids the logarithm of 0.
     terms = torch.where(known, true_policy * (true_policy.clamp(min=1e-9).log() - log_policy), 0.0)
     return (losses * weights).sum() / weights.sum() + 0.03 * terms.sum(dim=1).mean()
 
@@ -247,7 +253,7 @@ class ValueFit:
         self._optimizer.step()
         self.step += 1
         with torch.no_grad():
-            # In the first steps the average follows the weights faster.
+            # In the first steps the average follows the weights faster, by a larger share.
             share = 1.0 - min(self.config.averaging, self.step / (self.step + 10.0))
             for average, weights in zip(self.average.parameters(), self.network.parameters()):
                 average.lerp_(weights, share)

@@ -70,13 +70,14 @@ class StatesTuning:
 
     :ivar places: number of labelled positions for omnidirectional cameras.
     :ivar aimed_places: the same, for cameras with a limited field of view.
-    :ivar aimed_pitch: pitch of these cameras in radians, the middle of a range of pitches that
-        begins level.
+    :ivar aimed_pitch: pitch of cameras with a limited field of view, radians: the middle of the
+        range from level to 30 degrees down.
     :ivar scan_points: numbers of points of the scans that the rig observes.
     :ivar true_points: number of points of the scan that gives the labels.
     :ivar episodes: number of episodes in a room.
     :ivar maps: number of maps of an episode.
-    :ivar map_turns: number of the first time steps of an episode, from which maps are drawn.
+    :ivar map_turns: number of time steps from the start of an episode, among which the time steps
+        of the maps are drawn.
     :ivar choices: number of choices of cameras on a map.
     """
 
@@ -137,7 +138,7 @@ class TrueRoom:
     :param config: range and height of the cameras, and their field of view.
     :param headings: number of headings at each position; 0 for omnidirectional cameras: D is 1.
     :ivar engine: the most exact engine for the scene.
-    :ivar space: the feasible region of the cameras.
+    :ivar space: the feasible region of one camera, without regard to others.
     :ivar places: (P, 2) metres, positions on a grid.
     :ivar poses: (P * D, 6) metres, map frame, and radians: first all headings of one position.
     """
@@ -160,11 +161,13 @@ class TrueRoom:
 
     def _seen_from(self, position: np.ndarray, rotations: np.ndarray) -> list[np.ndarray]:
         """Return the visible points, as packed bits, for each yaw, pitch and roll (D, 3)."""
+        # All cameras of the rig have one model.
         lens = self.engine.models[0].lens
         # The preset of this engine never makes a CubeVisibility.
         visibility = cast(SurfelVisibility, self.engine.visibility)
         seen, covered = no_bits(len(self.engine.scene)), no_bits(len(self.engine.grid))
-        # The view in all directions sets the bits of both; each heading sees a part of this view.
+        # The view in all directions sets the bits of all visible points and cells; each heading
+        # sees a part of this view.
         visibility.look(Pose.of(position), lens._replace(kind=OMNIDIRECTIONAL), seen, covered)
         if lens.kind == OMNIDIRECTIONAL:
             return [seen] * len(rotations)
@@ -183,6 +186,7 @@ class TrueRoom:
         # The yaws of the poses are evenly spaced and begin at 0: round to the nearest one.
         heading_numbers = 0 if headings is None else np.rint(
             headings[:, 0] * (heading_count / (2.0 * np.pi))).astype(np.int64) % heading_count
+        # All headings of one position have successive numbers.
         return np.argmin(distances, axis=1) * heading_count + heading_numbers
 
     def values(self, others: Sequence[int]) -> np.ndarray:
@@ -209,14 +213,16 @@ def play_states(task: StateTask) -> dict[str, np.ndarray]:
         lacks.
     """
     rng = np.random.default_rng(task.seed)
-    # Half of the rooms are rotated. The rig observes another scan of the room than the labels.
+    # Half of the rooms are rotated. The labels come from the true scan, the rig observes ``scan``.
     degrees = float(rng.uniform(0.0, 360.0)) if rng.random() < 0.5 else 0.0
     true_scan = make_scene(replace(task.rooms, points=TUNING.true_points), task.room, degrees)
     points = int(rng.choice(TUNING.scan_points))
     scan = make_scene(replace(task.rooms, points=points), task.room, degrees)
     heights_m = (1.0, 2.3)
-    # Half of the rooms have the range and the height of the default rig, low rooms always.
+    # Half of the rooms, and all rooms below the largest height of cameras, have the range and the
+    # height of the default rig.
     is_default = rng.random() < 0.5 or true_scan.size[2] < heights_m[1]
+    # The rig has the largest number of cameras; an episode has some of them.
     camera_counts = np.arange(1, 9)
     rig = RigConfig(cameras=camera_counts[-1]) if is_default else RigConfig(
         cameras=camera_counts[-1], max_range=float(rng.uniform(3.0, 6.0)),
@@ -258,7 +264,8 @@ class _StateRecorder:
         """Run an episode; at some turns record a map, and the choices of some cameras."""
         rng = self._rng
         history = LookHistory()
-        # Draw the settings. The episode stops at its last map, at most 5 turns before its end.
+        # Draw the settings. Only the turns up to the last map are run; the planned end of the
+        # episode comes up to 5 turns later.
         map_turns = np.sort(rng.choice(TUNING.map_turns, TUNING.maps, replace=False))
         turns = int(map_turns[-1]) + 1 + int(rng.integers(6))
         simulator = problem.simulator
@@ -268,7 +275,7 @@ class _StateRecorder:
         settings = settings_of(simulator.config.episode, problem.rig, rng)
         actor = MapActor(policy_of(weights), *settings) if weights else None
         episode = Episode(problem, rng, cameras)
-        # Numbers of the target poses. An actor moves the cameras to its own targets instead.
+        # Numbers of the target poses. With an actor, the cameras move to its own targets instead.
         chosen = self._draw_poses(cameras)
         for turn in range(int(map_turns[-1]) + 1):
             positions, cloud = episode.turn.positions, episode.observed_cloud
@@ -276,6 +283,7 @@ class _StateRecorder:
             record_views(history, positions, rig_state)
             if turn in map_turns:
                 if actor is not None and actor.targets is not None:
+                    # Labels are of candidate poses: take those nearest to the actor's targets.
                     chosen = self._room.nearest_poses(actor.targets, actor.headings)
                 chosen = self._record_map(cloud, positions, history, chosen, problem.rig.farthest)
             targets = self._room.poses[chosen]
@@ -312,7 +320,8 @@ class _StateRecorder:
         :param history: the poses from which cameras have looked so far.
         :param chosen: (K,) numbers of the poses that the cameras chose last.
         :param max_range: the largest range of a camera, metres.
-        :returns: (K,) numbers of the poses that they choose now.
+        :returns: (K,) numbers of the poses that the cameras have chosen after this map; ``chosen``
+            if there is no map, because the observed points are too few.
         """
         rng, poses, cameras = self._rng, self._room.poses, len(positions)
         # A fifth of the maps have larger cells, as the maps of large rooms have.
@@ -320,17 +329,17 @@ class _StateRecorder:
         try:
             model = PartialMap(cloud, positions, max_range, MODEL_POINTS, MODEL_ROWS)
         except SceneError:
-            # The cloud is too small for a map.
             return chosen
         observed = ObservationMap(model, history.unseen(model), cameras, max_range,
                                   float(positions[0, 2]), cell_scale * EDGE_M)
+        # Half of the maps begin with the poses that were chosen last, the others with drawn ones.
         chosen = (chosen if rng.random() < 0.5 else self._draw_poses(cameras)).copy()
         views = [self._view_from(model, poses[pose], positions) for pose in chosen]
         map_number = len(self._maps)
         self._maps.append(observed.room)
         cells = (self._room.places - observed.window.low) / observed.window.edge
         self._places.append(cells.astype(np.float32))
-        # Cameras choose one after the other, from a random one on; labels are of all poses.
+        # Cameras choose one after the other, from a random one on, and again after the last one.
         first = int(rng.integers(cameras))
         for camera in (first + np.arange(TUNING.choices)) % cameras:
             others = np.delete(chosen, camera)
@@ -338,7 +347,8 @@ class _StateRecorder:
             channels, numbers = observed.others(
                 views[:camera] + views[camera + 1:], poses[others])
             self._choices.append((map_number, channels, numbers, values))
-            # Some choices are random. The others are the best pose by labels with noise, so that
+            # The labels above are of all poses; the pose chosen here affects later labels only.
+            # Some choices are random. The rest are the best pose by labels with noise, so that
             # other good poses are chosen too.
             if rng.random() < 0.15:
                 chosen[camera] = rng.integers(len(poses))

@@ -150,7 +150,7 @@ class ValueRun(TrainingRun):
 
     def resume(self) -> None:
         """
-        Resume from the state that was saved last.
+        Resume from the state that was saved last; without one, the run begins.
 
         :raises CheckpointError: if the state cannot be used.
         """
@@ -170,7 +170,7 @@ class ValueRun(TrainingRun):
         paths = [self.folder / 'states' / f'{kind}_{index:05}.npz' for index in range(len(rooms))]
         missing = [number for number, path in enumerate(paths) if not path.exists()]
         headings = self.config.agent.headings
-        # The index of a kind is part of the seed.
+        # The index of the kind and the number of the room make the seed of a room unique.
         seed = self.config.seed, ('walked', 'own', 'validation').index(kind)
         tasks = [StateTask(self.config.rooms, rooms[number], (*seed, number), weights, headings)
                  for number in missing]
@@ -260,6 +260,7 @@ def learn_values(run: ValueRun) -> Checkpoint:
     run.fit.run(walked_set, values.steps, total, report_step)
     if values.own_steps:
         weights = run.checkpoint().to_bytes()
+        # The last training rooms; if there are few rooms, some have walked states as well.
         own_set = run.states('own', rooms[-values.own_rooms:], weights)
         run.fit.run(ValueSet.joined([walked_set, own_set]), total, total, report_step)
     return run.checkpoint()

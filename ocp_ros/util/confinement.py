@@ -48,11 +48,11 @@ _libc = ctypes.CDLL(None, use_errno=True)
 
 def limit(memory_bytes: int, processor_seconds: int, file_bytes: int) -> None:
     """
-    Limit memory, time and files of this process; ignore Ctrl-C, since the parent ends it.
+    Limit memory, time and files of this process; ignore Ctrl-C: the parent ends this process.
 
     :param memory_bytes: the largest memory.
     :param processor_seconds: seconds of all cores together; :func:`allow_seconds` allows more.
-    :param file_bytes: the largest size of each file that it writes.
+    :param file_bytes: the largest size of each file that this process writes.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     for kind, maximum in ((resource.RLIMIT_DATA, memory_bytes),
@@ -71,7 +71,7 @@ def confine(files: Iterable[str | Path], folder: str | Path | None = None) -> No
     """
     Restrict this process to reading some files and writing to one folder.
 
-    Open files and imported modules stay usable. Call it while there is one thread.
+    Open files and imported modules stay usable. Call this function while there is one thread.
 
     :param files: the files that may be read; the targets of links count.
     :param folder: the folder that may be written to; None if no folder may.
@@ -93,8 +93,8 @@ def _allow_files(rights: dict[str | Path, int]) -> None:
     create_ruleset = 444
     # Flag 1 asks for the version of Landlock.
     version = _libc.syscall(create_ruleset, None, 0, 1)
-    # The kernel lacks Landlock.
     if version < 1:
+        # The kernel lacks Landlock.
         return
     # The number of rights of each version, from the first on. Each right is one bit of a mask.
     rights_of_version = (13, 14, 15, 15, 16)
@@ -138,6 +138,7 @@ def _refuse_calls() -> None:
     rows += [(equal, 0, 3, tgkill), (load, 0, 0, 16), (equal, 1, 0, os.getpid()),
              (answer, 0, 0, refuse), (answer, 0, 0, allow)]
     code = ctypes.create_string_buffer(b''.join(struct.pack('<HBBI', *row) for row in rows))
+    # A program is the number of its rows, six unused bytes, and the address of the rows.
     program = struct.pack('<HxxxxxxQ', len(rows), ctypes.addressof(code))
     # Operation 1 of seccomp(2) sets a filter; flag 1 sets it for all threads.
     _libc.syscall(seccomp, 1, 1, program)

@@ -185,7 +185,7 @@ class FileSet:
         recover(self.folder, self._names, self._mark)
         with _locked(self.folder):
             self.aside = Path(tempfile.mkdtemp(prefix=UNFINISHED_PREFIX, dir=self.folder))
-            #: The lock shows that the writing process is alive.
+            #: The lock, see :func:`recover`, shows that the writing process is alive.
             self._lock = os.open(self.aside, os.O_RDONLY)
             with suppress(OSError):
                 fcntl.flock(self._lock, fcntl.LOCK_EX)
@@ -193,16 +193,17 @@ class FileSet:
 
     def __exit__(self, *exception) -> None:
         """Replace the previous set by the new one, if the new one is complete."""
-        # The complete set of a killed run is swapped in first, which frees its folder. At the end,
-        # ``recover`` swaps in the new set, or removes it if it is incomplete.
         written = [name for name in self._names if (self.aside / name).exists()]
         try:
             if self._mark in written:
                 write_atomically(self.aside / NAMES_FILE, json.dumps(written))
                 with _locked(self.folder):
+                    # The folder of the complete set of a killed run is freed by swapping it in.
                     _swap_in(self.folder, self._names, self._mark)
                     self.aside.rename(self.folder / COMPLETE_FOLDER)
         finally:
+            # Unlock ``aside``, so that ``recover`` removes it if the new set is incomplete;
+            # ``recover`` swaps in a complete new set.
             os.close(self._lock)
             recover(self.folder, self._names, self._mark)
 
@@ -263,6 +264,7 @@ def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:
             (folder / name).unlink(missing_ok=True)
         elif (complete / name).exists():
             os.replace(complete / name, folder / name)
+    # A link or a file in place of the folder is removed, but not what a link leads to.
     if complete.is_dir() and not complete.is_symlink():
         shutil.rmtree(complete, ignore_errors=True)
     else:

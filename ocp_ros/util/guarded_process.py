@@ -119,7 +119,7 @@ class GuardedProcess:
         return bytearray().join(blocks)
 
     def _check_exit(self) -> None:
-        """Wait for the end of the process; raise a short ValueError if it failed."""
+        """Wait for the end of the process; raise a short ValueError if it failed or goes on."""
         try:
             code = self._process.wait(GRACE_SECONDS)
         except subprocess.TimeoutExpired:
@@ -137,7 +137,7 @@ class GuardedProcess:
 
 
 def _environment() -> dict[str, str]:
-    """Return an environment in which the process finds the modules of this one."""
+    """Return an environment in which the new process finds the modules of this process."""
     module_folders = [*filter(None, sys.path), str(Path(__file__).absolute().parents[2])]
     return {**os.environ, 'PYTHONPATH': os.pathsep.join(module_folders), 'OMP_NUM_THREADS': '1',
             'OPENBLAS_NUM_THREADS': '1'}

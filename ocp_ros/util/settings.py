@@ -139,6 +139,7 @@ def _checked_value(name: str, item: Field, value: Any) -> Any:
     low, high, choices = (item.metadata[key] for key in ('low', 'high', 'choices'))
     if choices and value not in choices:
         raise ConfigurationError(f'{found}; expected one of {list(choices)}')
+    # ``not >=`` and ``not <=`` refuse NaN too.
     if (low is not None and not value >= low) or (high is not None and not value <= high):
         raise ConfigurationError(f'{found}; expected {low} to {high}')
     return value

@@ -58,15 +58,20 @@ os.register_at_fork(after_in_child=_reset_after_fork)
 
 
 def mapped(function: Callable[[T], U], items: Sequence[T]) -> list[U]:
-    """Return the results of a function, which must not call ``mapped``, for items in order."""
+    """
+    Return the results of a function for items, in the order of the items.
+
+    :param function: must not call ``mapped``: all threads might then wait for a free thread.
+    """
     helpers = _helpers
     share_count = min(_thread_count, len(items))
     if helpers is None or share_count < 2:
         return [function(item) for item in items]
-    starts = [len(items) * share // share_count for share in range(share_count + 1)]
+    # Share k has the items from bound k up to bound k + 1.
+    bounds = [len(items) * share // share_count for share in range(share_count + 1)]
 
     def apply_to_share(share: int) -> list[U]:
-        return [function(item) for item in items[starts[share]:starts[share + 1]]]
+        return [function(item) for item in items[bounds[share]:bounds[share + 1]]]
 
     # The calling thread takes the first share.
     futures = [helpers.submit(apply_to_share, share) for share in range(1, share_count)]

@@ -85,7 +85,7 @@ class WorkerPool:
         # Ray accepts plain functions only, and ``function`` may be a functools.partial.
         remote_apply = self._ray.remote(num_cpus=1, max_retries=2)(_apply)
         indices = {remote_apply.remote(function, task): index for index, task in enumerate(tasks)}
-        # ``wait`` returns the references of finished tasks, then those of the others.
+        # ``wait`` returns when a task has ended: references of finished tasks, and of the others.
         while indices:
             for reference in self._ray.wait(list(indices))[0]:
                 yield indices.pop(reference), self._ray.get(reference)

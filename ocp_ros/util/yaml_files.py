@@ -80,7 +80,7 @@ class Document:
         return f'{self.name}: ' + ', '.join(filter(None, [line, key.lstrip('.')]))
 
     def line(self, key_path: Way) -> int:
-        """Return the line of a value, or of the innermost mapping or list around it."""
+        """Return the line of a value, or of the innermost mapping or list around it; else 1."""
         while key_path and key_path not in self.lines:
             key_path = key_path[:-1]
         return self.lines.get(key_path, 1)
@@ -252,8 +252,8 @@ def check(document: Document, schema: dict[str, Any]) -> None:
     """
     errors = list(SchemaValidator(schema).iter_errors(document.data))
     if errors:
-        # Of the errors in one line, that of an unknown key comes first: the key is often a
-        # misspelt required key.
+        # Of the errors in one line, the error about an unknown key comes first (False < True),
+        # because this key is often a misspelt required key.
         first_error = min(errors, key=lambda error: (
             document.line(_error_key_path(error)), error.validator != 'additionalProperties'))
         raise _error_from_schema(document, schema, first_error)
@@ -282,7 +282,8 @@ def _error_from_schema(document: Document, schema: dict[str, Any], error: Valida
         missing_schema = error.schema['properties'][key]
         return document.error(key_path, f'no {key}', missing_schema['description'],
                               f'add, for example, {key}: {shown(missing_schema["examples"][0])}')
-    # For a list of a fixed length, the description says the length.
+    # Only lists of a variable length get this message: the description of a list of a fixed
+    # length says the length.
     if error.validator == 'maxItems' and error.schema['minItems'] < error.validator_value:
         return document.error(key_path, f'{len(error.instance)} entries',
                               f'at most {error.validator_value}', 'remove some')
@@ -345,7 +346,7 @@ def timestamp() -> str:
 
 
 def nearest(word: str, known: Collection[str], otherwise: str) -> str:
-    """Return "did you mean X?" with the known word most similar; ``otherwise`` if none is."""
+    """Return "did you mean X?" with the most similar known word; ``otherwise`` without one."""
     similar = difflib.get_close_matches(word, known, n=1, cutoff=0.5) or [
         known_word for known_word in known if word and word in known_word]
     return f'did you mean {similar[0]!r}?' if similar else otherwise

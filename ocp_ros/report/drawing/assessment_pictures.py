@@ -98,7 +98,8 @@ def count_colours(assessed: Assessment) -> np.ndarray:
 def draw_room_plan(axes: Axes, room: Room, assessed: Assessment) -> None:
     """Draw the room from above with the walls' letters, the cameras and their ranges."""
     colours = HEIGHT_COLOURS(heights_of(assessed.scene.points))[:, :3]
-    # The room is in the frame of the plan already, the ranges of cameras are in the map frame.
+    # The room is in the frame of the plan already, so the view from above needs no rotation. The
+    # ranges of the cameras, below, are in the map frame. The colours of the room are lightened.
     outline = draw_discs(axes, with_colours(room, 0.35 + 0.65 * colours), np.eye(3))
     rotation = assessed.plan_rotation[:2, :2]
     floor_and_ceiling = assessed.scene.bounds[:, 2].tolist()
@@ -126,6 +127,7 @@ def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
     :param scale: size of letters and lines, in multiples of those on the report page.
     """
     (left, bottom), (right, top) = corners = _corners(assessed)
+    # For the sides A to D, clockwise from the top, the x and the y of both ends.
     sides = [((left, right), (top, top)), ((right, right), (top, bottom)),
              ((right, left), (bottom, bottom)), ((left, left), (bottom, top))]
     for wall, (x, y) in zip(assessed.walls, sides):
@@ -133,7 +135,7 @@ def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
                   zorder=4)
     rotation, positions = assessed.plan_rotation[:2, :2], assessed.plan_positions
     longer = max(assessed.size)
-    # Distance of the letters from their walls.
+    # Distance of the letters of sides from their walls; those of inner walls have half of it.
     gap = 0.055 * longer
     x, y = corners.mean(axis=0)
     letters = np.array([(x, top + gap), (right + gap, y), (x, bottom - gap), (left - gap, y)])
@@ -147,10 +149,11 @@ def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
     spacing = 0.17 * scale * units_per_inch(axes)
     inner_letters = move_apart(inner_letters, spacing, np.concatenate([letters, positions]))
     draw_letters(axes, inner_walls, inner_letters, 7.0 * scale, **style)
-    # The zones are in front of the cover of :func:`_hide_outside`, and behind the walls.
+    # The zones are in front of the cover of :func:`_hide_outside` (3.5) and behind the walls (4).
     draw_zones(axes, assessed.objective.rig, rotation, 3.8)
     draw_headings(axes, assessed.placement, positions, 0.07 * longer * rotation, 1.2 * scale)
     draw_numbers(axes, positions, 7.0 * scale, float(np.prod(assessed.size)), letters, always=True)
+    # The ticks show distances from the lower left corner.
     for axis, start, length in zip((axes.xaxis, axes.yaxis), corners[0], assessed.size):
         ticks = _tick_distances(length)
         axis.set_ticks(start + ticks, [f'{tick:g}' for tick in ticks])
@@ -171,11 +174,13 @@ def _hide_outside(axes: Axes, room: Room) -> None:
     # The margin of four cells on each side is as wide as the closing of gaps below reaches.
     low = flat.min(axis=0) - 4 * cell_m
     cells = np.floor((flat - low) / cell_m).astype(int)
+    # Besides the margin, the size is one more than the largest index.
     inside = np.zeros(cells.max(axis=0) + 5, dtype=bool)
     inside[tuple(cells.T)] = True
     structure = ndimage.iterate_structure(ndimage.generate_binary_structure(2, 1), 4)
     inside = ndimage.binary_fill_holes(ndimage.binary_closing(inside, structure))
-    # RGBA, row by row: opaque outside. The factor 1.6 makes the blurred edge more transparent.
+    # RGBA, opaque outside. The first axis of an image is y, that of the cells is x. The factor 1.6
+    # makes the blurred edge more transparent.
     cover = np.ones((*inside.T.shape, 4))
     cover[..., 3] = 1.0 - np.minimum(ndimage.gaussian_filter(1.6 * inside.T, 0.7), 1.0)
     high = low + cell_m * np.array(inside.shape)
@@ -212,21 +217,22 @@ def draw_error_map(axes: Axes, room: Room, assessed: Assessment) -> AxesImage:
 
     :returns: the image, for a colour bar.
     """
-    cells_along_room, min_edge_m, max_edge_m = 48, 0.1, 0.5
     # The room in grey, below the map.
     pale_colours = np.full((len(assessed.scene), 3), 0.88)
     draw_discs(axes, shaded(room, pale_colours), np.eye(3), contrast=0.5)
     flat = assessed.scene.points.astype(np.float64) @ assessed.plan_rotation[:2].T
     low, size = flat.min(axis=0), np.ptp(flat, axis=0)
+    cells_along_room, min_edge_m, max_edge_m = 48, 0.1, 0.5
     edge = float(np.clip(size.max() / cells_along_room, min_edge_m, max_edge_m))
     shape = np.floor(size / edge).astype(int) + 1
     # The number of each point's cell, and the sum of the errors in each cell.
     cells = np.ravel_multi_index(tuple(np.floor((flat - low) / edge).astype(int).T), shape)
     sums = np.bincount(cells, assessed.error_by_point, minlength=shape.prod()).reshape(shape)
     density = 1000.0 * sums / edge ** 2
-    largest = float(np.percentile(density[density > 0.0], 99.0)) if density.any() else 0.0
-    # The scale of colours must not be empty if there is hardly any error.
-    maximum = max(largest, 1.0)
+    # The scale of colours ends at this percentile of the cells with an error. The scale must not
+    # be empty if there is hardly any error.
+    percentile = float(np.percentile(density[density > 0.0], 99.0)) if density.any() else 0.0
+    maximum = max(percentile, 1.0)
     # Cells below a hundredth of the maximum stay transparent, so that the room is visible.
     image = axes.imshow(np.ma.masked_less(density.T, 0.01 * maximum), cmap=ERROR_COLOURS,
                         norm=PowerNorm(0.5, 0.0, maximum), origin='lower', zorder=2,
@@ -255,6 +261,7 @@ def draw_perspective(axes: Axes, room: Room, assessed: Assessment, azimuth: floa
     shown_room = cut_open(room, eye.view)
     outline = draw_discs(axes, shown_room, eye.view, eye, 0.5)
     floor = float(np.percentile(room.points[:, 2], 2.0))
+    # Frusta are drawn with at most this length, metres, not with their full range.
     max_length = min(0.15 * float(np.ptp(room.points, axis=0).max()), 1.2)
     positions = assessed.positions @ assessed.plan_rotation.T
     drawn_points = [outline.get_xy(), eye(positions)]
@@ -288,8 +295,8 @@ def floor_plan_of(assessed: Assessment) -> Figure:
     points = scene.points[(scene.points[:, 2] > low + floor_layer_m)
                           & (scene.points[:, 2] < high - ceiling_layer_m)]
     flat = points[::max(len(points) // max_points, 1), :2] @ assessed.plan_rotation[:2, :2].T
-    scale = longer_edge_inches / max(assessed.size)
-    edges_inches = [max(scale * edge, min_edge_inches) for edge in assessed.size]
+    inches_per_m = longer_edge_inches / max(assessed.size)
+    edges_inches = [max(inches_per_m * edge, min_edge_inches) for edge in assessed.size]
     figure = Figure(figsize=edges_inches, dpi=100, facecolor='white')
     axes = figure.add_axes((0.05, 0.08, 0.9, 0.9))
     axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
@@ -341,7 +348,8 @@ def _draw_axes(axes: Axes, assessed: Assessment, length: float) -> None:
     for name, axis_vector in zip('xyz', np.eye(3)):
         direction = assessed.frame.to_map(axis_vector) - assessed.frame.to_map(np.zeros(3))
         direction = rotation @ direction[:2] / np.linalg.norm(direction)
-        # In the plan a unit vector that is steeper than 60 degrees is shorter than 0.5.
+        # Axes steeper than 60 degrees are left out. In the plan their unit vectors are shorter
+        # than 0.5.
         if np.linalg.norm(direction) < 0.5:
             continue
         axes.annotate('', corner + length * direction, corner, zorder=5, arrowprops={
@@ -353,7 +361,8 @@ def _draw_axes(axes: Axes, assessed: Assessment, length: float) -> None:
 def _draw_distances(axes: Axes, assessed: Assessment) -> None:
     """Draw the measured distances: dashed lines, with the numbers where there is space."""
     rotation = assessed.plan_rotation[:2, :2]
-    # Smallest length of a line whose distance is written, metres.
+    # Smallest length of a line whose distance is written, metres. A text needs half of it as free
+    # space around its centre.
     min_length = 0.15 * max(assessed.size)
     positions = assessed.plan_positions
     # Positions of cameras and written distances, which must not be covered.

@@ -32,7 +32,7 @@ def rim(model: CameraModel) -> np.ndarray:
     """
     lens, steps = model.lens, np.linspace(-1.0, 1.0, EDGE_STEPS)
     ones = np.ones_like(steps)
-    # Four edges of a square from -1 to 1: bottom, left, top and right.
+    # Four edges of a square from -1 to 1: bottom, left, top and right. Left is 1, as y is left.
     horizontal = np.concatenate([steps, ones, -steps, -ones])
     vertical = np.concatenate([-ones, steps, ones, -steps])
     if lens.kind == PINHOLE:
@@ -63,8 +63,8 @@ def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.
         ends = _ray_ends(position, horizontal @ rotation.T, model.max_range, heights)
         full_circle = half_angle >= np.pi - 1e-6
         return ends[:, :2] if full_circle else np.concatenate([ends, [position]])[:, :2]
-    # Directions between the optical axis and the rim (scale 1) are needed too, since the optical
-    # axis may reach farthest in the plan.
+    # Directions between the optical axis (scale 0) and the rim (scale 1) are needed too, since the
+    # directions near the optical axis may reach farthest in the plan.
     directions = np.concatenate([scale * rim(model) + [1.0 - scale, 0.0, 0.0]
                                  for scale in np.linspace(0.1, 1.0, 10)])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

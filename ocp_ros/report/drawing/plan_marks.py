@@ -59,7 +59,7 @@ def move_apart(positions: np.ndarray, min_distance: float, fixed: np.ndarray) ->
     for _ in range(1000):
         vectors = moved[:, None] - np.concatenate([moved, fixed])[None]
         distances = np.linalg.norm(vectors, axis=2)
-        # A position does not move away from itself.
+        # A position does not move away from itself, so this distance is above ``min_distance``.
         np.fill_diagonal(distances, 2.0 * min_distance)
         # Each of two positions moves by half of what is missing in their distance.
         overlaps = np.maximum(min_distance - distances, 0.0) / np.maximum(distances, 1e-9)
@@ -80,7 +80,7 @@ def draw_numbers(axes: Axes, positions: np.ndarray, size: float, area: float,
     :param positions: (K, 2) of the K cameras, data units of the axes.
     :param size: largest font size, points.
     :param area: area of the room in the picture, square data units.
-    :param fixed: (M, 2) positions of M other letters.
+    :param fixed: (M, 2) positions of M other letters, which the numbers must not cover.
     :param always: whether to draw numbers even if they cover too much.
     """
     max_covered_share, min_font_size = 0.35, 4.5
@@ -126,7 +126,7 @@ def _draw_dot(axes: Axes, position: np.ndarray, colour: str) -> None:
 def draw_headings(axes: Axes, placement: Placement, positions: np.ndarray, rotation: np.ndarray,
                   width: float) -> None:
     """
-    Draw the heading of each camera that is not omnidirectional as an arrow.
+    Draw the heading of each camera as an arrow, except of cameras that see all yaws.
 
     :param placement: poses of the K cameras.
     :param positions: (K, 2) of the cameras in the picture, metres.

@@ -71,6 +71,8 @@ def draw_pages(folder: Path, assessed: Assessment) -> Iterator[Path]:
 
 def figures_of_pages(assessed: Assessment) -> Iterator[Figure]:
     """Yield the pages: pictures with the table; a long table has its own page."""
+    # All pages are drawn before the first is yielded, so that the context does not last until the
+    # caller takes the last one.
     with fonts_for_all_letters():
         facts = page_facts_of(assessed)
         pages = [_picture_page(assessed, facts)]
@@ -85,10 +87,10 @@ def _picture_page(assessed: Assessment, facts: PageFacts) -> Figure:
     room = pictures.room_for(assessed)
     _draw_head(figure, facts)
     has_table_page = len(assessed.placement.cameras) > MAX_ROWS
-    top = TABLE_BOTTOM if has_table_page else _draw_table(figure, assessed, facts)
+    table_top = TABLE_BOTTOM if has_table_page else _draw_table(figure, assessed, facts)
     # From the bottom: table, note, legend, and pictures up to 6.52 inches; above are the titles of
     # the pictures and the key figures.
-    lower_edge = top + 0.58
+    lower_edge = table_top + 0.58
     boxes = _picture_boxes(assessed, lower_edge, 6.52 - lower_edge)
     pictures.draw_room_plan(_titled_axes(figure, boxes.plan, 'Plan (m)'), room, assessed)
     pictures.draw_count_map(
@@ -97,7 +99,7 @@ def _picture_page(assessed: Assessment, facts: PageFacts) -> Figure:
         _titled_axes(figure, boxes.errors, 'Where the depth error is'), room, assessed)
     left, bottom, width, height = boxes.errors
     _draw_bar(figure, image, (left + width + 0.04, bottom + 0.1, 0.07, height - 0.2))
-    # Azimuth of the viewer at each corner of two walls, degrees.
+    # Azimuth of the viewer at each corner of two walls, degrees, in the order of the boxes.
     azimuths = {'C, D': -125.0, 'B, C': -55.0, 'A, B': 55.0, 'D, A': 125.0}
     for box, (corner, azimuth) in zip(boxes.looks, azimuths.items()):
         axes = _titled_axes(figure, box, f'From corner {corner}')
@@ -114,6 +116,7 @@ def _table_page(assessed: Assessment, facts: PageFacts) -> Figure:
     """Return the page with the table of many cameras."""
     figure = _empty_page(facts)
     rows = len(assessed.placement.cameras) + 1
+    # The table may reach up to 7.4 inches, below the subtitle.
     _draw_table(figure, assessed, facts, min(ROW_HEIGHT, (7.4 - TABLE_BOTTOM) / rows))
     return figure
 
@@ -122,6 +125,7 @@ def _empty_page(facts: PageFacts) -> Figure:
     """Return a page with its title, subtitle, verdict and foot."""
     figure = Figure(figsize=(PAGE_WIDTH, PAGE_HEIGHT), dpi=DOTS_PER_INCH, facecolor='white')
     write(figure, (MARGIN, 7.92), facts.title, 5.6, 15, INK, bold=True)
+    # With doubts the subtitle is shorter, since :func:`_draw_head` writes them beside it.
     write(figure, (MARGIN, 7.66), facts.subtitle, 4.6 if facts.doubts else 10.8, 8, PALE_INK)
     write(figure, (PAGE_WIDTH - MARGIN, 7.92), facts.verdict, 5.0, 9.5,
           '#00664d' if facts.satisfied else BAD_COLOUR, bold=True, align='right')
@@ -146,8 +150,7 @@ def _picture_boxes(assessed: Assessment, bottom: float, height: float) -> _Pictu
     :param bottom: lower edge of all pictures, inches.
     :param height: total height of all pictures, inches.
     """
-    max_ratio, min_plan_width, max_plan_width, map_width = 1.6, 1.8, 3.7, 2.1
-    title_height = 0.32
+    max_ratio, title_height = 1.6, 0.32
     width, depth = assessed.size
     half_height = 0.5 * (height - title_height)
     if width > max_ratio * depth:
@@ -160,6 +163,8 @@ def _picture_boxes(assessed: Assessment, bottom: float, height: float) -> _Pictu
         errors = (MARGIN + map_width + 0.15, bottom, map_width, map_height)
         looks_left = MARGIN + plan_width + 0.45
     else:
+        # The maps lie to the right of the plan, one above the other.
+        min_plan_width, max_plan_width, map_width = 1.8, 3.7, 2.1
         # The plan has a margin of a tenth of the longer edge on each side.
         border = 0.2 * max(width, depth)
         plan_width = float(np.clip(height * (width + border) / (depth + border), min_plan_width,

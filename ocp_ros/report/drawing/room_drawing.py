@@ -67,7 +67,8 @@ def room_of(points: np.ndarray, colours: np.ndarray) -> Room:
     Return a room for drawing, without its ceiling.
 
     :param points: (N, 3) metres, z up.
-    :param colours: (N, 3) RGB of the N points; any array with N rows is allowed.
+    :param colours: (N, 3) RGB of the N points; or any other array with N rows, such as the numbers
+        of the points, to see which points are left.
     """
     normals, radii = _fit_discs(points)
     # The radius of a disc is about the distance of neighbouring points. The search for walls and
@@ -138,7 +139,7 @@ def _group_columns(points: np.ndarray, width: float) -> tuple[np.ndarray, np.nda
 
 def _find_ceiling(points: np.ndarray, normals: np.ndarray, width: float) -> np.ndarray:
     """
-    Return whether each point hides the room from above: (N,) bool.
+    Return whether each point hides the room from above: (N,) bool, all False without a ceiling.
 
     A lid is a point on a level surface above head height, near the top of its column. A few lids
     are the tops of cupboards; a ceiling covers a large part of the room.
@@ -153,7 +154,7 @@ def _find_ceiling(points: np.ndarray, normals: np.ndarray, width: float) -> np.n
     # Lids in fewer columns than this are no ceiling.
     if len(np.unique(columns[lids])) < 0.12 * len(tops):
         return np.zeros(len(points), dtype=bool)
-    # Lamps and the upper ends of walls are removed with the ceiling.
+    # Everything above the lower side of the ceiling counts too: lamps and the upper ends of walls.
     return lids | (z > np.percentile(z[lids], 5.0) - 0.1)
 
 
@@ -161,11 +162,11 @@ def _inward_vectors(points: np.ndarray, normals: np.ndarray, radius: float) -> n
     """
     Find the walls around the room: the walls with floor or ceiling on one side only.
 
-    Each point of a wall votes for the side with more floor and ceiling; the votes of neighbours
-    (at most 60) are averaged.
+    Each point of a wall gets a vector towards the side with more floor and ceiling; the vectors of
+    neighbours (at most 60) are averaged.
 
     :param radius: distance in which floor and ceiling are counted, metres.
-    :returns: (N, 3), see :attr:`Room.inward`.
+    :returns: (N, 3), see :attr:`Room.inward`; all 0 without level or without upright points.
     """
     inward = np.zeros_like(points)
     is_level = np.abs(normals[:, 2]) > 0.9
@@ -174,14 +175,16 @@ def _inward_vectors(points: np.ndarray, normals: np.ndarray, radius: float) -> n
         return inward
     level_tree = cKDTree(points[is_level, :2])
     positions, wall_normals = points[upright], normals[upright]
+    # Seen from above, two circles touch the wall at each point, one on each side. Count the points
+    # of floor and ceiling in them.
     front_counts, back_counts = (
         level_tree.query_ball_point((positions + sign * radius * wall_normals)[:, :2], radius,
                                     return_length=True) for sign in (1.0, -1.0))
     balance = (front_counts - back_counts) / np.maximum(front_counts + back_counts, 1)
-    # A vote without a clear majority counts 0.
-    votes = wall_normals * (balance * (np.abs(balance) > 0.4))[:, None]
+    # Where no side has a clear majority, the vector is 0.
+    vectors = wall_normals * (balance * (np.abs(balance) > 0.4))[:, None]
     _, neighbours = cKDTree(positions).query(positions, k=min(60, len(positions)))
-    inward[upright] = votes[neighbours].mean(axis=1)
+    inward[upright] = vectors[neighbours].mean(axis=1)
     return inward
 
 
@@ -204,17 +207,18 @@ def cut_open(room: Room, view: np.ndarray) -> Room:
     # Keep or remove whole columns, since a decision by point would leave isolated points.
     # For each column, how much the inner sides of walls face away from the viewer, as a sum over
     # the points, and the number of points of walls.
-    back_votes = np.bincount(columns, -(room.inward @ view[2]))
+    facing_away = np.bincount(columns, -(room.inward @ view[2]))
     wall_points = np.bincount(columns, normal_z < 0.5)
-    # Only columns that reach into the upper quarter of the room are walls.
-    removed = (back_votes > 0.15 * wall_points) & (tops > floor + 0.75 * (highest - floor))
+    # Columns are removed if the mean over their points of walls is above 0.15, and if they reach
+    # into the upper quarter of the room: lower ones are no walls.
+    removed = (facing_away > 0.15 * wall_points) & (tops > floor + 0.75 * (highest - floor))
     # Level surfaces below head height, such as the floor, stay.
     return room.select(~(removed[columns] & ((normal_z < 0.8) | (z > floor + HEADROOM_M))))
 
 
 def open_view(room: Room) -> tuple[np.ndarray, Room]:
     """
-    Return the view with more visible level surfaces, and the room without its front walls.
+    Return that of two views with more visible level surfaces, and the room without front walls.
 
     :returns: (3, 3) rotation to the viewer's axes, of a viewer in the south, and the cut room.
     """
@@ -275,7 +279,7 @@ def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
     Draw each point as a disc on its surface, from back to front.
 
     :param view: (3, 3) rotation to the viewer's axes: right, up, towards the viewer.
-    :param eye: viewer of the same view; None for parallel projection.
+    :param eye: viewer whose ``view`` this is; None for parallel projection.
     :param contrast: darkening of surfaces that face away from the light; 0 for none.
     :returns: the outline of the room, to clip the drawn ranges.
     """
@@ -298,8 +302,8 @@ def draw_discs(axes: Axes, room: Room, view: np.ndarray, eye: Eye | None = None,
     colours = np.clip(room.colours * shade[:, None], 0.0, 1.0)[order]
     # A wall seen edge-on is drawn by the lines of its discs, so these are thicker.
     widths = np.where(np.abs(normals @ view[2]) < 0.2, 4.5, 0.8)[order]
-    # With the option QJ, centres on one line are no error.
     centres = project(room.points)
+    # With the option QJ, centres on one line are no error.
     corners = centres[ConvexHull(centres, qhull_options='QJ').vertices]
     outline = Polygon(corners, fill=False, linewidth=0)
     axes.add_patch(outline)

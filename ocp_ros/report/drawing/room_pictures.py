@@ -111,7 +111,8 @@ def _draw_cameras(axes: Axes, paths: np.ndarray, max_range: float, clip: Polygon
     """
     Draw ranges, paths, starts and final positions, and fit the axes to them.
 
-    :param paths: (T, K, 2) metres, positions of the K cameras after each of T time steps.
+    :param paths: (T, K, 2) metres, positions in the picture of the K cameras after each of T time
+        steps.
     :param clip: outline of the room, at which ranges end.
     """
     fit_axes(axes, np.concatenate([clip.get_xy(), *paths]), 0.03)

@@ -98,7 +98,7 @@ def shortened(text: str, width: float, size: float, bold: bool = False) -> str:
     text = in_one_line(text)
     if width_of(text, size, bold) <= width:
         return text
-    # The largest number of letters that fits together with the dots.
+    # The largest number of letters that fits together with the dots; 0 if not even one fits.
     letters = bisect_right(range(1, len(text)), width,
                            key=lambda count: width_of(text[:count] + '...', size, bold))
     # A backslash at the end would be left of an escaped $.
@@ -127,7 +127,7 @@ def write(figure: Figure, place: tuple[float, float], text: str, width: float, s
 def draw_table(figure: Figure, box: tuple[float, float, float, float], rows: Sequence[
         Sequence[str]], size: float, colours: Sequence[Any]) -> None:
     """
-    Draw a table; columns have the width of their contents, if there is enough space.
+    Draw a table; columns are at least as wide as their contents, if there is enough space.
 
     :param box: left edge, lower edge, width and height of the table, inches.
     :param rows: cells of each row; the first row is the head.

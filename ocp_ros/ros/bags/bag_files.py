@@ -189,7 +189,8 @@ class Bag:
         """
         Return the frames of the first 20 messages of a topic, sorted, each once.
 
-        :returns: '?' stands for a frame that cannot be read; empty unless clouds or poses.
+        :returns: the frames, with '?' for one that cannot be read; empty for topics other than
+            clouds and poses.
         """
         if KINDS.get(topic.kind) not in (CLOUD, POSES):
             return []
@@ -211,6 +212,7 @@ class Bag:
         """
         topics = self.topics
         with self._explain_errors():
+            # The process has ended if an earlier call did not read all messages.
             if self._process is None:
                 self._start_process()
             self._process.ask(json.dumps([names, start, stop, max_messages]))

@@ -70,7 +70,7 @@ def refuse_unsafe_schema(path: Path) -> None:
     tables = {'schema', 'metadata', 'topics', 'messages', 'message_definitions', 'sqlite_sequence',
               'sqlite_stat1', 'sqlite_stat4'}
     for kind, name, sql in list(database.execute('SELECT type, name, sql FROM sqlite_master')):
-        # Virtual tables begin with other words: CREATE VIRTUAL TABLE.
+        # Virtual tables begin with CREATE VIRTUAL TABLE; 13 characters show the difference.
         is_plain = kind == 'index' or (kind == 'table' and name in tables and
                                        sql.lstrip()[:13].upper().startswith('CREATE TABLE'))
         # The last value of a row of table_xinfo is not 0 if the column is computed or hidden.
@@ -192,7 +192,7 @@ def check_element_count(raw: bytes, kind: str) -> None:
         frame_length, = struct.unpack_from('<I', raw, 12)
         count_offset = 16 + frame_length + (8 if kind == CLOUD else 0)
     count, = struct.unpack_from('<I', raw, count_offset)
-    # The elements are fields (of a cloud), poses and transforms; these sizes are with empty texts.
+    # The least size of an element: a field of a cloud, a pose or a transform, with empty texts.
     min_element_bytes = {CLOUD: 13, POSES: 56, TRANSFORMS: 76}
     if count * min_element_bytes[kind] > len(raw):
         raise ValueError(f'{count:,} parts in {len(raw):,} bytes')

@@ -126,7 +126,7 @@ class Replay(Node):
 
     def _schedule(self) -> Iterator[tuple[float, int, Recorded | BrokenMessage]]:
         """
-        Yield the messages in their order, without end if ``loop`` is set.
+        Yield the messages in the order of recording, again and again if ``loop`` is set.
 
         :returns: for each message its due time since the start of the replay (seconds), the shift
             of its stamp (nanoseconds), and the message.
@@ -144,7 +144,7 @@ class Replay(Node):
         stamp_shift = 0
         while True:
             cloud_count = 0
-            # Time of the message; a broken message has none and gets that of the message before.
+            # The time of the last message, which a broken message gets too, since it has none.
             last_ns = begin_ns
             for item in self.bag.messages(names, first_ns, end_ns):
                 if isinstance(item, Recorded):
@@ -187,7 +187,8 @@ class Replay(Node):
             self.get_logger().warning(f'found no subscriber of {", ".join(unheard_topics)} after '
                                       f'{self.options.wait:g} s; expected policy_node with these '
                                       'cloud_topics; going on')
-        # Subscribers may discover the publisher later than it discovers them: wait 0.3 s more.
+        # A subscriber may discover a publisher later than the publisher discovers the subscriber:
+        # wait 0.3 s more.
         self._start_time = now + (0.0 if unheard_topics else 0.3)
 
     def _publish_due(self) -> None:
@@ -222,7 +223,7 @@ class Replay(Node):
             self.done.set_result(None)
 
     def _publish(self, item: Recorded | BrokenMessage, stamp_shift: int) -> None:
-        """Publish a message with a later stamp, or log why the message is left out."""
+        """Publish a message, its stamp later by ``stamp_shift``, or log why it is left out."""
         try:
             if isinstance(item, BrokenMessage):
                 raise item
@@ -259,9 +260,11 @@ class Replay(Node):
                 self._cloud_poses = dict(zip(self._cloud_topics, map(Pose.of, self.options.poses)))
             else:
                 self._cloud_poses[topic] = self._look_up_camera_pose(topic, frame, is_optical)
+            # Poses are published for all cameras together, once each of them has a pose.
             if len(self._cloud_poses) == len(self._cloud_topics):
                 self._publish_camera_poses(cloud.header)
-            # Clouds in the frame of the poses keep it, and so do those that name their camera.
+            # A cloud keeps its frame if this is the frame of the poses, or if it names a camera
+            # (``camera_<i>``) and the poses come from the command line.
             if frame != self.options.fixed_frame and not (
                     self.options.poses and CAMERA_FRAME.fullmatch(frame)):
                 number = self._cloud_topics.index(topic)

@@ -38,7 +38,8 @@ def recorded_clouds(path: Path, names: Sequence[str], chosen: Mapping[str, str],
     :param chosen: topic by the name of the camera; if empty, :func:`topics_of_cameras` chooses.
     :param frame: axes of the clouds, ``'optical'`` or ``'body'``; None: as the names of their
         frames say.
-    :returns: the N points of each camera by its name, (N, 3) float32, metres, body frame.
+    :returns: the N points of each camera that has a topic, by the name of the camera: (N, 3)
+        float32, metres, body frame.
     :raises ConfigurationError: if the bag cannot be read, or the topic of a camera is not clear.
     """
     with Bag(path) as bag:
@@ -72,8 +73,9 @@ def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -
 
 
 def _read_cloud(bag: Bag, topic: str, frame: str | None) -> np.ndarray:
-    """Return the points, (N, 3) metres, body frame, of the first five clouds of a topic."""
+    """Return the points, (N, 3) metres, body frame, of the first five messages of a topic."""
     clouds = []
+    # Why there is no cloud; each message that cannot be read replaces it.
     reason = 'it has no message'
     for item in islice(bag.messages([topic]), 5):
         try:

@@ -60,7 +60,8 @@ def choose_topics(bag: Bag, requested: tuple[str, ...]) -> dict[str, tuple[str, 
     Choose the topics to replay.
 
     :param requested: see ``topics`` of :class:`ReplayOptions`.
-    :returns: message type and published name by recorded name; clouds keep their order.
+    :returns: message type and published name by recorded name, in the order of ``requested``; if
+        this is empty, the clouds sorted by name, then the poses.
     :raises ConfigurationError: if a topic is missing or of another type, or there is no cloud.
     """
     known = {topic.name: topic for topic in bag.topics}
@@ -82,7 +83,7 @@ def choose_topics(bag: Bag, requested: tuple[str, ...]) -> dict[str, tuple[str, 
 
 
 def _find_poses_topic(known: list) -> str | None:
-    """Return the topic with the name of camera poses, or else the only PoseArray topic, if any."""
+    """Return the topic named as camera poses, else the only PoseArray topic; None if neither."""
     pose_topics = [topic.name for topic in known if topic.kind == POSES]
     named = [name for name in pose_topics if name.split('/')[-1] == topics.CAMERA_POSES]
     if named:

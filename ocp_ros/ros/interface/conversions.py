@@ -85,7 +85,8 @@ def value_cloud(points: np.ndarray, name: str, values: np.ndarray, header: Heade
     datatype = PointField.UINT32 if values.dtype == np.uint32 else PointField.FLOAT32
     records = np.empty(len(points), dtype=[('xyz', '<f4', 3), ('value', values.dtype)])
     records['xyz'], records['value'] = points, values
-    # An empty cloud has the fields x, y and z; the sizes and the data follow.
+    # An empty cloud gives the fields x, y and z; their size is the offset of the new field. The
+    # sizes and the data are replaced below.
     message = cloud_to_msg(points[:0], header)
     message.width = len(records)
     message.fields = [*message.fields, PointField(name=name, offset=message.point_step,
@@ -189,7 +190,7 @@ def replaced(poses: PoseArray, camera: int, pose: Pose) -> PoseArray:
     """
     message = PoseArray(header=poses.header, poses=[
         pose if number == camera else before for number, before in enumerate(poses.poses)])
-    # This checks the new pose; the result is not needed.
+    # The conversion checks the new pose; its result is not needed.
     msg_to_poses(message)
     return message
 

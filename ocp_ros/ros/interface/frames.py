@@ -49,7 +49,8 @@ class LiveRig(NamedTuple):
 
     :ivar frame: frame of the poses, usually ``map``.
     :ivar poses: one pose per camera.
-    :ivar standing_since_ns: stamp since which the cameras have been standing there, nanoseconds.
+    :ivar standing_since_ns: stamp since which the cameras have been standing there, nanoseconds;
+        0 if it is unknown: then no transform counts as late.
     """
 
     frame: str
@@ -157,6 +158,7 @@ class CameraFrames:
 
     def __init__(self, node: Node, enabled: bool,
                  is_published: Callable[[str, str], bool] = lambda frame, parent: False) -> None:
+        #: Type of the messages; None: publish nothing.
         self._message_type = None
         if not enabled:
             return
@@ -169,6 +171,7 @@ class CameraFrames:
         self._log = node.get_logger()
         self._tf_publisher = node.create_publisher(TFMessage, '/tf', LOOP)
         self._static_publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
+        #: Number of cameras when the static frames were last published; 0 before that.
         self._camera_count = 0
         #: Cameras whose frames this node publishes.
         self._own_cameras = frozenset[int]()
@@ -182,7 +185,8 @@ class CameraFrames:
         """
         if self._message_type is None:
             return
-        # The static frames are latched: they are published again only for another number.
+        # The static frames are latched: they are published again only if the number of cameras has
+        # changed.
         if len(poses) != self._camera_count:
             self._publish_static_frames(header, len(poses))
         self._tf_publisher.publish(self._message_type(transforms=[
@@ -192,7 +196,7 @@ class CameraFrames:
     def _publish_static_frames(self, header: Header, camera_count: int) -> None:
         """Publish the static frames of those cameras whose frames no other node publishes."""
         parent = header.frame_id.lstrip('/')
-        # ``is_published`` may find the frames of this node too: they are not foreign.
+        # ``is_published`` also finds frames that this node has published: these are not foreign.
         foreign_cameras = {camera for camera in range(camera_count)
                            if camera not in self._own_cameras
                            and self._is_published(f'camera_{camera}', parent)}
@@ -253,15 +257,15 @@ def transform_cloud(points: np.ndarray, frame: str, rig: LiveRig, transforms: Tr
         _check_axes(points, frame, is_optical)
         if is_optical:
             pose = Pose(pose.position, pose.rotation @ OPTICAL_TO_BODY)
-    # Points too far away for float32 are out of range in any case.
+    # Points too far away for float32 become inf or NaN: they are out of range in any case.
     with np.errstate(over='ignore', invalid='ignore'):
         rotated = points @ pose.rotation.T.astype(np.float32)
         return rotated + pose.position.astype(np.float32), camera_positions
 
 
 def _check_axes(points: np.ndarray, frame: str, is_optical: bool) -> None:
-    """Refuse a cloud (N, 3) that lies ahead of the camera only by the axes of another frame."""
-    # Fewer points are no evidence.
+    """Refuse a cloud (N, 3) that lies ahead of the camera only with the other frame's axes."""
+    # Less than 100 points are no evidence.
     if len(points) < 100:
         return
     # A point lies ahead if it is within 66 degrees of the axis, whose cosine is 0.4.
@@ -270,6 +274,8 @@ def _check_axes(points: np.ndarray, frame: str, is_optical: bool) -> None:
     # The axis that is forward in the other frame, and in this one: x in body frames, z in optical.
     wrong_axis, right_axis = 'xz' if is_optical else 'zx'
     nearly_all = 0.999
+    # A cloud is refused if nearly all points lie ahead along the wrong axis, but fewer along the
+    # right one.
     if shares_ahead[wrong_axis] < nearly_all or shares_ahead[right_axis] >= nearly_all:
         return
     conventions = {'x': 'body', 'z': 'optical'}
@@ -292,7 +298,8 @@ def points_in_range(points: np.ndarray, camera_positions: np.ndarray, min_range:
     """
     # Squared distance of each point to its nearest camera.
     nearest_squared = np.full(len(points), np.inf, dtype=np.float32)
-    # Points too far away for float32 get inf or NaN, which fmin ignores: they are out of range.
+    # Points too far away for float32 get inf or NaN; fmin ignores NaN. Their distance stays inf,
+    # which is out of range.
     with np.errstate(over='ignore', invalid='ignore'):
         for camera_position in camera_positions.astype(np.float32):
             offsets = points - camera_position

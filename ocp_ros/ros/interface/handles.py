@@ -32,6 +32,8 @@ class CameraHandles:
     """
     Offer arrows and rings at each camera, on the topics ``handles/*``.
 
+    Without the package interactive_markers it offers nothing.
+
     :param node: gets the topics and the service.
     :param on_move: is called with the number of a camera and its new pose when a person lets go of
         the handle of this camera.
@@ -93,7 +95,8 @@ def handle_of(number: int, pose: Pose, frame: str) -> InteractiveMarker:
     :param frame: frame of the pose. RViz returns poses in this frame too, since the stamp is 0.
     """
     # A control moves along and rotates about its own x axis. Rotations of 90 degrees about x, y
-    # and z make this axis parallel to x, z and y.
+    # and z make this axis parallel to x, z and y. In the quaternion of such a rotation, w and the
+    # component of the axis are the root of 0.5; the names of the controls name this axis.
     half_root = 0.5 ** 0.5
     controls = [InteractiveMarkerControl(name=f'{axis}_{mode}', interaction_mode=mode,
                                          orientation=Quaternion(w=half_root, **{axis: half_root}))

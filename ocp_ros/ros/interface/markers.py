@@ -67,7 +67,8 @@ def frustum_edges(pose: Pose, model: CameraModel) -> np.ndarray:
         from the camera and four of the base.
     """
     lens = model.lens
-    # Half the field of view of a pinhole camera is a tangent: these corners are 1 m ahead.
+    # The lens of a pinhole camera has tangents of half its field of view: these corners, in their
+    # order around the base, are 1 m ahead.
     signs = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]], dtype=np.float64)
     corners = np.column_stack([np.ones(4), signs * [lens.half_horizontal, lens.half_vertical]])
     corners *= model.max_range / np.linalg.norm(corners, axis=1, keepdims=True)
@@ -106,7 +107,7 @@ def _point_messages(positions: np.ndarray) -> list[Point]:
 
 def _line_marker(header: Header, namespace: str, marker_id: int, line_type: int, width: float,
                  points: list[Point]) -> Marker:
-    """Return a marker of lines; with less than two points, a marker that deletes them."""
+    """Return a marker of lines; with less than two points, one that deletes the old lines."""
     # RViz would warn about a line of one point.
     marker = Marker(header=header, ns=namespace, id=marker_id, type=line_type,
                     action=Marker.ADD if len(points) > 1 else Marker.DELETE,

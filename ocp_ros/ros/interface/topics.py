@@ -67,7 +67,7 @@ def camera_info_topic(camera: int) -> str:
 
 def share_field(number: int) -> str:
     """
-    Return the name of the field of ``reward`` with the share of the reward of one camera's move.
+    Return the name of the field of ``reward`` that has the share of one camera's move.
 
     The message of step 0 has no such fields.
 

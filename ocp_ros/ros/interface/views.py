@@ -44,7 +44,8 @@ class RigView:
     :param node: gets the publishers.
     :param topic: topic of the markers.
     :param models: one camera model per camera, or a single model for all cameras.
-    :param camera_infos: number of cameras for which a CameraInfo is published.
+    :param camera_infos: number of cameras, from the first one, of which each pinhole camera gets a
+        CameraInfo. A single model in ``models`` does not show how many cameras there are.
     """
 
     def __init__(self, node: Node, topic: str, models: Sequence[CameraModel],
@@ -52,10 +53,12 @@ class RigView:
         self.models = models
         self._header = Header()
         self._poses: list[Pose] = []
+        #: Positions of the K cameras, (K, 3) metres, at each time at which any has moved.
         self._trajectories: list[np.ndarray] = []
         self._publishers = [LazyPublisher(node, MarkerArray, topic, self._markers)]
         for camera in range(camera_infos):
             model = models[camera if len(models) > 1 else 0]
+            # Leave out cameras that have no CameraInfo.
             if camera_info(model, Header()) is not None:
                 self._publishers.append(LazyPublisher(
                     node, CameraInfo, topics.camera_info_topic(camera),
@@ -112,6 +115,7 @@ class CloudView:
     def __init__(self, node: Node, coverage_topic: str, error_topic: str,
                  evaluate: Callable[[], PointMaps | None]) -> None:
         self._evaluate = evaluate
+        #: The maps of the latest turn; None until they are computed.
         self._maps: PointMaps | None = None
         self._header = Header()
         self._publishers = [LazyPublisher(node, PointCloud2, coverage_topic, self._coverage_cloud),
@@ -134,7 +138,7 @@ class CloudView:
             publisher.publish_latest()
 
     def _latest_maps(self) -> PointMaps | None:
-        """Return the maps of the latest turn, computed once."""
+        """Return the maps of the latest turn, computed once; None if they cannot be computed."""
         if self._maps is None:
             self._maps = self._evaluate()
         return self._maps
@@ -164,10 +168,11 @@ def camera_info(model: CameraModel, header: Header) -> CameraInfo | None:
     if model.lens.kind != PINHOLE or model.resolution is None:
         return None
     width, height = model.resolution
-    # Half the field of view of a pinhole camera is a tangent. The first pixel has its centre at 0
-    # and the last one at size - 1: the centre of the image is between them.
+    # The lens of a pinhole camera has tangents of half its field of view.
     fx = 0.5 * width / float(model.lens.half_horizontal)
     fy = 0.5 * height / float(model.lens.half_vertical)
+    # The first pixel has its centre at 0 and the last one at size - 1: the centre of the image is
+    # between them.
     cx, cy = 0.5 * (width - 1), 0.5 * (height - 1)
     return CameraInfo(header=header, width=width, height=height, distortion_model='plumb_bob',
                       d=[0.0] * 5, k=[fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0],

@@ -128,7 +128,7 @@ class Calibrator:
             except (UserError, OSError) as error:
                 result = False, shortened(error)
             except Exception as error:
-                # No error that a scan or a cloud causes in the registration may end this node.
+                # Without a result, the caller would wait for ever and no other job could start.
                 result = False, f'found {type(error).__name__}: {shortened(error)}'
             self._job_runs = False
             if not result[0]:
@@ -156,7 +156,8 @@ class Calibrator:
         """Return the placement with the reported poses of the cameras."""
         poses = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in rig.poses])
         rig_of_file, models = self._decider.rig, self._decider.models
-        # With a rig file, the placement takes the poses of fixed cameras from it.
+        # With a rig file, the placement takes the poses of fixed cameras from it. Without one, or
+        # if poses are missing, the cameras are named by their numbers.
         if rig_of_file is not None and len(poses) >= len(rig_of_file.cameras):
             return placement_of(rig_of_file, poses[:len(rig_of_file.cameras)], frame=rig.frame)
         return Placement(tuple(
@@ -197,7 +198,7 @@ class Calibrator:
 
     def _find_drift(self, placement: Placement, clouds: Mapping[str, np.ndarray]
                     ) -> tuple[bool, str]:
-        """Find cameras that have drifted; return whether there is none, and a text about them."""
+        """Find cameras that have drifted; return True for none, and a text about those found."""
         self.drift_warnings = drift(self._scan_surfaces(), placement, clouds)
         self.drift_checks += 1
         return not self.drift_warnings, '; '.join(self.drift_warnings)

@@ -145,6 +145,7 @@ class Decider:
         count = len(poses.poses)
         movable = self.count_movable(poses)
         models = self.models * count if self.rig is None else self.models
+        # Without a rig file the cameras are omnidirectional: their pitch limits have no effect.
         pitch = (0.0, 0.5 * np.pi) if self.rig is None else self.rig.pitch
         if self.rig is not None:
             with_fixed = movable + len(self.rig.fixed)

@@ -44,7 +44,8 @@ class Experiences:
                  on_caught_up: Callable[[], None]) -> None:
         self._get_policy = get_policy
         self._on_caught_up = on_caught_up
-        #: Time at which the trainer last asked to hold, by a steady clock; None if it does not.
+        #: Time at which the trainer last asked the policy to wait (``hold``), by a steady clock;
+        #: None if its last message did not ask for that.
         self._hold_time: float | None = None
         self._publisher = node.create_publisher(UInt8MultiArray, topics.EXPERIENCE, LOOP)
         node.create_subscription(Float64MultiArray, topics.TRAINING, self._on_training, LATCHED)

@@ -45,7 +45,9 @@ def instructions(positions: np.ndarray, targets: np.ndarray, min_move: float,
     :param rotations: rotations of the cameras, (K, 2) radians: counter-clockwise seen from above,
         and down; None if no camera is rotated.
     :param min_rotation: rotations up to this angle are left out, radians; at least a degree.
-    :param expected: a sentence on the expected gain, so that a person can decide to stop.
+    :param expected: a sentence on the expected gain, so that a person can decide to stop; empty:
+        none.
+    :returns: the lines and the sentence; ``STAY`` if no camera has to be moved or rotated.
     """
     rotations = np.zeros((len(targets), 2)) if rotations is None else rotations
     has_move = needs_move(positions, targets, min_move)
@@ -63,11 +65,11 @@ def instructions(positions: np.ndarray, targets: np.ndarray, min_move: float,
 
 def _rotation_text(yaw: float, pitch: float) -> str:
     """Return the rotation of one camera in words; yaw is to the left, pitch down, in degrees."""
-    # Smaller angles than half a degree would be printed as 0.
     angles = ((yaw, 'to the left', 'to the right'), (pitch, 'down', 'up'))
+    # Smaller angles than half a degree would be printed as 0.
     texts = [f'{abs(angle):.0f} degrees {positive if angle >= 0.0 else negative}'
              for angle, positive, negative in angles if abs(angle) >= 0.5]
-    return f'turn {" and ".join(texts)}'
+    return f'turn {" and ".join(texts) or "less than a degree"}'
 
 
 def _move_text(position: np.ndarray, target: np.ndarray) -> str:

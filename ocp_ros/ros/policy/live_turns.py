@@ -137,7 +137,7 @@ class LiveTurns:
         """Return the limits of waiting for cameras and clouds."""
         config = self._config
         arrival_timeout = math.inf if config.manual else config.arrival_timeout
-        # With a final placement the same command need not be sent for every cloud.
+        # Each turn of a final placement sends the same command: it need not do so for every cloud.
         min_duration = max(config.turn_seconds, RESEND_S if self._is_final() else 0.0)
         return WaitLimits(config.arrival_distance, arrival_timeout, config.cloud_timeout,
                           min_duration, config.arrival_angle)
@@ -161,7 +161,8 @@ class LiveTurns:
         #: The last instruction, (K, 8): target x, y, z and present x, y, z, metres; changes of yaw
         #: and pitch, radians.
         self._instructed_moves = np.empty((0, 8))
-        #: Number of turns that were decided, and for each topic the number of them with a cloud.
+        #: Number of turns that were decided, and by topic the number of these turns in which the
+        #: topic brought a cloud.
         self._decided_turns = 0
         self._turns_with_cloud = Counter[str]()
         self._turns: Turns[PointCloud2] = Turns(self._config.live_topics, self._wait_limits())
@@ -225,6 +226,7 @@ class LiveTurns:
             # The clock was set: the stamps of the transforms received so far are invalid.
             self._seen_jumps = self._turns.stamp_jumps
             self._transforms.clear()
+        # Topics whose cloud was put back in this call: it is taken again in a later call.
         waiting_topics: list[str] = []
         while (topic_and_cloud := self._turns.take_cloud(waiting_topics)) is not None:
             topic, message = topic_and_cloud
@@ -258,7 +260,8 @@ class LiveTurns:
         """Add a cloud to the fused cloud, unless the placement is final."""
         if self._is_final():
             return
-        # The mean poses are positions and rotations: each pose takes one of both.
+        # ``mean_poses`` are all positions and all rotations: each pose gets one of both. When a
+        # cloud is taken, the cameras stand: ``standing_begin`` is not None.
         rig = self._rig._replace(poses=list(map(Pose, *self._turns.mean_poses)),
                                  standing_since_ns=self._turns.standing_begin.stamp)
         points, camera_positions = transform_cloud(
@@ -269,7 +272,7 @@ class LiveTurns:
     def _answer_turn(self) -> None:
         """Ask for the command of this turn, send it, and begin to wait for the cameras."""
         self._log_missing()
-        # The turn gets the stamp of its newest cloud.
+        # The turn gets the stamp of its newest cloud; a turn that is due has used one at least.
         stamp = ns_to_stamp(max(self._turns.used_stamps.values()))
         header = Header(stamp=stamp, frame_id=self._rig.frame)
         poses = self._standing_poses(header)
@@ -277,7 +280,7 @@ class LiveTurns:
         try:
             self._command = self._answer(self._fused_cloud.points, poses)
         except MessageError as error:
-            # The fused cloud has no points, or points of more than one room.
+            # For example, the fused cloud has no points, or points of more than one room.
             self._fused_cloud.clear()
             self._turns.drop_clouds()
             self._refuse(error)
@@ -300,7 +303,8 @@ class LiveTurns:
         """Send one camera to another pose in this turn; the others keep their targets."""
         if self._command is not None:
             self._command = replaced(self._command, camera, pose)
-            # Without poses since the last command, the positions of before are used.
+            # ``on_command`` compares the targets with ``positions``. These are None if no poses
+            # came since the last command: use the newest poses.
             self._turns.positions = self._rig.positions
             self._send_command()
 
@@ -323,7 +327,7 @@ class LiveTurns:
 
     @property
     def missing_data(self) -> str:
-        """Return in words which topics brought clouds in less than half of the turns."""
+        """Return in words the topics with clouds in less than half of the turns; '' if none."""
         return ', '.join(f'{topic} brought a cloud in {self._turns_with_cloud[topic]} of '
                          f'{self._decided_turns} turns' for topic in self._config.live_topics
                          if 2 * self._turns_with_cloud[topic] < self._decided_turns)
@@ -336,15 +340,15 @@ class LiveTurns:
         heights and headings copied from them would drift from turn to turn. For other cameras it
         is the mean of the measured poses.
         """
-        # The mean poses are positions and rotations: each pose takes one of both.
         message = PoseArray(header=header)
+        # ``mean_poses`` are all positions and all rotations: each pose gets one of both.
         for camera, measured in enumerate(map(Pose, *self._turns.mean_poses)):
             message.poses.append(self._reached_command(camera, measured)
                                  or self._pose_message(camera, measured))
         return message
 
     def _pose_message(self, camera: int, mean: Pose) -> PoseMsg:
-        """Return a mean pose as a message: the newest pose message if that is equal."""
+        """Return a mean pose as a message: the newest message if it has exactly this pose."""
         if all(map(np.array_equal, mean, self._rig.poses[camera])):
             return self._poses_message.poses[camera]
         return positions_to_msg(mean.position[None], Header(),
@@ -393,13 +397,14 @@ class LiveTurns:
         :param header: header of the markers.
         """
         min_move = self._config.arrival_distance
-        rotations = np.zeros((len(targets), 2))
-        for camera, rotation in target_rotations.items():
-            rotations[camera] = way_between(heading_of(self._rig.poses[camera].rotation),
-                                            heading_of(rotation))
+        # Changes of yaw and pitch, radians.
+        changes = np.zeros((len(targets), 2))
+        for camera, target_rotation in target_rotations.items():
+            changes[camera] = way_between(heading_of(self._rig.poses[camera].rotation),
+                                          heading_of(target_rotation))
         text = FINAL if self._is_final() else instructions(
-            positions, targets, min_move, rotations, self._config.arrival_angle, self._gain_text)
-        moves = np.column_stack([targets, positions, rotations])
+            positions, targets, min_move, changes, self._config.arrival_angle, self._gain_text)
+        moves = np.column_stack([targets, positions, changes])
         # Changes of less than 5 cm and 0.05 radians may be noise of the poses.
         is_same = (self._instructed_moves.shape == moves.shape
                    and (np.abs(moves - self._instructed_moves) < 0.05).all()

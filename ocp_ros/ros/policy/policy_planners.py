@@ -61,8 +61,8 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None'
     :returns: the planner, and its part that runs the policy (None without a policy).
     """
     rng = np.random.default_rng(config.seed)
-    # The positional arguments of Online.
     margins = config.wall_margin, config.clearance
+    # The positional arguments of Online.
     settings = rng, config.max_step, config.max_range, *margins
     if checkpoint is None:
         return Lookahead(*settings), None

@@ -48,6 +48,7 @@ class PolicyViews:
                  rig_state: Callable[[PoseArray], RigState] | None) -> None:
         self._models = models
         self._rig_state = rig_state
+        #: Cloud and camera poses of the latest turn; None before the first one.
         self._turn: tuple[np.ndarray, PoseArray] | None = None
         self._cloud_view = CloudView(node, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._maps)
         # Without a rig file the cameras are omnidirectional and have no CameraInfo.
@@ -94,8 +95,8 @@ def observed_maps(cloud: np.ndarray, poses: list[Pose],
     :raises SceneError: if the cloud cannot be a room, for example because it is too small.
     """
     # Fewer points, rows and cells than by default, since a node computes the maps after each turn.
-    # The simulator does not use the rig of its configuration, since models and poses are given.
     scene = Scene(thinned(cloud, 15000), 'observed cloud')
+    # The simulator does not use the rig of its configuration, since models and poses are given.
     config = SimulationConfig(RigConfig(cameras=len(poses), height=0.5 * float(scene.size[2])),
                               EngineConfig(preset='fast', error_rows=64, coverage_cell=0.5))
     return maps_of(Simulator(scene, config, models), poses)

@@ -82,7 +82,8 @@ class SimulatedTurns:
         self._plan_ahead = plan_ahead
         #: The latest observation.
         self.cloud: PointCloud2 | None = None
-        #: The latest poses by their stamps in nanoseconds, from the turn answered last on.
+        #: Poses by their stamps in nanoseconds, in the order in which they came: those of the turn
+        #: answered last, and later ones.
         self.poses: dict[int, PoseArray] = {}
         #: The latest command.
         self.answer: PoseArray | None = None
@@ -113,6 +114,7 @@ class SimulatedTurns:
             return
         self.reward_stamp = stamp
         answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
+        # ``poses`` always has the poses of the answered turn: only other poses are dropped.
         self._on_turn_info(TurnInfo(
             int(fields['episode']), int(fields['step']), is_last=bool(fields['truncated']),
             answered_poses=self.poses[stamp] if answered else None))
@@ -139,6 +141,7 @@ class SimulatedTurns:
         """Answer a turn if both its messages are here; a repeated turn gets the same answer."""
         cloud = self.cloud
         stamp = None if cloud is None else stamp_to_ns(cloud.header.stamp)
+        # Without a cloud the stamp is None, which no poses have.
         if stamp not in self.poses or self._must_wait():
             return
         poses = self.poses[stamp]
@@ -150,7 +153,7 @@ class SimulatedTurns:
                     raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
                                        f'expected that of the poses, {poses.header.frame_id!r}')
                 self.answer = self._answer_turn(msg_to_cloud(cloud), poses)
-                # The poses of earlier turns are not needed any more.
+                # The poses that came before those of this turn are not needed any more.
                 while next(iter(self.poses)) != stamp:
                     del self.poses[next(iter(self.poses))]
             except MessageError as error:
@@ -170,7 +173,8 @@ class SimulatedTurns:
     def _update_wait_for_reward(self, stamp: int) -> bool:
         """Start or stop the wait for the reward of a turn; return whether to wait."""
         answered_stamp = None if self.answer is None else stamp_to_ns(self.answer.header.stamp)
-        # Wait only if the turn answered last had a reward and this turn has none yet.
+        # Wait only if the turn answered last had a reward, this turn has none yet, and the wait
+        # for it has not timed out.
         if self.reward_stamp in (None, stamp) or self.reward_stamp != answered_stamp \
                 or not self._may_wait:
             self._reward_timer.cancel()

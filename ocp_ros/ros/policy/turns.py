@@ -35,8 +35,8 @@ from scipy.spatial.transform import Rotation
 
 T = TypeVar('T')
 
-#: Nanoseconds: a cloud whose stamp is later than that of the poses by more has another clock, or a
-#: wrong one.
+#: Nanoseconds: a cloud whose stamp is later than that of the poses by more than this has another
+#: clock than the poses, or a wrong one.
 MAX_LEAD_NS = 1_000_000_000
 #: Nanoseconds for which poses have to stay within the limits of a standing camera.
 STEADY_NS = 200_000_000
@@ -92,8 +92,8 @@ class Turns(Generic[T]):
     :param topics: names of the cloud topics.
     :param limits: limits of waiting; they may be replaced at any time.
     :param clock: returns seconds of a steady clock.
-    :ivar positions: (K, 3) metres, newest positions of the cameras; None while no poses came since
-        a command to go elsewhere.
+    :ivar positions: (K, 3) metres, newest positions of the cameras; None before the first poses,
+        and from a command to go elsewhere until the next poses.
     :ivar overdue: whether this turn continues although the cameras have not arrived.
     :ivar overdue_turns: number of turns that were overdue.
     :ivar stamp_jumps: number of times that stamps went back.
@@ -130,6 +130,7 @@ class Turns(Generic[T]):
         #: Newest rotations of all cameras, and target rotations of those that the command rotates.
         self._rotations: Sequence[np.ndarray] = ()
         self._target_rotations: Mapping[int, np.ndarray] = {}
+        #: Time of the last command; of the start before the first command.
         self._command_time = clock()
         self.standing_begin: Moment | None = None
         #: Time at which all cameras were first measured at their targets.
@@ -191,15 +192,15 @@ class Turns(Generic[T]):
         """
         if not self._accept_stamp(POSES, stamp):
             return False
-        # A camera that had arrived has left if it is this many times the arrival distance or angle
-        # away: smaller offsets may be noise of the poses.
-        leaving_factor = 4.0
         poses = _Poses(stamp, positions, rotations)
         self.positions = positions
         self._rotations = rotations
         self._pose_stamp = stamp
         self._pose_time = self._clock()
         self._recent_poses.append(poses)
+        # A camera that had arrived has left if it is this many times the arrival distance or angle
+        # away: smaller offsets may be noise of the poses.
+        leaving_factor = 4.0
         if self._targets is None and self._reference and not self.overdue and (
                 self._left_reference(leaving_factor * self.limits.arrival_distance,
                                      leaving_factor * self.limits.arrival_angle)):
@@ -224,7 +225,8 @@ class Turns(Generic[T]):
         """
         Return the mean of the measured poses since the cameras stand.
 
-        :returns: positions, (K, 3) metres, and K rotations, (3, 3).
+        :returns: positions, (K, 3) metres, and K rotations, (3, 3); the newest ones if no such
+            poses are stored.
         """
         measured = [poses for poses in self._recent_poses if poses.stamp >= self._mean_begin_ns
                     and len(poses.positions) == len(self.positions)]
@@ -254,6 +256,7 @@ class Turns(Generic[T]):
 
     def _cameras_arrived(self, factor: float = 1.0) -> bool:
         """Return whether all cameras are at their targets, within ``factor`` x the limits."""
+        # Before the first command there are no targets.
         if self._targets is None:
             return True
         offsets = self.positions - self._targets
@@ -269,13 +272,13 @@ class Turns(Generic[T]):
         if self._accept_stamp(topic, stamp):
             self._unread_clouds[topic] = stamp, cloud
             pose_age = self._clock() - self._pose_time
-            # Poses measured now would have the stamp of the newest poses plus their age; this is
-            # used for half a second.
+            # Poses measured now would have the stamp of the newest poses plus their age. This
+            # estimate is used up to an age of half a second.
             if POSES in self._newest_stamps and pose_age <= 0.5:
                 self._cloud_leads[topic] = stamp - self._pose_stamp - int(pose_age * 1e9)
 
     def _accept_stamp(self, source: str, stamp: int) -> bool:
-        """Store a stamp, also after its clock was set back; return False if it is only late."""
+        """Store a stamp, also after a clock was set back; return False for one that is late."""
         newest = self._newest_stamps.get(source, stamp)
         # A stamp that goes back by more than a second comes from a clock that was set, or from a
         # recording that began again.
@@ -308,14 +311,15 @@ class Turns(Generic[T]):
         """
         Take a cloud that this turn can use: since the cameras stand, of a topic not used yet.
 
+        :param excluded_topics: topics from which no cloud is taken.
         :returns: the topic and the cloud; None if there is no such cloud.
         """
         if self._stop_waiting_for_cameras():
-            # A topic whose stamps are too far ahead of those of the poses has another clock.
             for topic in self._topics:
                 if topic in self._unread_clouds and (
                         topic not in (*self.used_stamps, *excluded_topics)) and (
                         self._unread_clouds[topic][0] >= self.standing_begin.stamp) and (
+                        # Stamps too far ahead of those of the poses are of another clock.
                         self._cloud_leads.get(topic, 0) <= MAX_LEAD_NS):
                     self.used_stamps[topic], cloud = self._unread_clouds.pop(topic)
                     self._silent_topics.discard(topic)
@@ -327,7 +331,8 @@ class Turns(Generic[T]):
         Give back a cloud whose transform has not come yet, so that it can be taken again.
 
         :param stamp: stamp of the cloud, nanoseconds.
-        :returns: whether it waits; False if clouds of its topic have waited too long already.
+        :returns: whether a cloud of this topic waits now; False if clouds of this topic have
+            already waited too long.
         """
         now = self._clock()
         wait_begin = self._transform_waits.setdefault(topic, now)
@@ -345,7 +350,12 @@ class Turns(Generic[T]):
         self._transform_waits.pop(topic, None)
 
     def is_due(self) -> bool:
-        """Return whether this turn has all its clouds, or at least one and the wait is over."""
+        """
+        Return whether this turn is to be answered now; note the topics that have stayed silent.
+
+        It has all its clouds, or at least one and the wait is over; and since the last command
+        ``min_duration`` seconds have passed.
+        """
         time_is_up = self._stop_waiting_for_cameras() and self._cloud_time_is_up()
         if time_is_up:
             self._silent_topics |= set(self._topics) - set(self.used_stamps)
@@ -359,7 +369,7 @@ class Turns(Generic[T]):
         return self._clock() - self.standing_begin.time >= self.limits.cloud_timeout
 
     def _stop_waiting_for_cameras(self) -> bool:
-        """Return whether the cameras stand; if the wait for them is over, let them count so."""
+        """Return whether the cameras stand; after the longest wait they count as standing too."""
         self._update_standing()
         now = self._clock()
         timeout = self.limits.arrival_timeout
@@ -428,7 +438,7 @@ class Turns(Generic[T]):
 
     @property
     def poses_missing(self) -> bool:
-        """Return whether no camera poses have come for ``cloud_timeout`` seconds."""
+        """Return whether no poses came in ``cloud_timeout`` s since the last command or start."""
         turn_duration = self._clock() - self._command_time
         return self.positions is None and turn_duration >= self.limits.cloud_timeout
 

@@ -53,8 +53,13 @@ def create_steady_timer(node: Node, period_s: float, callback: Callable[[], None
 
 
 def _allow_overrides(topic: str, profile: QoSProfile | int, settings: dict) -> QoSProfile | int:
-    """Return a profile; for topics of this package, add ``qos_overrides`` to ``settings``."""
-    # All nodes have the topics that begin with these names.
+    """
+    Return the profile of a topic; let parameters override it if the topic is of this package.
+
+    :param profile: the profile, or the number of messages to keep, which is returned unchanged.
+    :param settings: keyword arguments for rclpy; gets the option that declares the parameters.
+    """
+    # Topics that begin with these names, or with ~, are common to nodes of all packages.
     common_topics = ('/rosout', '/parameter_events', '/diagnostics', '/clock', '/tf')
     if topic.startswith(('~', *common_topics)) or not isinstance(profile, QoSProfile):
         return profile

@@ -40,6 +40,7 @@ def local_transport() -> dict[str, str]:
     middleware = os.environ.get('RMW_IMPLEMENTATION') or 'rmw_fastrtps'
     if not middleware.startswith('rmw_fastrtps') or os.environ.get('ROS_STATIC_PEERS'):
         return LOCALHOST_ENVIRONMENT
+    # The file limits the nodes to this machine, so ROS sets no range of its own (SYSTEM_DEFAULT).
     return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
             'FASTRTPS_DEFAULT_PROFILES_FILE': str(share_folder() / 'config' / 'fastdds_local.xml')}
 

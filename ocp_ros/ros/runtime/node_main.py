@@ -99,7 +99,7 @@ def end_with_parent() -> None:
 
 
 def is_compiling(frame: FrameType | None) -> bool:
-    """Return whether the compiler of kernels is running: a stack frame or a caller is its own."""
+    """Return whether kernels are being compiled: the frame or a caller is in the compiler."""
     while frame is not None:
         # These packages compile the numerical kernels.
         if str(frame.f_globals.get('__name__')).partition('.')[0] in ('numba', 'llvmlite'):
@@ -197,7 +197,6 @@ def run(make_node: Callable[[], Node], args: list[str] | None = None) -> int:
         if (isinstance(error, start_errors) and executor is None) or is_security_error(error):
             print(f'{name}: {explain_refusal(error)}', file=sys.stderr)
         elif rclpy.ok() and not received:
-            exit_code = 1
             raise
         else:
             # A signal can come at any moment: during a message conversion, which turns the

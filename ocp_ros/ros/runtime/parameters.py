@@ -41,8 +41,8 @@ def declare(node: Node, config_type: type[T],
     """
     Declare every setting of a dataclass as a parameter, and read the given values.
 
-    From then on, changes that a running node cannot apply are refused. To apply the others, call
-    :func:`watch_parameters`.
+    From then on, changes that a running node cannot apply are refused. To apply all other changes,
+    call :func:`watch_parameters`.
 
     :param node: the node that gets the parameters.
     :param config_type: configuration dataclass; settings of groups get dotted names.

@@ -89,7 +89,7 @@ class Choice(NamedTuple):
     A choice of poses.
 
     :ivar loss: of these poses.
-    :ivar columns: the poses, sorted by grid.
+    :ivar columns: the poses, of all grids.
     """
 
     loss: float
@@ -163,6 +163,7 @@ class ColumnGeneration:
         :param places: for each grid the numbers of the places for which the bound has to hold;
             None for all places.
         """
+        # No loss is below 0.
         self.bound = 0.0
         self.closed = False
         places = [np.arange(len(grid.places)) for grid in self.grids] if places is None else places
@@ -211,10 +212,11 @@ class ColumnGeneration:
         """
         trees = self.trees
         count = len(self._columns)
-        # Start from the active cuts of the last program.
         program = CutProgram(self._grid_numbers, self.counts, len(trees.slacks))
         # The first core point has equal shares for all columns of a grid.
         core = (self.counts / np.bincount(self._grid_numbers))[self._grid_numbers]
+        # Start from the active cuts of the last program; the first program starts from cuts at the
+        # core point. The program numbers its cuts by the index of their nodes in this list.
         cut_nodes = [*self._cut_nodes] or [trees.unserved_nodes(self._seen_by, core)]
         for number, unserved in enumerate(cut_nodes):
             program.add_cuts(number, *trees.loss_cuts(self._seen_by, count, unserved))
@@ -305,7 +307,7 @@ class ColumnGeneration:
         """
         kept = (self._shares > ZERO_TOLERANCE) | (
             column_gains >= TUNING.dropped_gain_share * chosen_gains[self._grid_numbers])
-        # There stay enough columns of each grid for a choice and its exchanges.
+        # Keep enough columns of each grid for a choice and its exchanges.
         for grid, count in enumerate(self.counts):
             rows = np.flatnonzero(self._grid_numbers == grid)
             kept[rows[np.argsort(-column_gains[rows], kind='stable')[:2 * count]]] = True
@@ -337,6 +339,7 @@ class ColumnGeneration:
             chosen = self._round_shares(shares, allowed)
             if chosen is None:
                 continue
+            # This replaces poses in ``chosen``.
             loss = self._exchange_poses(chosen, allowed, should_stop)
             losses[tuple(sorted(chosen))] = loss
             if len(losses) == count or should_stop():

@@ -80,10 +80,10 @@ class CutProgram:
         """
         Add cuts: the loss of part b is at least ``constants[b] - gains[b] @ choice``.
 
-        :param number: of these cuts, for :attr:`cuts`.
+        :param number: the caller's number for these cuts, which :attr:`cuts` stores.
         :param constants: (B,) loss of each part if no pose is chosen.
         :param gains: (B, n) its reduction by each pose.
-        :param selected: (B,) bool, the parts whose cuts are added.
+        :param selected: (B,) bool, the parts whose cuts are added; by default all.
         """
         # Each cut is a row: the loss of the part + gains @ choice >= constant.
         for part in np.arange(self._part_count)[selected]:

@@ -159,7 +159,8 @@ class LossTrees(NamedTuple):
         """Return the trees that give the gains of poses for multipliers (T,)."""
         sums = _subtree_sums(self.parents, multipliers)
         positive = sums > 0.0
-        # Nodes without gain are left out: the new number of each old node, and of the end.
+        # Nodes without gain are left out. These are the new numbers of the old nodes; the last one
+        # is for ends behind all nodes.
         numbers = np.append(0, np.cumsum(positive)).astype(np.uint32)
         return GainTrees(self.points[positive], numbers[self.ends[positive]], sums[positive],
                          self.depth)
