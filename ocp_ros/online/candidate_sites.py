@@ -112,8 +112,7 @@ def _choose_greedily(seen, covered, trees, pixels, weight, kind_of, sites, start
     skipped.
     """
     choice = np.empty(len(kind_of), dtype=np.int64)
-    # Upper bound of each site's gain.
-    gains = np.full(len(seen), np.inf)
+    gain_bounds = np.full(len(seen), np.inf)
     for camera in range(len(kind_of)):
         # Only the cameras before this one have a site, so no camera has to be left out.
         others = _merge_others(camera, choice[:camera], seen, covered, trees)
@@ -124,15 +123,17 @@ def _choose_greedily(seen, covered, trees, pixels, weight, kind_of, sites, start
         is_exact = np.zeros(len(seen), dtype=np.bool_)
         best_site, best_value = -1, np.inf
         kind_sites = sites[starts[kind_of[camera]]:starts[kind_of[camera] + 1]]
-        # Most promising sites first; merge sort keeps the order of sites with equal gains.
-        for site in kind_sites[np.argsort(-gains[kind_sites], kind='mergesort')]:
-            # No later site has a larger gain. A nanometre is the tolerance for rounding.
-            if value_before - gains[site] > best_value + 1e-9:
+        # Most promising sites first; merge sort keeps the order of sites with equal bounds.
+        for site in kind_sites[np.argsort(-gain_bounds[kind_sites], kind='mergesort')]:
+            # Even with its largest possible gain this site is worse than the best one, and later
+            # sites have no larger bounds. A nanometre is the tolerance for rounding.
+            if value_before - gain_bounds[site] > best_value + 1e-9:
                 break
             value = _site_value(site, best_value, others, seen, covered, pixels, weight, values,
                                 is_exact)
             # If the value is a lower bound, this is an upper bound of the gain.
-            gains[site] = value_before - value
+            gain_bounds[site] = value_before - value
+            # Of equal sites the first one wins, in whatever order they are compared.
             if value < best_value or (value == best_value and site < best_site):
                 best_site, best_value = site, value
         choice[camera] = best_site

@@ -98,16 +98,16 @@ class StepConstraints:
         if len(cloud) == 0:
             targets[:, :2] = towards(positions[:, :2], positions[:, :2] + moves, limits.max_step)
             return FilteredTargets(targets, [])
-        # Cameras stay over the observed floor, because behind a wall they would see through its
-        # back.
+        # Cameras over the observed floor stay there, because behind a wall they would see through
+        # its back. Other cameras move freely, but at least into the observed bounding box.
         plane = FreePlane.around(cloud, positions, limits.wall_margin,
                                  clearance_of(state, limits.clearance))
         targets[:, :2] = plane.moved(positions[:, :2], moves, limits.max_step)
         targets, _ = kept_inside(targets, corners_of(cloud).astype(np.float64),
                                  limits.wall_margin)
         if self.filter is None:
-            # A camera with a frustum may be far outside the observed bounding box, and its way
-            # back into the box longer than one step.
+            # Limit the moves again: a camera with a frustum does not observe its surroundings, so
+            # it may be far outside the box, and its way into the box longer than one step.
             targets[:, :2] = towards(positions[:, :2], targets[:, :2], limits.max_step)
             return FilteredTargets(targets, [])
         return self.filter(cloud, positions, targets, limits.max_step,
@@ -282,7 +282,8 @@ class ConstraintFilter:
         :param bounds: (2, 3) metres, bounding box of the observed cloud.
         :param new_points: (N, 3) metres, points that the feasible region may not contain yet; None
             if it has all.
-        :param free_distances: replace the check for observed floor; None to require this floor.
+        :param free_distances: replace the checks for the bounding box, known floor and free space;
+            None to make these checks.
         """
         if new_points is not None:
             # Only these points can be within ``keep_clear`` of a place that the camera can reach.
@@ -291,12 +292,14 @@ class ConstraintFilter:
             new_points = new_points[(offsets <= radius).all(axis=1)]
 
         def are_feasible(places: np.ndarray) -> np.ndarray:
+            """Return which places (P, 3) violate no constraint: (P,) bool."""
             feasible = satisfies_spacing(places, others, self.rig.spacing)
             feasible &= (self._are_inside(places, bounds) if free_distances is None else
                          free_distances.are_free(places, self.rig.keep_clear))
             # Slower checks only of the places that passed the checks so far.
-            feasible[feasible] = self._region.allowed(
-                places[feasible], unknown=free_distances is not None) if feasible.any() else False
+            if feasible.any():
+                feasible[feasible] = self._region.allowed(places[feasible],
+                                                          unknown=free_distances is not None)
             if new_points is not None and feasible.any():
                 feasible[feasible] = self._region.clear(places[feasible], new_points)
             return feasible

@@ -235,10 +235,10 @@ class _Search:
         """
         Set the bonus for each unseen cell that the goals' views cover.
 
-        The bonus is divided by the mean number of cells in a view, not by the number of all unseen
-        cells as in the choice of positions. While most of the air is unseen, each cell then counts
-        more: a camera that rotates away from observed points does not lose them, because they stay
-        in the observed cloud.
+        The bonus is divided by the mean number of cells in a view. The choice of positions divides
+        it by the number of all unseen cells, which is larger while most of the air is unseen. So
+        early in an episode a cell counts more here, and cameras rotate away from observed points.
+        These points are not lost, because they stay in the observed cloud.
 
         :param bonus: bonus for a view whose cells are all unseen, in multiples of the depth error
             without any visible point.

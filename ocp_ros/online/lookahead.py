@@ -214,10 +214,11 @@ class Lookahead(PipelinedPlanner):
                   for position in positions]
         targets = np.array([
             space.inside(target) for space, target in zip(spaces, self.targets, strict=True)])
-        # Elapsed share of the refinement, which lasts to the end of the episode, for each group.
+        # The views of a group of proposals are computed in parallel. For each group: the elapsed
+        # share of the refinement, which lasts from ``first_turn`` to the end of the episode.
         first_turn = TUNING.refining_share * turns
-        shares = ((turn - first_turn + proposal / proposals) / (turns - first_turn)
-                  for proposal in range(0, proposals, TUNING.parallel_proposals))
+        shares = ((turn - first_turn + done / proposals) / (turns - first_turn)
+                  for done in range(0, proposals, TUNING.parallel_proposals))
         refinement = Refinement(model, self.rig_state, spaces, self.rng)
         self.targets, self.headings = refinement.refined(
             targets, self._planned_headings(),

@@ -70,13 +70,14 @@ class ValueMap(nn.Module):
         half, quarter, eighth = 32, 64, 96
         inputs = (OF_ROOM + OF_OTHERS) * BLOCK_CELLS ** 2 + sum(scalars.values())
         self.enter = nn.Conv2d(inputs, half, 3, padding=1)
-        # The number of blocks of the encoder at these resolutions.
+        # Numbers of residual blocks on the way down, at 1/2, 1/4 and 1/8 of the resolution.
         blocks = (1, 2, 2)
         self.down_1 = _residual_blocks(half, blocks[0])
         self.to_quarter = nn.Conv2d(half, quarter, 3, stride=2, padding=1)
         self.down_2 = _residual_blocks(quarter, blocks[1])
         self.to_eighth = nn.Conv2d(quarter, eighth, 3, stride=2, padding=1)
         self.down_3 = _residual_blocks(eighth, blocks[2])
+        # The mean of the features over all cells passes this layer, and is added to each cell.
         self.whole = nn.Linear(eighth, eighth)
         # A pixel shuffle turns these 4 C channels into C channels at twice the resolution.
         self.from_eighth = nn.Conv2d(eighth, quarter * 4, 1)

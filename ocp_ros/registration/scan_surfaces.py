@@ -76,6 +76,7 @@ class ScanSurfaces:
                      for k in range(6) if np.count_nonzero(group == k) > PLANE_NEIGHBOURS]
         else:
             parts = [_thinned(scene.points, edge)]
+        # ``_pitch``: (N,) metres, the edge of the square of surface that each point stands for.
         self.points, self.normals, self._pitch = map(np.concatenate, zip(*parts))
 
     @cached_property

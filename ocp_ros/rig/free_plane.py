@@ -172,7 +172,7 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     # grid would not be filled.
     indices = indices + max(radii_cells)
     low = low - max(radii_cells) * CELL_M
-    # The size is one more than the largest index, plus the whole margin.
+    # The size is the largest index, 1, and the margin of 4 cells and the largest radius.
     cells = np.zeros(corners_of(indices)[1] + max(radii_cells) + 5, dtype=bool)
     cells[indices[:, 0], indices[:, 1]] = True
     widest = _largest_part(cells, radii_cells[-1])
@@ -180,6 +180,7 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     min_count = max(0.6 * np.count_nonzero(widest), MIN_FLOOR_AREA_M2 / CELL_M ** 2)
     parts = (_largest_part(cells, radius) for radius in radii_cells[:-1])
     part = next((part for part in parts if np.count_nonzero(part) >= min_count), widest)
+    # ``widest`` itself may be smaller than the least area.
     return Floor(low.astype(np.float64), part) if np.count_nonzero(part) >= min_count else None
 
 

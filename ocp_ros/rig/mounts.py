@@ -74,11 +74,13 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
         z = np.tile(levels, len(grid))
     else:
         places = space.grid(MAX_POSITIONS)
-    # On a plane or a ceiling, the mount decides the height, also of positions in zones. The height
-    # is -inf where there is no ceiling.
-    if on != 'free':
-        z = surface.height_above(places) - STAND_OFF if heights is None else np.full(
-            len(places), floor + heights[0])
+    # Only the mount ``free`` has a range of heights. On a plane or a ceiling all cameras have the
+    # same height, or hang from the ceiling; this replaces the z of positions in zones.
+    if on != 'free' and heights is not None:
+        z = np.full(len(places), low)
+    elif on != 'free':
+        z = surface.height_above(places) - STAND_OFF
+        # The height of the ceiling is -inf where there is none.
         places, z = places[np.isfinite(z)], z[np.isfinite(z)]
     return MountPlaces(np.column_stack([places, z]), np.zeros(len(places)))
 

@@ -35,12 +35,13 @@ def without_mirror_images(scene: Scene) -> Scene:
     areas = scene.pitch.astype(np.float64) ** 2
     # The largest distance in metres of a mirrored point from its counterpart.
     match_distance = max(0.08, 1.5 * float(np.median(scene.pitch)))
-    # With a larger match distance, mirror images look like a real room.
+    # With a larger match distance, a real second room would match like a mirror image.
     if match_distance > 0.3:
         return scene
     is_kept = np.ones(len(points), dtype=bool)
     # A point farther behind a plane than this counts as behind it.
     behind_m = 0.1
+    # Each plane comes with both normals. The normal points to the side that is taken as behind it.
     for normal, offset in _vertical_planes(points, normals, areas):
         distances = points @ normal - offset
         is_behind = is_kept & (distances > behind_m)

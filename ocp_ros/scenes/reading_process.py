@@ -18,7 +18,8 @@ Read a file in a separate process, since broken or hostile bytes can crash or ha
 The module :mod:`~ocp_ros.scenes.guarded_reading` starts the process with limits of memory, time
 and output. The process writes rows of float64 numbers to its standard output, or one line about
 the error to its standard error. It imports the library, then gives up all other rights
-(:mod:`~ocp_ros.util.confinement`), and only then opens the file.
+(:mod:`~ocp_ros.util.confinement`), and only then opens the file. The imports in the functions
+below return what was imported before.
 """
 
 from collections.abc import Iterator
@@ -45,6 +46,7 @@ def las_rows(path: str) -> Iterator[np.ndarray]:
     The flag is 1 for points of a surface, 0 for noise and withheld points.
     """
     import laspy
+    # Extended records at the end of the file (EVLRs) are not needed.
     with laspy.open(path, read_evlrs=False) as file:
         for points in file.chunk_iterator(max(BLOCK_BYTES // file.header.point_format.size, 1)):
             # Classes 7 and 18 are noise, not surfaces.

@@ -150,6 +150,7 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     rows, stray_remarks = _without_strays(rows, name)
     remarks += stray_remarks
     points = rows[:, :3]
+    # The check needs the up direction only to guess a wrong unit, so z will do until it is known.
     check_points(points, name, 'z' if up == up_axis.AUTO else up)
     # Rotate z up, move the room near the origin and leave out duplicates.
     if up == up_axis.AUTO:
@@ -161,8 +162,8 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     source = SourceFrame(scale, rotation, shift)
     points, normals = _without_duplicates(points.astype(np.float32),
                                           _unit_normals(rows[:, 3:], rotation), name)
-    # That z points up may be only the default. If it seems wrong, all rooms are kept, since rooms
-    # are separated on a plan seen from above.
+    # The z axis may be vertical only by default. If the points suggest another axis, a note says
+    # so, and all rooms are kept, since rooms are separated on a plan seen from above.
     if up_axis.axis_of(up) == 2 and (up_notes := _notes_of_up(points)):
         notes += up_notes
         all_rooms = True

@@ -140,13 +140,14 @@ def _place_on_plane(make: Callable, problem: Problem, budget: Budget, seed: int,
 
 
 def _estimate_evaluations(decoder: Decoder, budget: Budget, seed: int) -> int:
-    """Estimate how many placements can be scored in the remaining time, by scoring up to four."""
+    """Estimate how many placements can be scored in the remaining time, by scoring one to four."""
     rng = np.random.default_rng([seed, 1])
     scorer = RigScorer(decoder, budget)
     start_time = time.monotonic()
     scorer([decoder.region.space.random(rng) for _ in range(4)])
+    # The scorer scores the first placement even if no time is left.
     seconds_each = (time.monotonic() - start_time) / scorer.evaluations
-    # Some planners create a grid of this size, so the number has an upper limit.
+    # Some planners create a grid with this number of positions, so it has an upper limit.
     return int(np.clip((budget.seconds - budget.elapsed) / seconds_each, 1, 100_000))
 
 

@@ -265,14 +265,15 @@ class ColumnGenerationSearch(RigSearch):
 def relaxation_of(problem: Problem, pool: CandidatePool, should_stop: Callable[[], bool]
                   ) -> ColumnGeneration:
     """
-    Return the column generation for a rig's poses on dense grids.
+    Return the relaxed choice of a rig's poses on dense grids, solved by column generation.
 
     :param problem: the rig in the room.
     :param pool: computes the grids, or has computed them already.
     :param should_stop: returns whether to stop the computation of a grid, which is then smaller.
     """
     models = problem.rig.placed_models
-    # Each relaxation adds poses to grids of its own.
+    # The search adds poses to these grids; those of the pool must not change. A shallow copy is
+    # enough, as ``add_poses`` replaces the arrays and lists of a grid.
     grids = [copy(pool.dense_grid(problem, model, should_stop)) for model in models]
     counts = [sum(camera.model == model for camera in problem.rig.cameras) for model in models]
     return ColumnGeneration(LossTrees.of(problem.objective), grids, counts, problem.rig.spacing,

@@ -162,22 +162,21 @@ def _start_sites(studio: Studio, problem: Problem, state: State, unlocked: list[
     """
     Return the unlocked cameras at the nearest allowed poses.
 
-    The result is () if a camera has no allowed pose, or if all poses together violate a
-    constraint.
+    :param problem: of a rig in which only the unlocked cameras are to be placed.
+    :returns: () if a camera has no allowed pose, or if all poses together violate a constraint.
     """
-    # Indexing by a list makes a copy of the poses, so they may be replaced below.
-    start = State(problem.rig, state.poses[unlocked])
-    for camera, pose in enumerate(start.poses.copy()):
-        if not problem.region.allowed(pose[None], problem.rig.models[camera])[0]:
+    # Indexing by a list makes a copy, so the poses may be replaced below.
+    poses = state.poses[unlocked]
+    for camera, model in enumerate(problem.rig.models[:len(poses)]):
+        if not problem.region.allowed(poses[[camera]], model)[0]:
             # Only the rig and the poses of this evaluation are used, so it needs no views.
-            nearest_pose = studio.nearest_allowed(Evaluation(problem, start, ()), camera)
-            if nearest_pose is None:
+            present = Evaluation(problem, State(problem.rig, poses), ())
+            if (nearest_pose := studio.nearest_allowed(present, camera)) is None:
                 return ()
-            start.poses[camera] = nearest_pose
-    if problem.region.broken(start.poses):
+            poses[camera] = nearest_pose
+    if problem.region.broken(poses):
         return ()
-    return tuple(MountedCamera(pose, view)
-                 for pose, view in zip(start.poses, problem.look(start.poses)))
+    return tuple(MountedCamera(pose, view) for pose, view in zip(poses, problem.look(poses)))
 
 
 def addition_work(evaluation: Evaluation, add: Callable[[str, np.ndarray], None]) -> Work:

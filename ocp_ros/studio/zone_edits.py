@@ -57,12 +57,12 @@ def entries_of(rig: Rig) -> Iterator[Entry]:
     """Yield an entry for each zone and region of a rig, in the order of their lists."""
     entry_counts = Counter[str]()
     for kind, name, zone in zones_of(rig):
-        # The kinds must-see region and weighted region, which KEYS lacks, share one list. The
-        # zones of each list come in the order of the list, so counting them gives the index.
+        # Must-see and weighted regions, whose kinds are not in KEYS, share the list ``regions``.
+        # The zones of each list come in its order, so counting them gives the index.
         key = KEYS.get(kind, 'regions')
         number = entry_counts[key]
         entry_counts[key] += 1
-        # The names of other zones begin with their kind.
+        # The name of a keep-out or mounting zone begins with its kind, that of a region does not.
         yield Entry(key, number, rig.document.data[key][number], zone,
                     name if kind in KEYS else f'region {name}', STYLES[kind]['edgecolor'])
 

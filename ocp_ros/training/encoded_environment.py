@@ -252,7 +252,7 @@ class MapChoices(gym.Wrapper):
         #: The actor that makes the maps of the episode, and the map of the turn.
         self._actor: MapActor | None = None
         self._map_turn: MapTurn | None = None
-        #: The cameras that have not chosen yet in this turn.
+        #: The cameras that are still to choose in this turn, in order; one may occur repeatedly.
         self._waiting: list[int] = []
 
     def reset(self, **kwargs):

@@ -99,15 +99,17 @@ def _allow_files(rights: dict[str | Path, int]) -> None:
     # The number of rights of each version, from the first on. Each right is one bit of a mask.
     rights_of_version = (13, 14, 15, 15, 16)
     known_rights = (1 << rights_of_version[min(version, len(rights_of_version)) - 1]) - 1
+    # The rights in the first field are refused everywhere, except where a rule grants them.
     attribute = struct.pack('<Q', known_rights)
-    # From version 6 on, 0 leaves the network to seccomp, and flag 2 restricts signals to the
-    # process itself.
+    # From version 6 on, there are two more fields: 0 leaves the network to seccomp, and flag 2
+    # restricts signals to the process itself.
     if version >= 6:
         attribute = struct.pack('<QQQ', known_rights, 0, 2)
     ruleset = _libc.syscall(create_ruleset, attribute, len(attribute), 0)
     for path, path_rights in rights.items():
         handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
-        # Call 445 adds a rule of kind 1, for files below a path.
+        # Call 445 adds a rule of kind 1, for files below a path. A rule must not grant rights that
+        # this version does not know.
         rule = struct.pack('<Qi', path_rights & known_rights, handle)
         _libc.syscall(445, ruleset, 1, rule, 0)
         os.close(handle)

@@ -19,11 +19,11 @@ Numba reads ``.numba_config.yaml`` in the current folder, which may name modules
 kernels to unpickle. The folder of an untrusted scan must not control this.
 """
 
+from concurrent.futures import ThreadPoolExecutor
 import ctypes
 from importlib import import_module
 import os
 import sys
-from threading import Thread
 from types import ModuleType
 
 from ocp_ros.util.files import cache_folder
@@ -40,14 +40,13 @@ def import_elsewhere(name: str) -> ModuleType:
     :raises ImportError: if the package cannot be imported.
     """
     if name not in sys.modules:
-        thread = Thread(target=_import_in_root, args=(name,))
-        thread.start()
-        thread.join()
-    return import_module(name)
+        with ThreadPoolExecutor(1) as executor:
+            executor.submit(_import_in_root, name).result()
+    return sys.modules[name]
 
 
 def _import_in_root(name: str) -> None:
-    """Import a package in the root folder; the caller reports import errors."""
+    """Import a package in the root folder."""
     unshare = getattr(ctypes.CDLL(None), 'unshare', None)
     # CLONE_FS, 0x200, of unshare(2) gives the calling thread a current folder of its own.
     has_own_folder = unshare is not None and unshare(0x200) == 0
@@ -55,8 +54,6 @@ def _import_in_root(name: str) -> None:
     os.chdir('/')
     try:
         import_module(name)
-    except ImportError:
-        pass
     finally:
         if not has_own_folder:
             os.fchdir(previous_folder)

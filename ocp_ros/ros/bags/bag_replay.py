@@ -253,7 +253,7 @@ class Replay(Node):
 
     def _place_cloud(self, topic: str, cloud: PointCloud2) -> None:
         """Set the frame of a cloud, and publish the camera poses before it."""
-        frame = cloud.header.frame_id
+        frame = cloud.header.frame_id.removeprefix('/')
         is_optical = frame.endswith(OPTICAL_FRAME_ENDINGS)
         if self._publishes_poses:
             if self.options.poses:
@@ -263,13 +263,15 @@ class Replay(Node):
             # Poses are published for all cameras together, once each of them has a pose.
             if len(self._cloud_poses) == len(self._cloud_topics):
                 self._publish_camera_poses(cloud.header)
-            # A cloud keeps its frame if this is the frame of the poses, or if it names a camera
-            # (``camera_<i>``) and the poses come from the command line.
+            # With poses from the command line, two kinds of frame need no new name: the frame of
+            # the poses, as these points are placed already, and ``camera_<i>``, which
+            # ``policy_node`` knows. ``policy_node`` also rotates ``camera_<i>_optical``.
             if frame != self.options.fixed_frame and not (
                     self.options.poses and CAMERA_FRAME.fullmatch(frame)):
                 number = self._cloud_topics.index(topic)
                 cloud.header.frame_id = f'camera_{number}{"_optical" if is_optical else ""}'
-        # The command line may name another frame for this topic, or (as '') for all other topics.
+        # A frame from the command line replaces this frame: that of the topic, or (as '') that of
+        # all other topics.
         given_frame = self._given_frames.get(topic, self._given_frames.get('', ''))
         cloud.header.frame_id = given_frame or cloud.header.frame_id
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from ocp_ros.ros.bags.bag_files import Bag, CLOUD, KINDS, POSES
+from ocp_ros.ros.bags.bag_files import Bag, CLOUD, POSES
 from ocp_ros.ros.interface import topics
 from ocp_ros.util.settings import check_known, ConfigurationError
 from sensor_msgs.msg import PointCloud2
@@ -68,9 +68,10 @@ def choose_topics(bag: Bag, requested: tuple[str, ...]) -> dict[str, tuple[str, 
     names = dict(name.split(':=', 1) if ':=' in name else (name, name) for name in requested)
     check_known(names, known, f'{bag.path}: topics')
     for name in names:
-        if KINDS.get(known[name].kind) not in TYPES:
+        if known[name].kind not in TYPES:
             raise ConfigurationError(f'{bag.path}: found {known[name].kind} on {name}; expected '
                                      f'{" or ".join(TYPES)}; leave it out')
+    # This raises the error if the bag has no clouds.
     clouds = bag.clouds
     if names and not set(names).intersection(clouds):
         raise ConfigurationError(f'{bag.path}: found no clouds among {", ".join(names)}; expected '
@@ -79,7 +80,7 @@ def choose_topics(bag: Bag, requested: tuple[str, ...]) -> dict[str, tuple[str, 
         names = {name: name for name in clouds}
         if (poses := _find_poses_topic(list(known.values()))) is not None:
             names[poses] = topics.CAMERA_POSES
-    return {name: (KINDS[known[name].kind], new_name) for name, new_name in names.items()}
+    return {name: (known[name].kind, new_name) for name, new_name in names.items()}
 
 
 def _find_poses_topic(known: list) -> str | None:
