@@ -102,10 +102,10 @@ SENTENCES = [
      ' '.join(f'{case}/lengths/{length}' for case in ('four_cameras', 'two_cameras', 'six_cameras')
               for length in ('5x2', '8x2', '30x0.5'))
      + ' turned_30_degrees/lengths/8x2 scans/lengths/8x2'),
-    (MODELS, 'gradient steps reach {}; residual heads added, {}; turned, mirrored and jittered '
-     'observations added too, {}', 'paper_agent/rows/{key}',
+    (MODELS, 'After 60,000: {} with more and larger gradient steps; {} with residual heads too; '
+     '{} with turned, mirrored and jittered', 'paper_agent/rows/{key}',
      'updates_60000_0/ratio blocks_60000_0/ratio augmented_60000_0/ratio'),
-    (MODELS, 'the agent reaches {} ({} at best) after 300,000',
+    (MODELS, 'half of each batch, it reaches {} ({} at best) after 300,000',
      'paper_agent/rows/critics_300000_0_demonstrations/{key}', 'ratio least_ratio'),
     (MODELS, 'ends at {} (at best {})', 'paper_agent/rows/{key}',
      'literal_60000_0/ratio literal_60000_0/least_ratio'),
