@@ -59,16 +59,16 @@ SENTENCES = [
      'engine/{key}/fine.40000', 'ms f1'),
     (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
      'engine/fused_f1/{key}.100000', 'fine paper mesh'),
-    (RESULTS, 'the integral is {}. When the scan is turned by 17 or 45 degrees, the objective '
-     'value changes by at most {} of its value', 'measure/viewpoints/air/{key}',
+    (RESULTS, "the integral is {}. When the scan is turned by 17 or 45 degrees, the engine's "
+     'error changes by at most {} of its value', 'measure/viewpoints/air/{key}',
      'rank_correlation turned_objective_change_worst'),
     (RESULTS, 'in a turned scan is {} times that of a plan in the original scan (geometric mean; '
      '{} at worst)', 'measure/{key}', 'turned_delivered_ratio turned_delivered_ratio_worst'),
-    (RESULTS, 'it delivers {}, {} and {} times', 'measure/stray_delivered_ratio/{key}',
+    (RESULTS, 'in the air the ratio is {}, {} and {}', 'measure/stray_delivered_ratio/{key}',
      '0.002 0.01 0.05'),
     (RESULTS, 'is {} of the delivered one, and {} and {} in scans',
      'measure/promise_over_delivered/{key}', 'turned_0 turned_17 turned_45'),
-    (RESULTS, 'the interval holds in a share of {} of the {} plans', 'measure/plans/scans/{key}',
+    (RESULTS, 'a share of {} of the {} plans has its error in', 'measure/plans/scans/{key}',
      'promise_coverage plans'),
     (RESULTS, 'evaluates {} placements of four cameras per second', 'engine/{key}',
      'evaluations_per_s'),
