@@ -480,8 +480,8 @@ def test_frusta_that_tile_the_sphere_see_what_its_twin_and_an_omnidirectional_ca
 @pytest.mark.parametrize(('preset', 'least'), [('fine', 0.90), ('fast', 0.87), ('paper', 0.70)])
 def test_visibility_agrees_with_ray_casting(preset, least):
     counts = []
-    for seed in (1, 509):
-        scene = made_room(seed, 15000)
+    for seed, points in ((1, 15_000), (509, 40_000)):
+        scene = made_room(seed, points)
         for position in free_places(scene, 1.9, 2, np.random.default_rng(seed)):
             truth = MeshRays(scene.mesh).visible(scene.points, position, 6.0)
             seen = look_at_scene(scene, Pose.of(position), CameraModel(0.0, 6.0), preset)

@@ -153,14 +153,20 @@ def test_a_seed_gives_the_same_episode_and_a_reset_forgets_it(name, engine, outc
     np.testing.assert_array_equal(one.trajectory, other.trajectory)
 
 
-def test_a_map_actor_without_time_to_reflect_moves_alike(engine):
-    places = []
+def test_a_map_actor_without_time_to_reflect_moves_alike(engine, monkeypatch):
+    places, plans = [], []
+    think = MapActor._think
+    monkeypatch.setattr(MapActor, '_think', lambda *given: (plans.append(1), think(*given)))
     for reflects in (True, False):
         actor = MapActor(Middle(), *settings())
         episode = episode_of(engine, 7, MIN_PIPELINED_TURNS)
         for turn in range(6):
-            episode.move(actor.move(episode.observed_cloud, episode.turn.positions, turn,
-                                    MIN_PIPELINED_TURNS))
+            plans.clear()
+            moves = actor.move(episode.observed_cloud, episode.turn.positions, turn,
+                               MIN_PIPELINED_TURNS)
+            # Only the first plan is waited for, if there is time to reflect.
+            assert bool(plans) == (turn == 0 or not reflects)
+            episode.move(moves)
             if reflects:
                 actor.plan_ahead()
         places.append(episode.turn.positions)

@@ -22,6 +22,7 @@ import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from types import SimpleNamespace
 
@@ -65,11 +66,14 @@ SIM_NODE = [sys.executable, '-c', 'from ocp_ros.ros.start import sim_node; sim_n
 def test_a_node_that_runs_ends_with_0_and_has_said_all(domain):
     with subprocess.Popen(SIM_NODE, stderr=subprocess.STDOUT, stdout=subprocess.PIPE, text=True,
                           env={**os.environ, 'ROS_DOMAIN_ID': str(domain)}) as process:
+        killer = threading.Timer(HUNG, process.kill)
+        killer.start()
         while '[INFO]' not in (line := process.stdout.readline()):
             assert line
         process.send_signal(signal.SIGINT)
         assert 'Traceback' not in process.stdout.read()
         assert process.wait(timeout=HUNG) == 0
+        killer.cancel()
 
 
 @pytest.mark.parametrize('package, raised', [('llvmlite.binding', False), ('numba', False),

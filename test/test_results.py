@@ -176,6 +176,13 @@ def test_the_hostile_files_are_those_of_the_page():
     assert not any(kind[key] for kind in found for key in ('wrong', 'crashed', 'hung', 'leaked'))
 
 
+def test_the_readme_shows_few_numbers():
+    shown = [len(keys.split()) for page, *_, keys in SENTENCES if page == README]
+    shown += [len(rows.split()) * len(keys.split())
+              for page, _, rows, _, keys in TABLES if page == README]
+    assert sum(shown) <= 20
+
+
 @pytest.mark.parametrize('path', sorted((ROOT / 'docs' / 'results').glob('*.json')),
                          ids=lambda path: path.stem)
 def test_each_file_says_how_it_was_measured(path):

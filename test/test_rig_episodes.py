@@ -171,6 +171,7 @@ def test_ocp_train_takes_a_rig_file(tmp_path, here, settings):
     assert np.isfinite(trained.provenance['test']['policy']['depth_error_end'])
     # The same settings, read anew, are those of the same run.
     train(from_nested(TrainingConfig, tiny), tmp_path / 'run')
+    # The rig file that ``tiny`` names is another one now.
     settings(ANCHORED)
     with pytest.raises(ConfigurationError, match='rotations'):
         from_nested(TrainingConfig, tiny)

@@ -383,7 +383,7 @@ def test_commands_keep_it_whatever_the_planner_wants(parted, clearance):
     # What append returns, None, does not end the episode.
     trail = play(Stubborn(np.random.default_rng(0), 0.5, 4.0, MARGIN), episode,
                  lambda turn: seen.append(episode.observed_cloud)).trajectory
-    for cloud, placement in zip(seen, trail[1:]):
+    for cloud, placement in zip(seen, trail[1:], strict=True):
         assert distances(cloud, placement).min() >= clearance - ROUNDING
     assert distances(parted, trail[-1]).max() < clearance + 0.15
 

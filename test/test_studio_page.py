@@ -88,6 +88,7 @@ def show_tab(tab, name):
 
 def test_a_camera_is_dragged_by_its_handle(opened, page):
     page, url = page
+    REQUESTS.clear()
     tab = opened()
     wait_until(page.server.get_clients)
     client, = page.server.get_clients().values()

@@ -182,6 +182,8 @@ def test_a_turn_waits_until_every_camera_is_there(turns):
 def test_cameras_that_leave_again_are_waited_for_again(turns):
     stands(turns, 11, THERE)
     assert delivered(turns, 11, 1, 'a') == [('a', 1)]
+    # A topic gives one cloud a turn.
+    assert delivered(turns, 11.5, 2, 'a') == []
     stands(turns, 12, HERE)
     assert delivered(turns, 12, 2, 'b') == [] and not turns.is_due()
     stands(turns, 13, THERE)
@@ -245,6 +247,24 @@ def test_cameras_that_need_not_move_are_there_whether_or_not_they_say_so(turns):
     turns.on_cloud('a', 12 * S - 1, 'old')
     assert taken(turns) == [] and turns.positions is THERE
     assert delivered(turns, 12.001, 'new') == [('a', 'new'), ('b', 'new')] and turns.is_due()
+
+
+def test_a_person_may_take_as_long_as_they_like(clock, turns):
+    turns.limits = turns.limits._replace(arrival_timeout=math.inf)
+    clock.now = 1e6
+    stands(turns, 11, HERE)
+    assert delivered(turns, 12, 1, 'a') == [] and not turns.is_due()
+
+
+def test_a_camera_that_still_turns_does_not_stand_yet(clock):
+    turns = make(clock, topics='a')
+    for tick in range(8):
+        turned = [rotation_matrix(0.04 * tick, 0.0, 0.0)] * 2
+        turns.on_poses(10 * S + tick * S // 20, HERE, turned)
+    assert not turns.cameras_stand
+    turns.on_poses(11 * S, HERE, turned)
+    turns.on_poses(11 * S + STEADY_NS, HERE, turned)
+    assert turns.cameras_stand
 
 
 @pytest.mark.parametrize('sources', [['poses', 'a', 'b', 'a'], ['a', 'poses', 'b', 'a']])

@@ -105,13 +105,13 @@ def write_records(path, points):
     np.save(path, rows)
 
 
-def write_ply_mesh(path: Path, mesh: Mesh, text: bool = False) -> None:
+def write_ply_mesh(path: Path, mesh: Mesh) -> None:
     """Write a mesh as PLY."""
     rows = np.rec.fromarrays(mesh.vertices.T, dtype=[(axis, 'f4') for axis in 'xyz'])
     faces = np.empty(len(mesh.triangles), dtype=[('vertex_indices', 'i4', (3,))])
     faces['vertex_indices'] = mesh.triangles
-    PlyData([PlyElement.describe(rows, 'vertex'), PlyElement.describe(faces, 'face')],
-            text=text).write(str(path))
+    PlyData([PlyElement.describe(rows, 'vertex'), PlyElement.describe(faces, 'face')]).write(
+        str(path))
 
 
 def write_obj(path: Path, mesh: Mesh) -> None:
