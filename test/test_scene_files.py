@@ -90,6 +90,7 @@ FORMATS = {
         write_table, separator=',', header='range,Points_m_XYZ:0,Points_m_XYZ:1,Points_m_XYZ:2',
         axes='zxyz'),
     'counted.pts': partial(write_table, separator=' ', header='{}', axes='xyzxyz'),
+    'named_and_counted.asc': partial(write_table, separator=' ', header='//X Y Z\n{}'),
     'counted_and_named.txt': partial(write_table, separator=';', header='{}\nR;Z;Y;X',
                                      axes='xzyx', decimal=','),
     'two_scans.ptx': lambda path, points: path.write_text(

@@ -322,7 +322,7 @@ def _prove_optimum(protocol: Protocol, problem: Problem) -> Iterator[Row]:
 
     # Find the best choice on the grid.
     add_places(space.grid(protocol.candidates))
-    # The smallest distance of two cameras is 0.
+    # The spacing 0.0 allows any distance between two cameras.
     relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid], [space.cameras], 0.0,
                                   len(simulator.scene))
     relaxation.raise_bound(should_stop)

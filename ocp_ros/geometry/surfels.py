@@ -233,7 +233,7 @@ def project_block(surfels, number, position, max_range, settings, work):
     rows = settings.rows
     setback, range_limit = f32(settings.setback), f32(max_range)
     x0, y0, z0 = f32(position[0]), f32(position[1]), f32(position[2])
-    # The same for columns: a map has 2 * rows columns for 2 pi.
+    # Columns have the same scale as rows: a map has 2 * rows columns for 2 pi.
     rows_per_radian, radians_per_row = f32(rows) / PI, PI / f32(rows)
     # Elevation pi / 2 and azimuth pi belong to the last row and column.
     last_row, last_column = f32(rows) - f32(1e-3), f32(2 * rows) - f32(2e-3)

@@ -99,7 +99,8 @@ class StepConstraints:
             targets[:, :2] = towards(positions[:, :2], positions[:, :2] + moves, limits.max_step)
             return FilteredTargets(targets, [])
         # Cameras over the observed floor stay there, because behind a wall they would see through
-        # its back. Other cameras move freely, but at least into the observed bounding box.
+        # its back. Other cameras may move anywhere. Then all targets are moved into the observed
+        # bounding box.
         plane = FreePlane.around(cloud, positions, limits.wall_margin,
                                  clearance_of(state, limits.clearance))
         targets[:, :2] = plane.moved(positions[:, :2], moves, limits.max_step)

@@ -135,7 +135,7 @@ class Lookahead(PipelinedPlanner):
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
         pipelined = self._ahead(turns)
-        # In a pipelined episode (``pipelined`` is 1), the survey begins some time steps earlier.
+        # In a pipelined episode, the survey begins some time steps earlier: True counts as 1.
         if turn >= TUNING.refining_share * turns - TUNING.survey_turns * pipelined:
             # The refinement begins as soon as the last part of the survey is done.
             if self._is_surveyed or self._do_survey(cloud, positions, turn, turns):
@@ -331,7 +331,8 @@ class Refinement:
         plan = tuple(self._planned_camera(
             camera, position, None if headings is None else headings[camera])
             for camera, position in enumerate(positions))
-        # The start plan is judged before the first proposals; any camera may be the moving one.
+        # The start plan is judged before the first proposals. Its error is the same whichever
+        # camera is the moving one.
         self._move_next(plan, 0)
         best = annealed(plan, self._judge, self._propose, self._temperatures(shares), self.rng)
         return (np.array([camera.position[:2] for camera in best]),

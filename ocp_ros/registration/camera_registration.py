@@ -199,7 +199,7 @@ def _distinct_poses(scan: ScanSurfaces, view: LiveView, start: Pose) -> list[Pos
     """
     Return up to three distinct poses around a start that best explain the cloud.
 
-    :returns: the best pose first; the start alone if no pose is near enough to it.
+    :returns: the best pose first; the start alone if none of the good poses is near enough to it.
     """
     poses = _coarse_poses(scan, view, start)
     patches = _sampled(view.patches, OUTLINE_PATCHES)

@@ -189,7 +189,8 @@ class ScanSurfaces:
         farthest = self.points[order[ends]][cell]
         # How far the farthest point of its cell lies behind the plane of each point, metres.
         behind = -sign * np.einsum('ij,ij->i', farthest - self.points, self.normals)
-        # Points whose cell has no point 10 cm or more behind their plane are outermost.
+        # Points are outermost if the farthest point of their cell is less than 10 cm behind their
+        # plane.
         return behind < 0.1
 
 

@@ -172,7 +172,7 @@ def floor_of(points: np.ndarray, height: float) -> Floor | None:
     # grid would not be filled.
     indices = indices + max(radii_cells)
     low = low - max(radii_cells) * CELL_M
-    # The size is the largest index, 1, and the margin of 4 cells and the largest radius.
+    # The size is the largest index plus 1, plus the margin: 4 cells and the largest radius.
     cells = np.zeros(corners_of(indices)[1] + max(radii_cells) + 5, dtype=bool)
     cells[indices[:, 0], indices[:, 1]] = True
     widest = _largest_part(cells, radii_cells[-1])

@@ -152,7 +152,7 @@ def _tilt_deg(scene: Scene) -> float:
     normals, areas = normals[used], scene.pitch[used].astype(np.float64) ** 2
     if len(normals) == 0:
         return 0.0
-    # The main direction is that of 400 candidates, or fewer, which has the largest area of points
+    # Of at most 400 candidates, the main direction is the one with the largest area of points
     # whose normals are within 3 degrees of it.
     candidates = normals[np.linspace(0, len(normals) - 1, min(len(normals), 400)).astype(int)]
     near_areas = ((normals @ candidates.T) > np.cos(np.deg2rad(3.0))).T @ areas

@@ -71,7 +71,7 @@ def read_points(path: Path) -> np.ndarray:
 
     The numbers are separated by blanks, commas or semicolons; with semicolons, decimals may have a
     comma. The first line may name the columns, such as ``X,Y,Z,R,G,B``, ``x [m]`` or ``Points:0``;
-    otherwise the first three columns are read. The first line may be the number of points instead.
+    otherwise the first three columns are read. The number of points may stand in a line before it.
     """
     _check_lines(path)
     table_format = _detect_format(path)
@@ -157,6 +157,8 @@ def _has_windows_numbers(path: Path) -> bool:
 
 def _detect_format(path: Path) -> TableFormat:
     """Return the format of a text file; the default format if it has no content."""
+    # The numbers and texts of the first lines with content: names, a number of points, and points.
+    first_lines: list[tuple[int, str]] = []
     with path.open(encoding='latin-1') as file:
         for line_number, line in enumerate(file, start=1):
             # Some UTF-8 files begin with a byte order mark. CloudCompare writes the column names
@@ -164,16 +166,20 @@ def _detect_format(path: Path) -> TableFormat:
             text = line.removeprefix('\xef\xbb\xbf')
             if not WINDOWS_NONFINITE.search(text):
                 text = text.partition('#')[0]
-            text = text.strip().removeprefix('//').strip()
-            if text:
-                next_line = next(file, '')
-                # A single number before a line of numbers or names is the number of points.
-                if text.isdecimal() and len(re.findall(r'[^\s,;]+', next_line)) >= 3:
-                    table_format = _format_of_line(next_line.strip(), line_number + 1,
-                                                   next(file, ''), path.name)
-                    return table_format._replace(count=int(text))
-                return _format_of_line(text, line_number, next_line, path.name)
-    return TableFormat()
+            if text := text.strip().removeprefix('//').strip():
+                first_lines.append((line_number, text))
+            if len(first_lines) == 3:
+                break
+    # A single number before or after the names is the number of points.
+    counts = [line for line in first_lines[:2] if line[1].isdecimal()][:1]
+    others = [line for line in first_lines if line not in counts]
+    if not others:
+        return TableFormat()
+    table_format = _format_of_line(*others[0][::-1], others[1][1] if others[1:] else '', path.name)
+    for line_number, count in counts:
+        table_format = table_format._replace(
+            count=int(count), skipped_lines=max(line_number, table_format.skipped_lines))
+    return table_format
 
 
 def _format_of_line(first_line: str, line_number: int, next_line: str, name: str) -> TableFormat:

@@ -124,8 +124,8 @@ def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int | Non
 
     :param actions: (choices, cameras that choose together, 2) float32.
     :param targets: (K, 3) of K cameras.
-    :param together: number of cameras that one choice moves; None if each moves one camera, and a
-        camera may choose any number of times.
+    :param together: number of cameras that one choice moves; None if each moves one camera, and
+        there are at most 8 K choices, of any cameras.
     """
     if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= MAX_CAMERAS:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '

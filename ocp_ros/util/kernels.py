@@ -42,7 +42,8 @@ def import_elsewhere(name: str) -> ModuleType:
     if name not in sys.modules:
         with ThreadPoolExecutor(1) as executor:
             executor.submit(_import_in_root, name).result()
-    return sys.modules[name]
+    # This waits if another thread is importing the package just now.
+    return import_module(name)
 
 
 def _import_in_root(name: str) -> None:

@@ -253,7 +253,7 @@ class Replay(Node):
 
     def _place_cloud(self, topic: str, cloud: PointCloud2) -> None:
         """Set the frame of a cloud, and publish the camera poses before it."""
-        frame = cloud.header.frame_id.removeprefix('/')
+        frame = cloud.header.frame_id.lstrip('/')
         is_optical = frame.endswith(OPTICAL_FRAME_ENDINGS)
         if self._publishes_poses:
             if self.options.poses:

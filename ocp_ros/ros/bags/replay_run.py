@@ -44,7 +44,7 @@ def options_of(arguments: argparse.Namespace) -> ReplayOptions:
     return ReplayOptions(topics=tuple(arguments.topics), rate=arguments.rate, loop=arguments.loop,
                          start=arguments.start, duration=arguments.duration, frames=tuple(frames),
                          poses=tuple(map(pose_of, arguments.pose)),
-                         fixed_frame=arguments.fixed_frame, wait=arguments.wait)
+                         fixed_frame=arguments.fixed_frame.lstrip('/'), wait=arguments.wait)
 
 
 def pose_of(text: str) -> np.ndarray:

@@ -96,7 +96,7 @@ def handle_of(number: int, pose: Pose, frame: str) -> InteractiveMarker:
     """
     # A control moves along and rotates about its own x axis. Rotations of 90 degrees about x, y
     # and z make this axis parallel to x, z and y. In the quaternion of such a rotation, w and the
-    # component of the axis are the root of 0.5; the names of the controls name this axis.
+    # component of the axis are the root of 0.5. A control is named after this axis of rotation.
     half_root = 0.5 ** 0.5
     controls = [InteractiveMarkerControl(name=f'{axis}_{mode}', interaction_mode=mode,
                                          orientation=Quaternion(w=half_root, **{axis: half_root}))

@@ -44,7 +44,7 @@ def instructions(positions: np.ndarray, targets: np.ndarray, min_move: float,
         have two decimals.
     :param rotations: rotations of the cameras, (K, 2) radians: counter-clockwise seen from above,
         and down; None if no camera is rotated.
-    :param min_rotation: rotations up to this angle are left out, radians; at least a degree.
+    :param min_rotation: rotations up to this angle are left out, radians; at least 0.01.
     :param expected: a sentence on the expected gain, so that a person can decide to stop; empty:
         none.
     :returns: the lines and the sentence; ``STAY`` if no camera has to be moved or rotated.

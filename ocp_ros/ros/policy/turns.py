@@ -353,8 +353,8 @@ class Turns(Generic[T]):
         """
         Return whether this turn is to be answered now; note the topics that have stayed silent.
 
-        It has all its clouds, or at least one and the wait is over; and since the last command
-        ``min_duration`` seconds have passed.
+        A turn is answered once it has all its clouds, or at least one when the wait is over, but
+        not before ``min_duration`` seconds have passed since the last command.
         """
         time_is_up = self._stop_waiting_for_cameras() and self._cloud_time_is_up()
         if time_is_up:
