@@ -105,6 +105,8 @@ SENTENCES = [
     (MODELS, 'After 60,000: {} with more and larger gradient steps; {} with residual heads too; '
      '{} with turned, mirrored and jittered', 'paper_agent/rows/{key}',
      'updates_60000_0/ratio blocks_60000_0/ratio augmented_60000_0/ratio'),
+    (MODELS, 'which reach {} ({} at best) after 210,000',
+     'paper_agent/rows/augmented_210000_0/{key}', 'ratio least_ratio'),
     (MODELS, 'half of each batch, it reaches {} ({} at best) after 300,000',
      'paper_agent/rows/critics_300000_0_demonstrations/{key}', 'ratio least_ratio'),
     (MODELS, 'ends at {} (at best {})', 'paper_agent/rows/{key}',
