@@ -151,7 +151,7 @@ def test_where_nothing_more_may_hang_no_camera_is_offered(room):
     (['room.ply', 'placement.yaml', '--rig', 'none.yaml'], 'none.yaml'),
     (['room.ply', 'none.yaml'], 'none.yaml'), (['room.ply', 'room.ply'], 'room.ply: line'),
     (['room.ply', 'rig.yaml'], 'rig.yaml: line 2, cameras[0].count'),
-    ([*SCORE[1:], '--scale', '-1'], 'room.ply: found scale'),
+    ([*SCORE[1:], '--scale', '1e9'], 'room.ply: found scale'),
     ([*SCORE[1:], '--out', 'rig.yaml'], '--out: found rig.yaml'),
     (['8', *SCORE[2:], '--up', 'y'], '--up'),
     (['room.ply', 'placement.yaml', '--rig', 'far.yaml'], 'far.yaml: line 10, regions[0]'),

@@ -115,6 +115,7 @@ def test_a_cone_is_drawn_as_a_camera_sees(name):
 BROWSER = shutil.which('chromium') or shutil.which('google-chrome')
 
 
+@pytest.mark.system
 @pytest.mark.skipif(BROWSER is None, reason='there is no chromium to open the page with')
 def test_a_browser_draws_the_page(judged, tmp_path):
     write_view(tmp_path / 'view.html', judged.scene, judged)
