@@ -167,7 +167,7 @@ def test_points_are_marked_by_who_sees_them_now(cloud):
         np.testing.assert_allclose(way, np.subtract(places[1 - camera], places[camera]), atol=1e-5)
         assert set(np.unique(seen['marks'])) == {0, 1}
         for marks, place in zip(seen['marks'].T, (np.zeros(3), way)):
-            # Nobody sees farther than the range; next to a camera nothing hides a wall.
+            # No camera sees farther than the range; next to a camera nothing hides a wall.
             away = np.linalg.norm(points - place, axis=1)
             assert not marks[away > 2.05].any() and marks[away < 1.2].mean() > 0.8
 

@@ -266,7 +266,7 @@ def test_a_link_is_not_followed_to_what_is_read(files, capsys):
 
 @contextmanager
 def full_disk(size=2000):
-    """Let no file grow beyond so many bytes."""
+    """Limit the size of each written file to a number of bytes."""
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
     try:

@@ -242,13 +242,13 @@ def test_a_person_is_told_what_to_do_and_has_time(live):
     rig.obeys = False
     text, drawn = live.received[topics.INSTRUCTIONS], live.received[topics.MARKERS]
     live.graph.until(lambda: rig.target is not None and text)
-    told = text[-1].data
-    assert moves_in(told) == instructions(rig.positions, rig.target, 0.05) != STAY
-    assert told.splitlines()[-1].startswith('expected: ')
+    latest = text[-1].data
+    assert moves_in(latest) == instructions(rig.positions, rig.target, 0.05) != STAY
+    assert latest.splitlines()[-1].startswith('expected: ')
     goals = {line.split(':')[0]: rig.target[int(line[7]), :2].tolist()
-             for line in moves_in(told).splitlines()}
+             for line in moves_in(latest).splitlines()}
     live.graph.until(lambda: arrows_of(drawn) == goals)
-    # Nothing happens while nobody moves, however long it takes.
+    # Nothing happens while the cameras stay, however long it takes.
     live.wait(0.3)
     assert counted(policy, 'turns_answered') == 1
     rig.go()
@@ -260,20 +260,20 @@ def test_a_person_is_told_what_to_do_and_has_time(live):
 def test_a_person_hears_nothing_of_noise_and_what_is_left_of_a_move(live):
     rig, policy = live.start(manual=True, turns=2, max_step=0.5)
     rig.obeys = False
-    told = live.received[topics.INSTRUCTIONS]
-    live.graph.until(lambda: rig.target is not None and told)
-    before, rng, where = len(told), np.random.default_rng(0), rig.positions
+    sent = live.received[topics.INSTRUCTIONS]
+    live.graph.until(lambda: rig.target is not None and sent)
+    before, rng, where = len(sent), np.random.default_rng(0), rig.positions
     for _ in range(3):
         rig.episode.move((where - rig.positions + rng.normal(0.0, 0.004, where.shape))[:, :2])
         commands = len(rig.commands)
         live.graph.until(lambda sent=commands: len(rig.commands) > sent + 1)
-    assert len(told) == before
+    assert len(sent) == before
     # One camera hangs 7 cm beside its target.
     goal = rig.target.copy()
     rig.episode.move((goal + [[0.07, 0.0, 0.0], *np.zeros((2, 3))] - rig.positions)[:, :2])
     expected = instructions(rig.positions, goal, 0.05)
     assert expected.count('camera') == 1
-    live.graph.until(lambda: moves_in(told[-1].data) == expected)
+    live.graph.until(lambda: moves_in(sent[-1].data) == expected)
     assert status(policy)[0] == DiagnosticStatus.OK
     rig.go()
     live.wait_for_turns(2)

@@ -81,12 +81,12 @@ def test_the_examples_of_the_page_run(tmp_path, monkeypatch, capsys):
 
 
 def test_plan_and_score_say_what_the_commands_say(room_folder, undrawn, capsys):
-    told = printed(capsys, 'plan', 'room.ply', '--cameras', 2, '--model', 'd455',
-                   '--evaluations', 20)
+    shown = printed(capsys, 'plan', 'room.ply', '--cameras', 2, '--model', 'd455',
+                    '--evaluations', 20)
     plan = ocp_ros.plan('room.ply', cameras=2, sensor='d455', evaluations=20)
     for key in ('cameras', 'scores', 'installer'):
-        assert plan.found[key] == told[key], key
-    assert plan.evaluations == told['search']['evaluations'] and plan.reached is None
+        assert plan.found[key] == shown[key], key
+    assert plan.evaluations == shown['search']['evaluations'] and plan.reached is None
     judged = printed(capsys, 'score', 'room.ply', 'out/plan/placement.yaml')
     again = ocp_ros.score('room.ply', 'out/plan/placement.yaml')
     assert again.found == judged and again.loss == plan.loss

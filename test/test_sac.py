@@ -190,7 +190,7 @@ def test_cameras_choose_one_after_the_other_and_share_what_the_episode_gained(ro
         assert episode.turn.step - before == (len(asked) % 3 == 0)
         assert not terminated and truncated == episode.turn.truncated
     turns = np.reshape(asked, (6, 3))
-    # Nobody is always the first.
+    # No camera is always the first.
     assert (np.sort(turns, axis=1) == [0, 1, 2]).all() and set(turns[:, 0]) == {0, 1, 2}
     assert sum(shares) == pytest.approx(worth(episode.turn) - first, abs=1e-9)
     assert np.count_nonzero(shares) > 0.5 * len(shares)

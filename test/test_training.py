@@ -44,7 +44,7 @@ def trial(**changes):
 
 def test_evaluation_starts_everybody_from_the_same_place_and_with_the_rig_of_the_trial(agent):
     weights = random_checkpoint(agent).to_bytes()
-    # How far cameras see and move is told to the policy by the trial's rig.
+    # The policy knows from the trial's rig how far cameras see and move.
     far = replace(SIMULATION, rig=RigConfig(max_range=2.0))
     slow = replace(SIMULATION, episode=EpisodeConfig(turns=6, max_step=0.1))
     ends = {name: play_trial(one) for name, one in {

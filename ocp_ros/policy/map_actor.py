@@ -48,6 +48,8 @@ MODEL_POINTS = 6000
 #: Smallest number of time steps of an episode for values by heading, for cameras that are not
 #: omnidirectional: in a shorter episode values without headings give better places.
 MIN_TURNS_FOR_HEADINGS = 20
+#: How often each camera chooses in an episode, on average and at least.
+CHOICES_PER_EPISODE = 8
 
 
 class MapActor(PipelinedPlanner):
@@ -131,10 +133,8 @@ class MapActor(PipelinedPlanner):
 
     def asked(self, cameras: int, turn: int, turns: int) -> np.ndarray:
         """Return the numbers of the cameras that choose again in this time step, in order."""
-        # At least two choices in a time step, and on average eight or more of each camera in an
-        # episode.
         min_choices = 2
-        choices = max(min_choices, ceil(8 * cameras / turns))
+        choices = max(min_choices, ceil(CHOICES_PER_EPISODE * cameras / turns))
         # In one plan all cameras choose twice: the first plan of a short episode, the second plan
         # of a long one. The first plan of a long episode delays the cameras: one camera chooses.
         if self._planned_turns == (1 if self._ahead(turns) else 0):

@@ -50,13 +50,15 @@ def installer_page(assessed: Assessment, plan: str) -> str:
     floor = assessed.floor
     mounts = {'walls': 'on walls', 'ceiling': 'under the ceiling',
               'plane': 'on stands, poles or rods, all at one height',
-              'free': 'on stands, poles or rods', 'box': 'on stands, poles or rods'}
+              'free': 'on stands, poles or rods'}
     corner_position = assessed.frame.to_source(np.append(assessed.corner.position, floor)).round(2)
     # Optional sentences of the page.
     surfaces = ', '.join(wall.description(assessed.walls, floor)
                          for wall in assessed.references.inner)
-    mount = f'**Mount.** The cameras are {mounts[rig.mount.on]}. The room is ' \
-            f'{100.0 * (assessed.scene.bounds[1, 2] - floor):.0f} cm high.\n\n'
+    # A mount that the rig file does not give is not named.
+    mount = '' if 'mount' not in rig.document.data else (
+        f'**Mount.** The cameras are {mounts[rig.mount.on]}. The room is '
+        f'{100.0 * (assessed.scene.bounds[1, 2] - floor):.0f} cm high.\n\n')
     advice = ' Unless the table gives a roll, keep the long side of the camera level, top side up.'
     table = [['', *INSTRUCTION_COLUMNS], ['---'] * (len(INSTRUCTION_COLUMNS) + 1),
              *(map(escape_markdown, row) for row in assessed.rows)]
@@ -65,8 +67,7 @@ def installer_page(assessed: Assessment, plan: str) -> str:
         doubts=''.join(f'**Check first:** {escape_markdown(doubt)}.\n\n'
                        for doubt in facts.doubts),
         inner_walls=f' Other surfaces to measure from: {surfaces}.' if surfaces else '',
-        # A mount that the rig file does not give is not named.
-        mount=mount if 'mount' in rig.document.data else '',
+        mount=mount,
         level='' if all(placed.camera.model.omnidirectional for placed in cameras) else advice,
         frame=facts.frame, corner=assessed.corner.letters,
         # Adding 0 turns -0.0 into 0.0.

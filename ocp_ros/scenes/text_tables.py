@@ -157,8 +157,8 @@ def _has_windows_numbers(path: Path) -> bool:
 
 def _detect_format(path: Path) -> TableFormat:
     """Return the format of a text file; the default format if it has no content."""
-    # The numbers and texts of the first lines with content: names, a number of points, and points.
-    first_lines: list[tuple[int, str]] = []
+    # The texts and numbers of the first lines with content: names, a number of points, and points.
+    first_lines: list[tuple[str, int]] = []
     with path.open(encoding='latin-1') as file:
         for line_number, line in enumerate(file, start=1):
             # Some UTF-8 files begin with a byte order mark. CloudCompare writes the column names
@@ -167,19 +167,17 @@ def _detect_format(path: Path) -> TableFormat:
             if not WINDOWS_NONFINITE.search(text):
                 text = text.partition('#')[0]
             if text := text.strip().removeprefix('//').strip():
-                first_lines.append((line_number, text))
+                first_lines.append((text, line_number))
             if len(first_lines) == 3:
                 break
     # A single number before or after the names is the number of points.
-    counts = [line for line in first_lines[:2] if line[1].isdecimal()][:1]
-    others = [line for line in first_lines if line not in counts]
+    declared = next((line for line in first_lines[:2] if line[0].isdecimal()), None)
+    others = [line for line in first_lines if line != declared]
     if not others:
         return TableFormat()
-    table_format = _format_of_line(*others[0][::-1], others[1][1] if others[1:] else '', path.name)
-    for line_number, count in counts:
-        table_format = table_format._replace(
-            count=int(count), skipped_lines=max(line_number, table_format.skipped_lines))
-    return table_format
+    table_format = _format_of_line(*others[0], others[1][0] if others[1:] else '', path.name)
+    return table_format if declared is None else table_format._replace(
+        count=int(declared[0]), skipped_lines=max(declared[1], table_format.skipped_lines))
 
 
 def _format_of_line(first_line: str, line_number: int, next_line: str, name: str) -> TableFormat:

@@ -26,6 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.policy.checkpoint import read_metadata
+from ocp_ros.policy.map_actor import CHOICES_PER_EPISODE
 from ocp_ros.util.settings import MAX_CAMERAS
 from safetensors import SafetensorError
 import safetensors.numpy
@@ -125,7 +126,7 @@ def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int | Non
     :param actions: (choices, cameras that choose together, 2) float32.
     :param targets: (K, 3) of K cameras.
     :param together: number of cameras that one choice moves; None if each moves one camera, and
-        there are at most 8 K choices, of any cameras.
+        there are at most ``CHOICES_PER_EPISODE`` K choices, of any cameras.
     """
     if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= MAX_CAMERAS:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
@@ -133,8 +134,8 @@ def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int | Non
     count = len(actions) if actions.ndim else 0
     each = together or 1
     if together is None:
-        # In an episode of a single turn each camera chooses eight times.
-        fits = 1 <= count <= 8 * len(targets)
+        # In an episode of a single turn all choices of the episode are in that turn.
+        fits = 1 <= count <= CHOICES_PER_EPISODE * len(targets)
     else:
         # All cameras choose: one by one, or all at once.
         fits = (count, each) in ((len(targets), 1), (1, len(targets)))

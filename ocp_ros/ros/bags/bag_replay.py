@@ -321,8 +321,11 @@ class TransformTree:
                 position, rotation_of(transform.transform.rotation, f'transform of {name!r}')))
 
     def look_up_pose(self, frame: str, ancestor: str) -> Pose | None:
-        """Return the pose of a frame in one of its ancestors; None if it has no such ancestor."""
-        frame, ancestor = frame.lstrip('/'), ancestor.lstrip('/')
+        """
+        Return the pose of a frame in one of its ancestors; None if it has no such ancestor.
+
+        Neither name begins with a slash.
+        """
         pose = Pose(np.zeros(3), LEVEL)
         # Limit the number of steps: the recorded transforms may form a cycle.
         for _ in range(len(self._parents) + 1):
