@@ -18,7 +18,7 @@ Which repairs make the paper's agent learn: a ladder of trainings, each with mor
 All have the potential reward and the same rooms, engine and viewpoints. ``literal`` has the
 networks and the learning of the paper's run; ``critics`` the repaired network, whose extractor the
 critics train, and cameras that choose one after the other; ``updates`` more and larger gradient
-steps; ``blocks`` residual heads; ``augmented`` symmetries and jitter.
+steps; ``blocks`` residual heads; ``augmented`` symmetries and jitter; ``wide`` a larger extractor.
 
     python -m benchmarks.paper_agent --rungs literal critics --out out/ladder
     python -m benchmarks.paper_agent --record --evaluation out/evaluation/evaluation.json
@@ -55,12 +55,15 @@ COMMON: dict[str, Any] = {
     'sac': {'buffer_size': 60_000, 'device': 'cpu'}}
 RUNGS: dict[str, dict[str, Any]] = {
     'literal': {},
-    'critics': {},
+    'critics': {'updates_per_turn': 1 / 32, 'agent': {'hidden': 256, 'blocks': 0},
+                'sac': {'batch_size': 64, 'gamma': 0.99, 'n_steps': 1, 'tau': 0.005,
+                        'learning_rate': 3e-4, 'augmentation': 'none'}},
     'updates': {'updates_per_turn': 0.25,
                 'sac': {'batch_size': 128, 'gamma': 0.95, 'n_steps': 3, 'tau': 0.01,
                         'learning_rate': 5e-4}},
     'blocks': {'agent': {'blocks': 2, 'hidden': 128}},
-    'augmented': {'sac': {'augmentation': 'jitter'}}}
+    'augmented': {'sac': {'augmentation': 'jitter'}},
+    'wide': {'agent': {'channels': 64, 'keys_2': 16, 'pooled': 256}}}
 
 
 def merged(settings: dict[str, Any], more: dict[str, Any]) -> dict[str, Any]:
@@ -90,9 +93,8 @@ def row_of(folder: Path) -> dict[str, Any]:
     lines = [line for line in records(folder) if 'ratio' in line]
     config, last = read_config(folder / 'config.yaml'), lines[-1]
     return {'seed': config.seed, 'demonstrations': config.sac.demonstrations,
-            'interactions': last['interactions'],
-            'updates': last['updates'], 'minutes': round(last['seconds'] / 60.0, 1),
-            'ratio': round(last['ratio'], 3),
+            'interactions': last['interactions'], 'updates': last['updates'],
+            'minutes': round(last['seconds'] / 60.0, 1), 'ratio': round(last['ratio'], 3),
             'least_ratio': round(min(line['ratio'] for line in lines), 3),
             'critic_loss': last.get('critic_loss'),
             'curve': [[line['interactions'], round(line['ratio'], 3)] for line in lines]}
@@ -148,9 +150,8 @@ def main(argv: list[str] | None = None) -> None:
     logging.basicConfig(level=logging.INFO)
     command = results.command_of('paper_agent', argv)
     for rung in options.rungs:
-        folder = options.out / f'{rung}_{options.interactions}_{options.seed}'
-        if options.demonstrations:
-            folder = folder.with_name(f'{folder.name}_demonstrations')
+        demonstrated = '_demonstrations' if options.demonstrations else ''
+        folder = options.out / f'{rung}_{options.interactions}_{options.seed}{demonstrated}'
         train(config_of(rung, options.seed, options.interactions, options.demonstrations), folder,
               command)
         print(rung, row_of(folder), flush=True)
@@ -158,12 +159,11 @@ def main(argv: list[str] | None = None) -> None:
         before = json.loads((results.FOLDER / 'paper_agent.json').read_text())
         rows = {folder.name: row_of(folder) for folder in sorted(options.out.iterdir())
                 if any('ratio' in line for line in records(folder))}
-        figures = {'rows': before['rows'] | rows,
-                   'test': before['test']}
-        if options.evaluation:
-            figures['test'] = against(options.evaluation)
-        figures['alone'] = before['alone'] | {
-            case: compare_alone(*map(Path, paths)) for case, *paths in options.alone}
+        figures = {
+            'rows': before['rows'] | rows,
+            'test': against(options.evaluation) if options.evaluation else before['test'],
+            'alone': before['alone'] | {
+                case: compare_alone(*map(Path, paths)) for case, *paths in options.alone}}
         results.write('paper_agent', figures, command)
 
 

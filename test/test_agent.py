@@ -24,13 +24,12 @@ import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, METADATA_KEY, write_atomically
 from ocp_ros.policy.cloud_encoder import Encoder
-from ocp_ros.policy.networks import ExtractionUnit, Extractor
+from ocp_ros.policy.networks import ExtractionUnit, Extractor, SYMMETRIES, turned_observation
 from ocp_ros.policy.observation_cloud import encode, MAX_OTHERS
 from ocp_ros.policy.policy import Policy
 from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.rooms.scene_source import make_room
-from ocp_ros.training.augmentation import SYMMETRIES, turned_observation
 from ocp_ros.training.encoded_environment import encoded_space
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.util.settings import ConfigurationError
@@ -214,14 +213,18 @@ def test_nearly_every_point_reaches_a_group():
         assert least < len(np.unique(groups)) / agent.points <= most
 
 
-def test_symmetries_turn_the_ways_to_other_cameras(cloud):
-    seen = turn_of(cloud, corners(cloud)).inputs(0)
+def test_symmetries_turn_the_ways_to_other_cameras_and_the_move(cloud):
+    seen, policy = turn_of(cloud, corners(cloud)).inputs(0), Policy(random_checkpoint(AGENT))
+    (move,) = policy.choose(seen)
+    assert np.linalg.norm(move) > 1e-3
     for matrix in SYMMETRIES:
         turned = turned_observation(batch(seen), matrix[None])
         expected = seen['others'].copy()
         expected[:, :2] = expected[:, :2] @ matrix.numpy().T
         np.testing.assert_allclose(turned['others'][0], expected, atol=1e-6)
         np.testing.assert_array_equal(turned['marks'][0], seen['marks'])
+        (found,) = policy.choose({name: value[0].numpy() for name, value in turned.items()})
+        np.testing.assert_allclose(found, matrix.numpy() @ move, atol=1e-5)
 
 
 def test_one_head_serves_one_number_of_cameras_and_tells_them_apart(small_agent, cloud):

@@ -26,6 +26,11 @@ from ocp_ros.policy.value_network import ValueMapNetwork
 import torch
 from torch import nn, Tensor
 
+#: (8, 2, 2): rotations by 0, 90, 180 and 270 degrees, then the same after a reflection.
+SYMMETRIES = Tensor([
+    [[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]],
+    [[-1, 0], [0, 1]], [[0, -1], [-1, 0]], [[1, 0], [0, -1]], [[0, 1], [1, 0]]])
+
 
 def perceptron(*widths: int) -> nn.Sequential:
     """Return linear layers from each width to the next, each followed by a ReLU."""
@@ -78,6 +83,31 @@ def gather(values: Tensor, indices: Tensor) -> Tensor:
     # The numbers of the batch entries, shaped to be broadcast to the indices.
     batch = torch.arange(len(values), device=values.device)
     return values[batch.view(-1, *[1] * (indices.dim() - 1)), indices.long()]
+
+
+def turned_vectors(vectors: Tensor, matrices: Tensor) -> Tensor:
+    """
+    Return vectors whose first two components are multiplied by one matrix per batch entry.
+
+    :param vectors: (B, ..., 2 or more components).
+    :param matrices: (B, 2, 2).
+    """
+    plane = vectors[..., :2].reshape(len(vectors), -1, 2) @ matrices.transpose(1, 2)
+    return torch.cat([plane.reshape(*vectors.shape[:-1], 2), vectors[..., 2:]], dim=-1)
+
+
+def turned_observation(observation: dict[str, Tensor], matrices: Tensor) -> dict[str, Tensor]:
+    """
+    Return an encoded observation, rotated or mirrored by one matrix per batch entry.
+
+    :param observation: inputs of a network that reads clouds, batched.
+    :param matrices: (B, 2, 2), each one of ``SYMMETRIES``.
+    """
+    turned = {name: turned_vectors(observation[name], matrices)
+              for name in ('points', 'cameras', 'others') if name in observation}
+    # Sizes have no sign; a quarter turn exchanges those along x and y.
+    half_size = turned_vectors(observation['half_size'], matrices.abs())
+    return {**observation, **turned, 'half_size': half_size}
 
 
 class ExtractionUnit(nn.Module):

@@ -17,7 +17,7 @@
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.cloud_encoder import Encoder
-from ocp_ros.policy.networks import Actor
+from ocp_ros.policy.networks import Actor, SYMMETRIES, turned_observation, turned_vectors
 from ocp_ros.policy.observation_cloud import encode
 from ocp_ros.policy.value_network import CellChoices, valued, ValueMap, ValueMapNetwork
 from ocp_ros.rig.motion import order_of
@@ -66,8 +66,7 @@ class Policy:
         moves = np.empty((len(camera_positions), 2), dtype=np.float32)
         encoded = self.encoder.turn(cloud, camera_positions, turn, turns)
         for camera in order_of(turn, len(moves)):
-            (move,) = self.choose(encoded.inputs(camera), rng)
-            moves[camera] = encoded.move(camera, move)
+            moves[camera] = encoded.move(camera, self.choose(encoded.inputs(camera), rng)[0])
         return moves
 
     def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
@@ -75,19 +74,28 @@ class Policy:
         """
         Choose the next moves of the cameras of an encoded observation.
 
+        The most probable move of the network ``cloud`` is the mean over the eight symmetries of
+        the plane, which reduces the network's errors.
+
         :param encoded: one observation; see :mod:`ocp_ros.policy.observation_cloud`.
         :param rng: generator to draw the moves at random; None for the most probable moves.
         :returns: (K, 2) float32, in units of the longest step.
         """
-        batch = {name: torch.from_numpy(value)[None] for name, value in encoded.items()}
+        is_averaged = rng is None and self.checkpoint.config.one_by_one
+        # The first symmetry changes nothing.
+        matrices = SYMMETRIES if is_averaged else SYMMETRIES[:1]
+        batch = {name: torch.from_numpy(value).expand(len(matrices), *value.shape)
+                 for name, value in encoded.items()}
         with torch.inference_mode():
-            mean, log_std = self.actor(batch)
+            mean, log_std = self.actor(turned_observation(batch, matrices))
             if rng is not None:
                 # The draw depends on ``rng`` alone, and the generator of torch does not advance.
                 with torch.random.fork_rng(devices=[]):
                     torch.manual_seed(int(rng.integers(1 << 62)))
                     mean = mean + log_std.exp() * torch.randn_like(mean)
-            return torch.tanh(mean)[0].unflatten(0, (-1, 2)).numpy()
+            moves = torch.tanh(mean).unflatten(1, (-1, 2))
+            # The transposed matrices turn the moves back.
+            return turned_vectors(moves, matrices.transpose(1, 2)).mean(dim=0).numpy()
 
 
 class ValuePolicy:

@@ -21,42 +21,11 @@ an observation and the reward do not change. In this module B is the size of a b
 """
 
 import numpy as np
+from ocp_ros.policy.networks import SYMMETRIES, turned_observation, turned_vectors
 from ocp_ros.policy.observation_map import CELLS, used_part
 from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import torch
-
-#: (8, 2, 2): rotations by 0, 90, 180 and 270 degrees, then the same after a reflection.
-SYMMETRIES = torch.tensor([
-    [[1, 0], [0, 1]], [[0, -1], [1, 0]], [[-1, 0], [0, -1]], [[0, 1], [-1, 0]],
-    [[-1, 0], [0, 1]], [[0, -1], [-1, 0]], [[1, 0], [0, -1]], [[0, 1], [1, 0]]],
-    dtype=torch.float32)
-
-
-def turned_vectors(vectors: torch.Tensor, matrices: torch.Tensor) -> torch.Tensor:
-    """
-    Return vectors whose first two components are multiplied by one matrix per batch entry.
-
-    :param vectors: (B, ..., 2 or more components).
-    :param matrices: (B, 2, 2).
-    """
-    plane = vectors[..., :2].reshape(len(vectors), -1, 2) @ matrices.transpose(1, 2)
-    return torch.cat([plane.reshape(*vectors.shape[:-1], 2), vectors[..., 2:]], dim=-1)
-
-
-def turned_observation(observation: dict[str, torch.Tensor], matrices: torch.Tensor
-                       ) -> dict[str, torch.Tensor]:
-    """
-    Return an encoded observation, rotated or mirrored by one matrix per batch entry.
-
-    :param observation: inputs of a network that reads clouds, batched.
-    :param matrices: (B, 2, 2), each one of ``SYMMETRIES``.
-    """
-    turned = {name: turned_vectors(observation[name], matrices)
-              for name in ('points', 'cameras', 'others')}
-    # Sizes have no sign; a quarter turn exchanges those along x and y.
-    half_size = turned_vectors(observation['half_size'], matrices.abs())
-    return {**observation, **turned, 'half_size': half_size}
 
 
 def turned_maps(observation: dict[str, torch.Tensor], places: torch.Tensor, number: int

@@ -355,10 +355,9 @@ def report(run: TrainingRun, command: str) -> Checkpoint:
     config = run.config
     best = Checkpoint.load(run.folder / BEST)
     # The results are computed with the finest engine, even if the run learned on another.
-    fine_engine = EngineConfig(preset='fine')
     # Without weights, these trials are those of random moves.
-    trials = [replace(trial, simulation=replace(trial.simulation, engine=fine_engine))
-              for trial in trials_of(config, 'test')]
+    trials = [replace(t, simulation=replace(t.simulation, engine=EngineConfig(preset='fine')))
+              for t in trials_of(config, 'test')]
     cpu = f'CPU, {config.workers or cores()} processes, {torch.get_num_threads()} threads'
     lines = records(run.folder)
     provenance = {
