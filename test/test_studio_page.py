@@ -219,9 +219,10 @@ def test_the_guide_fits_a_phone(opened):
     tab.get_by_text('camera 3: 3.00 m to the right').wait_for()
     tab.wait_for_timeout(1000)
     assert_fits(tab, PHONE)
-    for label in BUTTONS:
+    for number, label in enumerate(BUTTONS, 1):
         tab.get_by_role('button', name=label).click()
-    wait_until(lambda: pressed == list(BUTTONS))
+        # Of clicks within 50 ms, which no person makes, the page sends the first and the last.
+        wait_until(lambda: pressed == list(BUTTONS[:number]))
     tab.close()
     server.stop()
 

@@ -61,8 +61,12 @@ class GuidePage:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
         gui.add_html(STYLE_RULES)
         self.instructions = gui.add_html('')
+
+        async def press(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
+            # A coroutine, since threads would not keep the order of the presses.
+            on_press(event.target.label)
         for label in BUTTONS:
-            gui.add_button(label).on_click(lambda _, label=label: on_press(label))
+            gui.add_button(label).on_click(press)
         self.answer = gui.add_html('')
         self.plan = gui.add_html('')
         # The view until there is a cloud; then :meth:`_show_cloud` sets another one.
@@ -95,18 +99,12 @@ class GuidePage:
         paragraphs = [f'<p><b>{escape(sentence)}</b></p>' for sentence in sentences]
         paragraphs += [f'<p>{escape(sentence)}</p>'
                        for sentence in (self.expectation, self.status) if sentence]
-        self._set_html(self.instructions, styled(''.join(paragraphs)))
-        self._set_html(self.plan, plan_svg(points, self.poses, self.targets))
+        self.instructions.content = styled(''.join(paragraphs))
+        self.plan.content = plan_svg(points, self.poses, self.targets)
         for number, pose in enumerate(self.poses):
             self._show_pose(f'/cameras/{number}', f'{number}', number, pose, opacity=1.0)
         for number, target in enumerate(self.targets):
             self._show_pose(f'/targets/{number}', f'to {number}', number, target, opacity=0.4)
-
-    @staticmethod
-    def _set_html(handle: viser.GuiHtmlHandle, html: str) -> None:
-        """Send a text to the page only if it has changed."""
-        if handle.content != html:
-            handle.content = html
 
     def _show_cloud(self, points: np.ndarray) -> None:
         """Show the observed points, coloured by their height."""

@@ -183,7 +183,8 @@ class Panel:
             self.show_message('')
             action(value)
 
-        def enqueue_action(event: viser.GuiEvent) -> None:
+        async def enqueue_action(event: viser.GuiEvent) -> None:
+            # A coroutine, since threads would not keep the order of the events.
             # Without a client, the program itself has changed the value.
             if event.client is not None:
                 self.page.enqueue(partial(run, event.target.value))
