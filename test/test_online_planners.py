@@ -22,6 +22,7 @@ from copy import deepcopy
 from dataclasses import replace
 from functools import cache, partial
 import itertools
+from types import SimpleNamespace
 
 from conftest import flat_clouds, random_checkpoint
 import numpy as np
@@ -140,6 +141,31 @@ def test_an_episode_is_played_to_its_end_by_the_rules(name, outcome_of, engine):
     # A network of random weights sends cameras anywhere, all others into what has been seen.
     for places, low, high in sent if name != 'learned' else ():
         assert (places >= low + MARGIN - 1e-6).all() and (places <= high - MARGIN + 1e-6).all()
+
+
+class Gathering:
+    """A policy that sends all cameras into one corner, where each sees what the others see."""
+
+    encoder = SimpleNamespace(partial_maps=SimpleNamespace(rig_state=None))
+
+    def act(self, cloud, positions, turn, turns):
+        """Move all cameras the same way."""
+        return np.full((len(positions), 2), 0.7)
+
+    def reset(self):
+        """Forget nothing."""
+
+
+def test_cameras_return_in_time_to_the_best_placement_of_the_episode_and_stay(engine):
+    online = Learned(Gathering(), *settings())
+    outcome = play(online, episode_of(engine, 5))
+    # They have gone as far as they could come back from.
+    lengths = np.linalg.norm(outcome.trajectory - outcome.trajectory[-1], axis=2).max(axis=1)
+    assert lengths.max() > 4.0 * MAX_STEP and lengths[:6].min() < 1e-6
+    assert outcome.depth_error[-1] < 1.05 * outcome.depth_error.min()
+    assert outcome.depth_error[-1] < 0.8 * outcome.depth_error[6]
+    moves = online.move(engine.scene.points, outcome.trajectory[-1], turn=12, turns=12)
+    np.testing.assert_array_equal(moves, 0.0)
 
 
 @pytest.mark.parametrize('name', ['map actor', 'lookahead', 'guided lookahead'])

@@ -12,19 +12,31 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The online planner that moves cameras by a trained policy."""
+"""
+The online planner that moves cameras by a trained policy.
+
+The policy chooses moves, and does not know which of its placements was the best one. The planner
+therefore compares the placements of the episode on the observed cloud. The policy moves the
+cameras as long as they can still return to the best placement; then they return.
+"""
 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ocp_ros.online.online_planner import Online
-from ocp_ros.online.rig_state import RigState
+from ocp_ros.geometry.visibility import FAST
+from ocp_ros.online.online_planner import Online, standing
+from ocp_ros.online.partial_map import KeptModel
+from ocp_ros.online.rig_state import clearance_of, fixed_views, RigState, view_from
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.rig.motion import bounded_moves
+from ocp_ros.scenes.scene import SceneError
 
 if TYPE_CHECKING:
     from ocp_ros.policy.policy import Policy, ValuePolicy
+
+#: Points, and rows of the depth maps, of the partial map on which placements are compared.
+MODEL_POINTS, MODEL_ROWS = 60_000, 128
 
 
 class Learned(Online):
@@ -38,6 +50,7 @@ class Learned(Online):
     def __init__(self, policy: 'Policy', *settings) -> None:
         super().__init__(*settings)
         self.policy = policy
+        self._forget()
 
     def set_rig_state(self, rig_state: RigState | None) -> None:
         """Set the rig state of the policy's encoder too; see :meth:`Online.set_rig_state`."""
@@ -47,14 +60,60 @@ class Learned(Online):
     def reset(self) -> None:
         """Discard the state of the last episode."""
         self.policy.reset()
+        self._forget()
+
+    def _forget(self) -> None:
+        """Discard the placements of the last episode."""
+        #: (V, K, 6) metres, map frame, and radians: placements of the episode.
+        self._placements = np.empty((0, 0, 6))
+        self._kept_model = KeptModel(self.max_range, self.wall_margin, MODEL_POINTS, MODEL_ROWS)
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Return the next moves; see :meth:`Online.move`."""
         if len(cloud) == 0:
             return self.random_walk(cloud, positions)
-        start = positions[:, :2]
+        start, space = positions[:, :2], self.space(cloud, positions)
         moves = bounded_moves(self.policy.act(cloud, positions, turn, turns), self.max_step)
-        return self.space(cloud, positions).moved(start, moves, self.max_step) - start
+        ends = space.moved(start, moves, self.max_step)
+        placement = standing(positions, self.rig_state)[None]
+        if self._placements.shape[1:] != placement.shape[1:]:
+            self._placements = placement[:0]
+        self._placements = np.concatenate([self._placements, placement])
+        best = self._due_placement(cloud, positions, ends, turns - turn)
+        if best is not None:
+            ends = space.moved(start, self.towards(positions, best) - start, self.max_step)
+        return ends - start
+
+    def _due_placement(self, cloud: np.ndarray, positions: np.ndarray, ends: np.ndarray,
+                       turns_left: int) -> np.ndarray | None:
+        """
+        Return the best placement of the episode if the cameras have to return to it now.
+
+        :param cloud: see :meth:`Online.move`.
+        :param positions: see :meth:`Online.move`; the last of the placements.
+        :param ends: (K, 2) metres, where the policy sends the cameras.
+        :param turns_left: time steps until the end of the episode.
+        :returns: (K, 2) metres; None if the policy may move the cameras.
+        """
+        now, then = (np.linalg.norm(self._placements[..., :2] - places, axis=2).max(axis=1)
+                     for places in (positions[:, :2], ends))
+        # Lengths of paths, metres; the constant allows for rounding.
+        within_reach = now <= max(turns_left, 0) * self.max_step + 1e-6
+        due = then > max(turns_left - 1, 0) * self.max_step + 1e-6
+        if not due[within_reach].any():
+            return None
+        try:
+            model, _ = self._kept_model(cloud, positions, FAST,
+                                        clearance_of(self.rig_state, self.clearance))
+        except SceneError:
+            return None
+        fixed = fixed_views(model, self.rig_state)
+        errors = [model.error(fixed + [
+            view_from(model, self.rig_state, camera, pose[:3], pose[3:])
+            for camera, pose in enumerate(placement)]) if reached else np.inf
+            for placement, reached in zip(self._placements, within_reach)]
+        best = int(np.argmin(errors))
+        return self._placements[best, :, :2] if due[best] else None
 
 
 def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | MapActor:
