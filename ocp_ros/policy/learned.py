@@ -15,9 +15,10 @@
 """
 The online planner that moves cameras by a trained policy.
 
-The policy chooses moves, and does not know which of its placements was the best one. The planner
-therefore compares the placements of the episode on the observed cloud. The policy moves the
-cameras as long as they can still return to the best placement; then they return.
+The policy chooses moves, and does not know how good its placements are. The planner therefore
+compares the places where the cameras have been in the episode, on the observed cloud: it chooses
+the best combination of one place of each camera. The policy moves the cameras as long as they can
+still return to these places in time; then they return.
 """
 
 from typing import TYPE_CHECKING
@@ -25,7 +26,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ocp_ros.geometry.visibility import FAST
 from ocp_ros.online.online_planner import Online, standing
-from ocp_ros.online.partial_map import KeptModel
+from ocp_ros.online.partial_map import KeptModel, PartialMap
 from ocp_ros.online.rig_state import clearance_of, fixed_views, RigState, view_from
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.map_actor import MapActor
@@ -35,8 +36,10 @@ from ocp_ros.scenes.scene import SceneError
 if TYPE_CHECKING:
     from ocp_ros.policy.policy import Policy, ValuePolicy
 
-#: Points, and rows of the depth maps, of the partial map on which placements are compared.
+#: Points, and rows of the depth maps, of the partial map on which places are compared.
 MODEL_POINTS, MODEL_ROWS = 60_000, 128
+#: Largest number of places of a camera that are compared: those of the last time steps.
+MAX_PLACES = 60
 
 
 class Learned(Online):
@@ -64,7 +67,7 @@ class Learned(Online):
 
     def _forget(self) -> None:
         """Discard the placements of the last episode."""
-        #: (V, K, 6) metres, map frame, and radians: placements of the episode.
+        #: (V, K, 6) metres, map frame, and radians: the last placements of the episode.
         self._placements = np.empty((0, 0, 6))
         self._kept_model = KeptModel(self.max_range, self.wall_margin, MODEL_POINTS, MODEL_ROWS)
 
@@ -78,16 +81,16 @@ class Learned(Online):
         placement = standing(positions, self.rig_state)[None]
         if self._placements.shape[1:] != placement.shape[1:]:
             self._placements = placement[:0]
-        self._placements = np.concatenate([self._placements, placement])
-        best = self._due_placement(cloud, positions, ends, turns - turn)
+        self._placements = np.concatenate([self._placements, placement])[-MAX_PLACES:]
+        best = self._due_places(cloud, positions, ends, turns - turn)
         if best is not None:
             ends = space.moved(start, self.towards(positions, best) - start, self.max_step)
         return ends - start
 
-    def _due_placement(self, cloud: np.ndarray, positions: np.ndarray, ends: np.ndarray,
-                       turns_left: int) -> np.ndarray | None:
+    def _due_places(self, cloud: np.ndarray, positions: np.ndarray, ends: np.ndarray,
+                    turns_left: int) -> np.ndarray | None:
         """
-        Return the best placement of the episode if the cameras have to return to it now.
+        Return the best places of the episode if the cameras have to return to them now.
 
         :param cloud: see :meth:`Online.move`.
         :param positions: see :meth:`Online.move`; the last of the placements.
@@ -95,11 +98,11 @@ class Learned(Online):
         :param turns_left: time steps until the end of the episode.
         :returns: (K, 2) metres; None if the policy may move the cameras.
         """
-        now, then = (np.linalg.norm(self._placements[..., :2] - places, axis=2).max(axis=1)
+        now, then = (np.linalg.norm(self._placements[..., :2] - places, axis=2)
                      for places in (positions[:, :2], ends))
-        # Lengths of paths, metres; the constant allows for rounding.
-        within_reach = now <= max(turns_left, 0) * self.max_step + 1e-6
-        due = then > max(turns_left - 1, 0) * self.max_step + 1e-6
+        # (V, K) each, from lengths of paths in metres; the constant allows for rounding.
+        within_reach = now <= turns_left * self.max_step + 1e-6
+        due = then > (turns_left - 1) * self.max_step + 1e-6
         if not due[within_reach].any():
             return None
         try:
@@ -107,13 +110,39 @@ class Learned(Online):
                                         clearance_of(self.rig_state, self.clearance))
         except SceneError:
             return None
+        best = self._best_places(model, within_reach), np.arange(len(positions))
+        return self._placements[best][:, :2] if due[best].any() else None
+
+    def _best_places(self, model: PartialMap, within_reach: np.ndarray) -> np.ndarray:
+        """
+        Return the number of the best place of each camera: (K,).
+
+        This begins with the best placement. Then one camera after the other takes the best of its
+        places, given those of the others, until no camera finds a better one.
+
+        :param model: of the observed cloud.
+        :param within_reach: (V, K) bool, which places the cameras can still reach; the last of
+            each camera is always among them.
+        """
+        views = [[view_from(model, self.rig_state, camera, pose[:3], pose[3:]) if reached else None
+                  for pose, reached in zip(poses, reached_poses, strict=True)]
+                 for camera, (poses, reached_poses) in enumerate(zip(
+                     self._placements.swapaxes(0, 1), within_reach.T, strict=True))]
         fixed = fixed_views(model, self.rig_state)
-        errors = [model.error(fixed + [
-            view_from(model, self.rig_state, camera, pose[:3], pose[3:])
-            for camera, pose in enumerate(placement)]) if reached else np.inf
-            for placement, reached in zip(self._placements, within_reach)]
-        best = int(np.argmin(errors))
-        return self._placements[best, :, :2] if due[best] else None
+        places = np.flatnonzero(within_reach.all(axis=1))
+        errors = [model.error([*fixed, *(own[place] for own in views)]) for place in places]
+        choice = np.full(len(views), places[np.argmin(errors)])
+        least_error, camera, unchanged = min(errors), 0, 0
+        while unchanged < len(views):
+            others = [own[choice[k]] for k, own in enumerate(views) if k != camera]
+            error_with = model.depth_error.given(model.together(others + fixed).seen)
+            unchanged += 1
+            for place in np.flatnonzero(within_reach[:, camera]):
+                error = error_with(views[camera][place].seen, least_error)
+                if error < least_error - 1e-9:
+                    choice[camera], least_error, unchanged = place, error, 0
+            camera = (camera + 1) % len(views)
+        return choice
 
 
 def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | MapActor:
