@@ -93,15 +93,16 @@ SENTENCES = [
     (RESULTS, '99 % take at most {} and {} ms', 'studio/sizes/{key}',
      '0/event_to_colours_ms/p99 1/event_to_colours_ms/p99'),
     (MODELS, 'the error at the end of an episode is {} and {} times the error at its start (two '
-     'seeds; at best {} and {}). With all repairs it is {} times ({} at best), with a larger '
-     'extractor too {} times ({} at best)', 'paper_agent/rows/{key}', 'critics_300000_0/ratio '
-     'critics_300000_1/ratio critics_300000_0/least_ratio critics_300000_1/least_ratio '
-     'augmented_300000_0/ratio augmented_300000_0/least_ratio wide_300000_0/ratio '
-     'wide_300000_0/least_ratio'),
-    (MODELS, 'its error is {} and {} times that of `paper` after 5 and 8 turns with moves of up '
-     'to 2 m, and {} times after 30 turns with moves of up to 0.5 m; with two cameras {}, {} and '
-     '{} times; with six cameras {}, {} and {} times. After 8 turns it is {} times in rooms '
-     'turned by 30 degrees, and {} times in five', 'paper_agent/alone/{key}/ratio',
+     'seeds; at best {} and {}). With all repairs it is {} times ({} at best), in a second '
+     'training {} times after {}, with a larger extractor too {} times ({} at best)',
+     'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
+     'critics_300000_0/least_ratio critics_300000_1/least_ratio augmented_300000_0/ratio '
+     'augmented_300000_0/least_ratio augmented_180000_1/ratio augmented_180000_1/interactions '
+     'wide_300000_0/ratio wide_300000_0/least_ratio'),
+    (MODELS, 'the error of `actor` is {} and {} times that of `paper` after 5 and 8 turns with '
+     'moves of up to 2 m, and {} times after 30 turns with moves of up to 0.5 m; with two cameras '
+     '{}, {} and {} times; with six cameras {}, {} and {} times. After 8 turns it is {} '
+     'times in rooms turned by 30 degrees, and {} times in five', 'paper_agent/alone/{key}/ratio',
      ' '.join(f'{case}/lengths/{length}' for case in ('four_cameras', 'two_cameras', 'six_cameras')
               for length in ('5x2', '8x2', '30x0.5'))
      + ' turned_30_degrees/lengths/8x2 scans/lengths/8x2'),
