@@ -53,7 +53,7 @@ class Learned(Online):
     def __init__(self, policy: 'Policy', *settings) -> None:
         super().__init__(*settings)
         self.policy = policy
-        self._forget()
+        self.reset()
 
     def set_rig_state(self, rig_state: RigState | None) -> None:
         """Set the rig state of the policy's encoder too; see :meth:`Online.set_rig_state`."""
@@ -63,10 +63,6 @@ class Learned(Online):
     def reset(self) -> None:
         """Discard the state of the last episode."""
         self.policy.reset()
-        self._forget()
-
-    def _forget(self) -> None:
-        """Discard the placements of the last episode."""
         #: (V, K, 6) metres, map frame, and radians: the last placements of the episode.
         self._placements = np.empty((0, 0, 6))
         self._kept_model = KeptModel(self.max_range, self.wall_margin, MODEL_POINTS, MODEL_ROWS)
@@ -124,10 +120,11 @@ class Learned(Online):
         :param within_reach: (V, K) bool, which places the cameras can still reach; the last of
             each camera is always among them.
         """
-        views = [[view_from(model, self.rig_state, camera, pose[:3], pose[3:]) if reached else None
-                  for pose, reached in zip(poses, reached_poses, strict=True)]
-                 for camera, (poses, reached_poses) in enumerate(zip(
-                     self._placements.swapaxes(0, 1), within_reach.T, strict=True))]
+        # For each camera the view from each place within reach, by the number of the place.
+        views = [{place: view_from(model, self.rig_state, camera,
+                                   *np.split(self._placements[place, camera], 2))
+                  for place in np.flatnonzero(reached)}
+                 for camera, reached in enumerate(within_reach.T)]
         fixed = fixed_views(model, self.rig_state)
         places = np.flatnonzero(within_reach.all(axis=1))
         errors = [model.error([*fixed, *(own[place] for own in views)]) for place in places]
@@ -137,8 +134,8 @@ class Learned(Online):
             others = [own[choice[k]] for k, own in enumerate(views) if k != camera]
             error_with = model.depth_error.given(model.together(others + fixed).seen)
             unchanged += 1
-            for place in np.flatnonzero(within_reach[:, camera]):
-                error = error_with(views[camera][place].seen, least_error)
+            for place, view in views[camera].items():
+                error = error_with(view.seen, least_error)
                 if error < least_error - 1e-9:
                     choice[camera], least_error, unchanged = place, error, 0
             camera = (camera + 1) % len(views)

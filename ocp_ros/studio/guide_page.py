@@ -22,6 +22,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import heading_of, Pose
 from ocp_ros.rig.motion import wrapped
 from ocp_ros.studio.scene_nodes import wxyz_of
+from ocp_ros.studio.server import in_order
 from ocp_ros.studio.texts import camera_rgb, message, STYLE_RULES, styled
 import viser
 
@@ -61,12 +62,8 @@ class GuidePage:
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
         gui.add_html(STYLE_RULES)
         self.instructions = gui.add_html('')
-
-        async def press(event: viser.GuiEvent[viser.GuiButtonHandle]) -> None:
-            # A coroutine, since threads would not keep the order of the presses.
-            on_press(event.target.label)
         for label in BUTTONS:
-            gui.add_button(label).on_click(press)
+            gui.add_button(label).on_click(in_order(lambda event: on_press(event.target.label)))
         self.answer = gui.add_html('')
         self.plan = gui.add_html('')
         # The view until there is a cloud; then :meth:`_show_cloud` sets another one.

@@ -24,6 +24,7 @@ from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.studio import texts, zone_edits
 from ocp_ros.studio.depth_image import NO_DEPTH_COLOUR
 from ocp_ros.studio.model import Evaluation
+from ocp_ros.studio.server import in_order
 from ocp_ros.studio.state import State
 from ocp_ros.studio.tasks import addition_work, find_least_useful, Progress, search_work, Work
 from ocp_ros.util.settings import ConfigurationError
@@ -71,7 +72,7 @@ class Panel:
         for label, key, action in (('Undo', 'z', self._undo), ('Redo', 'y', self._redo),
                                    ('Lock or unlock the selected camera', 'l', self._toggle_lock)):
             command = gui.add_command(label, hotkey=key, modifier='cmd/ctrl+alt')
-            command.on_trigger(lambda _, action=action: page.enqueue(action))
+            command.on_trigger(in_order(lambda _, action=action: page.enqueue(action)))
 
     def _add_camera_fields(self, gui: viser.GuiApi) -> None:
         """Add the fields of the selected camera."""
@@ -183,13 +184,13 @@ class Panel:
             self.show_message('')
             action(value)
 
-        async def enqueue_action(event: viser.GuiEvent) -> None:
-            # A coroutine, since threads would not keep the order of the events.
+        def enqueue_action(event: viser.GuiEvent) -> None:
             # Without a client, the program itself has changed the value.
             if event.client is not None:
                 self.page.enqueue(partial(run, event.target.value))
         # Only buttons have on_click.
-        (field.on_click if hasattr(field, 'on_click') else field.on_update)(enqueue_action)
+        (field.on_click if hasattr(field, 'on_click') else field.on_update)(
+            in_order(enqueue_action))
 
     def show_message(self, text: str) -> None:
         """Show a message at the top of the panel; an empty one removes the last message."""

@@ -20,6 +20,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, OPTICAL_TO_BODY, PINHOLE, rotation_matrix
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Mesh
+from ocp_ros.studio.server import in_order
 from scipy.spatial.transform import Rotation
 import viser
 
@@ -175,7 +176,7 @@ class CameraNode:
             self.body = scene.add_icosphere(f'{name}/body', radius=0.09, color=colour)
         scene.add_label(f'{name}/label', title, position=(0.0, 0.0, 0.12), anchor='bottom-center')
         if on_click is not None:
-            self.body.on_click(lambda _: on_click())
+            self.body.on_click(in_order(lambda _: on_click()))
         self.set_pose(pose)
 
     def set_pose(self, pose: np.ndarray) -> None:
@@ -253,10 +254,7 @@ def add_node(scene: viser.SceneApi, name: str, on_drag: DragCallback | None,
         return scene.add_frame(name, show_axes=False)
     node = scene.add_transform_controls(name, scale=0.6, line_width=2.0, depth_test=False,
                                         disable_rotations=disable_rotations)
-
-    @node.on_update
-    async def _(event: viser.TransformControlsEvent) -> None:
-        # A coroutine, since threads would not keep the order of the events.
-        on_drag(np.array(event.target.position), rotation_of(event.target.wxyz), event.phase,
-                event.client_id)
+    node.on_update(in_order(lambda event: on_drag(
+        np.array(event.target.position), rotation_of(event.target.wxyz), event.phase,
+        event.client_id)))
     return node

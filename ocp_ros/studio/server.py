@@ -20,7 +20,7 @@ tunnel. This server listens on one address, refuses other origins and host names
 the tunnel. It expects a token in the path of the URL if other machines can reach its address.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Coroutine, Iterator
 from contextlib import contextmanager, redirect_stdout
 from http import HTTPStatus
 import io
@@ -106,6 +106,19 @@ class LocalServer(viser.ViserServer):
 
     def request_share_url(self, verbose: bool = True) -> None:
         """Do nothing in place of opening a public tunnel."""
+
+
+def in_order(react: Callable[[Any], None]) -> Callable[[Any], Coroutine[Any, Any, None]]:
+    """
+    Return a callback for viser that reacts to events in their order.
+
+    viser runs coroutines one after the other, and functions in threads, which keep no order.
+
+    :param react: gets an event of viser, and returns soon.
+    """
+    async def callback(event: Any) -> None:
+        react(event)
+    return callback
 
 
 def is_local(host: str) -> bool:
