@@ -21,7 +21,7 @@ train-demo: $(READY)  ## the same with trainer_node, which sends new weights to 
 	$(RUN) -m ocp_ros.demo.train_demo --out "$(OUT)" $(if $(PAIRS),--pairs $(PAIRS)) $(if $(TURNS),--turns $(TURNS))
 
 train: $(READY)  ## train the shipped model again
-	$(RUN) -m ocp_ros.cli.main train --config config/train/map.yaml --out "$(OUT)/train" --model models/actor.safetensors --overwrite
+	$(RUN) -m ocp_ros.cli.main train --config config/train/actor.yaml --out "$(OUT)/train" --model models/actor.safetensors --overwrite
 
 # A test whose process dies is run once more and told as a rerun (test/conftest.py says why one may
 # die); a test that fails, fails.

@@ -31,7 +31,7 @@ ARGUMENTS = (
     ('cameras', 'sim_node', 'rig.cameras', int, 'number of cameras'),
     ('rig_file', 'sim_node', 'rig_file', str, 'YAML of docs/reference/rig.md'),
     ('rig_file', 'policy_node', 'rig_file', str, ''),
-    ('planner', 'policy_node', 'planner', str, 'learned, lookahead or learned_lookahead'),
+    ('planner', 'policy_node', 'planner', str, 'learned or lookahead'),
     ('model', 'policy_node', 'model', str, 'weights; lookahead reads none'),
     ('use_sim_time', 'sim_node', 'use_sim_time', bool, 'true: time comes from /clock'),
     ('use_sim_time', 'policy_node', 'use_sim_time', bool, ''),

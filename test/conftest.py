@@ -389,17 +389,6 @@ def here(monkeypatch):
 
 
 @pytest.fixture(scope='module')
-def small():
-    """Play few states of a thin scan."""
-    from ocp_ros.training import value_states
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(value_states, 'TUNING', replace(
-            value_states.TUNING, true_points=3000, scan_points=(2000,), episodes=1, maps=2,
-            choices=3, map_turns=3))
-        yield
-
-
-@pytest.fixture(scope='module')
 def quick_lookahead():
     """Let lookahead compare few candidates on few points."""
     from ocp_ros.online import lookahead

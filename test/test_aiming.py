@@ -40,8 +40,6 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.ros.policy.convergence import Convergence
-from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.simulation.episode import Episode
@@ -233,14 +231,6 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
     turned = len(rig.trail)
     graph.until(lambda: len(rig.trail) >= turned + 2)
     np.testing.assert_allclose(rig.trail[-1], rig.trail[turned], atol=1e-9)
-
-
-def test_cameras_that_are_turned_do_not_stand_still(probe):
-    finality, config = Convergence(probe.node), PolicyNodeConfig()
-    finality.record_move(0.0, 0.1, config)
-    assert finality.turns_still == 0
-    finality.record_move(0.0, 0.0, config)
-    assert finality.turns_still == 1
 
 
 @pytest.mark.system

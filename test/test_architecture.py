@@ -30,7 +30,7 @@ LAYERS = ['util', 'geometry', 'scenes', 'rooms', 'rig', 'simulation', 'registrat
 BESIDE = {'__version__', 'api'}
 #: Packages that only some layers may import at all.
 ONLY = {
-    'rclpy': {'ros', 'demo'}, 'tf2_ros': {'ros'}, 'interactive_markers': {'ros'},
+    'rclpy': {'ros', 'demo'}, 'tf2_ros': {'ros'},
     'sensor_msgs': {'ros', 'demo'}, 'geometry_msgs': {'ros', 'demo'}, 'rosbags': {'ros'},
     'stable_baselines3': {'training'}, 'torch': {'policy', 'training', 'ros'},
     'gymnasium': {'simulation', 'training'}, 'matplotlib': {'report'}, 'open3d': {'scenes'},

@@ -12,15 +12,14 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Comparisons of planners by ``ocp benchmark`` and ``ocp evaluate``, and the laboratory."""
+"""Comparisons of planners by ``ocp benchmark``, and the laboratory."""
 
 from dataclasses import replace
 import json
 
-from benchmarks import benchmark_report, engine, engine_bench, few_turns, fused_bench, results
+from benchmarks import agent, benchmark_report, engine, engine_bench, fused_bench, results
 from conftest import Here, made_room, rows_for
 import numpy as np
-from ocp_ros.cli import evaluate_command
 from ocp_ros.cli import main as cli
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import (
@@ -299,7 +298,7 @@ def rows_by_room(errors):
             for (planner, budget), values in errors.items() for room, error in enumerate(values)]
 
 
-def test_pairs_say_who_is_better_and_whether_it_is_chance(capsys):
+def test_pairs_say_who_is_better_and_whether_it_is_chance():
     rng = np.random.default_rng(0)
     hard = rng.lognormal(0.0, 2.0, 40)
     found = pairs(rows_by_room({
@@ -322,11 +321,6 @@ def test_pairs_say_who_is_better_and_whether_it_is_chance(capsys):
     assert set(found) == {f'{name}, {budget}' for name in ('mine', 'tdsa')
                           for budget in ('100', '1,000')}
     assert found['tdsa, 100']['wins'] == 1 and found['tdsa, 100']['p'] is None
-    # Nothing is compared with itself.
-    evaluate_command.show({'cameras': {'4': {'pairs': found}}, 'written': []})
-    shown = capsys.readouterr().out.splitlines()
-    assert {name for name in found for line in shown if name in line and ' of 2' in line} == {
-        'tdsa, 100', 'tdsa, 1,000'}
 
 
 def test_cameras_that_cannot_keep_their_spacing_are_refused(tmp_path):
@@ -337,37 +331,28 @@ def test_cameras_that_cannot_keep_their_spacing_are_refused(tmp_path):
 
 
 @pytest.mark.system
-def test_evaluate_plays_scans_with_each_number_of_cameras(tmp_path, capsys):
-    for seed in (8, 9):
-        save_scene(made_room(seed, 1500), tmp_path / f'{seed}.ply')
-    assert cli.main(['evaluate', '--planners', 'greedy_step,greedy_coverage', '--budgets', '20',
-                     '--cameras', '1,2', '--workers', '1', '--out', str(tmp_path / 'out'),
-                     '--rooms', str(tmp_path / '8.ply'), str(tmp_path / '9.ply')]) == 0
-    found = json.loads((tmp_path / 'out' / 'evaluation.json').read_text())
-    assert set(found['cameras']) == {'1', '2'} and found['model'] == 'actor'
-    sums = []
-    for judged in found['cameras'].values():
-        assert set(judged['pairs']) == {'greedy_step', 'greedy_coverage'}
-        assert set(judged['rooms']['greedy_step, 0']) == {'8', '9'}
-        assert 0.0 < judged['slowest_turn']['greedy_step'] < 60.0
-        sums.append(judged['pairs']['greedy_step']['sum'])
-    assert sums[1] < sums[0]
-    assert '1 cameras' in capsys.readouterr().out
-
-
-@pytest.mark.system
-def test_evaluate_takes_a_rig_file_and_weights(tmp_path, capsys):
-    rig, scan, out = (str(tmp_path / name) for name in ('rig.yaml', '8.ply', 'out'))
+def test_scans_a_rig_file_and_weights_are_compared(tmp_path, capsys):
+    rig, out = str(tmp_path / 'rig.yaml'), tmp_path / 'out'
     (tmp_path / 'rig.yaml').write_text(
         'cameras: [{sensor: realsense_d455}]\nmount: {on: ceiling}\n')
-    save_scene(made_room(8, 1500), tmp_path / '8.ply')
-    command = ['evaluate', '--rig', rig, '--workers', '1', '--budgets', '5', '--out', out,
-               '--rooms', scan, '--planners']
-    assert cli.main([*command, 'greedy_step,random']) == 0
-    found = json.loads((tmp_path / 'out' / 'evaluation.json').read_text())['cameras']
-    assert {count: set(one['pairs']) for count, one in found.items()} == {
-        '1': {'greedy_step', 'random'}}
-    for words, *wrong in (('--cameras', 'random', '--cameras', '2'),
+    for seed in (8, 9):
+        save_scene(made_room(seed, 1500), tmp_path / f'{seed}.ply')
+    command = ['benchmark', '--workers', '1', '--budgets', '20', '--seeds', '1', '--out', str(out),
+               '--rooms', str(tmp_path / '8.ply'), str(tmp_path / '9.ply'), '--planners']
+    sums = []
+    for cameras in '12':
+        assert cli.main([*command, 'greedy_step,greedy_coverage', '--cameras', cameras,
+                         '--out', str(out / cameras)]) == 0
+        found = json.loads((out / cameras / 'summary.json').read_text())
+        assert set(found['pairs']) == {'greedy_step', 'greedy_coverage'}
+        sums.append(found['pairs']['greedy_step']['sum'])
+        # The first planner is compared with the other one, and not with itself.
+        shown = {name: line for line in capsys.readouterr().out.splitlines()
+                 for name in found['pairs'] if name in line}
+        assert ' to ' in shown['greedy_coverage'] and ' to ' not in shown['greedy_step']
+    assert sums[1] < sums[0]
+    assert cli.main([*command, 'greedy_step,random', '--rig', rig, '--out', str(out / 'rig')]) == 0
+    for words, *wrong in (('--cameras', 'random', '--cameras', '2', '--rig', rig),
                           ('nowhere', 'learned', '--model', 'nowhere', '--out', f'{tmp_path}/b')):
         assert cli.main([*command, *wrong]) == 2
         assert words in capsys.readouterr().err
@@ -397,38 +382,30 @@ def test_the_engine_is_measured(recorded, monkeypatch, capsys):
     assert 'evaluations_per_s: ' in capsys.readouterr().out
 
 
-def test_few_turns_are_played_once_and_summed_up(tmp_path, monkeypatch):
+def test_the_agent_is_compared_room_by_room(tmp_path, monkeypatch, capsys):
     played = []
 
-    def play(protocol, task):
-        episode = protocol.simulation.episode
-        played.append((task.planner, episode.turns, episode.max_step))
-        error = episode.turns + (task.planner == 'greedy_step')
-        return [{'depth_error': float(error), 'seconds_per_turn': 0.01}]
+    def play(planners, baselines, seeds, model, task):
+        played.append(task.name)
+        errors = {'learned': 1.0, 'lookahead': 2.0 if task.room == '501' else 0.5}
+        return {name: {'log_error': np.log(errors[name]), 'seen': 0.9, 'ms': 1.0}
+                for name in planners}
 
-    monkeypatch.setattr(few_turns, 'run_task', play)
-    monkeypatch.setattr(few_turns, 'start_error', lambda protocol, room, rotation: 2.5)
-    monkeypatch.setattr(few_turns, 'WorkerPool', Here)
-    out = tmp_path / 'few.json'
-    command = ['--rooms', '8', '--lengths', '2x1,3x0.5', '--planners', 'greedy_step,lookahead',
-               '--first', 'lookahead', '--truths', '0', '--out', str(out), '--cameras']
-    few_turns.main([*command, '2'])
-    assert played == [('greedy_step', 2, 1.0), ('lookahead', 2, 1.0),
-                      ('greedy_step', 3, 0.5), ('lookahead', 3, 0.5)]
-    record = json.loads(out.read_text())
-    assert record['command'] == (
-        'python -m benchmarks.few_turns --rooms SCAN ... --lengths 2x1,3x0.5 --planners '
-        'greedy_step,lookahead --cameras 2 --truths 0')
-    # The cameras began at 2.5 m.
-    assert record['summary']['2x1']['greedy_step']['worse'] == 1
-    assert record['summary']['3x0.5']['lookahead']['ratio_to_best'] == pytest.approx(1.5)
-    del record['rooms']['8, 0']['errors']['3x0.5']['lookahead']
-    out.write_text(json.dumps(record))
-    played.clear()
-    few_turns.main([*command, '2'])
-    assert played == [('lookahead', 3, 0.5)]
-    with pytest.raises(ConfigurationError, match="found .*'cameras': 2.*name another file"):
-        few_turns.main([*command, '3'])
+    monkeypatch.setattr(agent, 'play_task', play)
+    monkeypatch.setattr(agent, 'WorkerPool', Here)
+    out = tmp_path / 'agent.json'
+    command = ['--cameras', '2', '4', '--lengths', '8x2', '--planners', 'learned', 'lookahead',
+               '--out', str(out), '--most-rooms']
+    agent.main([*command, '1'])
+    assert played == ['2_8x2, 501, 0', '4_8x2, 501, 0']
+    agent.main([*command, '2'])
+    assert played[2:] == ['2_8x2, 503, 0', '4_8x2, 503, 0']
+    found = json.loads(out.read_text())['summary']
+    for pair in (found['pooled']['lookahead'], found['settings']['4_8x2']['lookahead']):
+        assert pair['ratio'] == pytest.approx(1.0) and pair['won'] == 1 and pair['rooms'] == 2
+        assert pair['interval'] == pytest.approx([0.5, 2.0])
+    with pytest.raises(ConfigurationError, match='name another file'):
+        agent.main([*command, '2', '--seeds', '3'])
 
 
 def test_a_comparison_is_written_shown_and_reported(tmp_path, recorded, monkeypatch, capsys):

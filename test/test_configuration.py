@@ -257,7 +257,6 @@ def test_nested_form_comes_back_and_what_is_left_out_keeps_its_default(cls):
     (SimulationConfig, {'rig': {'sensors': ''}}, 'rig.sensors'),
     (SimulationConfig, {'reward': {'kind': 'papr'}}, "reward.kind: found 'papr'"),
     (TrainingConfig, {'fewest_cameras': 5}, 'fewest_cameras.*simulation.rig.cameras'),
-    (TrainingConfig, {'agent': {'inputs': 'cloud'}}, 'interactions'),
     (TrainingConfig, {'agent': {'inputs': 'paper'}, 'fewest_cameras': 2}, 'agent.cameras')])
 def test_a_bad_setting_is_named_with_what_was_expected(cls, values, words):
     with pytest.raises(ConfigurationError, match=words):

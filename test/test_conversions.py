@@ -246,7 +246,7 @@ def policy(graph, fuzzer, tmp_path):
     """Return a policy of these weights."""
     fuzzer.weights.save(tmp_path / 'm.safetensors')
     return graph.add(partial(PolicyNode, namespace='turns'), planner='learned', turns=100000,
-                     model=str(tmp_path / 'm.safetensors'), convergence_distance=0.0)
+                     model=str(tmp_path / 'm.safetensors'))
 
 
 def test_a_policy_and_its_trainer_outlive_lies(graph, fuzzer, policy, tmp_path):

@@ -32,7 +32,7 @@ from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.objective import MUST_SEE_COST
 from ocp_ros.simulation.problem import PlaneProblem, Problem
-from ocp_ros.simulation.reward import reward
+from ocp_ros.simulation.reward import potential, reward, Value
 from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
@@ -278,8 +278,8 @@ def test_threads_change_nothing(room, preset):
 
 def test_the_papers_reward_is_its_formula():
     config = RewardConfig(kind='paper', coverage=0.02, depth_error=1.0, penalty=-2.0)
-    inside, outside = (reward((10.0, 5.0), (25.0, 4.5), left, 100.0, 50.0, config)
-                       for left in (False, True))
+    inside, outside = (reward(Value(10.0, 5.0, 0.1), Value(25.0, 4.5, 0.3), left, 100.0, 50.0,
+                              config) for left in (False, True))
     assert inside.reward == pytest.approx((0.02 * 15.0 + 0.5) ** 3) and outside.reward == -8.0
     assert (inside.delta_space_coverage, inside.delta_depth_error) == (15.0, 0.5)
 
@@ -300,10 +300,16 @@ def test_a_box_narrower_than_its_margins_keeps_its_middle():
 
 
 def test_the_shares_of_the_cameras_add_up_to_the_reward_of_the_turn(simulator):
-    episode = episode_in(simulator)
+    """The share of the points that are new counts by its weight."""
+    config = replace(SMALL, reward=RewardConfig(explored=5.0))
+    episode = episode_in(simulator.with_models(simulator.models, config))
     for first in range(3):
-        before = episode.turn
+        before, seen = episode.turn, len(episode.observed)
         episode.move([[0.2, 0.1], [-0.3, 0.2], [0.1, -0.2], [0.0, 0.3]])
+        now, later = (potential(turn.space_coverage, turn.depth_error, simulator.volume,
+                                simulator.depth_error.worst) for turn in (before, episode.turn))
+        new = (len(episode.observed) - seen) / len(simulator.scene)
+        assert episode.turn.terms.reward == pytest.approx(later - now + 5.0 * new) and new > 0.0
         shares = episode.shares(np.roll(np.arange(4), -first))
         assert sum(share.reward for share in shares) == pytest.approx(episode.turn.terms.reward)
         # The first one alone has moved when its share is told.

@@ -94,7 +94,8 @@ def test_commands_of_the_wheel_find_what_comes_with_it(installed, elsewhere):
     call(ocp, 'plan', '7', '--rig', 'config/rig/four_d455.yaml', '--evaluations', '20')
     call(ocp, 'rooms', 'make', '1', '--out', 'rooms')
     room = elsewhere / 'rooms' / 'room-1.ply'
-    call(ocp, 'evaluate', '--rooms', room, '--cameras', '2', '--workers', '1')
+    call(ocp, 'benchmark', '--rooms', room, '--cameras', '2', '--planners', 'learned',
+         '--workers', '1', '--seeds', '1')
     # The settings are found; what is wrong is the folder.
     done = subprocess.run([ocp, 'train', '--config', 'config/train/paper.yaml', '--out', room],
                           capture_output=True, text=True, timeout=HUNG, check=False)

@@ -27,7 +27,6 @@ from ocp_ros.training.experience import Choice, Experience, ExperienceError, fro
 from ocp_ros.training.learner import BURST_STEPS, Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Assembler, Reward, Transition
-from ocp_ros.util.settings import ConfigurationError
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
@@ -49,11 +48,14 @@ def filled(learner, agent, count):
 
 
 def test_a_learner_trains_from_transitions_and_leaves_whole_checkpoints(agent, tmp_path):
-    config = LearnerConfig(folder=str(tmp_path), publish_every=4, save_every=8)
+    config = LearnerConfig(updates_per_turn=1.0, folder=str(tmp_path), publish_every=4,
+                           save_every=8)
     learner = filled(Learner(config, agent, SAC), agent, 40)
     wait_until(lambda: learner.updates >= 28)
     replay = learner.model.replay_buffer
-    assert (replay.rewards[:40] == 1.0).all() and not replay.dones[:40].any()
+    # None of them follows another, and no state is terminal.
+    assert (replay.rewards[:40] == 1.0).all()
+    np.testing.assert_array_equal(replay.dones[:40], replay.timeouts[:40])
     weights = learner.take_weights()
     assert weights.run == learner.run and 0 < weights.updates <= 28
     assert learner.take_weights() is None
@@ -71,7 +73,8 @@ def test_a_learner_trains_from_transitions_and_leaves_whole_checkpoints(agent, t
 
 
 def test_a_learner_reports_its_failure(small_agent, tmp_path):
-    learner = Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SAC)
+    learner = Learner(LearnerConfig(updates_per_turn=1.0, folder=str(tmp_path)), small_agent,
+                      SAC)
     learner.add(transition(replace(small_agent, points=32)))
     wait_until(lambda: learner.failure is not None)
     learner.close()
@@ -101,18 +104,13 @@ def test_every_choice_of_a_turn_is_a_transition_in_any_order_of_the_parts():
         assert assembler.assembled == 1
 
 
-@pytest.mark.parametrize(('last', 'choices', 'rewards'), [
-    (False, 1, [0.5]), (True, 5, [0.0, 0.0, 0.0, 0.0, 0.5])])
-def test_one_choice_of_all_cameras_or_the_last_of_many_gets_the_reward_of_the_turn(
-        last, choices, rewards):
-    assembler = Assembler(last=last)
-    assembler.add_experience(experience(1, 0, choices=choices))
+def test_the_only_choice_of_all_cameras_gets_the_reward_of_the_turn():
+    assembler = Assembler()
+    assembler.add_experience(experience(1, 0, choices=1))
     assembler.add_experience(experience(2, 1))
     assembler.add_positions(2, np.zeros((2, 3)))
-    found = assembler.add_reward(Reward(1, 2, 1, 0.5, (0.2, 0.3), False))
-    assert [one.reward for one in found] == rewards
-    assert [one.next_observation['n'] for one in found] == [
-        *((1, number) for number in range(1, choices)), (2, 0)]
+    (found,) = assembler.add_reward(Reward(1, 2, 1, 0.5, (0.2, 0.3), False))
+    assert found.reward == 0.5 and found.next_observation['n'] == (2, 0)
 
 
 def test_incomplete_turns_are_dropped_and_counted():
@@ -150,7 +148,8 @@ def test_a_turn_that_something_else_made_is_no_transition(change, found):
 @pytest.mark.system
 def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_agent, tmp_path):
     """What a killed process leaves is what is in its folder, copied while it works."""
-    config = LearnerConfig(folder=str(tmp_path / 'a'), publish_every=4, save_every=8)
+    config = LearnerConfig(updates_per_turn=1.0, folder=str(tmp_path / 'a'), publish_every=4,
+                           save_every=8)
     learner = filled(Learner(config, small_agent, SAC), small_agent, 37)
     wait_until(lambda: learner.updates >= 24)
     # Files that are being written have other names until they are whole, which may go meanwhile.
@@ -178,7 +177,8 @@ def test_a_learner_that_was_killed_loses_only_what_came_since_it_saved(small_age
 
 def test_a_learner_says_so_when_there_is_no_room(small_agent, tmp_path, monkeypatch):
     monkeypatch.setattr('ocp_ros.training.learner.INBOX_SIZE', 5)
-    learner = Learner(LearnerConfig(folder=str(tmp_path)), small_agent, SAC)
+    learner = Learner(LearnerConfig(updates_per_turn=1.0, folder=str(tmp_path)), small_agent,
+                      SAC)
     stuck, release = threading.Event(), threading.Event()
     monkeypatch.setattr(learner, '_store', lambda one: stuck.set() or release.wait(HUNG))
     assert learner.add(transition(small_agent)) and stuck.wait(HUNG)
@@ -189,7 +189,7 @@ def test_a_learner_says_so_when_there_is_no_room(small_agent, tmp_path, monkeypa
 
 
 def test_a_learner_whose_transitions_are_lost_waits_for_new_ones(small_agent, tmp_path):
-    config = LearnerConfig(folder=str(tmp_path))
+    config = LearnerConfig(updates_per_turn=1.0, folder=str(tmp_path))
     learner = filled(Learner(config, small_agent, SAC), small_agent, 24)
     wait_until(lambda: learner.updates >= 12)
     learner.close()
@@ -202,15 +202,30 @@ def test_a_learner_whose_transitions_are_lost_waits_for_new_ones(small_agent, tm
     assert again.failure is None and (again.transitions, again.updates) == (40, 16)
 
 
-def test_a_learner_of_other_transitions_or_summed_rewards_is_refused(small_agent, tmp_path):
-    config = LearnerConfig(folder=str(tmp_path))
+def test_rewards_are_summed_up_while_one_transition_follows_another(small_agent, tmp_path):
+    """The third one is of another rig; the last one comes after a restart."""
+    sac = replace(SAC, n_steps=3, gamma=0.5, augmentation='none', learning_starts=100)
+    config = LearnerConfig(updates_per_turn=1.0, folder=str(tmp_path))
+    states = [observation(small_agent, seed) for seed in range(5)]
+    chain = [Transition(before, np.zeros((1, 2), np.float32), reward, after, False)
+             for before, reward, after in zip(states, (1.0, 10.0, 1e3, 1e4), states[1:])]
+    for parts in ([*chain[:2], transition(small_agent)._replace(reward=100.0), chain[2]],
+                  chain[3:]):
+        learner = Learner(config, small_agent, sac)
+        assert all(map(learner.add, parts))
+        learner.close()
+    drawn = learner.model.replay_buffer.sample(200)
+    assert drawn.rewards[:, 0].unique().tolist() == [6.0, 10.0, 100.0, 1e3, 1e4]
+    # None of these sums ends at a terminal state, so the critics value what follows.
+    assert not drawn.dones.any()
+
+
+def test_a_learner_of_other_transitions_is_refused(small_agent, tmp_path):
+    config = LearnerConfig(updates_per_turn=1.0, folder=str(tmp_path))
     filled(Learner(config, small_agent, SAC), small_agent, 1).close()
     (tmp_path / 'state.safetensors').unlink()
     with pytest.raises(CheckpointError, match='no moves of this run'):
         Learner(config, replace(small_agent, points=32), SAC)
-    # Turns may be missing between transitions, so their rewards are not summed up.
-    with pytest.raises(ConfigurationError, match='sac.n_steps'):
-        Learner(config, small_agent, SacConfig(n_steps=3))
 
 
 def test_an_experience_comes_back_and_one_that_lies_is_refused(agent):

@@ -90,7 +90,7 @@ def assert_is_placed(live):
 
 @pytest.mark.system
 def test_a_live_rig_comes_to_its_final_placement(live, room):
-    rig, policy = live.start(planner='learned_lookahead', turns=6)
+    rig, policy = live.start(planner='learned', turns=6)
     first = rig.episode.turn
     placement = live.last(topics.PLACEMENT)
     assert placement.header.frame_id == 'map'

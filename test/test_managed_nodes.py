@@ -289,20 +289,20 @@ def test_parameters_that_are_changed_hold_from_the_next_turn_on(robot, change, m
     assert 'turns are used up' in counted(policy, 'final')
 
 
-def test_the_status_tells_why_cameras_that_stand_still_are_final(robot, monkeypatch):
-    policy = robot.start_policy(planner='learned', convergence_turns=2)
+def test_the_status_tells_how_cameras_move_until_they_are_final(robot, monkeypatch):
+    policy = robot.start_policy(turns=2)
     monkeypatch.setattr(type(policy.planner), 'move', lambda *turn: np.zeros((3, 2)))
     robot.turn(1)
-    robot.until_status('turn 1 of 30', 'longest move 0.000 m', 'standing still for 1')
+    robot.until_status('turn 1 of 2', 'longest move 0.000 m')
     for stamp in (2, 3):
         robot.turn(stamp)
-    robot.until_status('final after 2 turns', '0.02 m')
+    robot.until_status('final after 2 turns', 'turns are used up')
     # A subscriber that comes late gets it too, and a new episode takes it back.
     robot.listen(String, topics.PLACEMENT_STATUS, qos.LATCHED)
     assert robot.last(topics.PLACEMENT_STATUS).data.startswith('final after 2 turns')
     robot.publisher(Float64MultiArray, topics.REWARD, qos.LOOP).publish(fields_to_msg({
         'stamp_sec': 0, 'stamp_nanosec': 4, 'episode': 5, 'step': 0, 'truncated': False}))
-    robot.until_status('not final: turn 0 of 30')
+    robot.until_status('not final: turn 0 of 2')
 
 
 def test_what_cannot_be_changed_is_refused_with_a_reason(graph, change):

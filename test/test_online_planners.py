@@ -20,14 +20,16 @@ A step is thought about while the cameras move, and holds all the same.
 
 from copy import deepcopy
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 import itertools
-from types import SimpleNamespace
 
 from conftest import flat_clouds, random_checkpoint
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.geometry.visibility import FINE
+from ocp_ros.online import lookahead
+from ocp_ros.online.candidate_sites import Candidates
 from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import (
@@ -36,13 +38,12 @@ from ocp_ros.online.online_planner import (
     PipelinedPlanner,
     settings_of,
 )
+from ocp_ros.online.partial_map import PartialMap
 from ocp_ros.online.rig_state import Limits, RigState
 from ocp_ros.online.rollout import play, state_of
 from ocp_ros.online.step import OnlineStep
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD
 from ocp_ros.policy.learned import Learned
-from ocp_ros.policy.map_actor import MapActor
-from ocp_ros.policy.observation_map import CELLS
 from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.free_plane import FINE_CELL_M
 from ocp_ros.rig.rig_config import RigConfig
@@ -71,15 +72,6 @@ class Wanderer(Online):
         return self.random_walk(cloud, positions)
 
 
-class Middle:
-    """A network that finds the middle of the map best."""
-
-    def values(self, room, others, numbers, lens):
-        """Return the same for everybody."""
-        away = np.linalg.norm(np.indices((CELLS, CELLS)) - 0.5 * CELLS, axis=0)
-        return 0.01 * away[None].astype(np.float32)
-
-
 def settings(rng=None):
     """Return what every online planner is made with."""
     return rng or np.random.default_rng(0), MAX_STEP, MAX_RANGE, MARGIN
@@ -87,12 +79,9 @@ def settings(rng=None):
 
 MADE = {
     'wanderer': Wanderer,
-    'learned': lambda *given: Learned(
-        Policy(random_checkpoint(AgentConfig(CLOUD), seed=1)), *given),
-    'greedy step': GreedyStep,
-    'map actor': partial(MapActor, Middle()),
-    'lookahead': Lookahead,
-    'guided lookahead': lambda *given: Lookahead(*given, guide=MapActor(Middle(), *given))}
+    'learned': lambda *given, **known: Learned(
+        Policy(random_checkpoint(AgentConfig(CLOUD), seed=1, **known)), *given),
+    'greedy step': GreedyStep, 'lookahead': Lookahead}
 
 
 @pytest.fixture(scope='module')
@@ -138,37 +127,11 @@ def test_an_episode_is_played_to_its_end_by_the_rules(name, outcome_of, engine):
     np.testing.assert_allclose(outcome.trajectory[..., 2], engine.height)
     for at in (0, -1):
         assert engine.evaluate(outcome.trajectory[at]).depth_error == outcome.depth_error[at]
-    # A network of random weights sends cameras anywhere, all others into what has been seen.
-    for places, low, high in sent if name != 'learned' else ():
+    for places, low, high in sent:
         assert (places >= low + MARGIN - 1e-6).all() and (places <= high - MARGIN + 1e-6).all()
 
 
-class Gathering:
-    """A policy that sends all cameras into one corner, where each sees what the others see."""
-
-    encoder = SimpleNamespace(partial_maps=SimpleNamespace(rig_state=None))
-
-    def act(self, cloud, positions, turn, turns):
-        """Move all cameras the same way."""
-        return np.full((len(positions), 2), 0.7)
-
-    def reset(self):
-        """Forget nothing."""
-
-
-def test_cameras_return_in_time_to_the_best_of_their_places_and_stay(engine):
-    online = Learned(Gathering(), *settings())
-    outcome = play(online, episode_of(engine, 5))
-    lengths = np.linalg.norm(outcome.trajectory[:-1] - outcome.trajectory[-1], axis=2)
-    # They have gone as far as they could come back from.
-    assert lengths.max() > 4.0 * MAX_STEP and lengths.min(axis=0).max() < 1e-6
-    assert outcome.depth_error[-1] < 1.05 * outcome.depth_error.min()
-    assert outcome.depth_error[-1] < 0.8 * outcome.depth_error[6]
-    moves = online.move(engine.scene.points, outcome.trajectory[-1], turn=12, turns=12)
-    np.testing.assert_allclose(moves, 0.0, atol=1e-9)
-
-
-@pytest.mark.parametrize('name', ['map actor', 'lookahead', 'guided lookahead'])
+@pytest.mark.parametrize('name', ['learned', 'lookahead'])
 def test_a_seed_gives_the_same_episode_and_a_reset_forgets_it(name, engine, outcome_of):
     rng = np.random.default_rng(0)
     online = MADE[name](*settings(rng))
@@ -179,24 +142,56 @@ def test_a_seed_gives_the_same_episode_and_a_reset_forgets_it(name, engine, outc
     np.testing.assert_array_equal(one.trajectory, other.trajectory)
 
 
-def test_a_map_actor_without_time_to_reflect_moves_alike(engine, monkeypatch):
-    places, plans = [], []
-    think = MapActor._think
-    monkeypatch.setattr(MapActor, '_think', lambda *given: (plans.append(1), think(*given)))
-    for reflects in (True, False):
-        actor = MapActor(Middle(), *settings())
-        episode = episode_of(engine, 7, MIN_PIPELINED_TURNS)
-        for turn in range(6):
-            plans.clear()
-            moves = actor.move(episode.observed_cloud, episode.turn.positions, turn,
-                               MIN_PIPELINED_TURNS)
-            # Only the first plan is waited for, if there is time to reflect.
-            assert bool(plans) == (turn == 0 or not reflects)
-            episode.move(moves)
-            if reflects:
-                actor.plan_ahead()
-        places.append(episode.turn.positions)
-    np.testing.assert_array_equal(*places)
+@pytest.mark.parametrize('turns', [3, CONFIG.episode.turns, MIN_PIPELINED_TURNS])
+def test_a_policy_explores_and_a_better_plan_follows(engine, turns):
+    """In many turns the plan is made in parts meanwhile, and the policy goes on for two more."""
+    online, walks = MADE['learned'](*settings()), []
+    online.explorer = Wanderer(*settings())
+    walk = online.explorer.move
+    online.explorer.move = lambda *turn: (walks.append(turn), walk(*turn))[1]
+    errors = play(online, episode_of(engine, 5, turns)).depth_error
+    pipelined = turns >= MIN_PIPELINED_TURNS
+    assert len(walks) == np.ceil(0.6 * turns) + 2 * pipelined
+    assert [turn for *_, turn, _ in walks] == list(range(len(walks)))
+    # The policy's own moves are carried out, and the end is better than all they lead to.
+    trail = play(Wanderer(*settings()), episode_of(engine, 5, turns)).depth_error
+    np.testing.assert_array_equal(errors[:len(walks) + 1], trail[:len(walks) + 1])
+    assert errors[-1] < trail.min() * (1.0 if turns == 3 else 0.5)
+
+
+def test_a_plan_is_no_worse_than_the_places_of_the_episode_if_nothing_is_searched(
+        engine, monkeypatch):
+    monkeypatch.setattr(lookahead, 'TUNING', replace(
+        lookahead.TUNING, proposals=0, model_turn_proposals=0))
+    monkeypatch.setattr(Candidates, 'choose_greedily', lambda self: [0, 0, 0])
+    monkeypatch.setattr(Candidates, 'anneal',
+                        lambda self, choice, rng, parts=1: iter([choice] * parts))
+    online, episode, places = MADE['learned'](*settings()), episode_of(engine, 5), []
+    online.explorer = Wanderer(*settings())
+    while online.targets is None:
+        cloud, positions = episode.observed_cloud, episode.turn.positions
+        places.append(positions)
+        episode.move(online.move(cloud, positions, episode.turn.step, 12))
+    model = PartialMap(cloud, positions, MAX_RANGE, *lookahead.TUNING.refining_model, FINE)
+    planned, *errors = (model.error([model.look(place) for place in placement]) for placement in (
+        np.column_stack([online.targets, positions[:, 2]]), *places))
+    assert len(errors) == 9 and planned < min(errors)
+
+
+@pytest.mark.parametrize(('domain', 'words'), [
+    ({'cameras': [4, 6], 'turns': [5, 30], 'max_range': [1, 2]},
+     'cameras 3 (learned: 4 to 6), max_range 4 (learned: 1 to 2);'),
+    ({'cameras': [2, 3], 'turns': [12, 12], 'max_step': [0.5, 2.0], 'max_range': [3.0, 4.0]}, ''),
+    # A card that says nothing readable of it.
+    *((odd, '') for odd in (7, None, {'turns': 3}, {'turns': 'ab'}, {'turns': [1, 2, 3]},
+                            {'turns': [0, 10 ** 400]}))])
+def test_a_rig_unlike_those_that_the_weights_have_learned_is_told_of_once(
+        engine, caplog, domain, words):
+    online = MADE['learned'](*settings(), provenance={'domain': domain})
+    episode = episode_of(engine, 5)
+    for step in (0, 1):
+        online.move(episode.observed_cloud, episode.turn.positions, step, 12)
+    assert len(caplog.records) == bool(words) and words in caplog.text
 
 
 class Sent(PipelinedPlanner):
@@ -250,39 +245,14 @@ def test_planners_end_far_better_than_they_began_and_than_random_moves(outcome_o
 
 
 class Staying(Online):
-    """Stays, and does not say where it goes; it may have a placement to propose."""
-
-    proposal = None
+    """Stays, and does not say where it goes."""
 
     def move(self, cloud, positions, turn, turns):
         """Stay."""
         return np.zeros((len(positions), 2))
 
-    def propose(self, known):
-        """Propose it."""
-        return self.proposal
 
-
-def test_a_proposal_is_taken_where_it_is_better_and_else_changes_nothing(engine):
-    """The first of many turns is answered by a plan to begin with; late ones explore no more."""
-    episode = episode_of(engine, 7)
-    cloud, positions = engine.scene.points, episode.turn.positions
-
-    def planned(guide=None):
-        online = Lookahead(*settings(), guide=guide)
-        online.move(cloud, positions, 57, 100)
-        return np.column_stack([online.targets, positions[:, 2]])
-
-    alone, guide = planned(), Staying(*settings())
-    best = play(Lookahead(*settings()), episode).trajectory[-1]
-    assert engine.evaluate(best).depth_error < engine.evaluate(alone).depth_error
-    for proposal, expected in ((best, best), (positions[[0, 0, 0]], alone)):
-        guide.proposal = np.hstack([proposal, np.zeros((3, 3))])
-        found = planned(guide)
-        np.testing.assert_allclose(sorted(found.tolist()), sorted(expected.tolist()), atol=1e-6)
-
-
-@pytest.mark.parametrize('name', ['greedy step', 'map actor', 'lookahead'])
+@pytest.mark.parametrize('name', ['greedy step', 'learned', 'lookahead'])
 def test_what_nobody_has_seen_changes_no_move(name, room):
     # Starts keep a clearance from all of the room, seen or not.
     config = replace(CONFIG, episode=replace(CONFIG.episode, clearance=0.0))
@@ -336,9 +306,9 @@ def begun(room, planner=Lookahead, max_turn=0.5):
     return OnlineStep(online, Limits(0.5, max_turn, 0.1), RIG), episode
 
 
-def steps(room, turns, reflects, monkeypatch, played):
+def steps(room, name, turns, reflects, monkeypatch, played):
     """Play some turns of an episode: commands, and at which turns somebody waited for what."""
-    step, episode = begun(room, MADE['guided lookahead'])
+    step, episode = begun(room, MADE[name])
     waited, commands, answering = set(), [], False
 
     def watched(what, name):
@@ -365,24 +335,27 @@ def steps(room, turns, reflects, monkeypatch, played):
     return np.array(commands), waited
 
 
-def test_in_many_turns_only_the_first_step_is_waited_for(room, monkeypatch):
-    """Who lets a step reflect gets the same commands without waiting for them."""
+@pytest.mark.parametrize(('name', 'first'), [('lookahead', '_think'), ('learned', 'think')])
+def test_in_many_turns_only_the_first_step_is_waited_for(room, monkeypatch, name, first):
+    """
+    Who lets a step reflect gets the same commands without waiting for them.
+
+    Lookahead plans headings too; while a policy explores, somebody else chooses them.
+    """
     # Plans are refined from turn 10 on, and on a new model four turns later.
     (prompt, waited), (late, _) = (
-        steps(room, MIN_PIPELINED_TURNS, reflects, monkeypatch, played)
-        for reflects, played in ((True, 16), (False, 12)))
-    np.testing.assert_array_equal(prompt[:len(late)], late)
-    for thought in ('think', '_think'):
-        assert {turn for turn, what in waited if what == thought} == {0}
+        steps(room, name, MIN_PIPELINED_TURNS, reflects, monkeypatch, 16)
+        for reflects in (True, False))
+    np.testing.assert_array_equal(prompt, late)
+    assert {(turn, what) for turn, what in waited if what != '_update_region'} == {(0, first)}
     # Where a camera could go nowhere, the newest points are asked as well: at first it happens.
     looked = {turn for turn, what in waited if what == '_update_region'}
     assert 0 in looked and len(looked) < 0.8 * len(prompt)
     turned = np.abs(np.diff(prompt[:, :, 3], axis=0))
     assert turned.max() > 0.1 and np.ptp(prompt[:, :, :2], axis=0).max() > 0.5
     # In few turns each step is of what is newest.
-    _, waited = steps(room, MIN_PIPELINED_TURNS - 1, True, monkeypatch, played=3)
-    assert waited == {(turn, what) for turn in range(3)
-                      for what in ('_think', '_update_region', 'think')}
+    _, waited = steps(room, 'lookahead', MIN_PIPELINED_TURNS - 1, True, monkeypatch, played=3)
+    assert waited == {(turn, what) for turn in range(3) for what in ('_think', '_update_region')}
 
 
 def test_a_new_episode_knows_nothing_of_the_last_one(room, monkeypatch):

@@ -65,8 +65,7 @@ def robot(probe, model, room):
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
 
     def start(**parameters):
-        probe.policy = probe.start_policy(
-            model=model, **{'planner': 'learned_lookahead', **parameters})
+        probe.policy = probe.start_policy(model=model, **parameters)
         probe.rewards = probe.publisher(Float64MultiArray, topics.REWARD, qos.LOOP)
         return probe.policy
 
@@ -209,7 +208,7 @@ def test_a_message_that_waits_is_noticed_and_not_taken(graph, probe):
 
 
 def test_the_placement_is_final_and_held_when_the_turns_are_used_up(robot):
-    robot.start(turns=1, convergence_distance=0.0)
+    robot.start(turns=1)
     outside = POSITIONS + [50.0, 0.0, 0.0]
     for stamp in (1, 2, 3):
         away = robot.play_turns(stamp, positions=outside) - outside
@@ -258,8 +257,8 @@ def test_a_placement_that_cannot_be_written_is_published_all_the_same(robot, tmp
     assert 'file/placement.yaml' in capfd.readouterr().err
 
 
-def test_cameras_of_a_policy_that_stands_still_are_placed_by_lookahead(robot, monkeypatch):
-    policy = robot.start(turns=6, convergence_distance=0.02)
+def test_cameras_of_a_policy_that_stands_still_are_placed_by_a_search(robot, monkeypatch):
+    policy = robot.start(turns=6)
     monkeypatch.setattr(policy.policy, 'act', lambda *turn: np.zeros((3, 2)))
     positions = POSITIONS
     for stamp in range(1, 7):
@@ -327,7 +326,7 @@ def test_the_planner_is_told_which_turn_it_is(robot, monkeypatch, late):
 
 @pytest.mark.parametrize('late', [False, True])
 def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_turn(robot, late):
-    policy = robot.start(turns=30, convergence_distance=0.0)
+    policy = robot.start(turns=30)
     if not late:
         robot.say(1, step=5, truncated=True)
     robot.play_turns(1)
@@ -342,7 +341,7 @@ def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_tu
 
 def test_weights_are_swapped_in_whole_and_refused_if_they_cannot_be_used(
         robot, small_agent, room):
-    policy = robot.start(planner='learned')
+    policy = robot.start()
     encoder = policy.policy.encoder
     good, older, broken = (random_checkpoint(small_agent, seed=1, updates=updates, run='a')
                            for updates in (10, 9, 20))
@@ -368,7 +367,7 @@ def test_an_episode_over_ros_is_the_episode_of_the_engine(graph, probe, model, c
     turns, needs_weights = 5, planner != 'lookahead'
     sim = graph.add(SimNode, seed=3, resend_period=0.05, episode__turns=turns, **SMALL)
     probe.listen(PoseArray, topics.PLACEMENT, qos.LATCHED)
-    policy = graph.add(PolicyNode, planner=planner, turns=turns, convergence_distance=0.0,
+    policy = graph.add(PolicyNode, planner=planner, turns=turns,
                        model=model if needs_weights else 'nowhere')
     placement = msg_to_positions(probe.last(topics.PLACEMENT))
     assert sim.episode.turn.truncated and counted(policy, 'turns_answered') == turns + 1

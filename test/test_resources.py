@@ -19,9 +19,8 @@ from pathlib import Path
 import shutil
 
 from conftest import refused, ROOT
-from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.util import resources
-from ocp_ros.util.resources import find_config, share_folder
+from ocp_ros.util.resources import find_config, find_model, share_folder
 import pytest
 
 #: Where installers put the package, and its other files, below some prefix.

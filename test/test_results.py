@@ -38,23 +38,27 @@ TABLES = [
      'differential_evolution bpso tdsa cma_es greedy_swap annealing random greedy_coverage',
      'benchmark/planners/{row}/{key}',
      '1000/regret 10000/regret 10000/promise_over_delivered 10000/seconds'),
-    (RESULTS, '| planner | 3 turns', 'learned_lookahead lookahead learned greedy_step',
-     'few_turns_test/summary/{key}/{row}/ratio_to_best', '3x2 5x2 8x2 14x2 30x0.5'),
-    (RESULTS, '| rooms', 'fresh scans_four', 'few_turns_{row}/summary/{key}/ratio_to_best',
-     '8x2/learned_lookahead 8x2/lookahead 30x0.5/learned_lookahead 30x0.5/lookahead'),
+    (RESULTS, '| four cameras', '4_5x2 4_8x2 4_30x0.5',
+     'agent/comparisons/four/summary/settings/{row}/{key}',
+     'lookahead/ratio lookahead/interval/0 lookahead/interval/1 random/ratio random/interval/0 '
+     'random/interval/1 alone/ratio'),
+    (RESULTS, '| 8 turns', '2_8x2 6_8x2 four_d455_8x2',
+     'agent/comparisons/others/summary/settings/{row}/lookahead/{key}',
+     'ratio interval/0 interval/1'),
     (RESULTS, '| scan |',
      'tripod.realsense tripod.azure hand.realsense hand.azure real.realsense real.azure',
      'calibration/shares/{row}.30cm.{key}', 'within_1cm_05deg refused wrong'),
     (RESULTS, '| rig | plan', 'd455_walls d455_stands all_round_stands',
      'measure/plans/rigs/{row}/{key}', 'plan_over_lookahead plan_over_lookahead_worst '
      'plan_over_truth expected_mean promise_coverage certificate_gap'),
-    (MODELS, '| other (eval', 'regular_grid_100 random_100 tdsa_100 tdsa_1000 bpso_100 bpso_1000',
-     'paper_agent/test/over/{row}/{key}', 'ratio interval/0 interval/1 wins')]
+    (MODELS, '| repairs', 'literal_60000_0 critics_60000_0 updates_60000_0 blocks_60000_0 '
+     'augmented_60000_0 augmented_300000_0 wide_300000_0', 'ladder/rows/{row}/{key}',
+     'interactions ratio least_ratio')]
 #: Numbers in sentences: page, words around them, and where they are.
 SENTENCES = [
-    (README, 'error is {} times the smallest known one after 5 turns of up to 2 m, and {} times '
-     'after 30 turns',
-     'few_turns_test/summary/{key}/learned_lookahead/ratio_to_best', '5x2 30x0.5'),
+    (README, 'have {} times the error of cameras that explore by random moves, the search being '
+     'equal, after 30 turns of up to 0.5 m, and {} times after 5 turns',
+     'agent/comparisons/four/summary/settings/{key}/random/ratio', '4_30x0.5 4_5x2'),
     (README, 'it takes {} ms per camera, and its F1 score against ray casting is {}',
      'engine/{key}/fine.40000', 'ms f1'),
     (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
@@ -78,13 +82,8 @@ SENTENCES = [
      'rig_search/300/sum rig_search/300/seconds tdsa/300/sum tdsa/300/seconds lookahead/0/sum'),
     (RESULTS, 'five rooms need {}, {}, {}, {} and {} cameras',
      'camera_counts/rooms/{key}/counted_up', '0 1 2 3 4'),
-    (RESULTS, 'in {} after 8 turns (p = {}), and in {} after 30 (p = {})',
-     'few_turns_fresh/summary/{key}',
-     '8x2/lookahead/wins 8x2/lookahead/p 30x0.5/lookahead/wins 30x0.5/lookahead/p'),
-    (RESULTS, '{} m in four rooms, and {} m', 'aiming/value/together/lookahead_{key}_m',
-     'turned not_turned'),
     (RESULTS, '{} ms (median) and {} ms (99th percentile). With four D455 it takes {} and {} ms',
-     'nodes/value/learned_lookahead/{key}',
+     'nodes/value/learned/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
     (RESULTS,
      '{} ms (median) with four cameras and {} points, and {} ms with eight cameras and {} points',
@@ -92,39 +91,16 @@ SENTENCES = [
      '0/event_to_colours_ms/p50 0/points 1/event_to_colours_ms/p50 1/points'),
     (RESULTS, '99 % take at most {} and {} ms', 'studio/sizes/{key}',
      '0/event_to_colours_ms/p99 1/event_to_colours_ms/p99'),
-    (MODELS, 'the error at the end of an episode is {} and {} times the error at its start (two '
-     'seeds; at best {} and {}). With all repairs it is {} times ({} at best), in a second '
-     'training {} times after {}, with a larger extractor too {} times ({} at best)',
-     'paper_agent/rows/{key}', 'critics_300000_0/ratio critics_300000_1/ratio '
-     'critics_300000_0/least_ratio critics_300000_1/least_ratio augmented_300000_0/ratio '
-     'augmented_300000_0/least_ratio augmented_180000_1/ratio augmented_180000_1/interactions '
-     'wide_300000_0/ratio wide_300000_0/least_ratio'),
-    (MODELS, 'the error of `actor` is {} and {} times that of `paper` after 5 and 8 turns with '
-     'moves of up to 2 m, and {} times after 30 turns with moves of up to 0.5 m; with two cameras '
-     '{}, {} and {} times; with six cameras {}, {} and {} times. After 8 turns it is {} '
-     'times in rooms turned by 30 degrees, and {} times in five', 'paper_agent/alone/{key}/ratio',
-     ' '.join(f'{case}/lengths/{length}' for case in ('four_cameras', 'two_cameras', 'six_cameras')
-              for length in ('5x2', '8x2', '30x0.5'))
-     + ' turned_30_degrees/lengths/8x2 scans/lengths/8x2'),
-    (MODELS, 'After 60,000: {} with more and larger gradient steps; {} with residual heads too; '
-     '{} with turned, mirrored and jittered', 'paper_agent/rows/{key}',
-     'updates_60000_0/ratio blocks_60000_0/ratio augmented_60000_0/ratio'),
-    (MODELS, 'half of each batch, the first repairs reach {} ({} at best) after 300,000',
-     'paper_agent/rows/critics_300000_0_demonstrations/{key}', 'ratio least_ratio'),
-    (MODELS, 'ends at {} (at best {})', 'paper_agent/rows/{key}',
-     'literal_60000_0/ratio literal_60000_0/least_ratio'),
+    (MODELS, 'those after {} of the 600,000 interactions', 'agent/model/{key}', 'interactions'),
+    (MODELS, 'augmented samples has {} after {} interactions',
+     'ladder/rows/augmented_180000_1/{key}', 'ratio interactions'),
     (ROBUSTNESS, '{} malformed messages among {} valid', 'drills/fuzz/value/{key}',
      'malformed_messages valid_messages'),
     (ROBUSTNESS, '{} turns, {} nodes killed, {} malformed messages', 'drills/soak/value/{key}',
      'turns kills malformed_messages'),
     (ROBUSTNESS, '{} s (median), {} s at most; memory grew by {} MB', 'drills/soak/value/{key}',
      'back_after_a_kill_s_median back_after_a_kill_s_most trainer_memory_growth_mb'),
-    (ROBUSTNESS, '{} inputs', 'drills/inputs/value/{key}', 'inputs_tried'),
-    (RESULTS, 'network of `actor` took {} minutes', 'training/map/value/{key}', 'minutes'),
-    (RESULTS, '`actor` is {} for the position of an omnidirectional camera, and {} for',
-     'training/{key}/value/regret', 'map map_aimed'),
-    (RESULTS, 'with it was {} (95 % interval {} to {}) and {} ({} to {}) times',
-     'training/map_sac/value/8x2/{key}', 'seed_0/0 seed_0/1 seed_0/2 seed_1/0 seed_1/1 seed_1/2')]
+    (ROBUSTNESS, '{} inputs', 'drills/inputs/value/{key}', 'inputs_tried')]
 
 
 @cache

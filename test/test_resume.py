@@ -20,6 +20,7 @@ from functools import partial
 import json
 import os
 from pathlib import Path
+import re
 from shutil import copytree
 import signal
 import subprocess
@@ -163,11 +164,11 @@ def test_a_run_that_cannot_go_on_says_what_is_lost_and_what_to_do(run, name, dam
 
 
 def test_lines_of_progress_that_cannot_be_read_are_left_out_with_a_warning(tmp_path, caplog):
-    line = {'phase': 'sac', 'interactions': 24, 'updates': 12, 'seconds': 3.5, 'ratio': 0.8}
+    line = {'interactions': 24, 'updates': 12, 'seconds': 3.5, 'ratio': 0.8}
     whole = json.dumps(line).encode()
-    bad = [b'null', b'7', b'[' * 20000, bytes(range(256)), b'{"phase": "sac"}', *(
+    bad = [b'null', b'7', b'[' * 20000, bytes(range(256)), b'{"ratio": 0.8}', *(
         json.dumps({**line, **change}).encode() for change in (
-            {'phase': 3}, {'ratio': float('nan')}, {'seconds': 'long'}, {'updates': -1}))]
+            {'interactions': '3'}, {'ratio': float('nan')}, {'seconds': 'long'}, {'updates': -1}))]
     (tmp_path / PROGRESS).write_bytes(b'\n'.join([whole, *bad, whole, whole[:-20]]))
     assert records(tmp_path) == [line, line] and PROGRESS in caplog.text
 
@@ -264,12 +265,19 @@ def test_a_process_that_dies_while_it_works_is_told_of():
         list(pool.map(os._exit, [1]))
 
 
+def ignores_interrupts(process):
+    """Return whether a process ignores what Ctrl-C sends, by what the kernel says."""
+    (ignored,) = re.findall(r'SigIgn:\s*(\w+)', Path(f'/proc/{process}/status').read_text())
+    return bool(int(ignored, 16) >> signal.SIGINT - 1 & 1)
+
+
 @pytest.mark.system
 @pytest.mark.parametrize('times', [1, 2])
 def test_a_training_that_is_interrupted_once_or_twice_ends_and_says_how_to_go_on(tmp_path, times):
     """All processes get what a terminal sends; those who are impatient send it again."""
-    settings = {'workers': 2, 'agent': {'inputs': 'map'}, 'values': {'rooms': 500},
-                'rooms': {**TINY['rooms'], 'training': 500}}
+    # The first evaluation, in processes, is soon due and takes long.
+    settings = {**TINY, 'workers': 2, 'evaluate_every': 2,
+                'rooms': {**TINY['rooms'], 'validation': 36}}
     (tmp_path / 'long.yaml').write_text(json.dumps(settings))
     process = subprocess.Popen(
         [sys.executable, '-m', 'ocp_ros.cli.main', 'train', '--config', 'long.yaml', '--out',
@@ -279,8 +287,9 @@ def test_a_training_that_is_interrupted_once_or_twice_ends_and_says_how_to_go_on
     try:
         deadline = time.monotonic() + HUNG
         children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
-        # Two workers, and the process that watches over what they share.
-        while len(children.read_text().split()) < 3 or not (tmp_path / 'run').exists():
+        # Two workers, and the process that watches over what they share: they have begun when they
+        # ignore the signal.
+        while sum(ignores_interrupts(child) for child in children.read_text().split()) < 3:
             assert process.poll() is None and time.monotonic() < deadline
         for _ in range(times):
             os.killpg(process.pid, signal.SIGINT)

@@ -16,24 +16,27 @@
 
 from dataclasses import replace
 
-from conftest import assert_same, batch, observation, random_checkpoint, store
+from conftest import assert_same, batch, observation, random_checkpoint, ROOT, store
 import gymnasium as gym
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import CheckpointError
 from ocp_ros.policy.networks import Extractor, SYMMETRIES, turned_observation
 from ocp_ros.policy.policy import Policy
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.reward import potential
-from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig
 from ocp_ros.training.augmentation import CloudReplayBuffer
-from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import action_space, cameras_of, encoded_space, playable
-from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
+from ocp_ros.training.sac import (
+    actor_checkpoint,
+    actor_weights,
+    falling,
+    load_actor,
+    make_sac,
+)
 from ocp_ros.training.sac_state import load_replay, load_state, save_replay, save_state
-from ocp_ros.training.training_config import SacConfig
-from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.training.training_config import EpisodesConfig, SacConfig
 import pytest
 from stable_baselines3.common.buffers import DictReplayBuffer
 from stable_baselines3.common.env_checker import check_env
@@ -47,7 +50,8 @@ SAC = SacConfig(learning_starts=12, batch_size=8, buffer_size=400, device='cpu')
 
 def environment(room, agent, **options):
     """Return a small environment as training plays in it."""
-    return playable(CameraPlacementEnv([room], SIMULATION, 128, **options), agent)
+    return playable(CameraPlacementEnv([room], options.pop('config', SIMULATION), 128, **options),
+                    agent)
 
 
 @pytest.fixture
@@ -101,7 +105,7 @@ def test_rewards_of_some_steps_are_summed_up_within_an_episode(small_agent, tmp_
     seen = observation(small_agent)
     for step in range(6):
         # The second episode begins with the fourth step; the third ends the first by its limit.
-        before, after = (seen | {'turn': np.full(3, turn, np.float32)}
+        before, after = (seen | {'turn': np.full_like(seen['turn'], turn)}
                          for turn in (step, step + 1))
         store(model, before, after, np.zeros((1, 2)), 10.0 ** step, step in (2, 5),
               {'TimeLimit.truncated': step == 2})
@@ -123,28 +127,6 @@ def test_rewards_of_some_steps_are_summed_up_within_an_episode(small_agent, tmp_
     drawn = again.replay_buffer.sample(200)
     assert drawn.rewards[:, 0].unique().tolist() == [*sorted(sums.tolist()), 1e9]
     assert not drawn.dones.any()
-
-
-def test_demonstrations_stay_and_are_half_of_each_batch(small_agent):
-    model = make_sac(replace(SAC, demonstrations=20, augmentation='none', buffer_size=100),
-                     small_agent)
-    seen = observation(small_agent)
-    for step in range(250):
-        store(model, seen, seen, np.zeros((1, 2)), step)
-    drawn = model.replay_buffer.sample(1000)
-    rewards, demonstrated = drawn.rewards[:, 0], drawn.rewards[:, 0] < 20
-    assert 500 <= demonstrated.sum() < 700
-    assert set(rewards[~demonstrated].tolist()) <= set(range(170, 250))
-
-
-def test_demonstrated_episodes_end_at_good_placements(room, small_agent):
-    env = environment(room, small_agent)
-    demonstrator, truncated = Demonstrator([env], 0), False
-    env.reset(seed=0)
-    start = env.unwrapped.episode.turn.depth_error
-    while not truncated:
-        _, _, _, truncated, _ = env.step(demonstrator()[0])
-    assert env.unwrapped.episode.turn.depth_error < 0.5 * start
 
 
 def own_action(policy, seen):
@@ -175,14 +157,16 @@ def test_the_policy_gives_sacs_own_actions(env, agent):
 
 
 def test_cameras_choose_one_after_the_other_and_share_what_the_episode_gained(room, small_agent):
-    env = environment(room, small_agent, fewest=2)
+    env = environment(room, small_agent, fewest=2, config=replace(
+        SIMULATION, reward=RewardConfig(explored=2.0)))
     env.reset(seed=2, options={'cameras': 3})
     episode, rng, asked, shares = env.unwrapped.episode, np.random.default_rng(0), [], []
 
     def worth(turn):
         simulator = episode.simulator
-        return potential(turn.space_coverage, turn.depth_error, simulator.volume,
-                         simulator.depth_error.worst)
+        explored = len(episode.observed) / len(episode.scene)
+        return 2.0 * explored + potential(turn.space_coverage, turn.depth_error, simulator.volume,
+                                          simulator.depth_error.worst)
 
     first = worth(episode.turn)
     while not episode.turn.truncated:
@@ -200,6 +184,41 @@ def test_cameras_choose_one_after_the_other_and_share_what_the_episode_gained(ro
     assert (np.sort(turns, axis=1) == [0, 1, 2]).all() and set(turns[:, 0]) == {0, 1, 2}
     assert sum(shares) == pytest.approx(worth(episode.turn) - first, abs=1e-9)
     assert np.count_nonzero(shares) > 0.5 * len(shares)
+
+
+def test_what_is_drawn_of_an_episode_lies_in_its_range_and_is_told(room, small_agent):
+    """The cameras of a rig file play their share of the episodes, with a range of their own."""
+    draws = EpisodesConfig(fewest_turns=3, longest_step=2.0, farthest_range=8.0, widest_start=1.5,
+                           rig_share=0.4)
+    rig = replace(SIMULATION, rig_file=str(ROOT / 'config' / 'rig' / 'four_d455.yaml'))
+    env = playable(CameraPlacementEnv([room], SIMULATION, 128, fewest=2), small_agent, draws,
+                   CameraPlacementEnv([room], rig, 128))
+
+    def played(seed):
+        for number in range(60):
+            told = env.reset(seed=None if number else seed)[0]['turn']
+            episode = env.unwrapped.episode
+            now, limits = episode.turn, episode.config
+            away = episode.observed_cloud[:, None] - now.positions
+            assert np.linalg.norm(away, axis=2).min(axis=1).max() <= 4.0 * told[5] + 1e-6
+            assert limits.max_turn == np.clip(limits.max_step, 0.5, 1.6)
+            assert told[[1, 3]] == pytest.approx([len(now.positions) / 4, limits.max_step / 2])
+            seen, value, *_ = env.step(np.ones((1, 2), np.float32))
+            assert env.observation_space.contains(seen) and np.isfinite(value)
+            yield (not episode.problem.rig.free, len(now.positions), limits.turns,
+                   limits.max_step, limits.start_radius, 4.0 * told[5])
+
+    first, again, other = (np.array(list(played(seed))) for seed in (0, 0, 1))
+    np.testing.assert_array_equal(first, again)
+    assert not np.array_equal(first, other)
+    assert 0.3 < np.mean([first[:, 0], other[:, 0]]) < 0.5
+    assert {6.0} == set(first[first[:, 0] == 1, 5])
+    # The free cameras, their turns, steps, starts and ranges.
+    free = first[first[:, 0] == 0, 1:]
+    for values, low, high in zip(
+            free.T, (2, 3, 0.5, 0.5, 4.0), (4, 6, 2.0, 1.5, 8.0), strict=True):
+        assert low <= values.min() < low + 0.1 * (high - low)
+        assert high >= values.max() > high - 0.1 * (high - low)
 
 
 def test_the_critics_alone_train_the_one_extractor_of_the_cloud(agent):
@@ -243,14 +262,13 @@ def test_residual_heads_act_as_they_were_trained(room, small_agent):
     seen, _ = env.reset(seed=0)
     np.testing.assert_allclose(own_action(Policy(actor_checkpoint(model, 'r', {})), seen),
                                model.predict(seen, deterministic=True)[0], atol=0.05)
-    with pytest.raises(ConfigurationError, match='agent.blocks'):
-        AgentConfig(inputs='paper', blocks=2)
 
 
 def test_weights_go_into_sac_and_come_out(agent):
-    model, start = make_sac(SAC, agent), random_checkpoint(agent, seed=5)
+    model, start = make_sac(replace(SAC, averaging=9), agent), random_checkpoint(agent, seed=5)
     load_actor(model, start)
-    assert_same(start.weights, actor_checkpoint(model, 'r', {}).weights)
+    for weights in (actor_weights(model), actor_checkpoint(model, 'r', {}).weights):
+        assert_same(start.weights, weights)
     with pytest.raises(CheckpointError, match='agent settings'):
         load_actor(model, random_checkpoint(replace(agent, hidden=8)))
 
@@ -321,18 +339,41 @@ def test_a_trivially_solvable_task_is_learned(agent, monkeypatch):
     assert before[:, 0].min() < 0.7 < action[:, 0].min()
 
 
-def test_the_actor_rests_while_its_critics_burn_in(small_agent):
-    env = Bandit(small_agent)
-    model = make_sac(replace(SAC, burn_in=20), small_agent, env, seed=0, warm=True)
-
-    def head():
-        weights = actor_checkpoint(model, 'r', {}).weights
-        return {name: value for name, value in weights.items() if 'extractor' not in name}
-
-    before, critic = head(), [value.clone() for value in model.critic.parameters()]
+def test_the_actor_rests_while_its_critics_burn_in(agent):
+    """So does the extractor that they share."""
+    model = make_sac(replace(SAC, burn_in=20), agent, Bandit(agent), seed=0, warm=True)
+    before, critic = (actor_checkpoint(model, 'r', {}).weights,
+                      [value.clone() for value in model.critic.qf0.parameters()])
     model.learn(SAC.learning_starts + 20)
-    assert model.own_updates == 20
-    assert all(torch.equal(head()[name], value) for name, value in before.items())
-    assert not all(map(torch.equal, critic, model.critic.parameters()))
+    assert_same(before, actor_checkpoint(model, 'r', {}).weights)
+    assert not any(map(torch.equal, critic, model.critic.qf0.parameters()))
     model.learn(10, reset_num_timesteps=False)
-    assert not any(torch.equal(head()[name], value) for name, value in before.items())
+    after = actor_checkpoint(model, 'r', {}).weights
+    assert not any(torch.equal(after[name], value) for name, value in before.items())
+
+
+def test_the_weights_that_are_used_are_averaged_and_a_run_that_goes_on_keeps_them(
+        small_agent, tmp_path):
+    model, other = (make_sac(replace(SAC, averaging=1000), small_agent, Bandit(small_agent),
+                             seed=seed) for seed in (0, 1))
+    model.learn(SAC.learning_starts + 9)
+    before = actor_checkpoint(model, 'r', {}).weights
+    model.train(1, SAC.batch_size)
+    last, after = actor_weights(model), actor_checkpoint(model, 'r', {}).weights
+    # At first the mean is over a tenth of all steps, but one at least.
+    share = 1.0 / (1.0 + 0.1 * model._n_updates)
+    assert 0.4 < share < 0.6
+    for name, value in after.items():
+        torch.testing.assert_close(value, before[name].lerp(last[name], share))
+        assert not torch.equal(value, last[name])
+    save_state(model, tmp_path / 's.safetensors', 'abc')
+    load_state(other, tmp_path / 's.safetensors')
+    assert_same(after, actor_checkpoint(other, 'r', {}).weights)
+    assert_same(last, actor_weights(other))
+
+
+def test_the_step_size_falls_to_a_tenth_at_the_end():
+    step_size = falling(1e-3, 0.6)
+    assert [step_size(left) for left in (1.0, 0.4, 0.2, 0.0)] == pytest.approx(
+        [1e-3, 1e-3, 5.5e-4, 1e-4])
+    assert falling(1e-3, 1.0)(0.0) == 1e-3

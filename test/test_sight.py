@@ -14,6 +14,8 @@
 
 """Planners that are told how a rig stands: cameras in place, and cameras that look one way."""
 
+from itertools import product
+
 from conftest import box_room
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
@@ -26,6 +28,7 @@ from ocp_ros.online.candidate_sites import (
     PROPOSALS_PER_CAMERA,
     TEMPERATURES,
 )
+from ocp_ros.online.episode_places import EpisodePlaces
 from ocp_ros.online.greedy_step import GreedyStep, POINTS, ROWS
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.observed_turn import ObservedTurns
@@ -46,8 +49,7 @@ CLOUD = thinned(box_room(12.0, 4.0).points, 4000)
 START, PLACED = np.array([6.0, 2.0, 1.9]), (2.0, 10.0)
 SETTINGS = MAX_STEP, MAX_RANGE, MARGIN
 PLANNERS = {
-    'lookahead': Lookahead, 'greedy step': GreedyStep,
-    'guided lookahead': lambda *settings: Lookahead(*settings, guide=GreedyStep(*settings))}
+    'lookahead': Lookahead, 'greedy step': GreedyStep}
 
 
 def played(name, sight_at):
@@ -106,6 +108,26 @@ def test_moves_are_judged_by_what_a_camera_sees_as_it_is_turned():
         turns = ObservedTurns(MAX_RANGE, MARGIN, points=POINTS, rows=ROWS)
         turns.rig_state = rig_state
         assert turns(CLOUD, START[None], 0, 30).error == pytest.approx(model.error(seen))
+
+
+@pytest.mark.parametrize(('reach', 'within'), [(20.0, [4, 4]), (1.7, [2, 2])])
+def test_the_best_of_an_episode_is_of_different_turns_and_within_reach(reach, within):
+    """Each of two cameras saw most where the other one saw little."""
+    model, places = PartialMap(CLOUD, START[None], MAX_RANGE, POINTS, ROWS), EpisodePlaces()
+    placements = np.array([[[*START, yaw, 0.2, 0.0] for yaw in (np.pi, 0.0)]] * 4)
+    placements[:, :, 0] = [[3.0, 5.0], [7.5, 9.0], [3.5, 6.0], [6.0, 7.0]]
+    # The last ones are where they are now.
+    for placement in placements:
+        state = RigState(placement, (D455, D455), 2)
+        places.add(placement[:, :3], state)
+    found = places.best(model, state, placement[:, :3], reach)
+
+    def error(poses):
+        return model.error([model.look(pose, D455.lens) for pose in poses])
+
+    near = [own[np.abs(own[:, 0] - own[-1, 0]) <= reach] for own in placements.swapaxes(0, 1)]
+    assert [len(own) for own in near] == within
+    assert error(found) == min(map(error, product(*near))) < 0.9 * min(map(error, placements))
 
 
 #: A rig of two kinds: two cameras that look one way, one that sees all around.

@@ -59,7 +59,7 @@ import pytest
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 
 SAC = {'sac__learning_starts': 12, 'sac__batch_size': 8, 'sac__buffer_size': 400,
-       'sac__device': 'cpu', 'publish_every': 8, 'save_every': 8}
+       'sac__device': 'cpu', 'updates_per_turn': 1.0, 'publish_every': 8, 'save_every': 8}
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9]])
 
 
@@ -179,13 +179,15 @@ def test_turns_of_a_rig_file_are_learned_from(graph, start, model, tmp_path):
         fixed: [{sensor: realsense_d455, position: [1.0, 1.0, 1.9], yaw: 45, pitch: 25}]""")
     trainer = start()
     graph.add(PolicyNode, model=model, explore=True, turns=4, rig_file=rig_file)
-    sim = graph.add(SimNode, scene__seed=8, episode__turns=4, rig_file=rig_file, **SMALL)
+    sim = graph.add(SimNode, scene__seed=12, episode__turns=4, rig_file=rig_file, **SMALL)
     graph.until(lambda: sim.episode.turn.truncated)
     assembler = trainer.sources['/'].assembler
     graph.until(lambda: assembler.assembled + assembler.inconsistent == 4)
     # What the room stops, which nobody had seen, is no answer to what was chosen.
     assert assembler.assembled >= 2
     graph.until(lambda: trainer.learner.transitions == 2 * assembler.assembled)
+    # How the episode has ended is told in the log and in the diagnostics.
+    assert 0.0 < trainer.error_ratio == round(trainer.sources['/'].error_ratios[0], 3)
 
 
 def test_parts_that_cannot_be_are_refused_and_the_training_goes_on(loop, probe):

@@ -101,7 +101,7 @@ def test_meshes_beside_their_rooms_are_no_scans(tmp_path):
     config = RoomsConfig(source='folder', folder=str(tmp_path))
     names = sorted(Path(name).name for part in PARTS for name in room_names(config, part))
     assert names == ['attic_mesh.ply', 'room-10.ply', 'room-8.ply', 'room-9.ply']
-    assert sorted(Path(name).name for name in rooms_in(tmp_path)) == names
+    assert sorted(Path(name).name for name in rooms_in([tmp_path])) == names
 
 
 def test_scans_in_other_units_are_read_alike_by_all_who_play_in_them(tmp_path):

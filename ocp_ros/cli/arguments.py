@@ -102,11 +102,6 @@ def read_names(text: str) -> tuple[str, ...]:
     return tuple(text.split(','))
 
 
-def read_camera_counts(text: str) -> tuple[int, ...]:
-    """Read numbers of cameras, separated by commas."""
-    return tuple(read_cameras(number) for number in text.split(','))
-
-
 def read_integers(text: str) -> tuple[int, ...]:
     """Read whole numbers separated by commas."""
     try:

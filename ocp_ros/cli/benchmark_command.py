@@ -39,12 +39,19 @@ def add_arguments(commands: Commands) -> None:
     """Add ``ocp benchmark``."""
     command = commands.add(
         COMPARE, 'benchmark', 'compare planners under equal budgets',
-        'ocp benchmark --rooms my_scans --planners tdsa,cma_es --budgets 1000 --seeds 5')
+        'ocp benchmark --rooms my_scans --planners learned,tdsa --budgets 1000 --seeds 5')
     command.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
                          help='smoke: two rooms, under two minutes; full: ten rooms, up to 10,000 '
                          'evaluations')
-    command.add_argument('--rooms', type=Path, help='folder of scans, instead of generated rooms')
+    rooms = command.add_mutually_exclusive_group()
+    rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
+                       help='set of generated rooms; default: the rooms of --preset, of test')
+    rooms.add_argument('--rooms', type=Path, nargs='+', metavar='SCAN',
+                       help='scans, or folders of scans, instead of generated rooms')
     add_units(command, 'scans')
+    command.add_argument('--rotations', type=read_integers, help='rotations of the rooms in '
+                         'degrees, with commas between')
+    command.add_argument('--model', help='weights of the planner learned: a path, or a name')
     command.add_argument('--cameras', type=read_cameras, metavar='N', help='number of cameras, '
                          'without a rig file; default: 4')
     command.add_argument('--sensor', metavar='SENSOR', help='sensor of all cameras, without a rig '
@@ -52,14 +59,19 @@ def add_arguments(commands: Commands) -> None:
                          'cameras on a plane are compared')
     command.add_argument('--mount', choices=('walls', 'ceiling', 'plane', 'free'),
                          help='with --sensor: mount of all cameras; default: walls')
-    command.add_argument('--planners', type=read_names, help='names with commas between; default: '
-                         'all')
+    command.add_argument('--planners', type=read_names, help='names with commas between; the '
+                         'first is compared with the others; default: all')
     command.add_argument('--budgets', type=read_integers, help='numbers of evaluations, with '
                          'commas between')
-    command.add_argument('--seeds', type=int, help='runs per planner, room and budget')
+    command.add_argument('--seeds', type=whole(1), help='runs per planner, room and budget')
     command.add_argument('--out', type=Path, default=Path('out/benchmark'),
                          help='folder of the results; an interrupted comparison continues')
-    add_comparison(command)
+    command.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
+                         'cameras: docs/reference/rig.md')
+    command.add_argument('--workers', type=whole(1), help='number of processes; default: one per '
+                         'core')
+    command.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
+    add_overwrite(command)
     command.set_defaults(run=run, show=show)
 
 
@@ -79,7 +91,12 @@ def run(arguments: argparse.Namespace) -> Found:
 
 
 def show(summary: Found) -> None:
-    """Print the results of planners at the largest budget; online planners have no budget."""
+    """
+    Print the results of planners at the largest budget; online planners have no budget.
+
+    ``ratio`` is the error of the first planner divided by that of the row, as geometric mean, with
+    its 95 % interval.
+    """
     from ocp_ros.compare.summary import budgets_of, last_runs
     from ocp_ros.report.terminal import print_table, show_notes, wide_console
     # The largest budget is 0 if all planners are online.
@@ -87,25 +104,39 @@ def show(summary: Found) -> None:
     runs = f'{budget:,} evaluations' if budget else 'the turns of online planners'
     console = wide_console()
     print_table(console, f'{len(summary["rooms"])} rooms, {runs}', (
-        'planner', 'delivered (m)', 'promised (m)', 'regret', 'wins', 'seconds'), [
+        'planner', 'delivered (m)', 'promised (m)', 'regret', 'wins', 'ratio',
+        'seconds'), [
         (name, f'{run["sum"]:.2f}', f'{run["promised"]:.2f}',
          '-' if run['regret'] is None else f'{run["regret"]:.2f}', str(run['wins']),
-         f'{run["seconds"]:.2f}')
+         _compared(summary['pairs'], name), f'{run["seconds"]:.2f}')
         for name, run in sorted(last_runs(summary).items(), key=lambda item: item[1]['sum'])])
     show_notes(console, summary)
     show_written(summary)
 
 
+def _compared(pairs: dict[str, Any], planner: str) -> str:
+    """Return how the first planner compares with a planner at its largest budget, for a table."""
+    # The first planner has the first key. A key may end in a comma and the budget.
+    first, names = next(iter(pairs)), [key for key in pairs if key.split(',')[0] == planner]
+    if first in names:
+        return ''
+    low, high = pairs[names[-1]]['interval']
+    return f'{pairs[names[-1]]["ratio"]:.2f} ({low:.2f} to {high:.2f})'
+
+
 def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     """Return the settings of the comparison from a command line of ``ocp benchmark``."""
     from ocp_ros.compare.protocol import placement_settings, PRESETS, rooms_in, rooms_of_s3dis
+    from ocp_ros.rooms.splits import SETS
     from ocp_ros.search.registry import planners_for
     changes: dict[str, Any] = {
-        name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up')
+        name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up', 'model')
         if (value := getattr(arguments, name)) is not None}
+    if arguments.rotations is not None:
+        changes['rotations'] = tuple(map(float, arguments.rotations))
     if arguments.rooms is None and changes.keys() & {'scale', 'up'}:
-        raise ConfigurationError('--scale and --up: found no --rooms; expected a folder of scans '
-                                 'that they are about; generated rooms are in metres, z up')
+        raise ConfigurationError('--scale and --up: found no --rooms; expected the scans that '
+                                 'they are about; generated rooms are in metres, z up')
     # A rig file changes the default planners; --planners still replaces them.
     if arguments.rig is not None:
         changes = {'planners': planners_for(rig=True), **changes}
@@ -113,31 +144,21 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
                        simulation=placement_settings(arguments.cameras, arguments.rig))
     if arguments.rooms is not None:
         rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
+    elif arguments.set is not None:
+        rooms = [str(seed) for seed in SETS[arguments.set]]
     else:
         rooms = [*protocol.rooms, *(rooms_of_s3dis() if arguments.preset == 'full' else ())]
     return replace(protocol, rooms=tuple(rooms))
 
 
-def add_comparison(command: argparse.ArgumentParser) -> None:
-    """Add the options of all comparisons: rig file, processes, cluster and overwriting."""
-    command.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
-                         'cameras: docs/reference/rig.md')
-    command.add_argument('--workers', type=whole(1), help='number of processes; default: one per '
-                         'core')
-    command.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
-    add_overwrite(command)
-
-
 def check_cameras(arguments: argparse.Namespace) -> None:
     """Raise an error if options about cameras contradict each other."""
-    # ``ocp evaluate`` has no --sensor and no --mount; its --cameras is a tuple of numbers.
     for option in ('cameras', 'sensor', 'mount'):
-        if arguments.rig is not None and (value := getattr(arguments, option, None)) is not None:
-            text = ','.join(map(str, value)) if isinstance(value, tuple) else value
+        if arguments.rig is not None and (value := getattr(arguments, option)) is not None:
             raise ConfigurationError(
-                f'--{option}: found {text} with --rig; expected one of the two: the rig file '
+                f'--{option}: found {value} with --rig; expected one of the two: the rig file '
                 f'says its {option}; leave one out')
-    if getattr(arguments, 'mount', None) is not None and arguments.sensor is None:
+    if arguments.mount is not None and arguments.sensor is None:
         raise ConfigurationError(
             f'--mount: found {arguments.mount} without --sensor; expected both: without a sensor '
             'omnidirectional cameras on a plane are compared; add --sensor omnidirectional')

@@ -22,7 +22,7 @@ from ocp_ros.cli.common import Commands, run
 
 #: The commands, in the order of the help; the module of each is ``NAME_command``.
 COMMANDS = ('plan', 'score', 'calibrate', 'info', 'view', 'studio', 'room', 'rooms', 'train',
-            'evaluate', 'benchmark', 'replay')
+            'benchmark', 'replay')
 
 
 def build_commands(name: str = '') -> Commands:

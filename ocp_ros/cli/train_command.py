@@ -30,7 +30,7 @@ def add_arguments(commands: Commands) -> None:
     """Add ``ocp train``."""
     command = commands.add(
         LEARN, 'train', 'train a policy',
-        'ocp train --config config/train/map.yaml --out out/train --model mine.safetensors')
+        'ocp train --config config/train/actor.yaml --out out/train --model mine.safetensors')
     command.add_argument('--config', type=find_config, required=True,
                          help='YAML of training settings')
     command.add_argument('--out', type=Path, required=True, help='folder of the run; an '

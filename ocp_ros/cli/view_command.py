@@ -28,7 +28,7 @@ from ocp_ros.cli.arguments import (
     room_and_placement,
     room_asked,
 )
-from ocp_ros.cli.common import claim_file, command_of, Commands, Found, LOOK, no_ros, show_written
+from ocp_ros.cli.common import claim_file, command_of, Commands, Found, LOOK, show_written
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
 
@@ -40,8 +40,6 @@ def add_arguments(commands: Commands) -> None:
     add_room(command)
     add_placement(command, nargs='?')
     command.add_argument('--out', type=Path, default=Path('out/view.html'), help='page to write')
-    command.add_argument('--ros', action='store_true', help='show the placement in RViz, with '
-                         'handles for its cameras, instead of writing a page')
     command.add_argument('--open', action='store_true', help='open the page in a browser')
     add_overwrite(command)
     add_points(command)
@@ -50,11 +48,9 @@ def add_arguments(commands: Commands) -> None:
 
 
 def run(arguments: argparse.Namespace) -> Found:
-    """Write the page, and open it with ``--open``; with ``--ros`` show RViz instead."""
+    """Write the page, and open it with ``--open``."""
     from ocp_ros.report.assessment import judge
     from ocp_ros.report.viewer import write_view
-    if arguments.ros:
-        return _show_in_rviz(arguments)
     claim_file(arguments, arguments.out, 'a page')
     if arguments.rig and not arguments.placement:
         raise ConfigurationError(f'--rig: found {arguments.rig} and no placement; expected a '
@@ -70,18 +66,3 @@ def run(arguments: argparse.Namespace) -> Found:
         print(f'no browser was found; open {printable(str(arguments.out))} in one',
               file=sys.stderr)
     return {'room': room, 'written': [str(arguments.out)]}
-
-
-def _show_in_rviz(arguments: argparse.Namespace) -> Found:
-    """Show the room and the placement in RViz until Ctrl-C; return the record of the room."""
-    from ocp_ros.report.assessment import judge
-    if arguments.placement is None:
-        raise ConfigurationError('--ros: found no placement; expected one; name it after the room')
-    try:
-        from ocp_ros.ros.view_node import show_placement
-    except ImportError as error:
-        raise no_ros('ocp view --ros', error) from error
-    scene, placement, room = room_and_placement(arguments)
-    assessment = judge(scene, placement, room, command_of(arguments.argv))
-    show_placement(assessment.objective, assessment.placement.poses)
-    return {'room': room, 'written': []}

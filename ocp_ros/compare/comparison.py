@@ -15,8 +15,8 @@
 """
 Run a comparison of planners, on all cores or on a Ray cluster, and write its results.
 
-``ocp benchmark`` and ``ocp evaluate`` both use it. The rows of a task are written as soon as the
-task is done, so an interrupted comparison continues with the other tasks.
+The rows of a task are written as soon as the task is done, so an interrupted comparison continues
+with the other tasks.
 """
 
 from collections.abc import Callable
@@ -36,8 +36,8 @@ from typing import Any, NamedTuple
 from ocp_ros import __version__
 from ocp_ros.compare.protocol import BenchmarkTask, Protocol, run_task
 from ocp_ros.compare.summary import pairs, Rows, summarise
-from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.util.files import read_regular, sha256_of_file, write_atomically
+from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.worker_pool import WorkerPool

@@ -22,7 +22,7 @@ their final placement, see :mod:`ocp_ros.compare.judging`: by ray casting if the
 error that the engine computed in the search is reported too, as ``promised``.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import product
 from pathlib import Path
@@ -32,7 +32,6 @@ from typing import Any
 import numpy as np
 from ocp_ros.compare.judging import JUDGE_POINTS, judged_room, JudgedRoom, SEARCH_POINTS
 from ocp_ros.geometry.engine_config import PROMISING
-from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.rooms.splits import TEST
@@ -54,6 +53,7 @@ from ocp_ros.simulation.problem import make_problem, Problem, space_of
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
 #: Number of random placements.
@@ -76,25 +76,29 @@ def rooms_of_s3dis() -> list[str]:
                                       for path in chosen_rooms(folder, area)]
 
 
-def rooms_in(folder: Path, scale: float = 0.0, up: str = BY_FILE) -> list[str]:
+def rooms_in(places: Sequence[Path], scale: float = 0.0, up: str = BY_FILE) -> list[str]:
     """
-    Return the paths of the scans in a folder; each is read once, as a check.
+    Return the paths of scans; each is read once, as a check.
 
+    :param places: scans, and folders of scans.
     :param scale: metres per unit of the scans; 0 for the unit in each file.
     :param up: the axis of the scans that points up.
-    :raises SceneError: if there are no scans, or one of them cannot be used.
+    :raises SceneError: if a folder has no scans, or one of them cannot be used.
     """
-    paths = [str(path.resolve()) for path in scans_in(folder)]
-    if not paths:
-        raise SceneError(f'{folder}: found no scans; expected files of {", ".join(READERS)}')
+    paths = []
+    for place in places:
+        scans = scans_in(place) if place.is_dir() else [place]
+        if not scans:
+            raise SceneError(f'{place}: found no scans; expected files of {", ".join(READERS)}')
+        paths += [str(path.resolve()) for path in scans]
     # Few points are enough for a check.
     points = 15000
     for path in paths:
         try:
             make_room(path, 0.0, points, scale=scale, up=up)
         except SceneError as error:
-            raise SceneError(f'{error}; every scan in {folder} is compared: convert this file '
-                             'first, or move it out') from error
+            raise SceneError(f'{error}; every scan is compared: convert this file first, or '
+                             'leave it out') from error
     return paths
 
 

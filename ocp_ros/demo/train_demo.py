@@ -29,7 +29,7 @@ from typing import Any
 from ocp_ros.demo.demo import START_TIMEOUT_S
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import run_watched, Watch
-from ocp_ros.policy.shipped_models import DEFAULT_MODEL
+from ocp_ros.util.resources import DEFAULT_MODEL
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 from rich.table import Table
@@ -68,10 +68,10 @@ def start_nodes(options: argparse.Namespace, domain: int, processes: list[NodePr
     """
     sources = namespaces(options.pairs)
     logs = options.out / 'logs'
-    # With these settings the demo takes a few minutes.
-    settings = {'publish_every': 20, 'updates_per_turn': 0.0625, 'sac.learning_starts': 100,
-                'sac.burn_in': 20, 'sac.batch_size': 16, 'sac.buffer_size': 4000,
-                'sac.learning_rate': 1e-4, 'sac.gamma': 0.99}
+    # The recipe is that of the shipped weights; it begins early, so that the demo takes
+    # a few minutes.
+    settings = {'publish_every': 20, 'sac.learning_starts': 100, 'sac.burn_in': 20,
+                'sac.buffer_size': 4000}
     processes.append(NodeProcess('trainer_node', domain, logs / 'trainer_node.log', {
         'model': options.model, 'folder': str(options.out / 'trainer'),
         'sources': ','.join(sources), **settings}))
@@ -91,6 +91,7 @@ def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict
     """Train until all turns are done and all policies have new weights; return the figures."""
     processes: list[NodeProcess] = []
     losses: list[float] = []
+    ratios: list[float] = []
     columns = (TextColumn('{task.description}'), BarColumn(), MofNCompleteColumn(),
                TextColumn('{task.fields[state]}'))
 
@@ -103,10 +104,11 @@ def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict
         start_nodes(options, domain, processes)
 
         def is_done() -> bool:
-            # Store the loss if it has changed; the trainer reports ``-`` before the first one.
-            loss = trainer_value('critic_loss', '-')
-            if loss != '-' and losses[-1:] != [float(loss)]:
-                losses.append(float(loss))
+            # Store values that have changed; the trainer reports ``-`` before the first one.
+            for name, values in (('critic_loss', losses), ('error_ratio', ratios)):
+                value = trainer_value(name, '-')
+                if value != '-' and values[-1:] != [float(value)]:
+                    values.append(float(value))
             turns = int(trainer_value('turns'))
             swaps = min(int(values.get('weights_swapped', 0))
                         for values in policy_diagnostics(watch, options.pairs))
@@ -126,7 +128,9 @@ def run_training(options: argparse.Namespace, domain: int, watch: Watch) -> dict
         turns = int(trainer_value('turns')) - first_turns
         return {'turns_per_second': turns / (time.monotonic() - start_time),
                 'critic_loss_at_first': losses[0] if losses else nan,
-                'critic_loss_at_last': losses[-1] if losses else nan}
+                'critic_loss_at_last': losses[-1] if losses else nan,
+                'error_ratio_at_first': ratios[0] if ratios else nan,
+                'error_ratio_at_last': ratios[-1] if ratios else nan}
 
 
 def collect_result(options: argparse.Namespace, watch: Watch, figures: dict[str, float]

@@ -95,8 +95,7 @@ class HeadingPlanner:
         self._computed_turn: int | None = None
 
     def __call__(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray,
-                 max_turn: float, turn: int, turns: int, hint: np.ndarray | None = None
-                 ) -> np.ndarray:
+                 max_turn: float, turn: int, turns: int) -> np.ndarray:
         """
         Choose the headings of the cameras at their target positions.
 
@@ -106,20 +105,17 @@ class HeadingPlanner:
         :param max_turn: largest rotation of a camera in a time step, radians.
         :param turn: time steps taken so far.
         :param turns: time steps of the whole episode.
-        :param hint: (K, 3) radians, headings that a planner proposes. The search starts from them
-            if they have a better objective value than the last goals.
         :returns: (K + F, 3) yaw, pitch, roll in radians. A pitch that started outside the limits
             may still be outside them.
         """
         self._memory.visit(rig_state.placement, rig_state.lenses)
         if self._computed_turn != turn:
-            self.think(cloud, rig_state, targets, max_turn, turn, turns, hint)
+            self.think(cloud, rig_state, targets, max_turn, turn, turns)
         self._computed_turn = None
         return turned_towards(rig_state.placement[:, 3:], self._goal_headings, max_turn)
 
     def think(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray, max_turn: float,
-              turn: int, turns: int, hint: np.ndarray | None = None,
-              interrupted: Callable[[], bool] = never_interrupted) -> None:
+              turn: int, turns: int, interrupted: Callable[[], bool] = never_interrupted) -> None:
         """
         Compute and store the goal headings of a time step, also in advance.
 
@@ -136,7 +132,7 @@ class HeadingPlanner:
             self._goal_headings = self._sweep_goals(headings, max_turn)
         else:
             self._goal_headings = self._search_goals(model, rig_state, targets, max_turn, turn,
-                                                     turns, hint, interrupted)
+                                                     turns, interrupted)
         self._computed_turn = turn
 
     def _sweep_goals(self, headings: np.ndarray, max_turn: float) -> np.ndarray:
@@ -147,16 +143,14 @@ class HeadingPlanner:
         return goals
 
     def _search_goals(self, model: PartialMap, rig_state: RigState, targets: np.ndarray,
-                      max_turn: float, turn: int, turns: int, hint: np.ndarray | None,
-                      interrupted: Callable[[], bool]) -> np.ndarray:
+                      max_turn: float, turn: int, turns: int, interrupted: Callable[[], bool]
+                      ) -> np.ndarray:
         """Return goal headings (C, 3) of C cameras, which reach them before the episode ends."""
         headings = rig_state.placement[:, 3:]
         max_angle = max_turn * max(turns - turn, 1)
         search = _Search(model, self._memory.unseen(model), targets, rig_state.lenses,
                          self._first_goals(headings, self._goal_headings, max_angle))
         search.set_bonus(exploration_bonus(turn / turns), self.aimed, self._directions)
-        if hint is not None:
-            search.replace_if_better(self._first_goals(headings, hint, max_angle))
         candidates = {camera: self._candidates(search.goals[camera].heading, headings[camera],
                                                max_angle) for camera in self.aimed}
         # Two passes over all cameras; in each time step another camera is the first one.
@@ -249,19 +243,6 @@ class _Search:
             counts = [int(count_bits(view.covered)) for camera in cameras
                       for view in self._views_of(camera, headings)]
             self._cell_bonus = bonus * self._model.depth_error.worst / max(np.mean(counts), 1.0)
-
-    def replace_if_better(self, headings: np.ndarray) -> None:
-        """Replace the goals by headings (C, 3) if these have a better objective value."""
-        goals = self._goals_at(headings)
-        if self._objective_value(goals) < self._objective_value(self.goals):
-            self.goals = goals
-
-    def _objective_value(self, goals: list[Goal]) -> float:
-        """Return the objective value of all goals together, metres; less is better."""
-        views = [goal.view for goal in goals]
-        union = self._model.together(views)
-        # The union contains the first view, so the bonus of both is that of the union.
-        return self._model.depth_error(union.seen) - self._bonus(union, views[0])
 
     def _views_of(self, camera: int, headings: np.ndarray) -> list[View]:
         """Return the views of a camera with headings (H, 3), computed once and then cached."""

@@ -38,7 +38,8 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online.candidate_sites import Candidates, max_positions
-from ocp_ros.online.online_planner import KnownTurn, matched, Online, PipelinedPlanner
+from ocp_ros.online.episode_places import EpisodePlaces
+from ocp_ros.online.online_planner import matched, PipelinedPlanner
 from ocp_ros.online.partial_map import cell_weight, KeptModel, PartialMap, View
 from ocp_ros.online.rig_state import AIR_RADIUS_M, clearance_of, fixed_views, RigState, view_from
 from ocp_ros.rig.free_plane import FreePlane
@@ -101,28 +102,19 @@ class Lookahead(PipelinedPlanner):
     """
     Explore, plan on the observed cloud, and refine the plan while the cameras move to it.
 
-    :param settings: of :class:`Online`.
-    :param guide: a planner, such as a trained actor, that proposes placements as first plans;
-        None without.
+    :param settings: of :class:`~ocp_ros.online.online_planner.Online`.
+    :ivar places: the placements of the episode; the survey begins with the best of them.
     """
 
-    def __init__(self, *settings, guide: Online | None = None) -> None:
+    def __init__(self, *settings) -> None:
         super().__init__(*settings)
-        self.guide = guide
         self.reset()
-
-    def set_rig_state(self, rig_state: RigState | None) -> None:
-        """Set the state of the guide too; see :meth:`Online.set_rig_state`."""
-        super().set_rig_state(rig_state)
-        if self.guide is not None:
-            self.guide.set_rig_state(rig_state)
 
     def reset(self) -> None:
         """Discard the state of the last episode."""
         super().reset()
-        if self.guide is not None:
-            self.guide.reset()
         self.targets = self.headings = None
+        self.places = EpisodePlaces()
         self._candidates: Candidates | None = None
         self._choice: list[int] = []
         self._kept_model = KeptModel(self.max_range, self.wall_margin, *TUNING.refining_model)
@@ -135,8 +127,7 @@ class Lookahead(PipelinedPlanner):
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
         pipelined = self._ahead(turns)
-        # In a pipelined episode, the survey begins some time steps earlier: True counts as 1.
-        if turn >= TUNING.refining_share * turns - TUNING.survey_turns * pipelined:
+        if self._finishes(turn, turns):
             # The refinement begins as soon as the last part of the survey is done.
             if self._is_surveyed or self._do_survey(cloud, positions, turn, turns):
                 self._refine(cloud, positions, turn, turns)
@@ -149,20 +140,26 @@ class Lookahead(PipelinedPlanner):
             (self._choice,) = self._candidates.anneal(self._choice, self.rng)
         self._set_plan(positions)
 
+    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
+        """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
+        self.places.add(positions, self.rig_state)
+        return super().move(cloud, positions, turn, turns)
+
+    def _finishes(self, turn: int, turns: int) -> bool:
+        """Return whether the exploration is over in a turn."""
+        # In a pipelined episode, the survey begins some time steps earlier: True counts as 1.
+        return (turn >= TUNING.refining_share * turns
+                - TUNING.survey_turns * self._ahead(turns))
+
     def _create_candidates(self, cloud: np.ndarray, positions: np.ndarray, turn: int,
                            turns: int) -> None:
-        """Create candidates, the current and proposed plans included, and choose the best plan."""
+        """Create candidates, the current plan included, and choose the best plan."""
         model = PartialMap(cloud, positions, self.max_range, *TUNING.candidate_model,
                            air_radius=AIR_RADIUS_M if self.directional else 0.0)
         unseen = self.memory.unseen(model)
         self._space = self.space(cloud, positions)
-        plans = self._current_plans(len(positions))
-        if self.guide is not None:
-            self.guide.interrupted = self.interrupted
-            plans.append(self.guide.propose(KnownTurn(
-                cloud, positions, turn, turns, model, self._space, unseen)))
         self._choose_plan(model, self._space, unseen, cell_weight(model, unseen, turn, turns),
-                          plans, len(positions))
+                          self._current_plans(len(positions)), len(positions))
         self._model_turn = turn
 
     def _choose_plan(self, model: PartialMap, space: FreePlane, unseen: np.ndarray, weight: float,
@@ -237,7 +234,7 @@ class Lookahead(PipelinedPlanner):
         """
         # The first part creates the model; without a model the survey has not begun.
         if self._kept_model.made is None:
-            self._remaining_survey = self._survey(cloud, positions, turn)
+            self._remaining_survey = self._survey(cloud, positions, turn, turns)
         # Each item is a part that was just done, see :meth:`_survey`.
         for _ in self._remaining_survey:
             if not self._waits_for_plan(turns, len(positions)):
@@ -246,9 +243,12 @@ class Lookahead(PipelinedPlanner):
         self._is_surveyed = True
         return True
 
-    def _survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int) -> Iterator[object]:
+    def _survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
+                ) -> Iterator[object]:
         """
-        Anneal the plan once more among all candidates, on the model for the refinement.
+        Anneal once more among all candidates, on the model for the refinement.
+
+        The first plans are the current one and the best combination of the places of the episode.
 
         :returns: an iterator with an item of no meaning after each part of the computation.
         """
@@ -256,8 +256,10 @@ class Lookahead(PipelinedPlanner):
         model, space = self._kept_model.made
         # The first access computes the depth error; the first part ends with it.
         yield model.depth_error
+        best = self.places.best(model, self.rig_state, positions,
+                                reach=(turns - turn) * self.max_step)
         self._choose_plan(model, space, self.memory.unseen(model), 0.0,
-                          self._current_plans(len(positions)), len(positions))
+                          [*self._current_plans(len(positions)), best], len(positions))
         yield
         for choice in self._candidates.anneal(self._choice, self.rng, parts=2):
             self._choice = choice

@@ -14,11 +14,21 @@
 
 """The partial map at a time step, on which moves of one camera after the other are tried."""
 
+from functools import cached_property
+
 import numpy as np
+from ocp_ros.geometry.clouds import cells_numbered
 from ocp_ros.geometry.packed_bits import count_bits, unpack
 from ocp_ros.geometry.visibility import FAST, FINE
-from ocp_ros.online.partial_map import KeptModel, LookHistory, PartialMap
-from ocp_ros.online.rig_state import clearance_of, fixed_views, record_views, RigState, view_from
+from ocp_ros.online.partial_map import KeptModel, LookHistory, NO_CELL, PartialMap
+from ocp_ros.online.rig_state import (
+    AIR_RADIUS_M,
+    clearance_of,
+    fixed_views,
+    record_views,
+    RigState,
+    view_from,
+)
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.simulation.simulator import View
 
@@ -68,15 +78,22 @@ class ObservedTurn:
         """Return the depth error of all cameras together, metres."""
         return self.model.error(self._views + self._fixed_views)
 
+    @cached_property
+    def air(self) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Return the C cells of the model's air.
+
+        :returns: (C, 2) metres, map frame, the centres of the cells seen from above; and (C,)
+            bool, whether no camera has covered a cell.
+        """
+        is_air = self.model.cells != NO_CELL
+        centres = (cells_numbered(self.model.cells[is_air])[:, :2] + 0.5) * self.model.edge
+        return centres, unpack(self.unseen, len(is_air))[is_air]
+
     @property
     def unseen_count(self) -> int:
         """Return the number of cells that no camera has covered, at least 1."""
         return max(int(count_bits(self.unseen)), 1)
-
-    @property
-    def unseen_share(self) -> float:
-        """Return ``unseen_count`` as a share of all cells of the model, ``NO_CELL`` included."""
-        return self.unseen_count / max(len(self.model.cells), 1)
 
     def seen_now(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -114,7 +131,8 @@ class ObservedTurns:
     def reset(self) -> None:
         """Discard the state of the last episode."""
         self._history = LookHistory()
-        self._kept_model = KeptModel(*self._model_arguments)
+        #: None before the first turn, when the rig may not be known yet.
+        self._kept_model: KeptModel | None = None
 
     def __call__(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int
                  ) -> ObservedTurn:
@@ -128,6 +146,10 @@ class ObservedTurns:
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         record_views(self._history, positions, self.rig_state)
+        if self._kept_model is None:
+            directional = self.rig_state is not None and self.rig_state.aimed
+            self._kept_model = KeptModel(*self._model_arguments,
+                                         air_radius=AIR_RADIUS_M if directional else 0.0)
         # The finest rules of visibility are slow, and matter after 60 % of the episode.
         settings = FINE if turn >= 0.6 * turns else FAST
         model, space = self._kept_model(cloud, positions, settings,

@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.online.heading_planner import never_interrupted
-from ocp_ros.online.partial_map import LookHistory, PartialMap
+from ocp_ros.online.partial_map import LookHistory
 from ocp_ros.online.rig_state import clearance_of, record_views, RigState
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.rig.motion import bounded_moves, towards
@@ -72,28 +72,6 @@ def standing(positions: np.ndarray, rig_state: RigState | None) -> np.ndarray:
 def settings_of(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator) -> tuple:
     """Return the constructor arguments of :class:`Online` for a rig and an episode."""
     return rng, episode.max_step, rig.farthest, episode.wall_margin, episode.clearance
-
-
-class KnownTurn(NamedTuple):
-    """
-    A time step as a planner knows it: the input for a plan.
-
-    :ivar cloud: (M, 3) float32, metres, map frame: the observed cloud.
-    :ivar positions: (K, 3) metres: current positions of the cameras.
-    :ivar turn: time steps taken so far.
-    :ivar turns: time steps of the whole episode.
-    :ivar model: partial map of the observed cloud.
-    :ivar space: feasible region of the cameras in the observed part of the room.
-    :ivar unseen: packed bits of the model's cells of the air that no camera has covered yet.
-    """
-
-    cloud: np.ndarray
-    positions: np.ndarray
-    turn: int
-    turns: int
-    model: PartialMap
-    space: FreePlane
-    unseen: np.ndarray
 
 
 class Online(ABC):
@@ -147,18 +125,6 @@ class Online(ABC):
         :param turns: time steps of the whole episode.
         :returns: (K, 2) metres, horizontal moves, none longer than ``max_step``.
         """
-
-    def propose(self, known: KnownTurn) -> np.ndarray:
-        """
-        Return a final placement as a first plan for another planner.
-
-        A planner without a final placement returns the poses after its next move.
-
-        :returns: (K, 6) metres, map frame, and radians.
-        """
-        placement = standing(known.positions, self.rig_state)
-        placement[:, :2] += self.move(known.cloud, known.positions, known.turn, known.turns)
-        return placement
 
     def plan_ahead(self) -> None:  # noqa: B027
         """

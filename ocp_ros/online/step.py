@@ -26,6 +26,7 @@ from ocp_ros.online.constraint_filter import StepConstraints
 from ocp_ros.online.heading_planner import HeadingPlanner, never_interrupted
 from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, Online, PlannedTurn
 from ocp_ros.online.rig_state import Command, Limits, RigState
+from ocp_ros.rig.motion import turned_towards
 from ocp_ros.rig.rig_file import Rig
 
 
@@ -39,7 +40,8 @@ class OnlineStep:
     :param report: called with a message after an error; the cameras then keep their poses. None to
         raise the error.
     :ivar constraints: correct the moves of the planner.
-    :ivar aim: chooses the headings; None if no camera has a heading to choose.
+    :ivar aim: chooses the headings where the planner has none; None if no camera has a heading to
+        choose.
     """
 
     def __init__(self, planner: Online, limits: Limits, rig: Rig | None = None,
@@ -123,22 +125,26 @@ class OnlineStep:
         cloud, positions, turn, turns, state = self._next_turn
         self._next_turn = None
         self.constraints.prepare(cloud, positions)
-        if self.aim is None or not self.limits.max_turn:
+        if (self.aim is None or not self.limits.max_turn
+                or self.planner.headings is not None):
             return
         targets = state.placement[:, :3].copy()
         with self._report_errors('aiming', 'turned as they are'):
             targets[:state.movable, :2] = self.planner.goals(positions)
-            self.aim.think(cloud, state, targets, self.limits.max_turn, turn, turns,
-                           self.planner.headings, interrupted)
+            self.aim.think(cloud, state, targets, self.limits.max_turn, turn, turns, interrupted)
 
     def _choose_headings(self, cloud: np.ndarray, state: RigState, targets: np.ndarray, turn: int,
                          turns: int) -> dict[int, np.ndarray]:
         """Return the next headings (3,), radians, by the numbers of the cameras that rotate."""
         if self.aim is None or not self.limits.max_turn:
             return {}
+        planned = self.planner.headings
+        if planned is not None:
+            headings = turned_towards(
+                state.placement[:state.movable, 3:], planned, self.limits.max_turn)
+            return {camera: headings[camera] for camera in self.aim.aimed}
         with self._report_errors('aiming', 'turned as they are'):
-            headings = self.aim(cloud, state, targets, self.limits.max_turn, turn, turns,
-                                self.planner.headings)
+            headings = self.aim(cloud, state, targets, self.limits.max_turn, turn, turns)
             return {camera: headings[camera] for camera in self.aim.aimed}
         # Reached only after a reported error.
         return {}

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS, setting, UserError
 
-#: Input of the network: the observation map (``map``), or the observed cloud, read by one head for
-#: all cameras as in the paper (``paper``) or camera by camera (``cloud``).
-MAP, CLOUD, PAPER = 'map', 'cloud', 'paper'
+#: Inputs of the network: the observed cloud, read camera by camera (``cloud``), or by one head for
+#: all cameras as in the paper (``paper``).
+CLOUD, PAPER = 'cloud', 'paper'
 
 
 class CheckpointError(UserError):
@@ -32,34 +32,30 @@ class AgentConfig:
     """
     Settings of the network.
 
-    The networks of ``cloud`` and ``paper`` have three extraction units. A unit samples key points
-    by farthest-point sampling, and groups the points within a radius of each key point. The last
-    unit has a single key point, whose group contains all key points of the second unit.
+    It has three extraction units. A unit samples key points by farthest-point sampling, and groups
+    the points within a radius of each key point. The last unit has a single key point, whose group
+    contains all key points of the second unit.
     """
 
     inputs: str = setting(
-        MAP, 'input of the network: map, a map of what was observed; cloud, the observed cloud, '
-             'one camera after the other; paper, the observed cloud as in the paper, all cameras '
-             'at once', choices=(MAP, CLOUD, PAPER))
-    headings: int = setting(
-        0, 'with inputs map: headings in which the network values each cell for cameras that do '
-           'not see all around; 0: it values cells for those that do, whatever the camera',
-        0, 64)
+        CLOUD, 'inputs of the network: cloud, the observed cloud and the rig, one camera after '
+               'the other; paper, the observed cloud as in the paper, all cameras at once',
+        choices=(CLOUD, PAPER))
     cameras: int = setting(
         4, 'with inputs paper: number of cameras, whose moves one head chooses together', 1,
         MAX_CAMERAS)
     points: int = setting(
-        512, 'points of the cloud that reach the first extraction unit', 16, 32767)
+        256, 'points of the cloud that reach the first extraction unit', 16, 32767)
     keys_1: int = setting(32, 'key points of the first unit', 1, 4096)
-    group_1: int = setting(8, 'points per group of the first unit', 1, 256)
-    radius_1: float = setting(0.8, 'ball query radius of the first unit, metres', 0.01, 50.0)
+    group_1: int = setting(16, 'points per group of the first unit', 1, 256)
+    radius_1: float = setting(1.5, 'ball query radius of the first unit, metres', 0.01, 50.0)
     keys_2: int = setting(8, 'key points of the second unit', 1, 1024)
     group_2: int = setting(8, 'points per group of the second unit', 1, 256)
-    radius_2: float = setting(2.0, 'ball query radius of the second unit, metres', 0.01, 50.0)
+    radius_2: float = setting(3.0, 'ball query radius of the second unit, metres', 0.01, 50.0)
     channels: int = setting(32, 'output channels of the first two units', 1, 1024)
-    pooled: int = setting(32, 'output channels of the last unit', 1, 4096)
-    hidden: int = setting(256, 'width of the heads', 1, 4096)
-    blocks: int = setting(0, 'with inputs cloud: residual blocks of the heads; 0: two plain '
+    pooled: int = setting(128, 'output channels of the last unit', 1, 4096)
+    hidden: int = setting(128, 'width of the heads', 1, 4096)
+    blocks: int = setting(2, 'with inputs cloud: residual blocks of the heads; 0: two plain '
                           'layers', 0, 16)
     length_scale: float = setting(4.0, 'length that the network reads as 1, metres', 0.01, 100.0)
 
@@ -74,17 +70,6 @@ class AgentConfig:
                     f'agent.keys_{unit}: found keys_{unit} x group_{unit} x channels = '
                     f'{points * self.channels:,}; expected up to {max_values:,}; lower '
                     'one of the three')
-        if self.headings and not self.map:
-            raise ConfigurationError(f'agent.headings: found {self.headings} with agent.inputs '
-                                     f'{self.inputs!r}; expected 0, or the inputs map')
-        if self.blocks and self.inputs != CLOUD:
-            raise ConfigurationError(f'agent.blocks: found {self.blocks} with agent.inputs '
-                                     f'{self.inputs!r}; expected 0, or the inputs cloud')
-
-    @property
-    def map(self) -> bool:  # noqa: A003
-        """Return whether the network reads the observation map."""
-        return self.inputs == MAP
 
     @property
     def one_by_one(self) -> bool:
@@ -101,5 +86,5 @@ class AgentConfig:
         if self.inputs == PAPER and self.cameras != cameras:
             raise ConfigurationError(
                 f'agent.cameras: found weights for {self.cameras} cameras, and {cameras} cameras; '
-                'expected as many; use weights that serve any number (agent.inputs: map or '
-                f'cloud), or a rig of {self.cameras}')
+                'expected as many; use weights that serve any number (agent.inputs: cloud), or a '
+                f'rig of {self.cameras}')

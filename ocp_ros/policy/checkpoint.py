@@ -26,7 +26,7 @@ import struct
 from typing import Any
 
 from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
-from ocp_ros.policy.networks import actor_of
+from ocp_ros.policy.networks import Actor
 from ocp_ros.util.files import MAX_BYTES, read_regular, write_atomically
 from ocp_ros.util.settings import from_nested, to_nested
 from safetensors import SafetensorError
@@ -34,7 +34,7 @@ import safetensors.torch
 import torch
 
 #: Format of the card, and its key in the metadata of a safetensors file.
-FORMAT = 'ocp_ros-actor-2'
+FORMAT = 'ocp_ros-actor-3'
 METADATA_KEY = 'ocp_ros'
 #: Largest absolute weight: trained weights stay below 100, and much larger ones cause an overflow
 #: in the network.
@@ -47,7 +47,7 @@ class Checkpoint:
     The weights of an actor (the network that runs), their settings and their provenance.
 
     :ivar config: sizes of the network.
-    :ivar weights: tensors by name, those of :func:`~ocp_ros.policy.networks.actor_of`.
+    :ivar weights: tensors by name, those of :class:`~ocp_ros.policy.networks.Actor`.
     :ivar updates: gradient steps so far; within one run, weights with more updates are newer.
     :ivar run: identity of the training run.
     :ivar provenance: how the weights were made: command, seed, date, rooms, results.
@@ -63,7 +63,7 @@ class Checkpoint:
         """Reject weights that do not fit the network or would overflow in it."""
         # Tensors on the meta device need no memory: only their shapes are compared.
         with torch.device('meta'):
-            expected = actor_of(self.config).state_dict()
+            expected = Actor(self.config).state_dict()
         missing = expected.keys() - self.weights.keys()
         unknown = self.weights.keys() - expected.keys()
         if missing or unknown:
@@ -80,6 +80,20 @@ class Checkpoint:
                 raise CheckpointError(
                     f'weights: found NaN, inf or more than {MAX_WEIGHT:g} in {name}; expected '
                     'smaller finite numbers; the training that made them has diverged')
+
+    @property
+    def domain(self) -> dict[str, tuple[float, float]]:
+        """
+        Return the lowest and the highest value of each limit that the weights have learned.
+
+        Its keys are those of ``TrainingConfig.domain``; there are none if the card has no readable
+        domain.
+        """
+        try:
+            return {str(name): (float(low), float(high))
+                    for name, (low, high) in self.provenance.get('domain', {}).items()}
+        except (AttributeError, OverflowError, TypeError, ValueError):
+            return {}
 
     def to_bytes(self) -> bytes:
         """Return the checkpoint as one safetensors blob, with the card in its metadata."""

@@ -13,147 +13,129 @@
 # limitations under the License.
 
 """
-The online planner that moves cameras by a trained policy.
+Planner ``learned``: a trained policy explores, then lookahead's search finishes.
 
-The policy chooses moves, and does not know how good its placements are. The planner therefore
-compares the places where the cameras have been in the episode, on the observed cloud: it chooses
-the best combination of one place of each camera. The policy moves the cameras as long as they can
-still return to these places in time; then they return.
+This module does not import torch.
 """
 
+import logging
 from typing import TYPE_CHECKING
 
 import numpy as np
-from ocp_ros.geometry.visibility import FAST
-from ocp_ros.online.online_planner import Online, standing
-from ocp_ros.online.partial_map import KeptModel, PartialMap
-from ocp_ros.online.rig_state import clearance_of, fixed_views, RigState, view_from
+from ocp_ros.online.lookahead import Lookahead, TUNING
+from ocp_ros.online.online_planner import Online, PlannedTurn
+from ocp_ros.online.rig_state import record_views, RigState
 from ocp_ros.policy.cloud_encoder import Encoder
-from ocp_ros.policy.map_actor import MapActor
 from ocp_ros.rig.motion import bounded_moves
-from ocp_ros.scenes.scene import SceneError
 
 if TYPE_CHECKING:
-    from ocp_ros.policy.policy import Policy, ValuePolicy
+    from ocp_ros.policy.policy import Policy
 
-#: Points, and rows of the depth maps, of the partial map on which places are compared.
-MODEL_POINTS, MODEL_ROWS = 60_000, 128
-#: Largest number of places of a camera that are compared: those of the last time steps.
-MAX_PLACES = 60
+_log = logging.getLogger(__name__)
 
 
-class Learned(Online):
+class PolicyAlone(Online):
     """
-    Move cameras by a trained policy that reads the observed cloud.
+    Move cameras by a trained policy alone, without any search.
 
     :param policy: chooses moves in units of ``max_step``.
     :param settings: positional arguments of :class:`Online`.
+    :param drawn: whether moves are drawn from the policy's distribution; otherwise they are the
+        most probable ones.
     """
 
-    def __init__(self, policy: 'Policy', *settings) -> None:
+    def __init__(self, policy: 'Policy', *settings, drawn: bool = False) -> None:
         super().__init__(*settings)
+        self._drawn = drawn
+        self._is_checked = False
+        self._encoder = Encoder(policy.checkpoint.config, self.max_range, self.max_step,
+                                self.wall_margin, self.clearance)
+        self.use(policy)
+
+    def use(self, policy: 'Policy') -> None:
+        """Continue with a policy, which may have other weights of the same network."""
         self.policy = policy
-        self.reset()
+        policy.encoder = self._encoder
 
     def set_rig_state(self, rig_state: RigState | None) -> None:
-        """Set the rig state of the policy's encoder too; see :meth:`Online.set_rig_state`."""
+        """Set the rig state of the encoder too; see :meth:`Online.set_rig_state`."""
         super().set_rig_state(rig_state)
-        self.policy.encoder.partial_maps.rig_state = rig_state
+        self._encoder.partial_maps.rig_state = rig_state
 
     def reset(self) -> None:
         """Discard the state of the last episode."""
-        self.policy.reset()
-        #: (V, K, 6) metres, map frame, and radians: the last placements of the episode.
-        self._placements = np.empty((0, 0, 6))
-        self._kept_model = KeptModel(self.max_range, self.wall_margin, MODEL_POINTS, MODEL_ROWS)
+        self._encoder.partial_maps.reset()
+
+    def _check_domain(self, cameras: int, turns: int) -> None:
+        """Warn once if the rig or the episode is outside of what the weights have learned."""
+        if self._is_checked:
+            return
+        self._is_checked = True
+        found = {'cameras': cameras, 'turns': turns, 'max_step': self.max_step,
+                 'max_range': self.max_range}
+        outside = [f'{name} {found[name]:g} (learned: {low:g} to {high:g})'
+                   for name, (low, high) in self.policy.checkpoint.domain.items()
+                   if name in found and not low <= found[name] <= high]
+        if outside:
+            _log.warning(
+                'model: found %s; expected values that the weights have learned; the agent '
+                'explores all the same, perhaps badly; the planner lookahead needs no weights',
+                ', '.join(outside))
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Return the next moves; see :meth:`Online.move`."""
+        self._check_domain(len(positions), turns)
+        if self._drawn:
+            # A trainer learns from these moves, so nothing corrects them.
+            return bounded_moves(self.policy.act(cloud, positions, turn, turns, self.rng),
+                                 self.max_step)
         if len(cloud) == 0:
             return self.random_walk(cloud, positions)
-        start, space = positions[:, :2], self.space(cloud, positions)
         moves = bounded_moves(self.policy.act(cloud, positions, turn, turns), self.max_step)
-        ends = space.moved(start, moves, self.max_step)
-        placement = standing(positions, self.rig_state)[None]
-        if self._placements.shape[1:] != placement.shape[1:]:
-            self._placements = placement[:0]
-        self._placements = np.concatenate([self._placements, placement])[-MAX_PLACES:]
-        best = self._due_places(cloud, positions, ends, turns - turn)
-        if best is not None:
-            ends = space.moved(start, self.towards(positions, best) - start, self.max_step)
-        return ends - start
-
-    def _due_places(self, cloud: np.ndarray, positions: np.ndarray, ends: np.ndarray,
-                    turns_left: int) -> np.ndarray | None:
-        """
-        Return the best places of the episode if the cameras have to return to them now.
-
-        :param cloud: see :meth:`Online.move`.
-        :param positions: see :meth:`Online.move`; the last of the placements.
-        :param ends: (K, 2) metres, where the policy sends the cameras.
-        :param turns_left: time steps until the end of the episode.
-        :returns: (K, 2) metres; None if the policy may move the cameras.
-        """
-        now, then = (np.linalg.norm(self._placements[..., :2] - places, axis=2)
-                     for places in (positions[:, :2], ends))
-        # (V, K) each, from lengths of paths in metres; the constant allows for rounding.
-        within_reach = now <= turns_left * self.max_step + 1e-6
-        due = then > (turns_left - 1) * self.max_step + 1e-6
-        if not due[within_reach].any():
-            return None
-        try:
-            model, _ = self._kept_model(cloud, positions, FAST,
-                                        clearance_of(self.rig_state, self.clearance))
-        except SceneError:
-            return None
-        best = self._best_places(model, within_reach), np.arange(len(positions))
-        return self._placements[best][:, :2] if due[best].any() else None
-
-    def _best_places(self, model: PartialMap, within_reach: np.ndarray) -> np.ndarray:
-        """
-        Return the number of the best place of each camera: (K,).
-
-        This begins with the best placement. Then one camera after the other takes the best of its
-        places, given those of the others, until no camera finds a better one.
-
-        :param model: of the observed cloud.
-        :param within_reach: (V, K) bool, which places the cameras can still reach; the last of
-            each camera is always among them.
-        """
-        # For each camera the view from each place within reach, by the number of the place.
-        views = [{place: view_from(model, self.rig_state, camera,
-                                   *np.split(self._placements[place, camera], 2))
-                  for place in np.flatnonzero(reached)}
-                 for camera, reached in enumerate(within_reach.T)]
-        fixed = fixed_views(model, self.rig_state)
-        places = np.flatnonzero(within_reach.all(axis=1))
-        errors = [model.error([*fixed, *(own[place] for own in views)]) for place in places]
-        choice = np.full(len(views), places[np.argmin(errors)])
-        least_error, camera, unchanged = min(errors), 0, 0
-        while unchanged < len(views):
-            others = [own[choice[k]] for k, own in enumerate(views) if k != camera]
-            error_with = model.depth_error.given(model.together(others + fixed).seen)
-            unchanged += 1
-            for place, view in views[camera].items():
-                error = error_with(view.seen, least_error)
-                if error < least_error - 1e-9:
-                    choice[camera], least_error, unchanged = place, error, 0
-            camera = (camera + 1) % len(views)
-        return choice
+        ends = self.space(cloud, positions).moved(positions[:, :2], moves, self.max_step)
+        return ends - positions[:, :2]
 
 
-def planned_by(policy: 'Policy | ValuePolicy', settings: tuple) -> Learned | MapActor:
+class Learned(Lookahead):
     """
-    Return the online planner that moves cameras by a policy.
+    Explore by a trained policy; then survey and refine as :class:`Lookahead` does.
 
-    :param policy: from :func:`ocp_ros.policy.policy.make_policy`.
-    :param settings: positional arguments of :class:`~ocp_ros.online.online_planner.Online`.
+    :param policy: chooses the moves of the exploration.
+    :param settings: positional arguments of :class:`Online`.
+    :ivar agent: the policy alone.
+    :ivar explorer: moves the cameras until there is a plan: the agent.
     """
-    # This import loads torch; an import of the present module alone does not.
-    from ocp_ros.policy.policy import ValuePolicy
-    if isinstance(policy, ValuePolicy):
-        return MapActor(policy, *settings)
-    _, max_step, max_range, *margins = settings
-    # The policy was made with an encoder for default settings.
-    policy.encoder = Encoder(policy.checkpoint.config, max_range, max_step, *margins)
-    return Learned(policy, *settings)
+
+    def __init__(self, policy: 'Policy', *settings) -> None:
+        self.agent = PolicyAlone(policy, *settings)
+        self.explorer: Online = self.agent
+        super().__init__(*settings)
+
+    def set_rig_state(self, rig_state: RigState | None) -> None:
+        """Set the rig state of the explorer too; see :meth:`Online.set_rig_state`."""
+        super().set_rig_state(rig_state)
+        self.explorer.set_rig_state(rig_state)
+
+    def reset(self) -> None:
+        """Discard the state of the last episode."""
+        super().reset()
+        self.explorer.reset()
+
+    def _waits_for_plan(self, turns: int, cameras: int) -> bool:
+        """Return False in a pipelined episode: until there is a plan, the explorer moves."""
+        return not self._ahead(turns)
+
+    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
+        """Return the next moves; see :meth:`Online.move`."""
+        # Do a part of the survey here if no caller did it while the cameras moved.
+        self.plan_ahead()
+        if self._has_plan(len(positions)) or (
+                not self._ahead(turns) and turn >= TUNING.refining_share * turns):
+            return super().move(cloud, positions, turn, turns)
+        self.places.add(positions, self.rig_state)
+        record_views(self.memory, positions, self.rig_state)
+        moves = self.explorer.move(cloud, positions, turn, turns)
+        if self._ahead(turns) and turn + 1 < turns and self._finishes(turn + 1, turns):
+            ends = positions + np.column_stack([moves, np.zeros(len(moves))])
+            self._next_turn = PlannedTurn(cloud.copy(), ends, turn + 1, turns, self.rig_state)
+        return moves

@@ -21,8 +21,7 @@ of all cameras, as in section III-C of arXiv 2110.11106 and in stable-baselines3
 """
 
 from ocp_ros.policy.agent_config import AgentConfig, PAPER
-from ocp_ros.policy.observation_cloud import MARKS, OF_OTHERS, OF_TURN
-from ocp_ros.policy.value_network import ValueMapNetwork
+from ocp_ros.policy.observation_cloud import MARKS, OF_OTHERS, OF_SECTOR, OF_TURN
 import torch
 from torch import nn, Tensor
 
@@ -104,7 +103,7 @@ def turned_observation(observation: dict[str, Tensor], matrices: Tensor) -> dict
     :param matrices: (B, 2, 2), each one of ``SYMMETRIES``.
     """
     turned = {name: turned_vectors(observation[name], matrices)
-              for name in ('points', 'cameras', 'others') if name in observation}
+              for name in ('points', 'cameras', 'others', 'heading', 'air') if name in observation}
     # Sizes have no sign; a quarter turn exchanges those along x and y.
     half_size = turned_vectors(observation['half_size'], matrices.abs())
     return {**observation, **turned, 'half_size': half_size}
@@ -167,10 +166,11 @@ class Extractor(nn.Module):
         else:
             hidden = 32
             self.others = perceptron(OF_OTHERS, hidden, hidden)
+            self.air = perceptron(OF_SECTOR, hidden, hidden)
             # A camera's own position: relative to the walls (2) and in the cloud (3), the
-            # distances to the four walls (4), and half the size of the room (3).
-            own_features = 2 + 3 + 4 + 3
-            self.width += own_features + 2 * hidden + OF_TURN
+            # distances to the four walls (4), half the size of the room (3), and its heading (3).
+            own_features = 2 + 3 + 4 + 3 + 3
+            self.width += own_features + 4 * hidden + OF_TURN
 
     def forward(self, observation: dict[str, Tensor]) -> Tensor:
         """Return the F features (B, F) of B encoded observations."""
@@ -180,10 +180,12 @@ class Extractor(nn.Module):
         camera = cameras[:, 0]
         # The value at index 3 says whether the other camera exists; see ``OF_OTHERS``.
         others = pooled(self.others(observation['others']), observation['others'][..., 3])
+        # A sector counts where it has unseen air.
+        air = pooled(self.air(observation['air']), (observation['air'][..., 3] > 0.0).float())
         return torch.cat([
             self._cloud(observation, cameras), camera[:, :2] / half[:, :2].clamp(min=1e-3), camera,
-            half[:, :2] - camera[:, :2], half[:, :2] + camera[:, :2], half, others,
-            observation['turn']], dim=-1)
+            half[:, :2] - camera[:, :2], half[:, :2] + camera[:, :2], half,
+            observation['heading'][:, 0], others, air, observation['turn']], dim=-1)
 
     def _cloud(self, observation: dict[str, Tensor], centre: Tensor | None) -> Tensor:
         """
@@ -226,7 +228,9 @@ class Actor(nn.Module):
         super().__init__()
         cameras = config.cameras if config.inputs == PAPER else 1
         self.extractor = Extractor(config)
-        self.latent_pi = head(self.extractor.width, config.hidden, config.blocks)
+        # The heads of the paper's network are those of stable-baselines3.
+        blocks = 0 if config.inputs == PAPER else config.blocks
+        self.latent_pi = head(self.extractor.width, config.hidden, blocks)
         self.mu = nn.Linear(config.hidden, 2 * cameras)
         self.log_std = nn.Linear(config.hidden, 2 * cameras)
 
@@ -241,8 +245,3 @@ class Actor(nn.Module):
         latent = self.latent_pi(self.extractor(observation))
         # The bounds are those of stable-baselines3.
         return self.mu(latent), self.log_std(latent).clamp(-20.0, 2.0)
-
-
-def actor_of(config: AgentConfig) -> nn.Module:
-    """Return the network of a policy, with random weights."""
-    return ValueMapNetwork(config) if config.map else Actor(config)

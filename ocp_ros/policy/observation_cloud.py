@@ -26,9 +26,16 @@ from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 
 #: Largest number of other cameras that the network reads for one camera: the nearest ones.
 MAX_OTHERS = 7
-#: Number of values for the time step: elapsed share of the episode, number of cameras / 4, and the
-#: share of the air that no camera has covered.
-OF_TURN = 3
+#: Number of values for the turn and the choosing camera: elapsed share of the episode, number of
+#: cameras / 4, share of the air that no camera has covered, longest step / 2 m, path that is left
+#: / 8 m (at most 2), range / 4 m, angles of view (as shares of those of an omnidirectional camera)
+#: and smallest and largest pitch / 90 degrees (0 for an omnidirectional camera).
+OF_TURN = 10
+#: Sectors around a camera, between multiples of 45 degrees, for the air that was not covered yet.
+SECTORS = 8
+#: Number of values for each sector: horizontal vector from the camera to the middle of its unseen
+#: air (2), the sector's share of all unseen air, and the unseen share of the sector's air.
+OF_SECTOR = 4
 #: Number of values for each other camera: the vector to this camera (3), whether the camera
 #: exists, and whether it has chosen its move.
 OF_OTHERS = 5
@@ -98,4 +105,33 @@ def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarra
     features[:len(nearest), :3] = vectors[nearest]
     features[:len(nearest), 3] = 1.0
     features[:len(nearest), 4] = np.delete(has_chosen, camera)[nearest]
+    return features
+
+
+def features_of_air(position: np.ndarray, centres: np.ndarray, is_unseen: np.ndarray,
+                    config: AgentConfig) -> np.ndarray:
+    """
+    Return the inputs of a camera that describe the unseen air around it.
+
+    A rotation by a quarter turn, or a reflection, of the room changes the order of the rows, and
+    rotates or mirrors the vectors in them.
+
+    :param position: (2 or more,) metres: position of the camera.
+    :param centres: (C, 2) metres: centres of the cells of the air.
+    :param is_unseen: (C,) bool, whether no camera has covered a cell.
+    :param config: has the unit of length, ``length_scale``.
+    :returns: (``SECTORS``, ``OF_SECTOR``) float32; rows without unseen air are 0.
+    """
+    vectors = centres - position[:2]
+    angles = np.arctan2(vectors[:, 1], vectors[:, 0]) * (SECTORS / (2.0 * np.pi))
+    sectors = np.floor(angles).astype(np.int64) % SECTORS
+    cells = np.bincount(sectors, minlength=SECTORS)
+    sectors, vectors = sectors[is_unseen], vectors[is_unseen]
+    unseen = np.bincount(sectors, minlength=SECTORS)
+    sums = [np.bincount(sectors, values, SECTORS) for values in vectors.T]
+    features = np.zeros((SECTORS, OF_SECTOR), dtype=np.float32)
+    features[:, :2] = np.stack(sums, axis=1) / (
+        np.maximum(unseen, 1)[:, None] * config.length_scale)
+    features[:, 2] = unseen / max(len(sectors), 1)
+    features[:, 3] = unseen / np.maximum(cells, 1)
     return features

@@ -12,21 +12,20 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The policy: a trained network that chooses moves or targets from the observed cloud."""
+"""The policy: a trained network that chooses moves from the observed cloud."""
 
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.networks import Actor, SYMMETRIES, turned_observation, turned_vectors
 from ocp_ros.policy.observation_cloud import encode
-from ocp_ros.policy.value_network import CellChoices, valued, ValueMap, ValueMapNetwork
 from ocp_ros.rig.motion import order_of
 import torch
 
 
 class Policy:
     """
-    Run a checkpoint that reads the observed cloud; stable-baselines3 is not needed.
+    Run a checkpoint; stable-baselines3 is not needed.
 
     :param checkpoint: weights, and sizes of the network.
     :param encoder: makes the network's inputs; None for an encoder of a rig with default values.
@@ -96,68 +95,3 @@ class Policy:
             moves = torch.tanh(mean).unflatten(1, (-1, 2))
             # The transposed matrices turn the moves back.
             return turned_vectors(moves, matrices.transpose(1, 2)).mean(dim=0).numpy()
-
-
-class ValuePolicy:
-    """
-    Run a checkpoint of the map actor; stable-baselines3 is not needed.
-
-    :param checkpoint: weights and sizes.
-    """
-
-    def __init__(self, checkpoint: Checkpoint) -> None:
-        self.checkpoint = checkpoint
-        network = ValueMapNetwork(checkpoint.config)
-        network.load_state_dict(checkpoint.weights)
-        self._network = network.eval().to(memory_format=torch.channels_last)
-
-    def replaced(self, checkpoint: Checkpoint) -> 'ValuePolicy':
-        """Return a policy with other weights."""
-        return type(self)(checkpoint)
-
-    def values(self, room: np.ndarray, others: np.ndarray, numbers: np.ndarray, lens: np.ndarray
-               ) -> np.ndarray:
-        """
-        Return the values of all cells for one camera, given the other cameras.
-
-        :param room: channels of :class:`~ocp_ros.policy.observation_map.ObservationMap`.
-        :param others: channels of
-            :meth:`~ocp_ros.policy.observation_map.ObservationMap.others`.
-        :param numbers: scalars of the same method.
-        :param lens: of the camera; see :func:`~ocp_ros.policy.observation_map.lens_features`.
-        :returns: (D, 64, 64) float32: ln((E1 + e) / (E0 + e)) of the depth error E0 of the other
-            cameras, E1 with this camera too, and a small e; for each of the D headings of
-            :func:`~ocp_ros.policy.observation_map.yaws_of`; inf outside the observed part.
-        """
-        aimed = self._network.aimed
-        # The values of ``lens`` are 1 for an omnidirectional camera.
-        network = self._network if aimed is None or lens.min() >= 1.0 else aimed
-        inputs = {'room': room, 'others': others, 'numbers': numbers, 'lens': lens}
-        return _cell_values(network, inputs)[0].numpy()
-
-    def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
-        """
-        Draw the target of a camera from the distribution that soft actor-critic trains.
-
-        :param inputs: ``room``, ``others`` and ``numbers`` of :meth:`values`, and ``choices``
-            (64, 64), not 0 for feasible cells.
-        :param rng: the only source of random numbers.
-        :returns: (2,) float32, x and y from the centre of the map, in units of half its side.
-        """
-        feasible = torch.from_numpy(inputs['choices'])[None]
-        # The draw depends on ``rng`` alone, and the generator of torch does not advance.
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(int(rng.integers(1 << 62)))
-            return CellChoices(_cell_values(self._network, inputs), feasible).sample()[0].numpy()
-
-
-def _cell_values(network: ValueMap, inputs: dict[str, np.ndarray]) -> torch.Tensor:
-    """Return the values of all cells for one observation: (1, D, 64, 64)."""
-    with torch.inference_mode():
-        return valued(network, {name: torch.from_numpy(value)[None]
-                                for name, value in inputs.items()})
-
-
-def make_policy(checkpoint: Checkpoint) -> Policy | ValuePolicy:
-    """Return the policy that runs a checkpoint."""
-    return ValuePolicy(checkpoint) if checkpoint.config.map else Policy(checkpoint)

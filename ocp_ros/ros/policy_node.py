@@ -29,11 +29,10 @@ import time
 from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticStatus
-from geometry_msgs.msg import Pose, PoseArray
+from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.online.online_planner import Online
 from ocp_ros.policy.agent_config import CheckpointError
-from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.rig.placement_file import created_by, Placed, Placement, placement_of, save_placement
 from ocp_ros.rig.rig_file import Camera
 from ocp_ros.ros.interface import topics
@@ -44,7 +43,6 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.handles import CameraHandles
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.convergence import Convergence
@@ -56,6 +54,7 @@ from ocp_ros.ros.policy.simulated_turns import SimulatedTurns, TurnInfo
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.managed_node import ManagedNode
 from ocp_ros.ros.runtime.node_main import run
+from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.node import Node
@@ -64,7 +63,7 @@ from std_srvs.srv import SetBool, Trigger
 
 if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint
-    from ocp_ros.policy.policy import Policy, ValuePolicy
+    from ocp_ros.policy.policy import Policy
     from ocp_ros.ros.policy.calibrator import Calibrator
 
 
@@ -78,10 +77,8 @@ class PolicyNode(ManagedNode):
     """
     Answer turns with a planner.
 
-    The placement is final when all turns are used up. A policy without lookahead can finish
-    earlier, when its cameras stand still. With lookahead the node plays all turns: lookahead
-    refines the placement that the policy has reached, and cameras that stand still for some turns
-    of this search may still move later.
+    The placement is final when all turns are used up: cameras that stand still for some turns of
+    the search may still move later.
     """
 
     def __init__(self, **kwargs) -> None:
@@ -90,7 +87,6 @@ class PolicyNode(ManagedNode):
         self._live: LiveTurns | None = None
         self._calibrator: Calibrator | None = None
         self._paused = False
-        self._handles: CameraHandles | None = None
         super().__init__('policy_node', PolicyNodeConfig, {'manual': MANUAL_DEFAULTS}, **kwargs)
 
     def configure(self) -> None:
@@ -131,7 +127,6 @@ class PolicyNode(ManagedNode):
         # What a person sees and calls.
         self._views = PolicyViews(self, self._decider.models, live=self._live is not None,
                                   rig_state=self._decider.state if self._decider.rig else None)
-        self._handles = CameraHandles(self, self._on_handle)
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._status_publisher = diagnostics.StatusPublisher(self, self._status)
@@ -154,9 +149,7 @@ class PolicyNode(ManagedNode):
         """Drop the weights, the rig and all observations."""
         if self._calibrator is not None:
             self._calibrator.close()
-        if self._handles is not None:
-            self._handles.close()
-        self._live = self._turns = self._experiences = self._calibrator = self._handles = None
+        self._live = self._turns = self._experiences = self._calibrator = None
         self._paused = False
 
     def _plan_ahead(self) -> None:
@@ -171,9 +164,9 @@ class PolicyNode(ManagedNode):
         return self._decider.planner
 
     @property
-    def policy(self) -> 'Policy | ValuePolicy | None':
+    def policy(self) -> 'Policy | None':
         """Return the policy that runs, if any."""
-        return None if self._decider.learned is None else self._decider.learned.policy
+        return None if self._decider.explorer is None else self._decider.explorer.policy
 
     @property
     def _is_final(self) -> bool:
@@ -272,8 +265,7 @@ class PolicyNode(ManagedNode):
         target = msg_to_positions(answer)
         if self._final_poses is None:
             longest_move = np.linalg.norm(target - positions, axis=1).max()
-            self._convergence.record_move(
-                longest_move, self._decider.largest_rotation, self.config)
+            self._convergence.longest_move = longest_move
         if self._experiences:
             # Fixed cameras come last; the policy chooses nothing for them.
             movable_targets = target[:self._decider.count_movable(poses)]
@@ -281,25 +273,12 @@ class PolicyNode(ManagedNode):
         self._counts['turns_answered'] += 1
         self._step += 1
         self._views.show_turn(cloud, poses)
-        self._handles.show(answer, self._decider.count_movable(poses))
         self._convergence.publish_status(self._step, self.config)
         return answer
 
-    def _on_handle(self, camera: int, pose: Pose) -> None:
-        """Command a camera to the pose to which a person has dragged its handle."""
-        may_command = self.active and not self._commander.must_wait
-        # While the policy explores, it alone moves the cameras: a trainer learns from its choices.
-        if not may_command or self._is_final or self._experiences:
-            return
-        try:
-            (self._live or self._turns).redirect(camera, pose)
-        except MessageError as error:
-            self._refuse(error)
-
     def _reason_to_finish(self) -> str:
         """Return why the placement is final; empty if it is not final yet."""
-        return self._convergence.reason_to_finish(
-            self._step, self._is_last_turn, self._decider.without_lookahead, self.config)
+        return self._convergence.reason_to_finish(self._step, self._is_last_turn, self.config)
 
     def _publish_placement(self, poses: PoseArray) -> None:
         """Publish the final placement and why it is final; do nothing if that has been done."""
@@ -339,7 +318,7 @@ class PolicyNode(ManagedNode):
             self.get_logger().warning(
                 f'weights refused: {shortened(error)}', throttle_duration_sec=1.0)
             return
-        self._decider.learned.policy = self.policy.replaced(checkpoint)
+        self._decider.explorer.use(self.policy.replaced(checkpoint))
         self._counts['weights_swapped'] += 1
         self.get_logger().info(
             f'weights swapped: {running.updates} -> {checkpoint.updates} updates')

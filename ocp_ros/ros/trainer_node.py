@@ -31,7 +31,6 @@ from diagnostic_msgs.msg import DiagnosticStatus
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
@@ -41,6 +40,7 @@ from ocp_ros.ros.training_source import TransitionSource
 from ocp_ros.training.learner import Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.util.files import folder_to_write, write_atomically
+from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import group, setting, to_nested
 from rclpy.node import Node
 import torch
@@ -51,6 +51,8 @@ MAX_SOURCES = 256
 #: Seconds without a transition after which a namespace is dropped, if it has no publisher any more
 #: or if others need its place.
 MAX_SILENCE_S = 60.0
+#: Seconds between two lines about the progress in the log.
+LOG_INTERVAL_S = 60
 
 
 @dataclass(frozen=True)
@@ -148,6 +150,10 @@ class TrainerNode(Node):
         self._tick_count += 1
         # Every tenth call looks for namespaces, and sends the status even without a change.
         is_tenth_tick = self._tick_count % 10 == 0
+        if self._tick_count % (LOG_INTERVAL_S * 10) == 0:
+            self.get_logger().info(
+                f'{learner.transitions} transitions, {learner.updates} gradient steps; error '
+                f'at the end of the last episodes / at their start: {self.error_ratio}')
         if is_tenth_tick:
             self._discover()
         if is_tenth_tick or self._policies_wait != did_wait:
@@ -173,6 +179,12 @@ class TrainerNode(Node):
         counts = [self._dropped_counts, *(source.status() for source in self.sources.values())]
         return {name: sum(source_counts[name] for source_counts in counts) for name in counts[-1]}
 
+    @property
+    def error_ratio(self) -> float | str:
+        """Return the mean of ``error_ratios`` over all sources; ``-`` before the first episode."""
+        ratios = [ratio for source in self.sources.values() for ratio in source.error_ratios]
+        return round(float(np.mean(ratios)), 3) if ratios else '-'
+
     def _status(self) -> diagnostics.Status:
         """Return the status of the training for diagnostics."""
         learner = self.learner
@@ -181,6 +193,7 @@ class TrainerNode(Node):
         values = {'run': learner.run, 'stored_transitions': learner.transitions, **totals,
                   'refused_messages': totals['refused'], 'updates': learner.updates,
                   'critic_loss': round(float(np.mean(losses)), 4) if losses else '-',
+                  'error_ratio': self.error_ratio,
                   'behind': round(max(learner.behind, 0.0)), 'policies_wait': self._policies_wait,
                   'weights_published': self._published_weights, 'sources': len(self.sources),
                   **{f'turns {name}': source.assembler.assembled

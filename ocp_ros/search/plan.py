@@ -29,7 +29,6 @@ import time
 
 import numpy as np
 from ocp_ros.online.rollout import play
-from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import CandidatePool, check_regions, MountedCamera, pool_of
 from ocp_ros.search.finishing import search_and_finish
@@ -40,6 +39,7 @@ from ocp_ros.search.scorer import Scorer
 from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem, space_of
+from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
 

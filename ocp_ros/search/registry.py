@@ -31,8 +31,6 @@ import numpy as np
 from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online, settings_of
-from ocp_ros.policy.learned import planned_by
-from ocp_ros.policy.shipped_models import DEFAULT_MODEL, find_model
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.annealing import FixedAnnealing, TransDimensionalAnnealing
 from ocp_ros.search.greedy import GreedyCoverage, GreedyError, GreedySwap, Random, RegularGrid
@@ -45,6 +43,7 @@ from ocp_ros.search.population import (
 )
 from ocp_ros.search.rig_search import search
 from ocp_ros.simulation.simulation_config import EpisodeConfig
+from ocp_ros.util.resources import DEFAULT_MODEL, find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.yaml_files import nearest
@@ -89,16 +88,10 @@ def _make_learned(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
     """Create the online planner of a trained policy."""
     # Imported only here: the import of PyTorch takes longer than most searches.
     from ocp_ros.policy.checkpoint import Checkpoint
-    from ocp_ros.policy.policy import make_policy
-    policy = make_policy(Checkpoint.load(find_model(model)))
-    return planned_by(policy, settings_of(episode, rig, rng))
-
-
-def _make_learned_lookahead(episode: EpisodeConfig, rig: Rig, rng: np.random.Generator,
-                            model: str = DEFAULT_MODEL) -> Lookahead:
-    """Create the lookahead planner with a trained policy as its guide."""
-    return Lookahead(*settings_of(episode, rig, rng),
-                     guide=_make_learned(episode, rig, rng, model))
+    from ocp_ros.policy.learned import Learned
+    from ocp_ros.policy.policy import Policy
+    policy = Policy(Checkpoint.load(find_model(model)))
+    return Learned(policy, *settings_of(episode, rig, rng))
 
 
 PLANNERS = {name: RegisteredPlanner(*planner) for name, planner in {
@@ -116,8 +109,7 @@ PLANNERS = {name: RegisteredPlanner(*planner) for name, planner in {
     'cma_es': (SCORES, CmaEs),
     'greedy_step': (OBSERVED, _maker_without_weights(GreedyStep)),
     'learned': (OBSERVED, _make_learned),
-    'lookahead': (OBSERVED, _maker_without_weights(Lookahead)),
-    'learned_lookahead': (OBSERVED, _make_learned_lookahead)}.items()}
+    'lookahead': (OBSERVED, _maker_without_weights(Lookahead))}.items()}
 
 
 def planner_names(*input_kinds: str) -> tuple[str, ...]:

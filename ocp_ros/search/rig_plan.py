@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
@@ -33,6 +32,7 @@ from ocp_ros.search.rig_search import prove_gap, relaxation_of
 from ocp_ros.simulation.objective import RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError
 
 

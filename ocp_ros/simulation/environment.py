@@ -67,7 +67,8 @@ class CameraPlacementEnv(gym.Env):
     **Start**
     A scene drawn from ``scenes``, rotated by an angle drawn from ``rotations``, with a drawn
     number of cameras near its centre; ``options`` may set ``scene`` (index), ``rotation``
-    (degrees) and ``cameras``.
+    (degrees), ``cameras``, ``limits`` (an ``EpisodeConfig``) and, without a rig file,
+    ``max_range`` (metres).
 
     **End**
     ``truncated`` after the configured number of turns. A placement is never final in itself, so
@@ -131,14 +132,16 @@ class CameraPlacementEnv(gym.Env):
         return make_problem(turned(scene, rotation) if rotation else scene, self.config)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """Begin an episode; ``options`` may set scene, rotation and number of cameras."""
+        """Begin an episode; see **Start** for what ``options`` may set."""
         super().reset(seed=seed)
         drawn = {'rotation': self.rotations[int(self.np_random.integers(len(self.rotations)))],
                  'scene': int(self.np_random.integers(len(self.scenes))),
                  'cameras': int(self.np_random.integers(self.fewest, len(self.rig.cameras) + 1))}
         chosen = {**drawn, **(options or {})}
-        self.episode = Episode(self.problem(chosen['scene'], chosen['rotation']),
-                               self.np_random, chosen['cameras'])
+        problem = self.problem(chosen['scene'], chosen['rotation'])
+        if 'max_range' in chosen:
+            problem = problem.with_range(chosen['max_range'])
+        self.episode = Episode(problem, self.np_random, chosen['cameras'], chosen.get('limits'))
         return self._observation(), self._info()
 
     def step(self, action):
@@ -151,9 +154,9 @@ class CameraPlacementEnv(gym.Env):
         if 'yaw' in self.axes:
             # The yaw is wrapped here; the problem limits the pitch.
             headings = now.headings.copy()
-            headings[:, :2] += bounded_moves(rows[:, move_columns:], self.config.episode.max_turn)
+            headings[:, :2] += bounded_moves(rows[:, move_columns:], self.episode.config.max_turn)
             headings[:, 0] = wrapped(headings[:, 0])
-        moves = bounded_moves(rows[:, :move_columns], self.config.episode.max_step)
+        moves = bounded_moves(rows[:, :move_columns], self.episode.config.max_step)
         turn = self.episode.move(moves, headings)
         return self._observation(), turn.terms.reward, False, turn.truncated, self._info()
 

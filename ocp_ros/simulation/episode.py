@@ -18,9 +18,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.motion import shortened
 from ocp_ros.simulation.problem import Problem
-from ocp_ros.simulation.reward import NO_REWARD, reward, RewardTerms
+from ocp_ros.simulation.reward import NO_REWARD, reward, RewardTerms, Value
+from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.simulation.simulator import View
 
 
@@ -54,28 +56,30 @@ class Episode:
     :param problem: the rig in the scene.
     :param rng: the random generator that draws the start positions.
     :param cameras: the number of cameras; all cameras of the problem by default.
+    :param config: the limits of the episode; those of the problem's settings by default.
     :ivar simulator: the engine.
     :ivar scene: the room.
     :ivar observed: the points seen since the episode began.
     :ivar turn: the state after the last time step.
     :ivar views: the current view of each camera that is to be placed.
-    :ivar value: the current space coverage, cubic metres, and the error of rewards, metres; see
-        :meth:`value_of`.
+    :ivar value: what rewards are computed from; see :meth:`value_of`.
     """
 
     def __init__(self, problem: Problem, rng: np.random.Generator,
-                 cameras: int | None = None) -> None:
+                 cameras: int | None = None, config: EpisodeConfig | None = None) -> None:
         self.problem = problem
         self.simulator = problem.simulator
-        self.scene, self.config = self.simulator.scene, self.simulator.config.episode
+        self.scene = self.simulator.scene
+        self.config = config or self.simulator.config.episode
         self.observed = problem.seen_by_fixed()
         #: Cached ``observed_cloud``; None if it has to be computed again.
         self._cloud: np.ndarray | None = None
         start = problem.start(
             rng, self.config, len(problem.rig.cameras) if cameras is None else cameras)
         self.turn = self._look(0, start)
-        #: The value and the views before the last turn; those of the start until the first turn.
-        self._previous = self.value, self.views
+        #: The value, the views and the points seen before the last turn; those of the start until
+        #: the first turn.
+        self._previous = self.value, self.views, self.observed
 
     @property
     def placement(self) -> np.ndarray:
@@ -99,7 +103,7 @@ class Episode:
         if headings is not None:
             targets[:, 3:] = headings
         reached, outside = self.problem.reached_poses(poses, targets, self.config)
-        self._previous = self.value, self.views
+        self._previous = self.value, self.views, self.observed
         turn = self._look(self.turn.step + 1, reached)
         self.turn = replace(turn, terms=self.reward(self._previous[0], self.value, outside))
         return self.turn
@@ -113,22 +117,28 @@ class Episode:
         :param order: the indices of the cameras, in the assumed order of their moves.
         :returns: one entry per camera, in this order.
         """
-        before, views = self._previous[0], list(self._previous[1])
-        shares = []
+        before, previous_views, observed = self._previous
+        views, shares = list(previous_views), []
         for camera in order:
             views[camera] = self.views[camera]
-            after = self.value_of(views)
+            observed |= Subset(views[camera].seen, observed.order)
+            after = self.value_of(views, observed)
             shares.append(self.reward(before, after))
             before = after
         return shares
 
-    def value_of(self, views: Sequence[View]) -> tuple[float, float]:
-        """Return the space coverage, cubic metres, and the error of rewards, metres, of views."""
-        result = self.problem.judge(views)
-        return result.space_coverage, self.problem.error(result)
+    def value_of(self, views: Sequence[View], observed: Subset) -> Value:
+        """
+        Return the value of a placement.
 
-    def reward(self, before: tuple[float, float], after: tuple[float, float],
-               outside: bool = False) -> RewardTerms:
+        :param views: the view of each camera that is to be placed.
+        :param observed: the points seen since the episode began.
+        """
+        result = self.problem.judge(views)
+        return Value(result.space_coverage, self.problem.error(result),
+                     len(observed) / len(self.scene))
+
+    def reward(self, before: Value, after: Value, outside: bool = False) -> RewardTerms:
         """
         Return the reward for a change of the value.
 
@@ -147,8 +157,9 @@ class Episode:
         """
         self.views = self.problem.look(poses)
         result = self.problem.judge(self.views)
-        self.value = result.space_coverage, self.problem.error(result)
         self.observed |= result.seen
+        self.value = Value(result.space_coverage, self.problem.error(result),
+                           len(self.observed) / len(self.scene))
         self._cloud = None
         return Turn(step, poses[:, :3].copy(), poses[:, 3:].copy(), result.space_coverage,
                     result.depth_error, NO_REWARD, truncated=step >= self.config.turns)

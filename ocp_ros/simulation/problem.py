@@ -19,6 +19,7 @@ A :class:`Problem` is a rig in a room; :class:`PlaneProblem` is the case of came
 freely on a plane.
 """
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +34,7 @@ from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator, View
+from ocp_ros.util.settings import ConfigurationError
 
 
 def make_problem(scene: Scene, config: SimulationConfig) -> 'Problem':
@@ -92,6 +94,23 @@ class Problem:
         region = FeasibleRegion(scene, rig)
         simulator = Simulator(scene, config or SimulationConfig(), rig.models)
         return cls(Objective(simulator, rig), region)
+
+    def with_range(self, max_range: float) -> 'Problem':
+        """Refuse another range of the cameras; see :meth:`PlaneProblem.with_range`."""
+        raise ConfigurationError(
+            f'max_range: found {max_range:g} m with a rig file; expected none, as its cameras '
+            'have ranges of their own')
+
+    def with_rig(self, rig: Rig, config: SimulationConfig) -> 'Problem':
+        """
+        Return the problem of another rig in the same room, which shares the engine.
+
+        :param rig: from a rig file.
+        :param config: its settings, with the same engine.
+        :raises ConfigurationError: if the rig does not fit the room.
+        """
+        simulator = self.simulator.with_models(rig.models, config)
+        return Problem(Objective(simulator, rig), FeasibleRegion(simulator.scene, rig))
 
     def seen_by_fixed(self) -> Subset:
         """Return the points visible to the cameras in place."""
@@ -228,6 +247,14 @@ class PlaneProblem(Problem):
         self.models = simulator.models * (len(rig.cameras) // len(simulator.models))
         #: Cached feasible regions, by the distances to walls and surfaces, metres.
         self._spaces: dict[tuple[float, float], FreePlane] = {}
+
+    def with_range(self, max_range: float) -> 'PlaneProblem':
+        """Return the same problem with another range of the cameras, metres."""
+        config = self.simulator.config
+        config = replace(config, rig=replace(config.rig, max_range=max_range))
+        other = PlaneProblem(self.simulator.with_models(config.rig.models, config))
+        other._spaces = self._spaces
+        return other
 
     def start(self, rng: np.random.Generator, config: EpisodeConfig, cameras: int) -> np.ndarray:
         """

@@ -21,7 +21,8 @@ that moves away slowly and jumps back gains reward.
 
 ``potential``: the change of -2 ln(D / D_none + 0.01) + 3 x covered share of the volume, with depth
 error D, and D_none if nothing is seen. So the total reward of an episode depends only on its first
-and last placement.
+and last placement. With the weight ``explored``, the potential also has the share of the points
+that were seen since the episode began.
 """
 
 import math
@@ -48,6 +49,21 @@ class RewardTerms(NamedTuple):
     penalty: float
 
 
+class Value(NamedTuple):
+    """
+    What rewards are computed from.
+
+    :ivar space_coverage: of the current placement, cubic metres.
+    :ivar error: the error of rewards, metres, see
+        :meth:`~ocp_ros.simulation.problem.Problem.error`.
+    :ivar explored: the share of the room's points that were seen since the episode began.
+    """
+
+    space_coverage: float
+    error: float
+    explored: float
+
+
 #: The reward of a state that no turn has led to.
 NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0)
 
@@ -65,25 +81,27 @@ def potential(space_coverage: float, depth_error: float, volume: float, worst: f
     return -2.0 * math.log(depth_error / worst + 0.01) + 3.0 * space_coverage / volume
 
 
-def reward(before: tuple[float, float], after: tuple[float, float], outside: bool, volume: float,
-           worst: float, config: RewardConfig) -> RewardTerms:
+def reward(before: Value, after: Value, outside: bool, volume: float, worst: float,
+           config: RewardConfig) -> RewardTerms:
     """
     Return the reward of a turn.
 
-    :param before: space coverage (cubic metres) and error of rewards (metres) before the turn.
-    :param after: the same after the turn.
+    :param before: the value before the turn.
+    :param after: the value after the turn.
     :param outside: whether a camera was commanded to a position that is not allowed.
     :param volume: the volume of the bounding box, cubic metres.
     :param worst: the depth error of seeing nothing, metres.
     :param config: the kind of reward and its weights.
     """
-    coverage_gain, error_reduction = after[0] - before[0], before[1] - after[1]
+    coverage_gain = after.space_coverage - before.space_coverage
+    error_reduction = before.error - after.error
     penalty = float(outside)
     if config.kind == 'paper':
         value = config.coverage * coverage_gain + config.depth_error * error_reduction
         # The penalty replaces the weighted sum if a position is not allowed.
         value = (value * (1.0 - penalty) + config.penalty * penalty) ** 3
     else:
-        value = potential(*after, volume, worst) - potential(*before, volume, worst)
+        value = potential(*after[:2], volume, worst) - potential(*before[:2], volume, worst)
+        value += config.explored * (after.explored - before.explored)
         value += config.penalty * penalty
     return RewardTerms(value, coverage_gain, error_reduction, penalty)

@@ -56,6 +56,9 @@ class RewardConfig:
         0.02, 'paper: weight K_SC of space coverage, per cubic metre', 0.0, 1000.0, running=True)
     depth_error: float = setting(
         1.0, 'paper: weight K_DOE of the depth error, per metre', 0.0, 1000.0, running=True)
+    explored: float = setting(
+        0.0, 'potential: weight of the share of the points that were seen since the episode '
+             'began', 0.0, 1000.0, running=True)
     penalty: float = setting(
         -1.0, 'penalty K_P for a command that moves a camera out of the bounding box', -1000.0,
         0.0, running=True)

@@ -135,10 +135,17 @@ class Simulator:
         self._lenses = [model.lens for model in self.models]
         self._kinds = [self.models.index(model) for model in self.models]
 
-    def with_models(self, models: Sequence[CameraModel]) -> 'Simulator':
-        """Return the simulator of another rig in the same scene, which shares the engine."""
+    def with_models(self, models: Sequence[CameraModel], config: SimulationConfig | None = None
+                    ) -> 'Simulator':
+        """
+        Return the simulator of another rig in the same scene, which shares the engine.
+
+        :param models: the camera models of that rig.
+        :param config: its settings, with the same engine and height; None for those of this one.
+        """
         other = copy(self)
         other._set_models(models)
+        other.config = config or self.config
         return other
 
     def _make_visibility(self) -> SurfelVisibility | CubeVisibility | RayVisibility:

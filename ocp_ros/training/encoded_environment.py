@@ -14,32 +14,41 @@
 
 """The environment with the inputs and actions of the networks; each turn is encoded once."""
 
+from dataclasses import replace
+from typing import Any
+
 import gymnasium as gym
 from gymnasium import spaces
 import numpy as np
+from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.online.heading_planner import HeadingPlanner
 from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.rollout import state_of
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.cloud_encoder import EncodedTurn, Encoder
-from ocp_ros.policy.map_actor import MapActor
-from ocp_ros.policy.map_turn import MapTurn
-from ocp_ros.policy.observation_cloud import encode, MARKS, MAX_OTHERS, OF_OTHERS, OF_TURN
-from ocp_ros.policy.observation_map import CELLS, NUMBERS, OF_ROOM
-from ocp_ros.policy.observation_map import OF_OTHERS as MAPS_OF_OTHERS
+from ocp_ros.policy.observation_cloud import (
+    encode,
+    MARKS,
+    MAX_OTHERS,
+    OF_OTHERS,
+    OF_SECTOR,
+    OF_TURN,
+    SECTORS,
+)
 from ocp_ros.rig.motion import bounded_moves, order_of, way_between
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.reward import NO_REWARD, RewardTerms
+from ocp_ros.simulation.reward import RewardTerms, Value
+from ocp_ros.simulation.simulation_config import EpisodeConfig
 from ocp_ros.simulation.simulator import View
+from ocp_ros.training.training_config import EpisodesConfig
 
 
 def encoded_space(agent: AgentConfig) -> spaces.Dict:
     """
     Return the space of one input of the agent's network.
 
-    See :meth:`~ocp_ros.policy.map_turn.MapTurn.experience` for the inputs ``map``,
-    :class:`~ocp_ros.policy.cloud_encoder.Encoder` for ``cloud``, and
+    See :class:`~ocp_ros.policy.cloud_encoder.Encoder` for the inputs ``cloud``, and
     :func:`~ocp_ros.policy.observation_cloud.encode` for ``paper``.
     """
     def real_box(*shape):
@@ -50,13 +59,6 @@ def encoded_space(agent: AgentConfig) -> spaces.Dict:
     def index_box(count, *shape):
         return spaces.Box(0, count - 1, shape, np.int16)
 
-    def map_box(*shape):
-        return spaces.Box(0, 255, shape, np.uint8)
-
-    if agent.map:
-        return spaces.Dict({'room': map_box(OF_ROOM, CELLS, CELLS),
-                            'others': map_box(MAPS_OF_OTHERS, CELLS, CELLS),
-                            'numbers': real_box(NUMBERS), 'choices': map_box(CELLS, CELLS)})
     space = {
         'points': real_box(agent.points, 3), 'half_size': real_box(3),
         'cameras': real_box(cameras_of(agent), 3),
@@ -66,7 +68,8 @@ def encoded_space(agent: AgentConfig) -> spaces.Dict:
         'groups_2': index_box(agent.keys_1, agent.keys_2, agent.group_2)}
     if agent.one_by_one:
         space |= {'others': real_box(MAX_OTHERS, OF_OTHERS), 'turn': real_box(OF_TURN),
-                  'marks': map_box(agent.points, MARKS)}
+                  'heading': real_box(1, 3), 'air': real_box(SECTORS, OF_SECTOR),
+                  'marks': spaces.Box(0, 255, (agent.points, MARKS), np.uint8)}
     return spaces.Dict(space)
 
 
@@ -160,16 +163,20 @@ class CameraByCamera(gym.Wrapper):
     :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
         :class:`PlaneMoves`.
     :param agent: settings with the inputs ``cloud``.
+    :param draws: what is drawn at the start of each episode.
+    :param rig_env: the environment of the episodes of ``draws.rig_file``; None without these.
     :ivar encoded: the present turn, encoded for the network.
     """
 
-    def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
+    def __init__(self, env: gym.Env, agent: AgentConfig, draws: EpisodesConfig | None = None,
+                 rig_env: gym.Env | None = None) -> None:
         super().__init__(env)
-        # The first setting is the random generator, which the encoder does not need; the last ones
-        # are the distances to keep from walls and from points.
-        _, max_step, max_range, *margins = settings_of(
-            unwrapped(env).config.episode, unwrapped(env).rig, env.np_random)
-        self._encoder = Encoder(agent, max_range, max_step, *margins)
+        self._draws = draws or EpisodesConfig()
+        #: The environments of the two kinds of episodes; ``env`` is that of the present one.
+        self._envs = env, rig_env or env
+        self._rng = np.random.default_rng()
+        self._agent = agent
+        self._encoder = Encoder(agent)
         self.observation_space, self.action_space = encoded_space(agent), action_space(1)
         self.encoded: EncodedTurn | None = None
         #: The cameras that have not chosen yet.
@@ -178,13 +185,26 @@ class CameraByCamera(gym.Wrapper):
         self._moves = np.empty((0, 2))
         #: The views of all cameras, of those that have chosen from their new positions.
         self._views: list[View] = []
-        #: Space coverage and error of these views; see ``Episode.value_of``.
-        self._value = (0.0, 0.0)
+        #: The value of these views; see ``Episode.value_of``.
+        self._value = Value(0.0, 0.0, 0.0)
+        #: The points seen since the episode began, those of these views included.
+        self._observed: Subset | None = None
 
-    def reset(self, **kwargs):
-        """Begin an episode."""
-        _, info = self.env.reset(**kwargs)
-        self._encoder.partial_maps.reset()
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        """Begin an episode; ``options`` replace what is drawn."""
+        if seed is not None:
+            self._rng = np.random.default_rng(seed)
+        self.env = self._envs[int(self._rng.random() < self._draws.rig_share)]
+        inner = unwrapped(self.env)
+        drawn = drawn_options(self._draws, inner, self._rng)
+        # The seed draws the rest: the start positions, and what ``options`` leave out.
+        _, info = self.env.reset(seed=int(self._rng.integers(1 << 31)),
+                                 options={**drawn, **(options or {})})
+        # The first setting is the random generator, which the encoder does not need; the last ones
+        # are the distances to keep from walls and from points.
+        _, max_step, max_range, *margins = settings_of(
+            inner.episode.config, inner.episode.problem.rig, self._rng)
+        self._encoder = Encoder(self._agent, max_range, max_step, *margins)
         return self._begin(), info
 
     @property
@@ -203,7 +223,12 @@ class CameraByCamera(gym.Wrapper):
         # The action space has a row for each camera of the rig; an episode may have fewer cameras.
         moves = np.zeros(self.env.action_space.shape)
         moves[:len(self._moves)] = self._moves
+        before = self._value
         _, _, terminated, truncated, info = self.env.step(moves)
+        # The last camera also gets what the cameras' rotations have changed.
+        episode = unwrapped(self.env).episode
+        rotated = episode.reward(before, episode.value)
+        terms = RewardTerms(*np.add(terms, rotated))
         return self._begin(), terms.reward, terminated, truncated, info | terms._asdict()
 
     def _begin(self) -> dict[str, np.ndarray]:
@@ -215,7 +240,7 @@ class CameraByCamera(gym.Wrapper):
                                           episode.config.turns)
         self._waiting = order_of(turn.step, len(turn.positions))
         self._moves = np.zeros((len(turn.positions), 2))
-        self._views = list(episode.views)
+        self._views, self._observed = list(episode.views), episode.observed
         self._value = episode.value
         return self._observation()
 
@@ -229,86 +254,59 @@ class CameraByCamera(gym.Wrapper):
         # ``encoded.positions`` has the new position of each camera that has chosen.
         pose = np.concatenate([self.encoded.positions[camera], episode.turn.headings[camera]])
         self._views[camera] = episode.simulator.look(pose, camera)
-        before, self._value = self._value, episode.value_of(self._views)
+        self._observed |= Subset(self._views[camera].seen, self._observed.order)
+        before, self._value = self._value, episode.value_of(self._views, self._observed)
         return episode.reward(before, self._value)
 
 
-class MapChoices(gym.Wrapper):
+def turn_for(max_step: float, limits: EpisodeConfig) -> float:
+    """Return the largest rotation in a turn, radians, for a longest step in metres."""
+    return float(np.clip(max_step, limits.max_turn, 1.6))
+
+
+def drawn_options(draws: EpisodesConfig, env: CameraPlacementEnv, rng: np.random.Generator
+                  ) -> dict[str, Any]:
     """
-    The cameras choose their targets on a map one after the other; then all cameras move.
+    Draw the options of an episode; see ``CameraPlacementEnv.reset``.
 
-    The last choice of a turn gets the reward of the turn, all others get 0. The map actor defines
-    the observations, and which cameras choose in a turn: see
-    :class:`~ocp_ros.policy.map_actor.MapActor`.
-
-    :param env: :class:`~ocp_ros.simulation.environment.CameraPlacementEnv`, or in
-        :class:`PlaneMoves`.
-    :param agent: settings with the inputs ``map``.
+    Turns and steps are drawn with a uniform logarithm. Each room has one rotation.
     """
-
-    def __init__(self, env: gym.Env, agent: AgentConfig) -> None:
-        super().__init__(env)
-        self.observation_space, self.action_space = encoded_space(agent), action_space(1)
-        #: The actor that makes the maps of the episode, and the map of the turn.
-        self._actor: MapActor | None = None
-        self._map_turn: MapTurn | None = None
-        #: The cameras that are still to choose in this turn, in order; one may occur repeatedly.
-        self._waiting: list[int] = []
-
-    def reset(self, **kwargs):
-        """Begin an episode; begin others until the observed points are enough for a map."""
-        _, info = self.env.reset(**kwargs)
-        while not self._begin(new=True):
-            _, info = self.env.reset()
-        return self._observation(), info
-
-    def step(self, action):
-        """Take the target of one camera; after the last choice of a turn move all cameras."""
-        map_turn = self._map_turn
-        map_turn.send_to(self._waiting.pop(0), np.asarray(action)[0])
-        if self._waiting:
-            return self._observation(), 0.0, False, False, NO_REWARD._asdict()
-        max_step = unwrapped(self.env).config.episode.max_step
-        moves = np.zeros(self.env.action_space.shape)
-        moves[:len(map_turn.plan)] = self._actor.end(map_turn) / max_step
-        _, reward, terminated, truncated, info = self.env.step(moves)
-        # The result is not needed: the points were enough for a map in ``reset``, and more follow.
-        self._begin()
-        return self._observation(), reward, terminated, truncated, info
-
-    def _begin(self, new: bool = False) -> bool:
-        """
-        Prepare a turn; return whether the observed points are enough for a map.
-
-        :param new: whether this is the first turn of an episode.
-        """
-        env = unwrapped(self.env)
-        episode, turn, turns = env.episode, env.episode.turn, env.config.episode.turns
-        if new:
-            # Without a policy, as the actions of the environment choose the targets.
-            self._actor = MapActor(None, *settings_of(env.config.episode, env.rig, env.np_random))
-        self._actor.set_rig_state(state_of(episode))
-        map_turn = self._actor.begin(episode.observed_cloud, turn.positions, turn.step, turns)
-        if map_turn is None:
-            return False
-        self._map_turn = map_turn
-        self._waiting = self._actor.asked(len(map_turn.plan), turn.step, turns).tolist()
-        return True
-
-    def _observation(self) -> dict[str, np.ndarray]:
-        """Return the observation of the camera that chooses next."""
-        return self._map_turn.experience(self._waiting[0])
+    scene = int(rng.integers(len(env.scenes)))
+    options: dict[str, Any] = {'scene': scene,
+                               'rotation': env.rotations[scene % len(env.rotations)]}
+    limits = env.config.episode
+    if draws.fewest_turns:
+        turns = np.exp(rng.uniform(*np.log([draws.fewest_turns, limits.turns])))
+        limits = replace(limits, turns=round(turns))
+    if draws.longest_step:
+        step = float(np.exp(rng.uniform(*np.log([limits.max_step, draws.longest_step]))))
+        limits = replace(limits, max_step=step, max_turn=turn_for(step, limits))
+    if draws.widest_start:
+        radius = float(rng.uniform(limits.start_radius, draws.widest_start))
+        limits = replace(limits, start_radius=radius)
+    if draws.farthest_range and env.rig.free:
+        options['max_range'] = float(rng.uniform(env.config.rig.max_range, draws.farthest_range))
+    return {**options, 'limits': limits}
 
 
-def playable(env: CameraPlacementEnv, agent: AgentConfig) -> gym.Env:
+def playable(env: CameraPlacementEnv, agent: AgentConfig, draws: EpisodesConfig | None = None,
+             rig_env: CameraPlacementEnv | None = None) -> gym.Env:
     """
     Return an environment with the inputs and actions of an agent.
 
-    :param agent: settings of the network. An action is the target of one camera on the map
-        (``map``), the move of one camera in the plane (``cloud``), or the moves of all cameras
-        (``paper``).
+    :param env: the environment.
+    :param draws: with the inputs ``cloud``, what is drawn at the start of each episode.
+    :param rig_env: with the inputs ``cloud``, the environment of the episodes of
+        ``draws.rig_file``.
+    :param agent: settings of the network. An action is the move of one camera in the plane
+        (``cloud``), or the moves of all cameras (``paper``).
     """
-    plane_env = env if len(env.axes) == 2 else PlaneMoves(env)
-    if agent.map:
-        return MapChoices(plane_env, agent)
-    return (CameraByCamera if agent.one_by_one else EncodedObservation)(plane_env, agent)
+    plane_env = in_plane(env)
+    if not agent.one_by_one:
+        return EncodedObservation(plane_env, agent)
+    return CameraByCamera(plane_env, agent, draws, rig_env and in_plane(rig_env))
+
+
+def in_plane(env: CameraPlacementEnv) -> gym.Env:
+    """Return an environment whose actions are moves in the plane."""
+    return env if len(env.axes) == 2 else PlaneMoves(env)

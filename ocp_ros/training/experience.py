@@ -26,7 +26,6 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.policy.checkpoint import read_metadata
-from ocp_ros.policy.map_actor import CHOICES_PER_EPISODE
 from ocp_ros.util.settings import MAX_CAMERAS
 from safetensors import SafetensorError
 import safetensors.numpy
@@ -45,7 +44,7 @@ class Choice(NamedTuple):
 
     :ivar observation: encoded, see :class:`~ocp_ros.policy.cloud_encoder.Encoder`.
     :ivar actions: (C, 2) float32 in [-1, 1], of the C cameras that choose together: one, or all. A
-        row is a move in units of the longest step, or for the map actor a target on the map.
+        row is a move in units of the longest step.
     """
 
     observation: dict[str, np.ndarray]
@@ -82,14 +81,13 @@ def to_bytes(experience: Experience) -> bytes:
 
 
 def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dtype]],
-               together: int | None = 1) -> Experience:
+               together: int = 1) -> Experience:
     """
     Read an experience from a blob, and check it.
 
     :param blob: from :func:`to_bytes`.
     :param expected: shape and type of each array of an observation, by name.
-    :param together: number of cameras that choose together. None: each choice is of one camera,
-        and the number of choices may differ from the number of cameras.
+    :param together: number of cameras that choose together.
     :raises ExperienceError: if the blob is damaged, has NaN or inf, or is of another network.
     """
     try:
@@ -119,28 +117,22 @@ def from_bytes(blob: bytes, expected: Mapping[str, tuple[tuple[int, ...], np.dty
                 for name, value in arrays.items()}, actions[number]) for number in range(count)])
 
 
-def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int | None) -> int:
+def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int) -> int:
     """
     Return the number of choices; refuse actions and targets of wrong shapes.
 
     :param actions: (choices, cameras that choose together, 2) float32.
     :param targets: (K, 3) of K cameras.
-    :param together: number of cameras that one choice moves; None if each moves one camera, and
-        there are at most ``CHOICES_PER_EPISODE`` K choices, of any cameras.
+    :param together: number of cameras that one choice moves.
     """
     if targets.ndim != 2 or targets.shape[1] != 3 or not 1 <= len(targets) <= MAX_CAMERAS:
         raise ExperienceError(f'experience: found targets of shape {targets.shape}; expected '
                               f'(K, 3) with at most {MAX_CAMERAS} cameras')
     count = len(actions) if actions.ndim else 0
-    each = together or 1
-    if together is None:
-        # In an episode of a single turn all choices of the episode are in that turn.
-        fits = 1 <= count <= CHOICES_PER_EPISODE * len(targets)
-    else:
-        # All cameras choose: one by one, or all at once.
-        fits = (count, each) in ((len(targets), 1), (1, len(targets)))
-    if not fits or actions.shape != (count, each, 2) or actions.dtype != np.float32:
+    # All cameras choose: one by one, or all at once.
+    fits = (count, together) in ((len(targets), 1), (1, len(targets)))
+    if not fits or actions.shape != (count, together, 2) or actions.dtype != np.float32:
         raise ExperienceError(
             f'experience: found actions as {actions.dtype} {actions.shape} of {len(targets)} '
-            f'cameras; expected float32 choices of {each} at a time')
+            f'cameras; expected float32 choices of {together} at a time')
     return count

@@ -26,11 +26,18 @@ from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.training.run_folder import REPLAY, STATE
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
-from ocp_ros.training.sac_state import load_replay, load_state, new_run, save_replay, save_state
+from ocp_ros.training.sac_state import (
+    end_episodes,
+    load_replay,
+    load_state,
+    new_run,
+    save_replay,
+    save_state,
+)
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Transition
 from ocp_ros.util.files import remove_unfinished
-from ocp_ros.util.settings import ConfigurationError, MAX_SEED, setting
+from ocp_ros.util.settings import MAX_SEED, setting
 from stable_baselines3.common.logger import configure
 
 #: Gradient steps between two checks of the inbox: few, so that the learner can stop soon.
@@ -45,7 +52,7 @@ ACTOR = 'actor.safetensors'
 class LearnerConfig:
     """Settings of a learner: gradient steps per transition, and its files."""
 
-    updates_per_turn: float = setting(1.0, 'gradient steps per transition', 0.0, 100.0)
+    updates_per_turn: float = setting(0.25, 'gradient steps per transition', 0.0, 100.0)
     publish_every: int = setting(50, 'gradient steps between two sets of weights', 1, 1 << 31)
     save_every: int = setting(200, 'gradient steps between two checkpoints', 1, 1 << 31)
     folder: str = setting('out/trainer', 'folder of checkpoints and TensorBoard files')
@@ -70,18 +77,10 @@ class Learner:
     :ivar dropped: number of transitions for which the inbox had no room.
     :ivar losses: losses of the critics in the latest bursts, of some gradient steps each.
     :ivar failure: the exception that ended the thread, or None.
-    :raises ConfigurationError: if ``sac.n_steps`` is above 1, or ``sac.demonstrations`` above
-        0.
     """
 
     def __init__(self, config: LearnerConfig, agent: AgentConfig, sac: SacConfig,
                  start: Checkpoint | None = None) -> None:
-        for name, found, expected in (('n_steps', sac.n_steps, 1),
-                                      ('demonstrations', sac.demonstrations, 0)):
-            if found > expected:
-                raise ConfigurationError(
-                    f'sac.{name}: found {found}; expected {expected}: the transitions that arrive '
-                    f'are those of nodes, and some may be missing; set it to {expected}')
         self.config = config
         self.sac = sac
         self.folder = Path(config.folder)
@@ -94,6 +93,8 @@ class Learner:
         self.dropped = 0
         self.losses: deque[float] = deque(maxlen=max(config.publish_every // BURST_STEPS, 1))
         self.failure: BaseException | None = None
+        #: The observation after the last transition.
+        self._next_observation: dict[str, np.ndarray] = {}
         #: Numbers of transitions and updates at the start or the last close: the files have these.
         self._saved_counts = self.transitions, self.updates
         self._new_weights: deque[Checkpoint] = deque(maxlen=1)
@@ -218,6 +219,12 @@ class Learner:
 
     def _store(self, transition: Transition) -> None:
         """Put a transition into the replay buffer, as one of its only environment."""
+        # A sum of rewards over several steps ends where the next transition is not the following
+        # one: it is of another rig, or some between them are missing.
+        if transition.observation is not self._next_observation and (
+                self.model.replay_buffer.size()):
+            end_episodes(self.model.replay_buffer)
+        self._next_observation = transition.next_observation
         before, after = ({name: value[None] for name, value in observation.items()}
                          for observation in (transition.observation, transition.next_observation))
         self.model.replay_buffer.add(

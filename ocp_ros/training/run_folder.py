@@ -34,10 +34,6 @@ CONFIG, ROOMS, PROGRESS = 'config.yaml', 'rooms.json', 'progress.jsonl'
 BEST, STATE = 'best.safetensors', 'state.safetensors'
 #: File of the transitions that soft actor-critic learns from.
 REPLAY = 'replay.safetensors'
-#: Name, in lines of progress, of training on dense values, which comes before soft actor-critic.
-VALUES_PHASE = 'values'
-#: File of the state of training on dense values.
-VALUES_STATE = 'values_state.safetensors'
 _log = logging.getLogger(__name__)
 
 
@@ -161,12 +157,9 @@ def _record_of(line: str) -> dict[str, Any] | None:
         record = json.loads(line)
     except (ValueError, RecursionError):
         return None
-    if not isinstance(record, dict) or not isinstance(record.get('phase'), str):
-        return None
-    numbers = [record.get(name) for name in ('interactions', 'updates', 'seconds')]
-    # Only some lines have a ratio.
-    numbers.append(record.get('ratio', 0.0))
-    return record if all(map(_is_count, numbers)) else None
+    names = ('interactions', 'updates', 'seconds', 'ratio')
+    return (record if isinstance(record, dict)
+            and all(_is_count(record.get(name)) for name in names) else None)
 
 
 def _is_count(value: Any) -> bool:

@@ -19,12 +19,11 @@ from contextlib import suppress
 import ctypes
 from typing import Any
 
-import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
-from ocp_ros.training.augmentation import CloudReplayBuffer, MapReplayBuffer
+from ocp_ros.training.augmentation import CloudReplayBuffer
 from ocp_ros.training.encoded_environment import action_space, cameras_of, encoded_space
-from ocp_ros.training.sac_networks import ImitationLoss, policy_of
+from ocp_ros.training.sac_networks import policy_of
 from ocp_ros.training.training_config import SacConfig
 from stable_baselines3 import SAC
 from stable_baselines3.common.buffers import DictReplayBuffer
@@ -36,13 +35,12 @@ class AgentSac(SAC):
     stable-baselines3's SAC, which may start from a trained actor.
 
     The critics are untrained at first, so only they learn for the first ``burn_in`` gradient
-    steps. Then an imitation loss, whose weight falls to 0, keeps the policy near the first one.
+    steps. During these steps the actor does not change, the extractor that both share included.
 
-    :param config: settings of SAC, with the number of steps of both phases.
+    :param config: settings of SAC.
     :param agent: inputs and sizes of the networks.
     :param warm: whether the actor is trained already, and chooses the actions from the first turn.
-    :ivar own_updates: number of gradient steps of SAC itself so far, without the steps on the
-        imitation loss.
+    :ivar averaged: the averaged weights of the actor by name; None if the last ones are used.
     """
 
     def __init__(self, *args, config: SacConfig, agent: AgentConfig, warm: bool = False,
@@ -50,42 +48,52 @@ class AgentSac(SAC):
         self.config = config
         self.agent = agent
         self.warm = warm
-        self.own_updates = 0
-        #: Returns the imitation loss of a batch of a given size; None for no imitation loss.
-        self.imitation_loss: Callable[[int], torch.Tensor] | None = None
-        #: Returns the actions of the first interactions; None for no demonstrations.
-        self.demonstrator: Callable[[], np.ndarray] | None = None
+        self.averaged: dict[str, torch.Tensor] | None = None
         super().__init__(*args, **kwargs)
 
     def _sample_action(self, learning_starts, action_noise=None, n_envs=1):
-        """Draw actions: first a demonstrator's, then random ones if the actor is untrained."""
-        if self.demonstrator is not None and self.num_timesteps < self.config.demonstrations:
-            actions = self.demonstrator()
-            # stable-baselines3 expects the actions to play, and those to store in the buffer.
-            return actions, actions
+        """Draw actions: the first ones at random if the actor is untrained."""
         return super()._sample_action(0 if self.warm else learning_starts, action_noise, n_envs)
 
     def _update_learning_rate(self, optimizers) -> None:
         """Set the step sizes of actor and entropy to 0 during ``burn_in``."""
         super()._update_learning_rate(optimizers)
-        if self.own_updates < self.config.burn_in:
+        if self._n_updates < self.config.burn_in:
             for optimizer in (self.actor.optimizer, self.ent_coef_optimizer):
                 for group in optimizer.param_groups:
                     group['lr'] = 0.0
 
     def train(self, gradient_steps: int, batch_size: int = 64) -> None:
-        """Take gradient steps of SAC, then one on the imitation loss if it still has a weight."""
+        """Take gradient steps, and average the weights of the actor."""
+        if self.policy.share_features_extractor:
+            # Otherwise the critics' steps would change what the actor reads.
+            self.critic.features_extractor.requires_grad_(
+                self._n_updates >= self.config.burn_in)
         super().train(gradient_steps, batch_size)
-        self.own_updates += gradient_steps
-        # The factor is 1 at the end of ``burn_in``, and 0 after ``imitation_fades`` further steps.
-        fade = 1.0 - (self.own_updates - self.config.burn_in) / self.config.imitation_fades
-        if self.imitation_loss is None or self.own_updates < self.config.burn_in or fade <= 0.0:
-            return
-        loss = self.imitation_loss(batch_size)
-        self.actor.optimizer.zero_grad()
-        (self.config.imitation * fade * loss).backward()
-        self.actor.optimizer.step()
-        self.logger.record('train/imitation_loss', loss.item())
+        if self.averaged is not None:
+            self._average(gradient_steps)
+
+    def _average(self, steps: int) -> None:
+        """Let the averaged weights follow the last ones by some gradient steps."""
+        # At first the mean is over a tenth of all steps so far, without the random first weights.
+        share = min(steps / min(self.config.averaging, 1.0 + 0.1 * self._n_updates), 1.0)
+        with torch.no_grad():
+            for name, value in actor_weights(self).items():
+                self.averaged[name].lerp_(value, share)
+
+
+def falling(first: float, constant_share: float) -> Callable[[float], float]:
+    """
+    Return the step size as a function of the share of the training that is left, from 1 to 0.
+
+    :param first: step size at the start.
+    :param constant_share: share of the training after which the step size falls to a tenth.
+    """
+    def step_size(left: float) -> float:
+        falls = 1.0 - constant_share
+        return first * (0.1 + 0.9 * min(left / falls, 1.0)) if falls else first
+
+    return step_size
 
 
 def keep_freed_memory() -> None:
@@ -119,19 +127,16 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
     keep_freed_memory()
     cameras = cameras_of(agent)
     policy_class, policy_kwargs = policy_of(agent, sac.bfloat16)
-    buffer_class = MapReplayBuffer if agent.map else DictReplayBuffer
-    buffer_kwargs: dict[str, Any] = {}
-    if agent.one_by_one and not agent.map:
+    buffer_class, buffer_kwargs = DictReplayBuffer, {}
+    if agent.one_by_one:
         buffer_class = CloudReplayBuffer
-        buffer_kwargs = {name: getattr(sac, name) for name in (
-            'n_steps', 'gamma', 'augmentation', 'demonstrations')}
+        buffer_kwargs = {name: getattr(sac, name) for name in ('n_steps', 'gamma', 'augmentation')}
     # ``auto_`` means that the entropy coefficient is learned from this first value on. The target
-    # entropy is given for each of the two components of each camera's action. The first gradient
-    # step comes after the demonstrations.
+    # entropy is given for each of the two components of each camera's action.
     model = AgentSac(
-        policy_class, env, config=sac, agent=agent, learning_rate=sac.learning_rate,
-        buffer_size=sac.buffer_size,
-        learning_starts=max(sac.learning_starts, sac.demonstrations),
+        policy_class, env, config=sac, agent=agent,
+        learning_rate=falling(sac.learning_rate, sac.constant_share),
+        buffer_size=sac.buffer_size, learning_starts=sac.learning_starts,
         batch_size=sac.batch_size, tau=sac.tau, gamma=sac.gamma, ent_coef=f'auto_{sac.entropy}',
         target_entropy=sac.target_entropy * 2 * cameras, tensorboard_log=tensorboard, seed=seed,
         device=sac.device, _init_setup_model=False, policy_kwargs=policy_kwargs,
@@ -141,15 +146,23 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
         model.observation_space, model.action_space = encoded_space(agent), action_space(cameras)
         model.n_envs = environments
     model._setup_model()
+    if sac.averaging:
+        model.averaged = {name: value.detach().clone()
+                          for name, value in actor_weights(model).items()}
     return model
 
 
-def _modules_of(actor: Any, agent: AgentConfig) -> dict[str, torch.nn.Module]:
+def _modules_of(actor: Any) -> dict[str, torch.nn.Module]:
     """Return the modules of SAC's actor, by the prefix of their weights in a checkpoint."""
-    if agent.map:
-        return {'': actor.network}
     return {'extractor.': actor.features_extractor.extractor, 'latent_pi.': actor.latent_pi,
             'mu.': actor.mu, 'log_std.': actor.log_std}
+
+
+def actor_weights(model: AgentSac) -> dict[str, torch.Tensor]:
+    """Return the last weights of SAC's actor, by their names in a checkpoint."""
+    return {f'{prefix}{name}': value
+            for prefix, module in _modules_of(model.actor).items()
+            for name, value in module.state_dict().items()}
 
 
 def select_by_prefix(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
@@ -166,9 +179,8 @@ def actor_checkpoint(model: AgentSac, run: str, provenance: dict[str, Any]) -> C
     :param run: name of the training run.
     :param provenance: how the actor was trained.
     """
-    weights = {f'{prefix}{name}': value.detach().cpu().clone()
-               for prefix, module in _modules_of(model.actor, model.agent).items()
-               for name, value in module.state_dict().items()}
+    weights = {name: value.detach().cpu().clone()
+               for name, value in (model.averaged or actor_weights(model)).items()}
     return Checkpoint(model.agent, weights, int(model._n_updates), run, provenance)
 
 
@@ -176,8 +188,7 @@ def load_actor(model: AgentSac, checkpoint: Checkpoint) -> None:
     """
     Start SAC's actor from given weights.
 
-    The critics of the map actor start from the same value map, and the imitation loss keeps the
-    actor's policy near that of the value map. Other critics start untrained.
+    The critics start untrained.
 
     :raises CheckpointError: if the weights are of another network.
     """
@@ -185,11 +196,7 @@ def load_actor(model: AgentSac, checkpoint: Checkpoint) -> None:
         raise CheckpointError(
             f"weights: found {checkpoint.config}; expected the trainer's own agent settings, "
             f'{model.agent}')
-    if model.agent.map:
-        model.policy.load_value_map(checkpoint.weights)
-        imitation = ImitationLoss(model.agent, checkpoint.weights, model.device)
-        model.imitation_loss = lambda size: imitation.loss_of(
-            model.actor, model.replay_buffer.sample(size).observations)
-        return
-    for prefix, module in _modules_of(model.actor, model.agent).items():
+    for prefix, module in _modules_of(model.actor).items():
         module.load_state_dict(select_by_prefix(checkpoint.weights, prefix))
+    for name, value in (model.averaged or {}).items():
+        value.copy_(checkpoint.weights[name])

@@ -35,7 +35,7 @@ import torch
 #: Name of the array with the row that is written next, and whether the buffer is full.
 FILLED = 'filled'
 #: Attributes of the model that are saved as numbers.
-COUNTERS = ('_n_updates', 'num_timesteps', 'own_updates')
+COUNTERS = ('_n_updates', 'num_timesteps')
 
 
 def _optimizers(model: AgentSac) -> dict[str, torch.optim.Optimizer]:
@@ -47,6 +47,7 @@ def _optimizers(model: AgentSac) -> dict[str, torch.optim.Optimizer]:
 def _weights_and_counters(model: AgentSac) -> dict[str, torch.Tensor]:
     """Return the tensors of networks, entropy coefficient and counters, by name in the file."""
     return {**{f'policy.{name}': value for name, value in model.policy.state_dict().items()},
+            **{f'averaged.{name}': value for name, value in (model.averaged or {}).items()},
             'log_ent_coef': model.log_ent_coef.detach(),
             **{f'counter.{name}': torch.tensor(getattr(model, name)) for name in COUNTERS}}
 
@@ -115,6 +116,8 @@ def load_state(model: AgentSac, path: Path) -> str:
             'with model set to the weights beside it: these are kept, the rest is lost') from error
     model.policy.load_state_dict(select_by_prefix(tensors, 'policy.'))
     model.log_ent_coef.data.copy_(tensors['log_ent_coef'])
+    for name, value in (model.averaged or {}).items():
+        value.copy_(tensors[f'averaged.{name}'])
     for name in COUNTERS:
         setattr(model, name, int(tensors[f'counter.{name}']))
     for name, optimizer in _optimizers(model).items():
@@ -209,9 +212,16 @@ def load_replay(buffer: DictReplayBuffer, path: Path) -> None:
         rows[name][:len(values)] = values
     buffer.pos = position
     buffer.full = bool(full)
-    # The next transition belongs to another episode: the last stored one ends its episode, at a
-    # time limit if its state is not terminal.
-    last_row = position - 1
+    end_episodes(buffer)
+
+
+def end_episodes(buffer: DictReplayBuffer) -> None:
+    """
+    Let the last stored transitions end their episodes: the next ones belong to others.
+
+    They end at a time limit if their state is not terminal.
+    """
+    last_row = buffer.pos - 1
     buffer.timeouts[last_row] = np.maximum(buffer.timeouts[last_row], 1.0 - buffer.dones[last_row])
     buffer.dones[last_row] = 1.0
 

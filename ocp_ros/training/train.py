@@ -15,9 +15,8 @@
 """
 Train a policy: this module is the whole run, from top to bottom.
 
-The map actor first learns dense values, see :mod:`ocp_ros.training.value_training`. Then soft
-actor-critic learns from its own episodes; other agents begin with this. The folder of a run has
-``config.yaml`` (the effective settings), ``rooms.json`` (the rooms of each set),
+Soft actor-critic learns from its own episodes. The folder of a run has ``config.yaml`` (the
+effective settings), ``rooms.json`` (the rooms of each set),
 ``progress.jsonl`` (one line per evaluation), ``best.safetensors`` with its card,
 ``state.safetensors`` and ``replay.safetensors`` to resume from, and TensorBoard's files.
 """
@@ -25,28 +24,35 @@ actor-critic learns from its own episodes; other agents begin with this. The fol
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from datetime import date
 from functools import lru_cache, partial
 import logging
 from pathlib import Path
+import time
 
 import gymnasium as gym
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.viewpoints import VIEWPOINTS
-from ocp_ros.training.demonstrations import Demonstrator
 from ocp_ros.training.encoded_environment import playable
-from ocp_ros.training.run_folder import BEST, claim, records, REPLAY, STATE, VALUES_PHASE
+from ocp_ros.training.run_folder import add_record, BEST, claim, records, REPLAY, STATE
 from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
-from ocp_ros.training.sac_state import load_replay, load_state, save_replay, save_state
+from ocp_ros.training.sac_state import (
+    load_replay,
+    load_state,
+    new_run,
+    save_replay,
+    save_state,
+)
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names, Rooms
 from ocp_ros.training.validation import evaluate, RANDOM_MOVES, trials_of
-from ocp_ros.training.value_training import learn_values, TrainingRun, ValueRun
 from ocp_ros.util.files import remove_unfinished
+from ocp_ros.util.resources import find_model
+from ocp_ros.util.settings import to_nested
 from ocp_ros.util.terminal_text import printable
 from ocp_ros.util.threads import cores
 from ocp_ros.util.worker_pool import WorkerPool
@@ -61,24 +67,37 @@ _log = logging.getLogger(__name__)
 #: Largest number of pixels, over the depth maps of all engines that are kept in memory. A pixel
 #: takes about 50 bytes; building an engine takes as long as a hundred turns with it.
 MAX_DEPTH_PIXELS = 25_000_000
-#: Name of the phase of soft actor-critic in lines of progress.
-SAC_PHASE = 'sac'
+#: Number of problems of ``episodes.rig_file`` that are kept in memory.
+RIG_PROBLEMS = 256
 
 
-class Run(TrainingRun):
+class Run:
     """
-    A run in which soft actor-critic plays and learns; see :class:`TrainingRun`.
+    A run in which soft actor-critic plays and learns: its folder, clock, progress and validation.
 
     :param model: SAC with the actor to train.
-    :param settings: the arguments of :class:`TrainingRun`.
+    :param config: settings of the run.
+    :param folder: folder of the run.
+    :param pool: worker pool that plays episodes.
+    :param progress: shows the progress bar.
+    :ivar name: name of the run, 12 random hexadecimal digits.
+    :ivar past: the lines of progress that earlier processes of the run have written.
     :ivar best: least error ratio so far: depth error at the end of an episode / at its start.
     """
 
-    def __init__(self, model: AgentSac, *settings) -> None:
-        super().__init__(*settings)
+    def __init__(self, model: AgentSac, config: TrainingConfig, folder: Path, pool: WorkerPool,
+                 progress: Progress) -> None:
         self.model = model
-        self.device = model.device
+        self.config = config
+        self.folder = folder
+        self.pool = pool
+        self.progress = progress
+        # The name of a new run; a run that resumes gets its name from its saved state.
+        self.name = new_run()
+        self.past = records(folder)
         self.best = np.inf
+        #: The clock goes on from the last line of progress.
+        self._start_time = time.monotonic() - (self.past[-1]['seconds'] if self.past else 0.0)
 
     @property
     def interactions(self) -> int:
@@ -90,15 +109,29 @@ class Run(TrainingRun):
         """Return the number of gradient steps so far."""
         return int(self.model._n_updates)
 
-    def checkpoint(self) -> Checkpoint:
-        """Return a checkpoint of the present actor."""
-        return actor_checkpoint(self.model, self.name, self.provenance)
+    @property
+    def seconds(self) -> float:
+        """Return the duration of the run so far, in all its processes, seconds."""
+        return round(time.monotonic() - self._start_time, 1)
 
-    def note(self, phase: str, **figures: float) -> None:
-        """Write a line of progress, with the losses that were logged last."""
+    def checkpoint(self) -> Checkpoint:
+        """Return a checkpoint of the present actor, with its settings as provenance."""
+        return actor_checkpoint(self.model, self.name, {
+            'interactions': self.interactions, 'seed': self.config.seed,
+            'date': date.today().isoformat(), 'domain': self.config.domain,
+            'training': to_nested(self.config)})
+
+    def note(self, **figures: float) -> None:
+        """Append a line with some figures, and the losses that were logged last."""
         losses = {name.rpartition('/')[2]: float(value) for name, value
                   in self.model.logger.name_to_value.items() if name.endswith('loss')}
-        super().note(phase, **losses | figures)
+        add_record(self.folder, {
+            'interactions': self.interactions, 'updates': self.updates, 'seconds': self.seconds,
+            **losses, **figures})
+
+    def judge(self, checkpoint: Checkpoint) -> dict[str, float]:
+        """Return the results of weights in the validation rooms; see :func:`evaluate`."""
+        return evaluate(self.pool, trials_of(self.config, 'validation'), checkpoint.to_bytes())
 
     def evaluate(self) -> float:
         """
@@ -115,7 +148,7 @@ class Run(TrainingRun):
             self.best = result['ratio']
             checkpoint.save(self.folder / BEST)
         self.save()
-        self.note(SAC_PHASE, **result)
+        self.note(**result)
         return result['ratio']
 
     def resume(self) -> None:
@@ -131,7 +164,7 @@ class Run(TrainingRun):
             self.name = load_state(self.model, state)
             if replay.exists():
                 load_replay(self.model.replay_buffer, replay)
-        elif any(line['phase'] != VALUES_PHASE for line in self.past):
+        elif self.past:
             raise CheckpointError(
                 f'{state}: found no file though the run had begun; expected the state to go '
                 'on from; put it back from a copy, or begin in another folder with model set to '
@@ -158,8 +191,7 @@ class Run(TrainingRun):
             raise CheckpointError(
                 f'{error}; the best weights so far are lost: put them back from a copy, or remove '
                 'the file, and the run goes on from its last state') from error
-        # Weights of dense values have no ratio yet, and a killed process may not have written the
-        # ratio of its weights: evaluate them.
+        # A killed process may not have written the ratio of its weights: evaluate them.
         self.best = (ratios[best.updates] if best.updates in ratios
                      else self.judge(best)['ratio'])
 
@@ -254,8 +286,9 @@ class ThreadedEnvironments(DummyVecEnv):
 def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     """Return the environments of a run; they share their rooms and engines."""
     scenes = Rooms(rooms, config.rooms)
+    numbers = range(config.environments)
     envs = [CameraPlacementEnv(scenes, config.simulation, fewest=config.fewest_cameras,
-                               rotations=config.rooms.angles) for _ in range(config.environments)]
+                               rotations=config.rooms.angles) for _ in numbers]
     # The depth maps of one engine: they have twice as many columns as rows.
     pixels = VIEWPOINTS * 2 * config.simulation.engine.error_rows ** 2
     # ``env.problem`` is a function with a cache of its own, which ``__wrapped__`` leaves out. All
@@ -263,7 +296,19 @@ def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     problem = lru_cache(max(MAX_DEPTH_PIXELS // pixels, len(envs)))(envs[0].problem.__wrapped__)
     for env in envs:
         env.problem = problem
-    return VecMonitor(ThreadedEnvironments([partial(playable, env, config.agent) for env in envs]))
+    rig_envs: list[CameraPlacementEnv | None] = [None for _ in numbers]
+    if config.episodes.rig_file:
+        settings = replace(config.simulation, rig_file=config.episodes.rig_file)
+        rig = settings.placed_rig
+        rig_problem = lru_cache(RIG_PROBLEMS)(
+            lambda scene, rotation: problem(scene, rotation).with_rig(rig, settings))
+        rig_envs = [CameraPlacementEnv(scenes, settings, rotations=config.rooms.angles)
+                    for _ in numbers]
+        for env in rig_envs:
+            env.problem = rig_problem
+    return VecMonitor(ThreadedEnvironments([
+        partial(playable, env, config.agent, config.episodes, rig_env)
+        for env, rig_env in zip(envs, rig_envs)]))
 
 
 def learn(run: Run) -> None:
@@ -271,25 +316,21 @@ def learn(run: Run) -> None:
     config, model = run.config, run.model
     if model.num_timesteps >= config.interactions:
         return
-    # The actor plays from the first turn, without random actions, if it has first weights, is the
-    # map actor, or has learned before.
-    model.warm = bool(config.model) or config.agent.map or model.num_timesteps > 0
+    # The actor plays from the first turn, without random actions, if it has first weights or has
+    # learned before.
+    model.warm = bool(config.model) or model.num_timesteps > 0
     # ``learning_starts`` counts from the beginning of the run. If the replay buffer was lost,
     # collect as many transitions again before the next gradient step.
     if not model.replay_buffer.size():
         model.learning_starts += model.num_timesteps
-    vec_env = environments(config, room_names(config.rooms, 'training'))
-    model.set_env(vec_env)
-    if config.sac.demonstrations:
-        envs = vec_env.venv.envs  # type: ignore[attr-defined]
-        model.demonstrator = Demonstrator(envs, config.seed)
+    model.set_env(environments(config, room_names(config.rooms, 'training')))
     # The seed depends on the number of interactions, so that a resumed run plays other episodes.
     # The shift halves the 32-bit number, so that it is less than MAX_SEED.
     sequence = np.random.SeedSequence([config.seed, model.num_timesteps])
     model.env.seed(int(sequence.generate_state(1)[0]) >> 1)
     try:
         model.learn(config.interactions - model.num_timesteps, callback=TrainingWatch(run),
-                    reset_num_timesteps=False, tb_log_name=SAC_PHASE)
+                    reset_num_timesteps=False, tb_log_name='sac')
     finally:
         model.env.close()
 
@@ -309,15 +350,6 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
                TextColumn('{task.fields[error]}'))
     with WorkerPool(config.workers, config.ray or None) as pool, Progress(*columns) as progress:
         start = Checkpoint.load(find_model(config.model)) if config.model else None
-        if config.agent.map and config.values.steps:
-            values = ValueRun(config, folder, pool, progress)
-            values.resume()
-            start = learn_values(values)
-            if not config.interactions:
-                # The weights are judged once, also if the run is resumed.
-                if not any('ratio' in line for line in records(folder)):
-                    values.note(VALUES_PHASE, **values.judge(start))
-                return report(values, command)
         run = Run(build_model(config, folder, start), config, folder, pool, progress)
         run.resume()
         learn(run)
@@ -350,7 +382,7 @@ def build_model(config: TrainingConfig, folder: Path, start: Checkpoint | None =
     return model
 
 
-def report(run: TrainingRun, command: str) -> Checkpoint:
+def report(run: Run, command: str) -> Checkpoint:
     """Play the test rooms with the best weights and random moves; write both into the card."""
     config = run.config
     best = Checkpoint.load(run.folder / BEST)
@@ -362,7 +394,7 @@ def report(run: TrainingRun, command: str) -> Checkpoint:
     lines = records(run.folder)
     provenance = {
         **best.provenance, 'command': command,
-        'hardware': torch.cuda.get_device_name() if run.device.type == 'cuda' else cpu,
+        'hardware': torch.cuda.get_device_name() if run.model.device.type == 'cuda' else cpu,
         'seconds': lines[-1]['seconds'] if lines else run.seconds, 'curve': lines,
         'test': {'rooms': len(trials),
                  'policy': evaluate(run.pool, trials, best.to_bytes()),

@@ -16,7 +16,7 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.policy.agent_config import AgentConfig, CLOUD
+from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError, group, MAX_CAMERAS, MAX_SEED, setting
@@ -27,36 +27,33 @@ class SacConfig:
     """Settings of soft actor-critic (Haarnoja et al., 2018), named as in stable-baselines3."""
 
     learning_rate: float = setting(5e-4, 'step size of Adam', 1e-7, 1.0)
-    batch_size: int = setting(64, 'transitions per gradient step', 1, 65536)
-    buffer_size: int = setting(20000, 'transitions the replay buffer holds', 100, 1000000)
+    constant_share: float = setting(
+        0.6, 'share of the interactions after which the step size falls, to a tenth at the '
+             'end', 0.0, 1.0)
+    averaging: int = setting(
+        4000, 'gradient steps over which the weights that are used are averaged; 0: they are '
+              'the last ones', 0, 1000000)
+    batch_size: int = setting(128, 'transitions per gradient step', 1, 65536)
+    buffer_size: int = setting(100000, 'transitions the replay buffer holds', 100, 1000000)
     learning_starts: int = setting(1000, 'transitions before the first gradient step', 1, 1000000)
     gamma: float = setting(0.95, 'discount per interaction', 0.0, 1.0)
     tau: float = setting(0.01, 'share of the targets replaced per gradient step', 1e-6, 1.0)
     entropy: float = setting(0.1, 'first entropy coefficient; it is then learned', 1e-6, 100.0)
     target_entropy: float = setting(
-        -1.5, 'target entropy per component of the action', -10.0, 1.0)
+        -1.0, 'target entropy per component of the action', -10.0, 1.0)
     n_steps: int = setting(
-        1, 'with agent.inputs cloud: number of interactions whose rewards are added before the '
-           'critics value what follows; trainer_node knows 1 alone', 1, 100)
+        3, 'with agent.inputs cloud: number of interactions whose rewards are added before the '
+           'critics value what follows', 1, 100)
     augmentation: str = setting(
-        'symmetries', 'with agent.inputs cloud: what is done to each sample: nothing (none), a '
+        'jitter', 'with agent.inputs cloud: what is done to each sample: nothing (none), a '
         'rotation by quarter turns or a reflection (symmetries), or these and a small movement '
         'of its points, some of which are left out (jitter)',
         choices=('none', 'symmetries', 'jitter'))
     bfloat16: bool = setting(
         False, 'with agent.inputs cloud: the network that is trained computes with 16 bits in '
                'place of 32, which is faster on processors that can')
-    demonstrations: int = setting(
-        0, 'with agent.inputs cloud: first interactions in which cameras go to placements that '
-           'are planned with the whole scan; they stay in the replay buffer, and half of each '
-           'batch is drawn from them; trainer_node knows 0 alone', 0, 1000000)
     burn_in: int = setting(
         0, 'gradient steps of the critics alone before the actor learns', 0, 1 << 31)
-    imitation: float = setting(
-        0.1, 'with agent.inputs map: weight of the imitation loss, the divergence from the value '
-             'map that the actor began with', 0.0, 1000.0)
-    imitation_fades: int = setting(10000, 'gradient steps until the imitation loss is '
-                                          'zero', 1, 1 << 31)
     device: str = setting('auto', 'auto, cpu or cuda', choices=('auto', 'cpu', 'cuda'))
 
 
@@ -107,21 +104,22 @@ class RoomsConfig:
 
 
 @dataclass(frozen=True)
-class ValuesConfig:
-    """Settings of learning dense values; see :mod:`ocp_ros.training.value_states`."""
+class EpisodesConfig:
+    """
+    What is drawn at the start of each episode, besides room and number of cameras.
 
-    rooms: int = setting(320, 'rooms in which cameras go to random poses', 1, 100000)
-    own_rooms: int = setting(
-        100, 'rooms in which the network itself then moves the cameras', 1, 100000)
-    steps: int = setting(7000, 'gradient steps on the states of rooms with random poses; 0 for no '
-                               'dense values', 0, 1 << 31)
-    own_steps: int = setting(3000, 'further gradient steps, on all states', 0, 1 << 31)
-    batch_size: int = setting(32, 'choices per gradient step', 1, 65536)
-    learning_rate: float = setting(1.5e-3, 'first step size of AdamW', 1e-7, 1.0)
-    last_learning_rate: float = setting(1e-4, 'last step size of AdamW', 1e-7, 1.0)
-    averaging: float = setting(
-        0.995, 'share of the averaged weights, which are used, kept at a gradient step', 0.0, 1.0)
-    evaluate_every: int = setting(1000, 'gradient steps between evaluations', 1, 1 << 31)
+    The other end of each range is in ``simulation.episode`` and ``simulation.rig``; 0 draws
+    nothing.
+    """
+
+    fewest_turns: int = setting(0, 'least number of turns', 0, 100000)
+    longest_step: float = setting(
+        0.0, 'largest max_step, metres; max_turn is the same number of radians, from '
+        'simulation.episode.max_turn to 1.6', 0.0, 10.0)
+    farthest_range: float = setting(0.0, 'largest range, metres', 0.0, 100.0)
+    widest_start: float = setting(0.0, 'largest start_radius, metres', 0.0, 50.0)
+    rig_file: str = setting('', 'a rig file whose cameras play some of the episodes')
+    rig_share: float = setting(0.0, 'share of the episodes that they play', 0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -130,8 +128,8 @@ class TrainingConfig:
 
     seed: int = setting(0, 'seed of networks, exploration and order of rooms', 0, MAX_SEED)
     interactions: int = setting(
-        0, 'interactions of soft actor-critic: choices of one camera, or with agent.inputs paper '
-           'turns; 0 for dense values alone', 0, 1 << 40)
+        100000, 'interactions: choices of one camera, or with agent.inputs paper turns', 1,
+        1 << 40)
     environments: int = setting(4, 'episodes played side by side', 1, 1024)
     workers: int = setting(0, 'processes that play; 0 for one on each core', 0, 1024)
     ray: str = setting('', 'a Ray cluster that plays evaluations and walks through rooms instead, '
@@ -139,13 +137,13 @@ class TrainingConfig:
     fewest_cameras: int = setting(
         4, 'least number of cameras in an episode; simulation.rig.cameras is the most', 1,
         MAX_CAMERAS)
-    updates_per_turn: float = setting(1.0, 'gradient steps per interaction', 0.0, 100.0)
+    updates_per_turn: float = setting(0.25, 'gradient steps per interaction', 0.0, 100.0)
     evaluate_every: int = setting(2000, 'interactions between evaluations', 1, 1 << 40)
     model: str = setting('', 'first weights: path or name; empty: random')
     rooms: RoomsConfig = group(RoomsConfig)
+    episodes: EpisodesConfig = group(EpisodesConfig)
     simulation: SimulationConfig = group(SimulationConfig)
     agent: AgentConfig = group(AgentConfig)
-    values: ValuesConfig = group(ValuesConfig)
     sac: SacConfig = group(SacConfig)
 
     def __post_init__(self) -> None:
@@ -168,16 +166,18 @@ class TrainingConfig:
                 'of all other cameras')
         for count in (self.fewest_cameras, len(rig.cameras)):
             self.agent.check_cameras(count)
-        if self.sac.demonstrations and not (rig.free and self.agent.inputs == CLOUD):
-            raise ConfigurationError(
-                f'sac.demonstrations: found {self.sac.demonstrations} with agent.inputs '
-                f'{self.agent.inputs!r}; expected 0, or agent.inputs cloud without a rig file')
-        if not (self.interactions or (self.agent.map and self.values.steps)):
-            raise ConfigurationError(
-                'interactions: found 0 and no dense values to learn; expected something to learn '
-                'from: interactions, or values.steps with agent.inputs map')
-        if self.agent.headings and not self.model:
-            raise ConfigurationError(
-                f'model: found none with agent.headings {self.agent.headings}; expected weights '
-                'of the map actor to begin with: the value map of cameras that do not see all '
-                'around begins as that of those that do; train one without headings first')
+
+    @property
+    def domain(self) -> dict[str, list[float]]:
+        """
+        Return the range of each limit that the episodes have: the domain of the trained weights.
+
+        :returns: ``cameras``, ``turns``, ``max_step`` (metres) and ``max_range`` (metres), lowest
+            and highest.
+        """
+        draws, limits, rig = self.episodes, self.simulation.episode, self.simulation.placed_rig
+        ranges = {'cameras': (self.fewest_cameras, len(rig.cameras)),
+                  'turns': (draws.fewest_turns or limits.turns, limits.turns),
+                  'max_step': (limits.max_step, draws.longest_step or limits.max_step),
+                  'max_range': (rig.farthest, draws.farthest_range or rig.farthest)}
+        return {name: [float(value) for value in pair] for name, pair in ranges.items()}

@@ -82,16 +82,14 @@ class Assembler:
     camera positions, the reward, and the next observation of the policy.
 
     :param patience: number of turns after which an incomplete turn is dropped and counted.
-    :param last: whether the last choice of a turn gets the whole reward, and the others get 0; for
-        the map actor, whose cameras need several turns to reach a chosen target.
     :ivar assembled: number of complete turns.
     :ivar incomplete: number of turns that were dropped incomplete.
     :ivar inconsistent: number of turns that do not follow from the policy's choices: the cameras
         are not where they were sent, or the number of the turn in the episode differs.
     """
 
-    def __init__(self, patience: int = 32, last: bool = False) -> None:
-        self.patience, self.last = patience, last
+    def __init__(self, patience: int = 32) -> None:
+        self.patience = patience
         self.assembled = self.incomplete = self.inconsistent = 0
         self.clear()
 
@@ -152,9 +150,9 @@ class Assembler:
             # come last.
             positions = positions[:len(reward.shares)]
         shares: Sequence[float] = reward.shares
-        if self.last or len(choices) == 1:
-            # The last choice, which may be the only one, gets the whole reward.
-            shares = (len(choices) - 1) * [0.0] + [reward.reward]
+        if len(choices) == 1:
+            # The only choice, which may be that of all cameras, gets the whole reward.
+            shares = [reward.reward]
         # The last condition: a camera is more than 5 cm from its target along x or y.
         if (before.targets.shape != positions.shape or before.turn != reward.step - 1
                 or len(shares) != len(choices)

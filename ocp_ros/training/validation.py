@@ -22,19 +22,23 @@ import numpy as np
 from ocp_ros.online.online_planner import Online, settings_of
 from ocp_ros.online.rollout import play
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.learned import planned_by
-from ocp_ros.policy.policy import make_policy, Policy, ValuePolicy
+from ocp_ros.policy.learned import PolicyAlone
+from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.motion import bounded_moves
 from ocp_ros.search.registry import PLANNERS
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.training.encoded_environment import turn_for
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import make_scene, room_names
 from ocp_ros.util.worker_pool import WorkerPool
 
 #: Name of the baseline that moves the cameras at random.
 RANDOM_MOVES = 'random_moves'
+#: Cameras (0: those of the rig file), turns and longest move (metres) of the trials of a run whose
+#: episodes are drawn.
+DRAWN_TRIALS = ((4, 5, 2.0), (4, 8, 2.0), (4, 30, 0.5), (2, 8, 2.0), (6, 8, 2.0), (0, 8, 2.0))
 
 
 @dataclass(frozen=True)
@@ -79,7 +83,7 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     rng = np.random.default_rng([trial.seed, 1])
     settings = settings_of(trial.simulation.episode, problem.rig, rng)
     if trial.weights:
-        planner: Online = planned_by(policy_of(trial.weights), settings)
+        planner: Online = PolicyAlone(policy_of(trial.weights), *settings)
     elif trial.planner == RANDOM_MOVES:
         planner = RandomMoves(*settings)
     else:
@@ -97,27 +101,48 @@ def _cached_problem(rooms: RoomsConfig, room: str, rotation: float, config: Simu
 
 
 @lru_cache(maxsize=1)
-def policy_of(weights: bytes) -> Policy | ValuePolicy:
+def policy_of(weights: bytes) -> Policy:
     """Return the policy of some weights, which are one blob; the latest policy is cached."""
-    return make_policy(Checkpoint.from_bytes(weights))
+    return Policy(Checkpoint.from_bytes(weights))
 
 
 def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
     """
     Return one trial for each room of a set; without a rig file, with at most 4 cameras.
 
-    The rotations of the settings alternate between rooms.
+    The rotations of the settings alternate between rooms. If the episodes of the run are drawn,
+    ``DRAWN_TRIALS`` alternate too.
 
     :param config: settings of the training run.
     :param part: ``training``, ``validation`` or ``test``.
     """
     rooms, simulation = config.rooms, config.simulation
-    if not simulation.rig_file:
+    if config.episodes.longest_step:
+        settings = [_drawn_trial(config, *trial) for trial in DRAWN_TRIALS
+                    if trial[0] or config.episodes.rig_file]
+    elif simulation.rig_file:
+        settings = [simulation]
+    else:
         rig = replace(simulation.rig, cameras=min(4, simulation.rig.cameras))
-        simulation = replace(simulation, rig=rig)
-    return [ValidationTrial(room, rooms, rooms.angles[index % len(rooms.angles)], simulation,
-                            seed=index)
+        settings = [replace(simulation, rig=rig)]
+    # The second term keeps settings and rotations apart where there are as many of both.
+    count = len(settings)
+    return [ValidationTrial(room, rooms, rooms.angles[(index + index // count) % len(rooms.angles)
+                                                      if count > 1 else index % len(rooms.angles)],
+                            settings[index % count], seed=index)
             for index, room in enumerate(room_names(rooms, part))]
+
+
+def _drawn_trial(config: TrainingConfig, cameras: int, turns: int, max_step: float
+                 ) -> SimulationConfig:
+    """Return the settings of one of ``DRAWN_TRIALS``; 0 cameras stand for the rig file."""
+    simulation = config.simulation
+    episode = replace(simulation.episode, turns=turns, max_step=max_step,
+                      max_turn=turn_for(max_step, simulation.episode))
+    if not cameras:
+        return replace(simulation, episode=episode, rig_file=config.episodes.rig_file)
+    rig = replace(simulation.rig, cameras=cameras, max_range=4.0)
+    return replace(simulation, episode=episode, rig=rig)
 
 
 def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial], weights: bytes = b''

@@ -21,6 +21,9 @@ They are in one folder: the source tree, or ``share/ocp_ros`` if the package is 
 from collections.abc import Iterator
 from pathlib import Path
 
+#: Name of the default model.
+DEFAULT_MODEL = 'actor'
+
 
 def share_folder() -> Path:
     """
@@ -63,7 +66,7 @@ def find_config(path: str | Path) -> Path:
     """
     Find a file by its path or, if it does not exist, among those of the package.
 
-    :param path: such as ``config/train/map.yaml``.
+    :param path: such as ``config/train/actor.yaml``.
     :returns: the path of the file that was found; ``path`` itself if there is none, so that the
         reader of the file reports the error.
     """
@@ -72,3 +75,20 @@ def find_config(path: str | Path) -> Path:
         return path
     packaged_file = share_folder() / path
     return packaged_file if packaged_file.is_file() else path
+
+
+def find_model(name: str) -> Path:
+    """
+    Return the path of a weights file, given its path or the name of a shipped model.
+
+    :param name: a path, or a name such as ``actor``.
+    :raises FileNotFoundError: if there is no such file; the message lists the shipped models.
+    """
+    shipped = {path.stem: path for path in (share_folder() / 'models').glob('*.safetensors')}
+    # A file in the current folder must not hide a model of the package.
+    if name in shipped:
+        return shipped[name]
+    if Path(name).is_file():
+        return Path(name)
+    raise FileNotFoundError(f'model: found no file {name!r} and no model of that name; expected a '
+                            f'path to .safetensors or one of {sorted(shipped)}')

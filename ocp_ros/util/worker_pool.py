@@ -17,6 +17,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
 from multiprocessing import get_context, parent_process
 import os
 import signal
@@ -53,13 +54,9 @@ class WorkerPool:
         if self._ray is not None:
             yield from self._on_ray(function, tasks)
             return
-        # Ctrl-C must not interrupt processes before they have set their signal handling.
-        signal_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        try:
+        with _interrupts_later():
             task_indices = {self._processes.submit(function, task): index
                             for index, task in enumerate(tasks)}
-        finally:
-            signal.pthread_sigmask(signal.SIG_SETMASK, signal_mask)
         for future in as_completed(task_indices):
             try:
                 result = future.result()
@@ -103,6 +100,30 @@ class WorkerPool:
             for process in (getattr(self._processes, '_processes', None) or {}).copy().values():
                 process.terminate()
         self._processes.shutdown(wait=True, cancel_futures=True)
+
+
+@contextmanager
+def _interrupts_later() -> Iterator[None]:
+    """
+    Let Ctrl-C take effect at the end of the block, in which processes start.
+
+    The new processes inherit that the signal is blocked, until they have set their own signal
+    handling. In this process another thread may take the signal, so its handler waits too.
+    """
+    signal_mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    received: list[int] = []
+    # Only the main thread may set handlers, and only there do they run.
+    handler = None
+    if threading.current_thread() is threading.main_thread():
+        handler = signal.signal(signal.SIGINT, lambda number, frame: received.append(number))
+    try:
+        yield
+    finally:
+        if handler is not None:
+            signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, signal_mask)
+    if received:
+        signal.raise_signal(signal.SIGINT)
 
 
 def _apply(function: Callable[[T], U], task: T) -> U:

@@ -182,19 +182,6 @@ def move_poses(poses: PoseArray, positions: np.ndarray,
     return message
 
 
-def replaced(poses: PoseArray, camera: int, pose: Pose) -> PoseArray:
-    """
-    Return poses with another pose of one camera.
-
-    :raises MessageError: as :func:`msg_to_poses`.
-    """
-    message = PoseArray(header=poses.header, poses=[
-        pose if number == camera else before for number, before in enumerate(poses.poses)])
-    # The conversion checks the new pose; its result is not needed.
-    msg_to_poses(message)
-    return message
-
-
 def quaternion_of(heading: np.ndarray) -> Quaternion:
     """Pack a heading (3,) of yaw, pitch and roll in radians as a quaternion of length 1."""
     x, y, z, w = Rotation.from_euler('ZYX', heading).as_quat()

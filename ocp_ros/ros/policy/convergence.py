@@ -26,7 +26,6 @@ class Convergence:
     Decide whether a placement is final, and publish that on ``placement_status``.
 
     :param node: gets the publisher.
-    :ivar turns_still: number of turns since a camera last moved.
     :ivar longest_move: longest move of a camera in the last turn, metres.
     :ivar final_reason: why the placement is final; empty while it is not final.
     :ivar missing_data: data that a final placement lacks, in words; empty if it lacks none.
@@ -39,30 +38,19 @@ class Convergence:
 
     def begin_episode(self) -> None:
         """Begin an episode, whose placement is not final."""
-        self.turns_still = 0
         self.longest_move = 0.0
         self.final_reason = ''
         self.missing_data = ''
         #: Number of turns played when the placement became final; None before that.
         self._final_step: int | None = None
 
-    def record_move(self, longest_move: float, largest_rotation: float,
-                    config: PolicyNodeConfig) -> None:
-        """Record the longest move (m) and the largest rotation (radians) of a camera in a turn."""
-        self.longest_move = longest_move
-        # Cameras that rotate by less than 0.02 radians count as standing still.
-        is_still = longest_move < config.convergence_distance and largest_rotation < 0.02
-        self.turns_still = self.turns_still + 1 if is_still else 0
-
-    def reason_to_finish(self, step: int, simulation_ended: bool, without_lookahead: bool,
-                         config: PolicyNodeConfig) -> str:
+    def reason_to_finish(self, step: int, simulation_ended: bool, config: PolicyNodeConfig
+                         ) -> str:
         """
         Return why the placement is final from now on; empty if it is not final yet.
 
         :param step: number of turns played so far.
         :param simulation_ended: whether the simulation has reported that its last turn is played.
-        :param without_lookahead: whether a policy alone chooses the moves. With lookahead, cameras
-            that stand still may move later: all turns are used.
         """
         if simulation_ended:
             return 'the simulation has played its last turn'
@@ -70,9 +58,6 @@ class Convergence:
             return ''
         if step >= config.turns:
             return f'all {config.turns} turns are used up'
-        if without_lookahead and self.turns_still >= config.convergence_turns:
-            return (f'no camera has moved {config.convergence_distance:g} m or more for '
-                    f'{self.turns_still} turns')
         return ''
 
     def publish_status(self, step: int, config: PolicyNodeConfig) -> str:
@@ -89,7 +74,7 @@ class Convergence:
                     f'final {text}')
         else:
             text = (f'not final: turn {step} of {config.turns}, longest move '
-                    f'{self.longest_move:.3f} m, standing still for {self.turns_still} turns')
+                    f'{self.longest_move:.3f} m')
         if text != self._published_text:
             self._published_text = text
             self._publisher.publish(String(data=text))
@@ -98,4 +83,4 @@ class Convergence:
     def diagnostic_values(self) -> dict[str, object]:
         """Return the values for diagnostics."""
         return {'final': self.final_reason or '-', 'gaps': self.missing_data or '-',
-                'longest_move': f'{self.longest_move:.3f}', 'standing_still': self.turns_still}
+                'longest_move': f'{self.longest_move:.3f}'}

@@ -55,7 +55,7 @@ class Decider:
     :param checkpoint: weights of the policy; None if no policy is used.
     :param log: log of the node.
     :ivar rig: the rig of the rig file; None without a rig file.
-    :ivar learned: the part of the planner that runs the policy; None without a policy.
+    :ivar explorer: the part of the planner that runs the policy; None without a policy.
     :ivar step: computes the time steps.
     :ivar stay_warnings: a sentence for each camera that stays since it has no feasible pose.
     :ivar largest_rotation: the largest camera rotation of the last command, radians.
@@ -66,7 +66,7 @@ class Decider:
                  log: RcutilsLogger) -> None:
         self._config = config
         self._log = log
-        planner, self.learned = make_planner(config, checkpoint)
+        planner, self.explorer = make_planner(config, checkpoint)
         self.rig = load_rig(config.rig_file) if config.rig_file else None
         # An error in a step is logged and must not end this node.
         self.step = OnlineStep(planner, limits_of(config), self.rig, log.error)
@@ -86,8 +86,8 @@ class Decider:
         """Continue with new parameters; make a new planner if the present one does not suit."""
         planner = self.planner
         if not planner_suits(self._config, config):
-            planner, self.learned = make_planner(
-                config, None if self.learned is None else self.learned.policy.checkpoint)
+            planner, self.explorer = make_planner(
+                config, None if self.explorer is None else self.explorer.policy.checkpoint)
         self._config = config
         self.step.change(planner, limits_of(config))
 
@@ -97,11 +97,6 @@ class Decider:
         if self.rig is not None:
             return self.rig.models
         return (CameraModel(self._config.min_range, self._config.max_range),)
-
-    @property
-    def without_lookahead(self) -> bool:
-        """Return whether a policy alone chooses the moves, without lookahead."""
-        return self.planner is self.learned
 
     def count_movable(self, poses: PoseArray) -> int:
         """Return the number of cameras to place; the fixed cameras come after them in a rig."""

@@ -21,7 +21,7 @@ import numpy as np
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, MessageError, msg_to_fields
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
-from ocp_ros.ros.policy.recorded_policy import RecordedPolicy, RecordedValues
+from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.training.experience import Experience, to_bytes
 from rclpy.node import Node
@@ -40,7 +40,7 @@ class Experiences:
     :param on_caught_up: is called when the policy need not wait for the trainer any more.
     """
 
-    def __init__(self, node: Node, get_policy: Callable[[], RecordedPolicy | RecordedValues],
+    def __init__(self, node: Node, get_policy: Callable[[], RecordedPolicy],
                  on_caught_up: Callable[[], None]) -> None:
         self._get_policy = get_policy
         self._on_caught_up = on_caught_up
@@ -77,17 +77,12 @@ class Experiences:
         """
         Publish the choices of the policy since the last call, if they are complete and finite.
 
-        With the map actor (one choice per camera) some choices may be missing: a camera without a
-        choice keeps its target.
-
         :param stamp: stamp of the turn, nanoseconds.
         :param turn: number of turns of the episode before this one.
         :param targets: commanded positions of the K movable cameras, (K, 3) metres.
         """
-        policy = self._get_policy()
-        choices = policy.take_choices()
-        complete = policy.checkpoint.config.map or (
-            sum(len(choice.actions) for choice in choices) == len(targets))
+        choices = self._get_policy().take_choices()
+        complete = sum(len(choice.actions) for choice in choices) == len(targets)
         if choices and complete and all(np.isfinite(choice.actions).all() for choice in choices):
             self._publisher.publish(bytes_to_msg(
                 to_bytes(Experience(stamp, turn, targets, choices))))

@@ -39,7 +39,6 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
-    replaced,
     rotation_of,
     stamp_to_ns,
 )
@@ -298,15 +297,6 @@ class LiveTurns:
         if self._is_final():
             self._turns.limits = self._wait_limits()
         self._plan_ahead()
-
-    def redirect(self, camera: int, pose: PoseMsg) -> None:
-        """Send one camera to another pose in this turn; the others keep their targets."""
-        if self._command is not None:
-            self._command = replaced(self._command, camera, pose)
-            # ``on_command`` compares the targets with ``positions``. These are None if no poses
-            # came since the last command: use the newest poses.
-            self._turns.positions = self._rig.positions
-            self._send_command()
 
     def _send_command(self) -> None:
         """Send the command of this turn, and begin to wait for the cameras."""

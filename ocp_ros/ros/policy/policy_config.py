@@ -16,13 +16,13 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.policy.shipped_models import DEFAULT_MODEL
 from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.ros.interface.frames import publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
+from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
 
-PLANNERS = ('learned', 'lookahead', 'learned_lookahead')
+PLANNERS = ('learned', 'lookahead')
 #: Defaults if ``manual`` is true: few turns with long moves, as each turn is work for a person.
 MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
 
@@ -32,9 +32,9 @@ class PolicyNodeConfig:
     """Parameters of ``policy_node``."""
 
     planner: str = setting(
-        'learned_lookahead', 'planner of the moves: learned, a trained policy; lookahead, which '
-        'plans on the observed points and needs no weights; learned_lookahead, lookahead to which '
-        'the policy proposes placements', choices=PLANNERS)
+        'learned', 'planner of the moves: learned, where a trained policy explores and a search '
+        'on the observed points finishes; lookahead, where this search does both and needs no '
+        'weights', choices=PLANNERS)
     model: str = setting(
         DEFAULT_MODEL, 'weights: a path, or the name of a shipped model; lookahead ignores it')
     turns: int = setting(
@@ -51,12 +51,6 @@ class PolicyNodeConfig:
     clearance: float = setting(
         CLEARANCE, 'without a rig file: least distance to every observed surface, metres; 0: no '
         'limit; with a rig file keep_clear applies', 0.0, 5.0, running=True)
-    convergence_distance: float = setting(
-        0.02, 'moves shorter than this count as standing still, metres', 0.0, 1.0, running=True)
-    convergence_turns: int = setting(
-        3, 'only with planner: learned: number of turns in which all cameras stand still '
-           '(convergence_distance) before the placement is final; other planners use all turns',
-        1, 1000, running=True)
     explore: bool = setting(
         False, 'for training: draw moves at random from the distribution of the policy, whatever '
                'the planner is; the placement never becomes final')

@@ -12,15 +12,15 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Policies that record their choices, so that a trainer can learn from them."""
+"""A policy that records its choices, so that a trainer can learn from them."""
 
 import numpy as np
-from ocp_ros.policy.policy import Policy, ValuePolicy
+from ocp_ros.policy.policy import Policy
 from ocp_ros.training.experience import Choice
 
 
-class _ChoiceRecorder:
-    """Stores the choices of a policy until :meth:`take_choices` is called."""
+class RecordedPolicy(Policy):
+    """A policy that records its observations and choices until they are taken."""
 
     def __init__(self, *args) -> None:
         super().__init__(*args)
@@ -32,23 +32,9 @@ class _ChoiceRecorder:
         self._choices = []
         return choices
 
-
-class RecordedPolicy(_ChoiceRecorder, Policy):
-    """A policy of moves that records its observations and choices."""
-
     def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
                ) -> np.ndarray:
         """Choose the next moves; see :meth:`~ocp_ros.policy.policy.Policy.choose`."""
         moves = super().choose(encoded, rng)
         self._choices.append(Choice(encoded, moves))
         return moves
-
-
-class RecordedValues(_ChoiceRecorder, ValuePolicy):
-    """A policy of target positions that records its observations and choices."""
-
-    def draw(self, inputs: dict[str, np.ndarray], rng: np.random.Generator) -> np.ndarray:
-        """Draw a target position; see :meth:`~ocp_ros.policy.policy.ValuePolicy.draw`."""
-        position = super().draw(inputs, rng)
-        self._choices.append(Choice(inputs, position[None]))
-        return position

@@ -17,7 +17,7 @@
 from collections.abc import Callable
 from typing import NamedTuple
 
-from geometry_msgs.msg import Pose, PoseArray
+from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
@@ -25,7 +25,6 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_cloud,
     msg_to_fields,
     ns_of,
-    replaced,
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LOOP
@@ -161,14 +160,6 @@ class SimulatedTurns:
                 return
         self._commander.publish(self.answer)
         self._plan_ahead()
-
-    def redirect(self, camera: int, pose: Pose) -> None:
-        """Answer a turn that waits: one camera goes to a pose, and the others stay."""
-        stamp = None if self.cloud is None else stamp_to_ns(self.cloud.header.stamp)
-        poses = self.poses.get(stamp)
-        if poses is not None and (self.answer is None or self.answer.header != poses.header):
-            self.answer = replaced(poses, camera, pose)
-            self._commander.publish(self.answer)
 
     def _update_wait_for_reward(self, stamp: int) -> bool:
         """Start or stop the wait for the reward of a turn; return whether to wait."""
