@@ -49,8 +49,7 @@ LINES = ('-', '--', ':')
 SEARCHES = ('greedy_swap', 'tdsa', 'annealing', 'bpso', 'bee_colony', 'differential_evolution',
             'cma_es')
 ALIKE = 1.10
-TITLES = {'tdsa': 'TDSA', 'bpso': 'BPSO', 'cma_es': 'CMA-ES',
-          'learned_lookahead': 'learned + lookahead'}
+TITLES = {'tdsa': 'TDSA', 'bpso': 'BPSO', 'cma_es': 'CMA-ES'}
 #: What planners know of a room; what is not named here knows the scores of its placements.
 KNOWS = {
     **dict.fromkeys(('greedy_coverage', 'greedy_error'), 'scores of positions on a grid'),

@@ -32,8 +32,7 @@ from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.training.run_folder import read_config, records
 
 #: By name in the progress: what the legend calls it, and how its line is drawn.
-LOSSES = {'loss': ('dense values', ':'), 'actor_loss': ('actor', '--'),
-          'critic_loss': ('critic', '-')}
+LOSSES = {'actor_loss': ('actor', '--'), 'critic_loss': ('critic', '-')}
 
 
 class Plain(LogFormatter):
@@ -47,13 +46,7 @@ class Plain(LogFormatter):
 def label_of(folder: Path) -> str:
     """Return what runs with the same settings, but for the seed, have in common."""
     settings = read_config(folder / 'config.yaml')
-    parts = []
-    if settings.agent.map and settings.values.steps:
-        parts.append('dense values')
-    if settings.interactions:
-        cubic = settings.simulation.reward.kind == 'paper'
-        parts.append('soft actor-critic' + cubic * ' by the cubic reward')
-    return f"{settings.agent.inputs}: {', then '.join(parts)}"
+    return f'{settings.agent.inputs}, reward {settings.simulation.reward.kind}'
 
 
 def grouped(folders: list[Path]) -> dict[str, list[list[dict[str, Any]]]]:

@@ -60,7 +60,7 @@ TOPICS = (
         'scene', 'markers', 'space_coverage', 'depth_error', 'true_coverage_cloud',
         'true_error_cloud'), (5.95, 3.35)),
     ((8.35, 4.2), (6.75, 2.3), (
-        'placement', 'placement_status', 'instructions', 'handles', 'rig_markers',
+        'placement', 'placement_status', 'instructions', 'rig_markers',
         'coverage_cloud', 'error_cloud'), (7.25, 2.85)))
 FILLS = ('#e8f1f8', '#d7e6f2')
 

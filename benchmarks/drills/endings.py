@@ -53,7 +53,6 @@ import numpy as np
 from ocp_ros.demo.node_processes import free_domain
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros import policy_node, sim_node, trainer_node
 from ocp_ros.ros.interface.conversions import msg_to_positions, ns_to_stamp, positions_to_msg
@@ -65,6 +64,7 @@ from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import set_threads
 from rich.console import Console
 from rich.progress import Progress
@@ -90,7 +90,7 @@ def warm_up(scene):
     episode = Episode(PlaneProblem(simulator), np.random.default_rng(0))
     header = Header(stamp=ns_to_stamp(1), frame_id='map')
     for explore in (True, False):
-        config = PolicyNodeConfig(planner='learned_lookahead', explore=explore, threads=1)
+        config = PolicyNodeConfig(explore=explore, threads=1)
         decider = Decider(config, Checkpoint.load(find_model('actor')),
                           logging.getLogger('warm_up'))
         for turn in range(2):

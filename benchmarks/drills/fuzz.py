@@ -32,7 +32,7 @@ from benchmarks.drills.fuzz_trainer import TrainerTarget
 from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.watcher import Watch
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.shipped_models import find_model
+from ocp_ros.util.resources import find_model
 from rich.console import Console
 from rich.progress import Progress
 
@@ -56,8 +56,7 @@ def start(options: argparse.Namespace, domain: int) -> Iterator[NodeProcess]:
     """Start a node of each kind; the policy runs the shipped weights and a live one beside it."""
     logs = options.out / 'logs' / 'fuzz'
     for namespace, name, parameters in (
-            ('turns', 'policy_node', {'planner': 'learned', 'turns': 100000,
-                                      'convergence_distance': 0.0}),
+            ('turns', 'policy_node', {'turns': 100000}),
             ('turns', 'trainer_node', {'folder': str(options.out / 'fuzz_trainer'),
                                        'sources': 'turns'}),
             ('learn', 'trainer_node', {'folder': str(options.out / 'fuzz_learner'),

@@ -100,8 +100,7 @@ class Answers:
         self.profile: cProfile.Profile | None = None
         self.node = PolicyNode(context=watch.context, parameter_overrides=[
             Parameter('planner', value=planner), Parameter('model', value=model),
-            Parameter('turns', value=TURNS), Parameter('rig_file', value=rig),
-            Parameter('convergence_distance', value=0.0)])
+            Parameter('turns', value=TURNS), Parameter('rig_file', value=rig)])
         self._published = 0.0
         self.node._turns._plan_ahead = self._reflect
         # A node that has just begun looks first whether another one commands.

@@ -38,8 +38,8 @@ from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.train_demo import pair_parameters
 from ocp_ros.demo.watcher import Watch
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.shipped_models import find_model
 from ocp_ros.ros.interface.conversions import ns_to_stamp
+from ocp_ros.util.resources import find_model
 from ocp_ros.util.threads import cores
 from rclpy.qos import qos_profile_system_default
 from rich.console import Console

@@ -248,7 +248,7 @@ def good_files(folder: Path) -> dict[str, Callable]:
         'boxes: [{box: [[2, 1, 0], [4, 2, 0.75]]}]\n')
     readers: dict[str, Callable] = {path.name: load_scene for path in sorted(folder.iterdir())}
     (folder / 'rig.yaml').write_bytes((ROOT / 'config/rig/mixed.yaml').read_bytes())
-    (folder / 'train.yaml').write_bytes((ROOT / 'config/train/map_sac.yaml').read_bytes())
+    (folder / 'train.yaml').write_bytes((ROOT / 'config/train/actor.yaml').read_bytes())
     _placement(folder / 'placement.yaml')
     if find_spec('rosbags'):
         readers |= _write_bags(folder)
