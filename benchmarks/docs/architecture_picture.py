@@ -42,7 +42,7 @@ LAYERS = {
     'search': 'planners that know the scan, and the proof',
     'report': 'a planned rig, its findings, pages and files',
     'studio': 'a page on which cameras are moved',
-    'training': 'SAC, dense values',
+    'training': 'soft actor-critic',
     'compare': 'one protocol for all planners',
     'ros': 'ROS 2 nodes: convert, call, publish',
     'demo': 'node processes, and who watches them',

@@ -21,9 +21,10 @@ from then on the objective is the depth error alone.
 
 The planner chooses among candidates on a grid, by simulated annealing on unions of packed bits.
 The views of the candidates are computed once for several time steps. One-camera exchanges without
-annealing end in worse plans. In the last time steps the best plan is annealed once more among all
-candidates and then in small steps, on a finer model and among positions that the cameras can still
-reach: a plan that is good on a coarsely thinned cloud is often worse in the room.
+annealing end in worse plans. In the last time steps the better one of the plan and of the best
+places of the episode is annealed once more among all candidates and then in small steps, on a
+finer model and among positions that the cameras can still reach: a plan that is good on a coarsely
+thinned cloud is often worse in the room.
 
 In an episode of many time steps the next plan is computed while the cameras move; see
 :class:`~ocp_ros.online.online_planner.PipelinedPlanner`. There the annealing on the finer model is
@@ -142,6 +143,8 @@ class Lookahead(PipelinedPlanner):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
+        # A plan that is still to be computed belongs to the turns before.
+        self.plan_ahead()
         self.places.add(positions, self.rig_state)
         return super().move(cloud, positions, turn, turns)
 
