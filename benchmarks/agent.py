@@ -216,12 +216,17 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument('--workers', type=int, default=os.cpu_count())
     parser.add_argument('--out', type=Path, help='file of this comparison')
     parser.add_argument('--record', nargs='+', metavar='NAME=FILE', help='write the summaries of '
-                        'comparisons to docs/results/agent.json, and play nothing')
+                        'comparisons to docs/results/agent.json, and what all of them say about '
+                        'lookahead; play nothing')
     options = parser.parse_args(argv)
     if options.record:
         record(options.record)
         return
     command = results.command_of('agent', argv)
+    for path in options.rooms or ():
+        # Scans are where the person who measures keeps them.
+        command = command.replace(f' {path}', '', 1)
+    command = command.replace('--rooms', '--rooms SCAN ...')
     rooms = (options.rooms or [str(seed) for seed in SETS[options.set]])[:options.most_rooms]
     angles = (0.0,) if options.rooms else (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
     tasks = [Task(room, half, angles[number % len(angles)], cameras, length)
@@ -252,14 +257,17 @@ def record(named_files: Sequence[str]) -> None:
     path = results.FOLDER / 'agent.json'
     before = json.loads(path.read_text()) if path.exists() else {}
     found = dict(before.get('comparisons', {}))
+    tasks: dict[str, dict[str, dict[str, float]]] = {}
     for item in named_files:
         name, file = item.split('=', 1)
         document = json.loads(Path(file).read_bytes())
         found[name] = {key: document[key] for key in ('command', 'commit', 'date', 'summary')}
+        tasks |= {task: {planner: values[planner] for planner in ('learned', 'lookahead')}
+                  for task, values in document['tasks'].items() if 'lookahead' in values}
     checkpoint = Checkpoint.load(find_model(DEFAULT_MODEL))
     model = {'run': checkpoint.run, 'updates': checkpoint.updates, **{
         key: checkpoint.provenance[key] for key in ('interactions', 'seed', 'date')}}
-    results.write('agent', {'model': model, 'comparisons': found},
+    results.write('agent', {'model': model, 'pooled': ratios(tasks), 'comparisons': found},
                   results.command_of('agent', None))
 
 

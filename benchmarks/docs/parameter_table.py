@@ -28,7 +28,7 @@ from ocp_ros.util.settings import leaves
 NODES = {'sim_node': SimNodeConfig, 'policy_node': PolicyNodeConfig,
          'trainer_node': TrainerNodeConfig, 'guide_node': GuideNodeConfig}
 #: What explains the terms of a node's parameters.
-MORE = {'trainer_node': ' [Input cloud](../explanation/policy.md#input-cloud-the-paper) explains '
+MORE = {'trainer_node': ' [The network](../explanation/policy.md#the-network) explains '
                         'the extraction units of `agent.*`.'}
 FOLDER = ROOT / 'docs' / 'reference'
 
