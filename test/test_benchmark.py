@@ -62,14 +62,14 @@ def test_a_turned_room_is_the_room_turned():
 
 def test_a_folder_of_scans_is_a_set_of_rooms(tmp_path):
     with pytest.raises(SceneError, match='found no scans'):
-        rooms_in(tmp_path)
+        rooms_in([tmp_path])
     np.save(tmp_path / 'b.npy', made_room(8, 2000).points)
     (tmp_path / 'notes.md').write_text('nothing')
-    name, = rooms_in(tmp_path)
+    name, = rooms_in([tmp_path])
     assert name.endswith('b.npy') and len(make_room(name, 0)) > 1000
     (tmp_path / 'notes.txt').write_text('scanned on monday')
     with pytest.raises(SceneError, match='notes.txt'):
-        rooms_in(tmp_path)
+        rooms_in([tmp_path])
 
 
 @pytest.mark.system
