@@ -264,7 +264,8 @@ def test_a_policy_and_its_trainer_outlive_lies(graph, fuzzer, policy, tmp_path):
 def test_a_trainer_goes_on_learning_whatever_it_is_told(graph, fuzzer, tmp_path, small_agent):
     agent = {f'agent__{name}': value for name, value in vars(small_agent).items()}
     trainer = graph.add(partial(TrainerNode, namespace='learn'), folder=str(tmp_path / 'run'),
-                        updates_per_turn=1.0, sac__learning_starts=4, sac__batch_size=8, sac__buffer_size=100,
+                        updates_per_turn=1.0, sac__learning_starts=4, sac__batch_size=8,
+                        sac__buffer_size=100,
                         sac__device='cpu', **agent)
     target = TrainerTarget(fuzzer, '/learn')
     for _ in range(2):

@@ -107,7 +107,8 @@ def parameters(name, folder):
                      'resend_period': 0.02, 'auto_reset': True},
         'policy_node': {'model': 'actor', 'explore': True, 'threads': 1},
         'trainer_node': {'model': 'actor', 'folder': str(folder / 'trainer'),
-                         'sac.learning_starts': 4, 'sac.batch_size': 4, 'sac.buffer_size': 100,
+                         'updates_per_turn': 1.0, 'sac.learning_starts': 4,
+                         'sac.batch_size': 4, 'sac.buffer_size': 100,
                          'save_every': 1, 'publish_every': 1}}[name]
     pairs = [f'{key}:={json.dumps(value)}' for key, value in values.items()]
     return ['--ros-args', *(word for pair in pairs for word in ('-p', pair))]

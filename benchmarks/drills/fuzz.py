@@ -61,6 +61,7 @@ def start(options: argparse.Namespace, domain: int) -> Iterator[NodeProcess]:
                                        'sources': 'turns'}),
             ('learn', 'trainer_node', {'folder': str(options.out / 'fuzz_learner'),
                                        'sources': 'learn',
+                                       'updates_per_turn': 1.0, 'sac.batch_size': 16,
                                        'sac.learning_starts': 20, 'sac.buffer_size': 1000,
                                        'most_behind': 1000000}),
             ('live', 'policy_node', {'cloud_topics': 'a,b', 'turns': 100000, 'cloud_timeout': 0.3,
