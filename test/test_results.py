@@ -93,6 +93,12 @@ SENTENCES = [
      '0/event_to_colours_ms/p99 1/event_to_colours_ms/p99'),
     (RESULTS, 'the ratio to `lookahead` is {} after 8 turns of 2 m and {} after 30 turns',
      'agent/comparisons/scans/summary/settings/{key}/lookahead/ratio', '4_8x2 4_30x0.5'),
+    (RESULTS, 'has {} ({} to {}) times the error of TDSA with 100 evaluations and {} ({} to {}) '
+     'with 1,000, and {} ({} to {}) and {} ({} to {}) times that of BPSO',
+     'agent/comparisons/baselines/summary/settings/4_30x0.5/{key}',
+     'tdsa_100/ratio tdsa_100/interval/0 tdsa_100/interval/1 tdsa_1000/ratio tdsa_1000/interval/0 '
+     'tdsa_1000/interval/1 bpso_100/ratio bpso_100/interval/0 bpso_100/interval/1 bpso_1000/ratio '
+     'bpso_1000/interval/0 bpso_1000/interval/1'),
     (RESULTS, 'is {} times that of `lookahead` (95 % interval {} to {})',
      'agent/pooled/lookahead/{key}', 'ratio interval/0 interval/1'),
     (MODELS, 'those after {} of the 600,000 interactions', 'agent/model/{key}', 'interactions'),
