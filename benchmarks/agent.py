@@ -131,10 +131,11 @@ def play_task(planners: Sequence[str], baselines: Sequence[int], seeds: int, mod
                        BY_FILE, task.half)
     problem, episode_config = room.search_problem, settings.episode
     found: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
+    make = makers(model)
     for seed in range(seeds):
         for name in planners:
             rng = np.random.default_rng([seed, 1])
-            planner = makers(model)[name](*settings_of(episode_config, problem.rig, rng))
+            planner = make[name](*settings_of(episode_config, problem.rig, rng))
             episode = Episode(problem, np.random.default_rng([seed, 0]))
             outcome = play(planner, episode, clock=_processor_seconds)
             poses = episode.placement[:len(episode.turn.positions)]

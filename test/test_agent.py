@@ -225,16 +225,16 @@ def test_unseen_air_is_told_by_sectors_that_turn_with_the_room(seed, count):
     rng = np.random.default_rng(seed)
     place, centres = rng.uniform(-1.0, 1.0, 2), rng.uniform(-4.0, 4.0, (count, 2))
     unseen = rng.random(count) < 0.6
-    told = features_of_air(place, centres, unseen, AGENT)
+    features = features_of_air(place, centres, unseen, AGENT)
     x, y = (centres - place).T
     sectors = (np.arctan2(y, x) % (2.0 * np.pi) // (0.25 * np.pi)).astype(int)
-    for sector, row in enumerate(told):
+    for sector, row in enumerate(features):
         own = unseen[sectors == sector]
         ways = (centres - place)[unseen & (sectors == sector)] / AGENT.length_scale
         expected = [*ways.mean(axis=0), len(ways) / unseen.sum(), own.mean()] if len(ways) else 0.0
         np.testing.assert_allclose(row, expected, atol=1e-5)
     quarter, mirror = around_z(90.0), np.diag([1.0, -1.0])
-    for matrix, rows in ((quarter, np.roll(told, 2, axis=0)), (mirror, told[::-1])):
+    for matrix, rows in ((quarter, np.roll(features, 2, axis=0)), (mirror, features[::-1])):
         turned = features_of_air(matrix @ place, centres @ matrix.T, unseen, AGENT)
         expected = np.hstack([rows[:, :2] @ matrix.T, rows[:, 2:]])
         np.testing.assert_allclose(turned, expected, atol=1e-5)

@@ -340,7 +340,7 @@ def test_in_many_turns_only_the_first_step_is_waited_for(room, monkeypatch, name
     """
     Who lets a step reflect gets the same commands without waiting for them.
 
-    Lookahead plans headings too; while a policy explores, somebody else chooses them.
+    Lookahead plans headings too; while a policy explores, the heading planner does.
     """
     # Plans are refined from turn 10 on, and on a new model four turns later.
     (prompt, waited), (late, _) = (

@@ -196,17 +196,17 @@ def test_what_is_drawn_of_an_episode_lies_in_its_range_and_is_told(room, small_a
 
     def played(seed):
         for number in range(60):
-            told = env.reset(seed=None if number else seed)[0]['turn']
+            scalars = env.reset(seed=None if number else seed)[0]['turn']
             episode = env.unwrapped.episode
             now, limits = episode.turn, episode.config
             away = episode.observed_cloud[:, None] - now.positions
-            assert np.linalg.norm(away, axis=2).min(axis=1).max() <= 4.0 * told[5] + 1e-6
+            assert np.linalg.norm(away, axis=2).min(axis=1).max() <= 4.0 * scalars[5] + 1e-6
             assert limits.max_turn == np.clip(limits.max_step, 0.5, 1.6)
-            assert told[[1, 3]] == pytest.approx([len(now.positions) / 4, limits.max_step / 2])
+            assert scalars[[1, 3]] == pytest.approx([len(now.positions) / 4, limits.max_step / 2])
             seen, value, *_ = env.step(np.ones((1, 2), np.float32))
             assert env.observation_space.contains(seen) and np.isfinite(value)
             yield (not episode.problem.rig.free, len(now.positions), limits.turns,
-                   limits.max_step, limits.start_radius, 4.0 * told[5])
+                   limits.max_step, limits.start_radius, 4.0 * scalars[5])
 
     first, again, other = (np.array(list(played(seed))) for seed in (0, 0, 1))
     np.testing.assert_array_equal(first, again)

@@ -186,7 +186,7 @@ def test_turns_of_a_rig_file_are_learned_from(graph, start, model, tmp_path):
     # What the room stops, which nobody had seen, is no answer to what was chosen.
     assert assembler.assembled >= 2
     graph.until(lambda: trainer.learner.transitions == 2 * assembler.assembled)
-    # How the episode has ended is told in the log and in the diagnostics.
+    # How the episode has ended is in the log and in the diagnostics.
     assert 0.0 < trainer.error_ratio == round(trainer.sources['/'].error_ratios[0], 3)
 
 

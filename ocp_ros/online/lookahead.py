@@ -141,12 +141,10 @@ class Lookahead(PipelinedPlanner):
             (self._choice,) = self._candidates.anneal(self._choice, self.rng)
         self._set_plan(positions)
 
-    def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
-        """Choose the next moves; see :meth:`~ocp_ros.online.online_planner.Online.move`."""
-        # A plan that is still to be computed belongs to the turns before.
-        self.plan_ahead()
+    def _record(self, positions: np.ndarray) -> None:
+        """Record the places of the cameras too; see :meth:`PipelinedPlanner._record`."""
+        super()._record(positions)
         self.places.add(positions, self.rig_state)
-        return super().move(cloud, positions, turn, turns)
 
     def _finishes(self, turn: int, turns: int) -> bool:
         """Return whether the exploration is over in a turn."""

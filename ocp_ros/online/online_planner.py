@@ -231,7 +231,7 @@ class PipelinedPlanner(Online):
         """Choose the next moves; see :meth:`Online.move`."""
         # Compute the plan for this time step here if no caller did so while the cameras moved.
         self.plan_ahead()
-        record_views(self.memory, positions, self.rig_state)
+        self._record(positions)
         try:
             if self._waits_for_plan(turns, len(positions)):
                 self._think(cloud, positions, turn, turns)
@@ -243,6 +243,10 @@ class PipelinedPlanner(Online):
             self._next_turn = PlannedTurn(cloud.copy(), next_positions, turn + 1, turns,
                                           self.rig_state)
         return goals - positions[:, :2]
+
+    def _record(self, positions: np.ndarray) -> None:
+        """Record the cameras at positions (K, 3), metres, in the turn that begins."""
+        record_views(self.memory, positions, self.rig_state)
 
     def plan_ahead(self) -> None:
         """Compute the plan of the stored time step, if any; see :meth:`Online.plan_ahead`."""

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from ocp_ros.online.lookahead import Lookahead, TUNING
 from ocp_ros.online.online_planner import Online, PlannedTurn
-from ocp_ros.online.rig_state import record_views, RigState
+from ocp_ros.online.rig_state import RigState
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.rig.motion import bounded_moves
 
@@ -132,8 +132,7 @@ class Learned(Lookahead):
         if self._has_plan(len(positions)) or (
                 not self._ahead(turns) and turn >= TUNING.refining_share * turns):
             return super().move(cloud, positions, turn, turns)
-        self.places.add(positions, self.rig_state)
-        record_views(self.memory, positions, self.rig_state)
+        self._record(positions)
         moves = self.explorer.move(cloud, positions, turn, turns)
         if self._ahead(turns) and turn + 1 < turns and self._finishes(turn + 1, turns):
             ends = positions + np.column_stack([moves, np.zeros(len(moves))])

@@ -127,8 +127,8 @@ def trials_of(config: TrainingConfig, part: str) -> list[ValidationTrial]:
         settings = [replace(simulation, rig=rig)]
     # The second term keeps settings and rotations apart where there are as many of both.
     count = len(settings)
-    return [ValidationTrial(room, rooms, rooms.angles[(index + index // count) % len(rooms.angles)
-                                                      if count > 1 else index % len(rooms.angles)],
+    return [ValidationTrial(room, rooms,
+                            rooms.angles[(index // count + index % count) % len(rooms.angles)],
                             settings[index % count], seed=index)
             for index, room in enumerate(room_names(rooms, part))]
 
