@@ -54,6 +54,16 @@ STUCK, STUCK_LEAVING = 1000.0, 60.0
 #: Parameters of a simulation that plays a turn in milliseconds.
 SMALL = {'scene__points': 2000, 'engine__preset': 'fast', 'engine__error_rows': 32,
          'engine__coverage_cell': 0.5}
+#: A training that takes seconds.
+TINY = {'interactions': 48, 'environments': 2, 'updates_per_turn': 1.0, 'evaluate_every': 24,
+        'workers': 1, 'fewest_cameras': 2,
+        'rooms': {'training': 1, 'validation': 1, 'test': 1, 'points': 1500, 'rotations': '0,30'},
+        'simulation': {'rig': {'cameras': 3},
+                       'engine': {'preset': 'fast', 'error_rows': 16, 'coverage_cell': 1.0},
+                       'episode': {'turns': 6}},
+        'agent': {'inputs': 'cloud', 'points': 64, 'keys_1': 8, 'group_1': 4, 'keys_2': 4,
+                  'group_2': 4, 'channels': 8, 'hidden': 16},
+        'sac': {'learning_starts': 12, 'batch_size': 8, 'buffer_size': 400, 'device': 'cpu'}}
 #: Mounts of a rig in a room about as high as those that people live in.
 MOUNTS = {'plane': {'on': 'plane', 'height': 1.9}, 'ceiling': {'on': 'ceiling'},
           'rods': {'on': 'ceiling', 'height': 2.0},

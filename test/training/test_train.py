@@ -17,7 +17,7 @@
 from dataclasses import replace
 import json
 
-from conftest import Here, random_checkpoint
+from conftest import Here, random_checkpoint, TINY
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -66,17 +66,6 @@ def test_an_evaluation_is_the_mean_of_its_episodes():
         'depth_error_start': starts.mean(), 'depth_error_end': ends.mean(),
         'ratio': ends.mean() / starts.mean(), 'space_coverage_end': covered.mean()}
     assert pool.played == trials
-
-
-TINY = {'interactions': 48, 'environments': 2, 'updates_per_turn': 1.0, 'evaluate_every': 24,
-        'workers': 1, 'fewest_cameras': 2,
-        'rooms': {'training': 1, 'validation': 1, 'test': 1, 'points': 1500, 'rotations': '0,30'},
-        'simulation': {'rig': {'cameras': 3},
-                       'engine': {'preset': 'fast', 'error_rows': 16, 'coverage_cell': 1.0},
-                       'episode': {'turns': 6}},
-        'agent': {'inputs': 'cloud', 'points': 64, 'keys_1': 8, 'group_1': 4, 'keys_2': 4,
-                  'group_2': 4, 'channels': 8, 'hidden': 16},
-        'sac': {'learning_starts': 12, 'batch_size': 8, 'buffer_size': 400, 'device': 'cpu'}}
 
 
 @pytest.mark.system

@@ -27,7 +27,7 @@ import subprocess
 import sys
 import time
 
-from conftest import assert_same, Here, HUNG, rows_for
+from conftest import assert_same, Here, HUNG, rows_for, TINY
 import numpy as np
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import Protocol
@@ -39,7 +39,6 @@ from ocp_ros.util.worker_pool import WorkerPool
 import pytest
 import safetensors.numpy
 import safetensors.torch
-from test_training import TINY
 import torch
 
 SETTINGS = {**TINY, 'interactions': 24}

@@ -17,7 +17,7 @@
 import json
 import warnings
 
-from conftest import MOUNTS, SMALL, status_of
+from conftest import MOUNTS, SMALL, status_of, TINY
 from gymnasium.utils.env_checker import check_env
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -33,7 +33,6 @@ from ocp_ros.training.train import train
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.util.settings import ConfigurationError, from_nested
 import pytest
-from test_training import TINY
 
 pytestmark = pytest.mark.usefixtures('quick_lookahead')
 FAST = EngineConfig('fast', 32, 0.5)
