@@ -38,24 +38,28 @@ from typing import Any, NamedTuple
 from benchmarks import results
 import numpy as np
 from ocp_ros.compare.judging import JUDGE_POINTS, judged_room, SEARCH_POINTS
-from ocp_ros.compare.protocol import placement_settings
+from ocp_ros.compare.protocol import PLANE_RIG
 from ocp_ros.compare.summary import LOG_OFFSET_M
+from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online, settings_of
 from ocp_ros.online.rollout import play
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.learned import Learned, PolicyAlone
 from ocp_ros.policy.policy import Policy
+from ocp_ros.rig.rig_config import RigConfig
+from ocp_ros.rig.rig_file import load_rig, with_count
 from ocp_ros.rooms.splits import SETS
 from ocp_ros.scenes.up_axis import BY_FILE
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.plan import plan
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 from ocp_ros.training.encoded_environment import turn_for
 from ocp_ros.training.validation import RandomMoves
 from ocp_ros.util.files import write_atomically
-from ocp_ros.util.resources import DEFAULT_MODEL, find_model
+from ocp_ros.util.resources import DEFAULT_MODEL, find_config, find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.worker_pool import WorkerPool
 from rich.console import Console
@@ -96,8 +100,9 @@ class Task(NamedTuple):
     def settings(self) -> SimulationConfig:
         """Return the settings of its episodes."""
         on_plane = self.cameras.isdecimal()
-        settings = placement_settings(int(self.cameras) if on_plane else None,
-                                      None if on_plane else self.cameras)
+        settings = SimulationConfig(
+            RigConfig(int(self.cameras)) if on_plane else RigConfig(), PROMISING,
+            rig_file='' if on_plane else self.cameras)
         turns, metres = self.length.split('x')
         episode = EpisodeConfig(turns=int(turns), max_step=float(metres))
         return replace(settings, episode=replace(
@@ -130,6 +135,11 @@ def play_task(planners: Sequence[str], baselines: Sequence[int], seeds: int, mod
     room = judged_room(task.room, task.rotation, settings, SEARCH_POINTS, JUDGE_POINTS, 0.0,
                        BY_FILE, task.half)
     problem, episode_config = room.search_problem, settings.episode
+    free, known = problem.rig.free, problem
+    if free and baselines:
+        # Planners that know the room place the same cameras as a rig on this plane.
+        rig = with_count(load_rig(find_config(PLANE_RIG)), int(task.cameras))
+        known = Problem.of(room.search_scene, rig, settings)
     found: dict[str, list[tuple[float, float, float]]] = defaultdict(list)
     make = makers(model)
     for seed in range(seeds):
@@ -140,15 +150,15 @@ def play_task(planners: Sequence[str], baselines: Sequence[int], seeds: int, mod
             outcome = play(planner, episode, clock=_processor_seconds)
             poses = episode.placement[:len(episode.turn.positions)]
             found[name].append((
-                room.judge(poses[:, :3] if problem.rig.free else poses)['depth_error'],
+                room.judge(poses[:, :3] if free else poses)['depth_error'],
                 len(episode.observed) / len(episode.scene), 1e3 * outcome.seconds.mean()))
         for budget in baselines:
             for name in BASELINES:
                 if name == 'random' and budget != 100:
                     continue
-                result = plan(problem, Budget(evaluations=budget), name, seed=seed)
+                poses = plan(known, Budget(evaluations=budget), name, seed=seed).poses
                 found[f'{name}_{budget}'].append((
-                    room.judge(result.poses[:, :3])['depth_error'], 1.0, 0.0))
+                    room.judge(poses[:, :3] if free else poses)['depth_error'], 1.0, 0.0))
     return {name: dict(zip(('log_error', 'seen', 'ms'), np.mean(
         [(np.log(error + LOG_OFFSET_M), seen, ms) for error, seen, ms in rows], axis=0).tolist()))
         for name, rows in found.items()}

@@ -19,26 +19,23 @@ Write what ``ocp benchmark`` has found as a page with tables and figures.
 """
 
 import argparse
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 import json
 from pathlib import Path
 import sys
 from typing import Any
 
 from benchmarks import results
-from benchmarks.comparison_page import write_page
-from benchmarks.placement_examples import draw_examples, Example
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 import numpy as np
-from ocp_ros.compare.judging import judged_room, MOUNTING_ERRORS
-from ocp_ros.compare.protocol import placement_settings, RANDOM_PLACEMENTS, REFERENCE_PLACES
-from ocp_ros.compare.summary import budgets_of, last_runs, Rows
+from ocp_ros.compare.judging import MOUNTING_ERRORS
+from ocp_ros.compare.protocol import RANDOM_PLACEMENTS
+from ocp_ros.compare.summary import budgets_of, last_runs
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.report.installer import escape_markdown
-from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, planners_for, SCORES
-from ocp_ros.simulation.simulator import Simulator
+from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.terminal_text import printable
 
@@ -46,7 +43,7 @@ from ocp_ros.util.terminal_text import printable
 COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#d55e00', '#8c6d31')
 LINES = ('-', '--', ':')
 #: Searches that given time should all find what is best, and how far apart they may be.
-SEARCHES = ('greedy_swap', 'tdsa', 'annealing', 'bpso', 'bee_colony', 'differential_evolution',
+SEARCHES = ('rig_search', 'greedy_swap', 'tdsa', 'bpso', 'bee_colony', 'differential_evolution',
             'cma_es')
 ALIKE = 1.10
 TITLES = {'tdsa': 'TDSA', 'bpso': 'BPSO', 'cma_es': 'CMA-ES'}
@@ -57,10 +54,6 @@ KNOWS = {
     'tdsa': 'scores, also of placements with fewer cameras',
     'bpso': 'scores of positions on a grid',
 }
-#: Rooms on the page that can be turned around.
-PAGE_ROOMS = 3
-#: By name, the engine of a room and the best run of each planner in it.
-Chosen = dict[str, tuple[Simulator, dict[str, dict[str, Any]]]]
 
 
 def style(number: int) -> dict[str, Any]:
@@ -71,67 +64,16 @@ def style(number: int) -> dict[str, Any]:
 
 def write_report(folder: Path, target: Path) -> dict[str, Any]:
     """
-    Write ``README.md`` and its pictures, and for cameras on a plane a page of placements.
+    Write ``README.md`` and its picture.
 
-    :param folder: of ``ocp benchmark``, with ``results.json``, ``summary.json`` and
-        ``protocol.json``.
+    :param folder: of ``ocp benchmark``, with ``summary.json``.
     :param target: folder of the report; it is made.
     :returns: the summary.
     """
-    rows, summary, protocol = (json.loads((folder / f'{name}.json').read_bytes())
-                               for name in ('results', 'summary', 'protocol'))
+    summary = json.loads((folder / 'summary.json').read_bytes())
     draw_bars(target / 'rooms.png', summary)
-    if 'rig' not in summary:
-        draw_anytime(target / 'anytime.png', summary, rows)
-        chosen = chosen_rooms(rows, summary, protocol)
-        write_page(target / 'placements.html', 'Planners compared', {
-            name: (simulator, {planner: np.array(row['placement'])
-                               for planner, row in best.items()})
-            for name, (simulator, best) in chosen.items()})
-        draw_best(target / 'placements.png', summary, chosen)
     write_atomically(target / 'README.md', page(summary))
     return summary
-
-
-def chosen_rooms(rows: Rows, summary: dict[str, Any], protocol: dict[str, Any]) -> Chosen:
-    """Return the first rooms by name, and each planner's best run in them, the best first."""
-    found: Chosen = {}
-    for room in list(summary['rooms'])[:PAGE_ROOMS]:
-        rotation = next(row['rotation'] for row in rows if row['room'] == room)
-        best: dict[str, dict[str, Any]] = {}
-        for row in rows:
-            if (row['room'], row['rotation']) == (room, rotation):
-                rival = best.setdefault(row['planner'], row)
-                if row['depth_error'] < rival['depth_error']:
-                    best[row['planner']] = row
-        simulator = judged_room(
-            room, rotation, placement_settings(summary['cameras']), summary['points'],
-            summary['judged_points'], protocol['scale'], protocol['up']).search_problem.simulator
-        name = simulator.scene.name
-        # Scans of several folders may have one name.
-        name = f'{name} ({len(found) + 1})' if name in found else name
-        found[name] = simulator, dict(
-            sorted(best.items(), key=lambda item: item[1]['depth_error']))
-    return found
-
-
-def draw_best(path: Path, summary: dict[str, Any], chosen: Chosen) -> None:
-    """Draw what the best planner made of some rooms, and below it the best online one."""
-    ranked = sorted(last_runs(summary).items(), key=lambda item: item[1]['sum'])
-    offline = [name for name, _ in ranked if name in planner_names(SCORES)][:1]
-    online = [name for name, _ in ranked if name in planner_names(OBSERVED)][:1]
-    examples: list[list[Example]] = []
-    for planner in offline + online:
-        examples.append([])
-        for name, (simulator, best) in chosen.items():
-            row = best[planner]
-            # What counts is where the cameras are mounted, which may be a step from the last turn.
-            paths = np.array([*row.get('trajectory', []), row['placement']])
-            examples[-1].append(Example(
-                f'{name}: {spaced(planner)}, depth error {row["depth_error"]:.2f} m',
-                simulator.scene.points, simulator.evaluate(paths[-1]).visible, paths))
-    reach = next(iter(chosen.values()))[0].config.placed_rig.farthest
-    draw_examples(path, examples, reach, 'Where the best planners put the cameras')
 
 
 def budget_named(budget: str) -> str:
@@ -166,36 +108,6 @@ def draw_bars(path: Path, summary: dict[str, Any]) -> None:
                 fontsize=14, fontweight='bold', color=INK, va='center')
     figure.legend(loc='upper left', bbox_to_anchor=(0.06, 0.92), ncols=6, frameon=False,
                   fontsize=9)
-    save_figure(figure, path)
-
-
-def draw_anytime(path: Path, summary: dict[str, Any], rows: Rows) -> None:
-    """Draw the error during the search against evaluations and against seconds."""
-    budget = int(budgets_of(summary)[-1])
-    figure = Figure(figsize=(14.0, 5.8), dpi=100, facecolor='white')
-    for column, title in ((0, 'evaluations'), (1, 'seconds on one core')):
-        axes = figure.add_axes((0.06 + 0.48 * column, 0.11, 0.43, 0.66))
-        for k, name in enumerate(summary['planners']):
-            runs = [np.array(row['trace']) for row in rows
-                    if row['planner'] == name and row['budget'] == budget and row['trace']]
-            if not runs:
-                continue
-            last = max(run[-1, column] for run in runs)
-            at = np.geomspace(max(min(run[0, column] for run in runs), 1e-3), last, 120)
-            # Before its first answer a run is worth what that answer is.
-            curves = [run[np.maximum(np.searchsorted(run[:, column], at, 'right') - 1, 0), 2]
-                      for run in runs]
-            axes.plot(at, np.mean(curves, axis=0), linewidth=1.8, label=spaced(name),
-                      **style(k))
-        axes.set_xscale('log')
-        axes.set_yscale('log')
-        axes.set_xlabel(title, color=PALE_INK)
-        axes.set_ylabel('mean depth error of what would be answered (m)', color=PALE_INK)
-        _quiet(axes)
-    figure.text(0.06, 0.95, 'How fast planners get better', fontsize=14, fontweight='bold',
-                color=INK, va='center')
-    figure.legend(*figure.axes[0].get_legend_handles_labels(), loc='upper left',
-                  bbox_to_anchor=(0.05, 0.92), ncols=6, frameon=False, fontsize=9)
     save_figure(figure, path)
 
 
@@ -251,11 +163,9 @@ def page(summary: dict[str, Any]) -> str:
         'over the rooms |',
         '| promised / delivered | mean of this ratio over the rooms |',
         '| worst promise | this ratio in the room where it is farthest from 1 |',
-        '| promised / bound | ratio of the sums over the rooms. The bound is the smallest depth '
-        'error that is possible on a grid of places and near the best of them, by a proof |',
-        '| regret | delivered / delivered error of the *reference*. Several searches evaluate '
-        'placements with ray casting; the reference is the best placement in each room that they '
-        'find |',
+        '| gap | mean optimality gap, where the planner proves one |',
+        '| regret | delivered / delivered error of the *reference*: the default planner with ray '
+        'casting in place of the engine |',
         '| regret, geometric | geometric mean of this ratio over the rooms |',
         '| gap closed | (random - planner) / (random - reference), of the sums over the rooms. '
         f'*random* is the mean of {RANDOM_PLACEMENTS} placements that are drawn at random |',
@@ -281,25 +191,17 @@ def page(summary: dict[str, Any]) -> str:
             f'this table are equal gives p = {friedman:.2g}.'), '']
     lines += _agreement(summary) + _duels(summary) + _times(summary)
     lines += ['![Depth error of every planner in every room](rooms.png)', '']
-    if 'rig' not in summary:
-        lines += ['![Depth error during the search](anytime.png)', '',
-                  '![Where the best planners put the cameras](placements.png)', '']
     lines += ['## Rooms', '',
               '| room | reference (m) | random (m) | reference / random | cameras everywhere (m) '
-              '| bound (m) |', '|---|---|---|---|---|---|']
-    bounds = summary.get('exact', {}).get('bounds', {})
+              '|', '|---|---|---|---|---|']
     for room, known in summary['rooms'].items():
         lines.append(
             f'| {escape_markdown(Path(room).stem)} | {known["best_known"]:.3f} | '
             f'{known["random_placement"]:.2f} | '
             f'{shown(known["share"], 3)} | '
-            f'{known["lower_bound"]:.3f} | {shown(bounds.get(room), 3)} |')
-    rig = 'rig' in summary
-    everywhere = 'all candidate poses' if rig else f'{REFERENCE_PLACES} positions of a grid'
-    lines += ['', '*Reference*, *random* and *bound* are explained above. *Cameras everywhere* is '
-              f'the depth error with a camera at each of {everywhere} at the same time. A '
-              f'placement {"on these poses cannot" if rig else "can hardly"} have a smaller '
-              'error.', '',
+            f'{known["lower_bound"]:.3f} |')
+    lines += ['', '*Reference* and *random* are explained above. *Cameras everywhere* is the '
+              'depth error with a camera at each of 400 candidate poses at the same time.', '',
               'Versions: ' + ', '.join(
                   f'{name} {version}' for name, version in summary['versions'].items()) + '.', '']
     return '\n'.join(lines)
@@ -309,7 +211,7 @@ def _table(summary: dict[str, Any], budget: str) -> list[str]:
     """Compare all planners of a budget, and below them the search with the truth."""
     test = summary['rank_tests'][budget]
     lines = ['| planner | knows | delivered (m) | 95 % | promised (m) | promised / delivered | '
-             'worst promise | promised / bound | regret | regret, geometric | gap closed | wins | '
+             'worst promise | gap | regret | regret, geometric | gap closed | wins | '
              'rank | p |', '|---|---|---|---|---|---|---|---|---|---|---|---|---|---|']
     runs = {name: runs[budget] for name, runs in summary['planners'].items() if budget in runs}
     for name, run in sorted(runs.items(), key=lambda item: item[1]['sum']):
@@ -319,35 +221,24 @@ def _table(summary: dict[str, Any], budget: str) -> list[str]:
             f'| {spaced(name)} | {knows(name)} | {run["sum"]:.2f} | {low:.2f} to {high:.2f} | '
             f'{_promise(run)} | {shown(run["gap_closed"], 4)} | {run["wins"]} | '
             f'{test["mean_rank"][name]:.1f} | {"" if p is None else f"{p:.3f}"} |')
-    for title, knowledge, run in _yardsticks(summary):
-        lines.append(f'| {title} | {knowledge} | {run["sum"]:.2f} | | {_promise(run)} | | | | |')
-    return lines
-
-
-def _yardsticks(summary: dict[str, Any]) -> Iterator[tuple[str, str, dict[str, Any]]]:
-    """Yield what planners are compared with: its title, what it knows and its figures."""
-    if 'exact' in summary:
-        yield (f'pricing of {summary["exact"]["candidates"]} places, then of nearby places',
-               'scores and visible points', summary['exact'])
-    yield 'reference searches, mean', 'the mesh, if there is one', summary['truth']
+    truth = summary['truth']
+    return [*lines, f'| reference | the mesh, if there is one | {truth["sum"]:.2f} | | '
+                    f'{_promise(truth)} | | | | |']
 
 
 def _promise(run: dict[str, Any]) -> str:
     """Write the cells on what was promised and on what is regretted."""
     return (f'{run["promised"]:.2f} | {shown(run["promise_over_delivered"], 2)} | '
             f'{shown(run["promise_worst_room"], 2)} | '
-            f'{shown(run.get("promised_over_bound"), 2)} | {shown(run["regret"], 2)} | '
+            f'{shown(run.get("gap"), 3)} | {shown(run["regret"], 2)} | '
             f'{shown(run["regret_geometric"], 2)}')
 
 
 def _placed(summary: dict[str, Any]) -> str:
     """Say which cameras were placed."""
-    if 'rig' in summary:
-        return (f'{summary["cameras"]} cameras of the rig file `{_as_code(summary["rig"])}` under '
-                'all its constraints, with positions and headings. *Depth error* on this page is '
-                'the objective value of the rig file, multiplied by the depth error without '
-                'cameras')
-    return f'{summary["cameras"]} omnidirectional cameras on a horizontal plane'
+    return (f'{summary["cameras"]} cameras of the rig file `{_as_code(summary["rig"])}` under all '
+            'its constraints, with positions and headings. *Depth error* on this page is the '
+            'objective value of the rig file, multiplied by the depth error without cameras')
 
 
 def _rooms(summary: dict[str, Any]) -> str:
@@ -359,9 +250,8 @@ def _rooms(summary: dict[str, Any]) -> str:
 
 def compared(summary: dict[str, Any]) -> str:
     """Say how many of all planners are compared, and which are not."""
-    known = planners_for('rig' in summary)
-    left_out = [spaced(name) for name in known if name not in summary['planners']]
-    text = f'The comparison has {len(summary["planners"])} of {len(known)} planners.'
+    left_out = [spaced(name) for name in planner_names() if name not in summary['planners']]
+    text = f'The comparison has {len(summary["planners"])} of {len(planner_names())} planners.'
     return text + (f' It leaves out: {"; ".join(left_out)}.' if left_out else '')
 
 

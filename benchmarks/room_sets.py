@@ -25,9 +25,9 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene
+from ocp_ros.search.budget import Budget
 from ocp_ros.search.registry import PLANNERS
-from ocp_ros.search.scorer import Scorer
-from ocp_ros.search.solve import solve
+from ocp_ros.search.solve import Scorer, solve
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
@@ -46,10 +46,15 @@ def difficulty(scene: Scene) -> float:
     config = SimulationConfig(engine=EngineConfig(preset='fast'))
     simulator, rng = Simulator(scene, config), np.random.default_rng(0)
     space = space_of(simulator)
-    score = Scorer(simulator)
-    drawn = score([space.placement(space.random(rng)) for _ in range(64)])
+
+    def judge(positions: np.ndarray) -> tuple[float, float]:
+        found = simulator.evaluate(space.placement(positions))
+        return found.depth_error, found.space_coverage
+
+    score = Scorer(judge, Budget(evaluations=64 + SEARCHED))
+    drawn = score([space.random(rng) for _ in range(64)])
     best = solve(PLANNERS['differential_evolution'].make(space, rng, SEARCHED), score, SEARCHED)
-    return best.depth_error / float(drawn.error.mean())
+    return best.error / float(drawn.error.mean())
 
 
 def main() -> int:

@@ -434,9 +434,8 @@ def rows_for(protocol, task):
     """Return made-up rows of a task of a comparison, as if it had been run."""
     return [{'room': task.room, 'rotation': task.rotation, 'planner': task.planner,
              'budget': budget, 'seed': seed, 'exact': 2.0, 'space_coverage': 50.0,
-             'depth_error': 2.1, 'promised': 2.0, 'lower_bound': 1.0, 'found': 2.0, 'bound': 1.5,
-             'proved': False, 'evaluations': budget, 'seconds': 0.5,
-             'placement': [[1.0, 2.0, 1.9]] * 4, 'trace': [[1.0, 0.1, 3.0]]}
+             'depth_error': 2.1, 'promised': 2.0, 'lower_bound': 1.0, 'evaluations': budget,
+             'seconds': 0.5, 'placement': [[1.0, 2.0, 1.9, 0.0, 0.0, 0.0]] * 4}
             for budget, seed in protocol.runs(task.planner)]
 
 

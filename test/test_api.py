@@ -144,7 +144,7 @@ def test_planners_of_another_package_are_known_and_a_broken_one_is_warned_of_onc
 
 
 @pytest.mark.parametrize(('name', 'planner'), [
-    ('cma_es', Planner), ('priced_plane', Planner), ('a,b', Planner), ('mine', 3),
+    ('cma_es', Planner), ('truth_search', Planner), ('a,b', Planner), ('mine', 3),
     ('mine', Planner), ('mine', dict)])
 def test_what_is_no_planner_is_not_registered(name, planner):
     known = dict(PLANNERS)

@@ -41,7 +41,7 @@ def add_arguments(commands: Commands) -> None:
         COMPARE, 'benchmark', 'compare planners under equal budgets',
         'ocp benchmark --rooms my_scans --planners learned,tdsa --budgets 1000 --seeds 5')
     command.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
-                         help='smoke: two rooms, under two minutes; full: ten rooms, up to 10,000 '
+                         help='smoke: two rooms, under two minutes; full: ten rooms, up to 1,000 '
                          'evaluations')
     rooms = command.add_mutually_exclusive_group()
     rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),
@@ -55,8 +55,7 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--cameras', type=read_cameras, metavar='N', help='number of cameras, '
                          'without a rig file; default: 4')
     command.add_argument('--sensor', metavar='SENSOR', help='sensor of all cameras, without a rig '
-                         'file, or a part of its name such as d455; without it omnidirectional '
-                         'cameras on a plane are compared')
+                         'file, or a part of its name such as d455')
     command.add_argument('--mount', choices=('walls', 'ceiling', 'plane', 'free'),
                          help='with --sensor: mount of all cameras; default: walls')
     command.add_argument('--planners', type=read_names, help='names with commas between; the '
@@ -66,8 +65,8 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--seeds', type=whole(1), help='runs per planner, room and budget')
     command.add_argument('--out', type=Path, default=Path('out/benchmark'),
                          help='folder of the results; an interrupted comparison continues')
-    command.add_argument('--rig', type=find_config, help='rig file, instead of omnidirectional '
-                         'cameras: docs/reference/rig.md')
+    command.add_argument('--rig', type=find_config, help='rig file: docs/reference/rig.md; '
+                         'default: config/rig/plane.yaml, omnidirectional cameras on a plane')
     command.add_argument('--workers', type=whole(1), help='number of processes; default: one per '
                          'core')
     command.add_argument('--ray', metavar='ADDRESS', help='run on a Ray cluster, such as auto')
@@ -81,8 +80,8 @@ def run(arguments: argparse.Namespace) -> Found:
     from ocp_ros.util.files import folder_to_write
     check_cameras(arguments)
     claim_folder(arguments, arguments.out, RESULTS, 'protocol.json')
-    # With --sensor, this also sets the option --rig, which ``protocol_of`` reads.
-    rig_files = [] if arguments.sensor is None else [_write_rig(arguments)]
+    # This also sets the option --rig, which ``protocol_of`` reads.
+    rig_files = [_write_rig(arguments)] if arguments.sensor or arguments.cameras else []
     protocol = protocol_of(arguments)
     folder = folder_to_write(arguments.out)
     summary = compare(protocol, folder, command_of(arguments.argv), arguments.workers or 0,
@@ -128,7 +127,6 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     """Return the settings of the comparison from a command line of ``ocp benchmark``."""
     from ocp_ros.compare.protocol import placement_settings, PRESETS, rooms_in, rooms_of_s3dis
     from ocp_ros.rooms.splits import SETS
-    from ocp_ros.search.registry import planners_for
     changes: dict[str, Any] = {
         name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up', 'model')
         if (value := getattr(arguments, name)) is not None}
@@ -137,11 +135,9 @@ def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     if arguments.rooms is None and changes.keys() & {'scale', 'up'}:
         raise ConfigurationError('--scale and --up: found no --rooms; expected the scans that '
                                  'they are about; generated rooms are in metres, z up')
-    # A rig file changes the default planners; --planners still replaces them.
     if arguments.rig is not None:
-        changes = {'planners': planners_for(rig=True), **changes}
-    protocol = replace(PRESETS[arguments.preset], **changes,
-                       simulation=placement_settings(arguments.cameras, arguments.rig))
+        changes['simulation'] = placement_settings(arguments.rig)
+    protocol = replace(PRESETS[arguments.preset], **changes)
     if arguments.rooms is not None:
         rooms = rooms_in(arguments.rooms, protocol.scale, protocol.up)
     elif arguments.set is not None:
@@ -161,20 +157,20 @@ def check_cameras(arguments: argparse.Namespace) -> None:
     if arguments.mount is not None and arguments.sensor is None:
         raise ConfigurationError(
             f'--mount: found {arguments.mount} without --sensor; expected both: without a sensor '
-            'omnidirectional cameras on a plane are compared; add --sensor omnidirectional')
+            'the cameras of config/rig/plane.yaml are compared; add --sensor omnidirectional')
 
 
 def _write_rig(arguments: argparse.Namespace) -> Path:
-    """Write the rig of ``--sensor`` to ``rig.yaml``, and set this file as the option ``--rig``."""
+    """Write the rig of the options to ``rig.yaml``, and set this file as the option ``--rig``."""
+    from ocp_ros.compare.protocol import PLANE_RIG
     from ocp_ros.report.rig_planning import CAMERAS, MOUNT
-    from ocp_ros.rig.rig_file import rig_of
+    from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
     from ocp_ros.util.files import folder_to_write, write_atomically
     from ocp_ros.util.yaml_files import written
-    rig = rig_of(arguments.cameras or CAMERAS, arguments.sensor,
-                 mount={'on': arguments.mount or MOUNT})
+    count = arguments.cameras or CAMERAS
+    rig = with_count(load_rig(find_config(PLANE_RIG)), count) if arguments.sensor is None else \
+        rig_of(count, arguments.sensor, mount={'on': arguments.mount or MOUNT})
     path = folder_to_write(arguments.out) / 'rig.yaml'
     write_atomically(path, written(rig.document.data, path.suffix))
     arguments.rig = path
-    # The rig file contains the number of cameras.
-    arguments.cameras = None
     return path

@@ -82,15 +82,14 @@ def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
         bar = progress.add_task('')
         rows = run_tasks(protocol, folder, workers, ray_address,
                          lambda done, total: progress.update(bar, completed=done, total=total))
-    rig = protocol.simulation.rig_file
     libraries = ('ocp_ros', 'numpy', 'numba', 'scipy', 'cma')
     summary = {
         'command': command, 'date': timestamp(), 'versions': {
             'python': platform.python_version(), **{name: version(name) for name in libraries}},
         'rotations': len(protocol.rotations), 'points': protocol.points,
-        'judged_points': protocol.judged_points, **({'rig': Path(rig).name} if rig else {}),
-        'cameras': protocol.cameras, **summarise(rows),
-        'pairs': pairs(rows, protocol.planners[0])}
+        'judged_points': protocol.judged_points,
+        'rig': Path(protocol.simulation.rig_file).name, 'cameras': protocol.cameras,
+        **summarise(rows), 'pairs': pairs(rows, protocol.planners[0])}
     _write_results(folder, rows, summary)
     return Comparison(rows, summary)
 
@@ -159,9 +158,8 @@ def _stored_rows(path: Path, record: str, task: BenchmarkTask) -> Rows | None:
 
 def _write_or_check_record(folder: Path, protocol: Protocol) -> str:
     """Return the record of a comparison; write it, or check it if the folder has a record."""
-    files = {protocol.model: find_model(protocol.model)}
-    if rig := protocol.simulation.rig_file:
-        files['rig'] = Path(rig)
+    files = {protocol.model: find_model(protocol.model),
+             'rig': Path(protocol.simulation.rig_file)}
     settings = {
         'ocp_ros': __version__,
         # The contents of files with the same name may differ.
@@ -186,7 +184,7 @@ def _write_results(folder: Path, rows: Rows, summary: dict[str, Any]) -> None:
     csv_text = io.StringIO()
     # The CSV table leaves lists out.
     columns = dict.fromkeys(name for row in rows for name in row
-                            if name not in ('placement', 'trace', 'trajectory'))
+                            if name not in ('placement', 'trajectory'))
     table = csv.DictWriter(csv_text, list(columns), extrasaction='ignore')
     table.writeheader()
     table.writerows({name: printable(value) if isinstance(value, str) else value

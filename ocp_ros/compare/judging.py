@@ -33,7 +33,6 @@ from ocp_ros.scenes.up_axis import BY_FILE
 from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.simulation.simulator import Simulator
 
 #: Number of points of the scans for the judge and for searches.
 JUDGE_POINTS = 90_000
@@ -49,8 +48,8 @@ def error_and_coverage(problem: Problem, placement: np.ndarray) -> tuple[float, 
     """
     Return the error of a placement in metres, and its space coverage in cubic metres.
 
-    With a rig file the error is the objective value times the depth error of seeing nothing. This
-    is the depth error if the rig has no other requirements.
+    The error is the objective value times the depth error of seeing nothing. This is the depth
+    error if the rig has no other requirements.
 
     :param placement: (K, 3) or (K, 6), metres, map frame, and radians.
     """
@@ -99,11 +98,12 @@ class JudgedRoom:
         return make_problem(self.judge_scene, replace(
             self.config, engine=with_rays(JUDGE_ENGINE, self.judge_scene)))
 
-    def ray_simulator(self) -> Simulator:
-        """Create a simulator on the scan for searches, with ray casting if there is a mesh."""
+    @cached_property
+    def ray_problem(self) -> Problem:
+        """Return the problem of a search with ray casting, if there is a mesh."""
         # The coverage grid is as coarse as that of the judge, because rays to its cells take time.
         engine = replace(self.config.engine, coverage_cell=JUDGE_ENGINE.coverage_cell)
-        return Simulator(self.search_scene, replace(
+        return make_problem(self.search_scene, replace(
             self.config, engine=with_rays(engine, self.search_scene)))
 
     def promised_error(self, placement: np.ndarray) -> float:

@@ -23,7 +23,7 @@ error that the engine computed in the search is reported too, as ``promised``.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from itertools import product
 from pathlib import Path
 import time
@@ -32,7 +32,6 @@ from typing import Any
 import numpy as np
 from ocp_ros.compare.judging import JUDGE_POINTS, judged_room, JudgedRoom, SEARCH_POINTS
 from ocp_ros.geometry.engine_config import PROMISING
-from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.rooms.splits import TEST
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
@@ -41,26 +40,20 @@ from ocp_ros.scenes.scene_files import READERS, scans_in
 from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
-from ocp_ros.search.greedy import GreedySwap
 from ocp_ros.search.plan import plan
-from ocp_ros.search.pose_grid import PoseGrid
-from ocp_ros.search.proof.column_generation import ColumnGeneration
-from ocp_ros.search.proof.loss_trees import LossTrees
-from ocp_ros.search.registry import OBSERVED, planner_names, planners_for, REFERENCES, RIG_SEARCH
-from ocp_ros.search.scorer import Scorer
-from ocp_ros.search.solve import solve
-from ocp_ros.simulation.problem import make_problem, Problem, space_of
-from ocp_ros.simulation.ray_visibility import with_rays
+from ocp_ros.search.registry import OBSERVED, planner_names, REFERENCES, RIG_SEARCH
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
-from ocp_ros.simulation.simulator import Simulator
-from ocp_ros.util.resources import DEFAULT_MODEL
+from ocp_ros.util.resources import DEFAULT_MODEL, find_config
 from ocp_ros.util.settings import ConfigurationError
 
+#: The rig of comparisons by default.
+PLANE_RIG = 'config/rig/plane.yaml'
 #: Number of random placements.
 RANDOM_PLACEMENTS = 16
-#: References: random placements; searches with ray casting, whose best placement is the best known
-#: one; and the best placement of column generation on a grid and near it, with a lower bound.
-RANDOM_PLACEMENT, RAY_SEARCH, PROVED_OPTIMUM = REFERENCES
+#: References: random placements, and the default planner with ray casting, whose placement is the
+#: best known one.
+RANDOM_PLACEMENT, RAY_SEARCH = REFERENCES
 #: The figures of one run of a planner, by name.
 Row = dict[str, Any]
 
@@ -102,16 +95,9 @@ def rooms_in(places: Sequence[Path], scale: float = 0.0, up: str = BY_FILE) -> l
     return paths
 
 
-def placement_settings(cameras: int | None = None, rig: str | Path | None = None
-                       ) -> SimulationConfig:
-    """
-    Return the configuration of cameras to place.
-
-    :param cameras: number of cameras on a plane; None for the default.
-    :param rig: path of a rig file, which replaces the cameras on a plane.
-    """
-    rig_config = RigConfig() if cameras is None else RigConfig(cameras=cameras)
-    return SimulationConfig(rig_config, PROMISING, rig_file='' if rig is None else str(rig))
+def placement_settings(rig: str | Path = PLANE_RIG) -> SimulationConfig:
+    """Return the settings of a comparison for the cameras of a rig file."""
+    return SimulationConfig(engine=PROMISING, rig_file=str(find_config(rig).absolute()))
 
 
 @dataclass(frozen=True)
@@ -126,22 +112,19 @@ class Protocol:
     :ivar seeds: number of runs of each planner and budget.
     :ivar scale: metres per unit of the scans; 0 for the unit in each file.
     :ivar up: the direction of the scans that points up, ``'auto'`` or ``'file'``.
-    :ivar simulation: the cameras on a plane, or a rig file whose constraints apply to each
-        planner; and the engine of searches, which computes the promised errors.
+    :ivar simulation: the rig file, whose constraints apply to each planner, and the engine of
+        searches, which computes the promised errors.
     :ivar model: weights of trained planners: path or name.
     :ivar points: number of points of the scan for searches.
     :ivar judged_points: number of points of the scan for the judge.
     :ivar half: random seed that selects the half of a scan for searches; the judge has the other.
-    :ivar truths: number of searches with ray casting; their best result is the best known.
-    :ivar truth_budget: number of evaluations of each of these searches.
-    :ivar candidates: number of places of the grid for ``PROVED_OPTIMUM``.
-    :ivar proving: largest time of this proof, seconds.
+    :ivar truth_budget: number of evaluations of the search with ray casting.
     """
 
     rooms: tuple[str, ...] = tuple(map(str, TEST))
     rotations: tuple[float, ...] = (0.0,)
-    planners: tuple[str, ...] = field(default_factory=planners_for)
-    budgets: tuple[int, ...] = (100, 1000, 10000)
+    planners: tuple[str, ...] = field(default_factory=planner_names)
+    budgets: tuple[int, ...] = (100, 1000)
     seeds: int = 3
     scale: float = 0.0
     up: str = BY_FILE
@@ -150,18 +133,14 @@ class Protocol:
     points: int = SEARCH_POINTS
     judged_points: int = JUDGE_POINTS
     half: int = 0
-    truths: int = 3
-    truth_budget: int = 3000
-    candidates: int = 400
-    proving: float = 60.0
+    truth_budget: int = 1000
 
     def __post_init__(self) -> None:
         """Reject settings that cannot be compared."""
-        available = planners_for(bool(self.simulation.rig_file))
         for name in self.planners:
-            if name not in available:
+            if name not in planner_names():
                 raise ConfigurationError(f'planners: found {name!r}; expected some of '
-                                         f'{sorted(available)}')
+                                         f'{sorted(planner_names())}')
         for setting in ('planners', 'rooms', 'rotations', 'budgets'):
             values = getattr(self, setting)
             if len(set(values)) < len(values):
@@ -170,10 +149,9 @@ class Protocol:
             raise ConfigurationError(
                 f'protocol: found scale={self.scale!r} and up={self.up!r}; expected a number '
                 f'of 0 or more and one of {", ".join(UP_CHOICES)}')
-        if any(not model.omnidirectional for model in self.simulation.rig.models):
-            raise ConfigurationError(
-                f'rig.sensors: found {self.simulation.rig.sensors!r}; expected omnidirectional: '
-                'planners choose where cameras are, not where they look')
+        if not self.simulation.rig_file:
+            raise ConfigurationError('protocol: found no rig file; expected one, such as '
+                                     f'{PLANE_RIG}')
         self.simulation.placed_rig.check_rotations(
             self.rotations, found=f'rotations: found {list(self.rotations)}', expected='0 alone')
         if not self.rooms or not self.budgets or min(self.budgets) < 1 or self.seeds < 1:
@@ -185,14 +163,8 @@ class Protocol:
         """Return budget and seed of each run of a planner or reference in a room."""
         if planner == RANDOM_PLACEMENT:
             return [(1, seed) for seed in range(RANDOM_PLACEMENTS)]
-        if planner == PROVED_OPTIMUM:
-            return [(self.candidates, 0)]
-        if planner == RAY_SEARCH and self.simulation.rig_file:
-            # With a rig file the views of all candidates are slow to compute, so there is one
-            # search with a fifth of the evaluations.
-            return [(max(int(0.2 * self.truth_budget), 1), 0)]
         if planner == RAY_SEARCH:
-            return [(self.truth_budget, seed) for seed in range(self.truths)]
+            return [(self.truth_budget, 0)]
         # Online planners have time steps instead of evaluations.
         budgets = (0,) if planner in planner_names(OBSERVED) else self.budgets
         return list(product(budgets, range(self.seeds)))
@@ -208,15 +180,10 @@ class Protocol:
         return len(self.simulation.placed_rig.cameras)
 
     @property
-    def references(self) -> tuple[str, ...]:
-        """Return the names of the references; ``PROVED_OPTIMUM`` is not for rig files."""
-        return (RANDOM_PLACEMENT, RAY_SEARCH) if self.simulation.rig_file else REFERENCES
-
-    @property
     def tasks(self) -> list['BenchmarkTask']:
         """Return the independent tasks: each a room, a rotation, and a planner or reference."""
         return [BenchmarkTask(room, rotation, planner) for room in self.rooms
-                for rotation in self.rotations for planner in (*self.references, *self.planners)]
+                for rotation in self.rotations for planner in (*REFERENCES, *self.planners)]
 
 
 @dataclass(frozen=True)
@@ -234,8 +201,6 @@ class BenchmarkTask:
     planner: str
 
 
-#: Number of places on the plane whose views together count as everything visible from the plane.
-REFERENCE_PLACES = 400
 #: Protocols by name.
 PRESETS = {'full': Protocol(),
            'smoke': Protocol(rooms=tuple(map(str, TEST[:2])), budgets=(100, 400), seeds=2)}
@@ -246,50 +211,35 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
     Run a planner in a room with every budget and seed.
 
     :returns: one row for each run: task, budget and seed, the judge's figures, evaluations,
-        seconds, the placement, ``promised``, metres, and the trace of the search.
+        seconds, the placement, ``promised``, metres, and further figures of some planners: the
+        optimality ``gap``, or the ``trajectory`` and the seconds of turns.
     """
     room = protocol.room(task.room, task.rotation)
+    if task.planner == RANDOM_PLACEMENT:
+        runs = _draw_placements(room.judge_problem)
+    elif task.planner == RAY_SEARCH:
+        runs = _run_planner(protocol, room.ray_problem, RAY_SEARCH)
+    else:
+        runs = _run_planner(protocol, room.search_problem, task.planner)
     return [{**asdict(task), 'budget': budget, 'seed': seed, **row, **room.judge(row['placement']),
              'promised': room.promised_error(row['placement']),
              'placement': row['placement'].tolist()}
-            for (budget, seed), row in zip(protocol.runs(task.planner),
-                                           _run_all(protocol, room, task.planner))]
-
-
-def _run_all(protocol: Protocol, room: JudgedRoom, planner: str) -> Iterator[Row]:
-    """Return an iterator that runs a planner or reference, and yields the figures of each run."""
-    if planner == RANDOM_PLACEMENT:
-        return _draw_placements(room.judge_problem)
-    if planner == PROVED_OPTIMUM:
-        return _prove_optimum(protocol, room.search_problem)
-    # In a free rig, cameras move on a plane without any constraint.
-    if planner == RAY_SEARCH and room.search_problem.rig.free:
-        return _search_with_rays(protocol, room.ray_simulator())
-    if planner == RAY_SEARCH:
-        engine = with_rays(room.config.engine, room.search_scene)
-        return _run_planner(protocol, make_problem(room.search_scene, replace(
-            room.config, engine=engine)), RAY_SEARCH)
-    return _run_planner(protocol, room.search_problem, planner)
+            for (budget, seed), row in zip(protocol.runs(task.planner), runs)]
 
 
 def _run_planner(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
     """Plan with every budget and seed; for ``RAY_SEARCH``, use the default planner."""
     planner = RIG_SEARCH if name == RAY_SEARCH else name
-    config = problem.simulator.config
-    on_plane = problem.rig.free
-    if on_plane:
-        # Load the compiled kernels from disk before time is measured.
-        problem.judge(problem.look(problem.start(
-            np.random.default_rng(0), config.episode, protocol.cameras)))
     for budget, seed in protocol.runs(name):
         start_time = time.process_time()
         # A time step of an online planner is an evaluation; its budget in the protocol is 0.
-        evaluations = budget or config.episode.turns
+        evaluations = budget or problem.simulator.config.episode.turns
         result = plan(problem, Budget(evaluations=evaluations), planner, seed=seed,
                       model=protocol.model, clock=time.process_time)
         row = {'evaluations': result.evaluations, 'seconds': time.process_time() - start_time,
-               'placement': result.poses[:, :3] if on_plane else result.poses,
-               'trace': [] if result.trace is None else result.trace.tolist()}
+               'placement': result.poses}
+        if result.certificate is not None:
+            row['gap'] = result.certificate.gap
         if result.outcome is not None:
             seconds = result.outcome.seconds
             row |= {'seconds': float(seconds.sum()), 'seconds_per_turn': float(np.median(seconds)),
@@ -298,82 +248,18 @@ def _run_planner(protocol: Protocol, problem: Problem, name: str) -> Iterator[Ro
         yield row
 
 
-def _search_with_rays(protocol: Protocol, simulator: Simulator) -> Iterator[Row]:
-    """Search on the plane with a simulator that casts rays; yield the figures of each run."""
-    space = space_of(simulator)
-    for budget, seed in protocol.runs(RAY_SEARCH):
-        planner = GreedySwap(space, np.random.default_rng([seed, budget]), budget)
-        result = solve(planner, Scorer(simulator), budget, clock=time.process_time)
-        yield {'evaluations': result.evaluations, 'seconds': result.seconds,
-               'placement': result.placement, 'trace': result.trace.tolist()}
-
-
-def _prove_optimum(protocol: Protocol, problem: Problem) -> Iterator[Row]:
-    """Run column generation on a grid of places, then with added places; yield one row."""
-    simulator = problem.simulator
-    start_time = time.process_time()
-    space = space_of(simulator)
-    rng = np.random.default_rng(0)
-    grid = PoseGrid(simulator)
-
-    def should_stop() -> bool:
-        return time.process_time() - start_time >= protocol.proving
-
-    def add_places(positions: np.ndarray) -> None:
-        # Omnidirectional cameras need one heading at each place.
-        headings = [np.zeros((1, 3))] * len(positions)
-        grid.add_poses(space.placement(space.inside(positions)), headings)
-
-    # Find the best choice on the grid.
-    add_places(space.grid(protocol.candidates))
-    # The spacing 0.0 allows any distance between two cameras.
-    relaxation = ColumnGeneration(LossTrees.of(problem.objective), [grid], [space.cameras], 0.0,
-                                  len(simulator.scene))
-    relaxation.raise_bound(should_stop)
-    max_choices = 8
-    # The best choice comes first.
-    best = relaxation.find_choices(max_choices, rng, should_stop)[0]
-    # In each round, places on two rings around each camera of the best choice join the grid.
-    directions = 8
-    angles = np.arange(directions) * (2.0 * np.pi / directions)
-    ring = np.stack([np.cos(angles), np.sin(angles)], axis=1)
-    for radius_m in (0.2, 0.1, 0.05, 0.02):
-        best_positions = grid.places[[column.place for column in best.columns], :2]
-        rings = radius_m * np.concatenate([ring, 0.5 * ring])
-        add_places((best_positions[:, None] + rings).reshape(-1, 2))
-        relaxation.add_columns(best.columns)
-        relaxation.raise_bound(should_stop)
-        # Choices are compared by their loss first.
-        best = min([best, *relaxation.find_choices(max_choices, rng, should_stop)])
-    # A loss of 1 is the error without any visible point.
-    error_per_loss = simulator.depth_error.worst
-    # Rounding must not raise the bound above the loss.
-    bound = min(relaxation.bound, best.loss)
-    # With a gap below 0.1 % the placement counts as proved optimal.
-    yield {'evaluations': 0, 'seconds': time.process_time() - start_time,
-           'placement': grid.places[[column.place for column in best.columns]], 'trace': [],
-           'found': error_per_loss * best.loss, 'bound': error_per_loss * bound,
-           'proved': bool(bound >= best.loss * (1.0 - 1e-3))}
-
-
 def _draw_placements(problem: Problem) -> Iterator[Row]:
     """Yield random feasible placements without end, with the error of all candidates together."""
     rng = np.random.default_rng(0)
-    rig = problem.rig
-    if rig.free:
-        space = space_of(problem.simulator)
-        views = problem.simulator.look_many(space.placement(space.grid(REFERENCE_PLACES)))
-    else:
-        pool = CandidatePool(problem, REFERENCE_PLACES)
-        # If not all cameras fit, every draw would be empty.
-        pool.check_fit(problem.objective)
-        views = pool.union_views(rig)
+    candidates = 400
+    pool = CandidatePool(problem, candidates)
+    # If not all cameras fit, every draw would be empty.
+    pool.check_fit(problem.objective)
     # No placement of these poses has a smaller error than cameras at all of them.
-    lower_bound = problem.error(problem.judge(views))
+    lower_bound = problem.error(problem.judge(pool.union_views(problem.rig)))
     while True:
-        placement = space.placement(space.random(rng)) if rig.free else np.array(
-            [site.pose for site in pool.random_sites(rig, rng)])
+        placement = np.array([site.pose for site in pool.random_sites(problem.rig, rng)])
         # An empty placement, for which the spacing left too few candidates, is drawn again.
         if len(placement):
-            yield {'lower_bound': lower_bound, 'evaluations': 1, 'seconds': 0.0, 'trace': [],
+            yield {'lower_bound': lower_bound, 'evaluations': 1, 'seconds': 0.0,
                    'placement': placement}

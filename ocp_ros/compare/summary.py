@@ -17,7 +17,7 @@ Summary of a comparison: sums, intervals and tests over its rows.
 
 The *delivered* error of a placement is computed by the judge, the *promised* error by the engine
 of the search. The *regret* is the delivered error divided by the best delivered error of the
-searches with ray casting.
+search with ray casting.
 
 Errors are averaged over seeds, then over the rotations of a room, and summed over rooms, as in
 Table I of arXiv 2110.11106. Intervals are percentile bootstraps over rooms, because rooms differ
@@ -34,7 +34,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from ocp_ros.compare.protocol import PROVED_OPTIMUM, RANDOM_PLACEMENT, RAY_SEARCH
+from ocp_ros.compare.protocol import RANDOM_PLACEMENT, RAY_SEARCH
 from ocp_ros.search.registry import REFERENCES
 from scipy import stats
 
@@ -46,7 +46,7 @@ LOG_OFFSET_M = 0.01
 
 def best_known(rows: Rows) -> dict[str, float]:
     """
-    Return the smallest delivered depth error of the searches with ray casting, by room.
+    Return the smallest delivered depth error of the search with ray casting, by room.
 
     It is the mean over the rotations of a room, metres.
     """
@@ -103,11 +103,9 @@ def summarise(rows: Rows) -> dict[str, Any]:
         that by the best known placement), ``seconds`` and ``evaluations`` (means), ``seeds``, and
         for online planners, whose budget is 0, ``seconds_per_turn`` (median) and
         ``seconds_at_most``. A ratio is None if its denominator is 0. Most of these are also in
-        ``truth``, for the searches with ray casting, and, if there are proofs, in ``exact``, for
-        the placements of column generation, with ``bounds`` by room; then ``exact`` and the
-        planners have ``promised_over_bound`` (of sums). Further: ``rank_tests`` by budget,
-        ``rooms`` with their reference errors, and ``notes`` on rooms whose errors are too small to
-        compare planners.
+        ``truth``, for the search with ray casting. Planners with a proof have ``gap``, the mean
+        optimality gap. Further: ``rank_tests`` by budget, ``rooms`` with their reference errors,
+        and ``notes`` on rooms whose errors are too small to compare planners.
     """
     best_errors = best_known(rows)
     rooms = list(dict.fromkeys(row['room'] for row in rows))
@@ -142,14 +140,6 @@ def summarise(rows: Rows) -> dict[str, Any]:
             'interval': interval(values), 'rooms': errors[planner, budget],
             'wins': int(np.sum(values <= least_errors)),
             'gap_closed': _ratio(random_sum - values.sum(), random_sum - best_sum)}
-    if proofs := [row for row in rows if row['planner'] == PROVED_OPTIMUM]:
-        summary['exact'] = _proof_figures(rows, proofs, best_errors)
-        bound = sum(summary['exact']['bounds'].values())
-        # The figures of each planner with each budget, and of the proofs.
-        for figures in (*(run_figures for budgets in summary['planners'].values()
-                          for run_figures in budgets.values()), summary['exact']):
-            figures['promised_over_bound'] = _ratio(figures['promised'], bound)
-    # All searches with ray casting have the same budget.
     ray_budget, = {row['budget'] for row in rows if row['planner'] == RAY_SEARCH}
     summary['truth'] = _planner_figures(rows, RAY_SEARCH, ray_budget, best_errors)
     for budget in dict.fromkeys(budget for _, budget in runs):
@@ -157,17 +147,6 @@ def summarise(rows: Rows) -> dict[str, Any]:
         summary['rank_tests'][str(budget)] = ranks(
             {name: np.array([errors[name, budget][room] for room in rooms]) for name in names})
     return summary
-
-
-def _proof_figures(rows: Rows, proofs: Rows, best_errors: dict[str, float]) -> dict[str, Any]:
-    """Return the figures of the placements of column generation, and their optimality gaps."""
-    # A placement without any error has no gap.
-    gaps = [_ratio(row['found'] - row['bound'], row['found']) or 0.0 for row in proofs]
-    # The budget of a proof is the number of candidates, the same in all rooms.
-    candidates = proofs[0]['budget']
-    return {**_planner_figures(rows, PROVED_OPTIMUM, candidates, best_errors),
-            'candidates': candidates, 'proved': sum(row['proved'] for row in proofs),
-            'worst_gap': max(gaps), 'bounds': per_room(rows, PROVED_OPTIMUM, candidates, 'bound')}
 
 
 def _planner_figures(rows: Rows, planner: str, budget: int, best_errors: dict[str, float]
@@ -188,6 +167,8 @@ def _planner_figures(rows: Rows, planner: str, budget: int, best_errors: dict[st
         'seeds': len({row['seed'] for row in planner_rows})}
     for name in ('seconds', 'evaluations'):
         figures[name] = float(np.mean(list(per_room(rows, planner, budget, name).values())))
+    if gaps := [row['gap'] for row in planner_rows if 'gap' in row]:
+        figures['gap'] = float(np.mean(gaps))
     if 'seconds_per_turn' in planner_rows[0]:
         for name, reduce in (('seconds_per_turn', np.median), ('seconds_at_most', np.max)):
             figures[name] = float(reduce([row[name] for row in planner_rows]))

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from ocp_ros.geometry.clouds import cells_numbered
-from ocp_ros.geometry.packed_bits import count_bits, unpack
+from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.online.partial_map import KeptModel, LookHistory, NO_CELL, PartialMap
 from ocp_ros.online.rig_state import (
@@ -69,15 +69,6 @@ class ObservedTurn:
         """Return the views of all cameras except one, fixed cameras included."""
         return self._views[:camera] + self._views[camera + 1:] + self._fixed_views
 
-    def merge_other_views(self, camera: int) -> View:
-        """Return the merged view of all cameras except one, fixed cameras included."""
-        return self.model.together(self.other_views(camera))
-
-    @property
-    def error(self) -> float:
-        """Return the depth error of all cameras together, metres."""
-        return self.model.error(self._views + self._fixed_views)
-
     @cached_property
     def air(self) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -89,11 +80,6 @@ class ObservedTurn:
         is_air = self.model.cells != NO_CELL
         centres = (cells_numbered(self.model.cells[is_air])[:, :2] + 0.5) * self.model.edge
         return centres, unpack(self.unseen, len(is_air))[is_air]
-
-    @property
-    def unseen_count(self) -> int:
-        """Return the number of cells that no camera has covered, at least 1."""
-        return max(int(count_bits(self.unseen)), 1)
 
     def seen_now(self, camera: int) -> tuple[np.ndarray, np.ndarray]:
         """

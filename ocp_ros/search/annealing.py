@@ -37,10 +37,11 @@ from ocp_ros.search.planner import Planner, Scores, Search
 from ocp_ros.util.annealing import between
 
 
-class FixedAnnealing(Planner):
-    """Simulated annealing of K cameras, without births and deaths."""
+class TransDimensionalAnnealing(Planner):
+    """TDSA: births, deaths and moves."""
 
-    birth_probability = 0.0
+    #: p_b and p_d for 1 to K - 1 cameras; the other proposals are moves.
+    birth_probability = 0.1
 
     def search(self) -> Search:
         """Anneal once, until the budget is used up."""
@@ -123,10 +124,3 @@ class FixedAnnealing(Planner):
         if count >= self.space.cameras:
             return 0.0, birth_or_death
         return self.birth_probability, self.birth_probability
-
-
-class TransDimensionalAnnealing(FixedAnnealing):
-    """TDSA: births, deaths and moves."""
-
-    #: p_b and p_d for 1 to K - 1 cameras; the other proposals are moves.
-    birth_probability = 0.1

@@ -237,6 +237,8 @@ class CandidatePool:
             rows = rows[are_spaced(candidates.poses[rows], sites, rig.spacing)]
         if len(rows) == 0:
             return None
+        if len(rows) == 1:
+            return self.mounted_candidate(model, rows[0])
         promises = [objective.promise([*views, candidates.views[row]]) for row in rows]
         return self.mounted_candidate(model, rows[int(np.argmin(promises))])
 

@@ -37,8 +37,6 @@ PlacementSteps = Generator[Sequence[np.ndarray], Scores, tuple[np.ndarray, float
 class Random(Planner):
     """The best of uniformly drawn placements."""
 
-    descends = False
-
     def search(self) -> Search:
         """Draw placements until the budget is used up."""
         while True:
@@ -47,8 +45,6 @@ class Random(Planner):
 
 class RegularGrid(Planner):
     """The best of the regular arrangements in rows and columns; some cells may stay empty."""
-
-    descends = False
 
     def search(self) -> Search:
         """Try every number of columns once."""
@@ -78,8 +74,6 @@ class GreedyError(Planner):
 
 class GreedyCoverage(GreedyError):
     """Greedy by space coverage: add the candidate that increases it most, K times."""
-
-    descends = False
 
     def energy(self, scores: Scores) -> np.ndarray:
         """Return the negative space coverage: (B,) cubic metres."""

@@ -31,16 +31,13 @@ import numpy as np
 from ocp_ros.online.rollout import play
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import CandidatePool, check_regions, MountedCamera, pool_of
-from ocp_ros.search.finishing import search_and_finish
 from ocp_ros.search.pose_annealing import result_of_placement, SearchResult
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
-from ocp_ros.search.scorer import Scorer
-from ocp_ros.search.solve import solve
+from ocp_ros.search.solve import Scorer, solve
 from ocp_ros.simulation.episode import Episode
-from ocp_ros.simulation.problem import Problem, space_of
+from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.resources import DEFAULT_MODEL
-from ocp_ros.util.settings import ConfigurationError
 
 
 def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,
@@ -51,30 +48,21 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,
     Find the best placement of the cameras of a problem.
 
     :param problem: the rig in the room.
-    :param budget: of the search; on a plane it must have evaluations. Without evaluations, a
-        planner with input ``SCORES`` estimates their number from the time. For an online planner
-        an evaluation is a time step: the planner takes as many as the budget and the episode
-        allow, or fewer if the budget is stopped.
+    :param budget: of the search. Without evaluations, a planner with input ``SCORES`` estimates
+        their number from the time. For an online planner an evaluation is a time step: the planner
+        takes as many as the budget and the episode allow, or fewer if the budget is stopped.
     :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
-    :param pool: candidates of all models of a rig; None to create them, and to check that they
-        see the required shares of the regions.
+    :param pool: candidates of all models; None to create them, and to check that they see the
+        required shares of the regions.
     :param seed: random seed.
-    :param start: a placement of a rig; the result is not worse. Empty for none.
+    :param start: a placement; the result is not worse. Empty for none.
     :param progress: called several times a second with input ``SCAN``, otherwise after each
-        placement or time step; on a plane, only with input ``OBSERVED``.
+        placement or time step.
     :param model: weights of trained online planners: path or name.
-    :param clock: returns the current time, seconds, for traces and time steps.
-    :raises ConfigurationError: if there is no placement, or the planner cannot plan on a plane.
+    :param clock: returns the current time, seconds, for the time steps of an online planner.
+    :raises ConfigurationError: if there is no placement.
     """
     input_kind, make = PLANNERS[planner]
-    if problem.rig.free:
-        if input_kind == SCAN or budget.evaluations is None or start:
-            raise ConfigurationError(
-                f'--planner {planner}: found it for cameras on a plane; expected a planner that '
-                'is not for rigs, evaluations and no placement to begin with; use a rig file')
-        if input_kind == OBSERVED:
-            return _place_by_episode(make, problem, None, budget, seed, progress, model, clock)
-        return _place_on_plane(make, problem, budget, seed, clock)
     if pool is None:
         pool = pool_of(problem, budget)
         check_regions(problem.objective, pool)
@@ -91,58 +79,24 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,
     return start_result if start_result.loss < result.loss else result
 
 
-class RigScorer(Scorer):
-    """
-    Score positions by the rig's objective, with the cameras mounted at feasible poses near them.
-
-    The ``error`` of the scores is the rig's objective value: depth error / depth error without any
-    visible point, plus the costs of regions. ``space_coverage`` is in cubic metres. The heights of
-    positions are not used.
-
-    :param decoder: mounts the cameras.
-    :param budget: of the search; see :class:`~ocp_ros.search.scorer.Scorer`.
-    :param progress: called after each placement.
-    """
-
-    def __init__(self, decoder: Decoder, budget: Budget, progress: Progress | None = None) -> None:
-        super().__init__(decoder.objective.simulator, budget, progress)
-        self.decoder = decoder
-
-    def judge(self, placement: np.ndarray) -> tuple[float, float]:
-        """Return the objective value and the space coverage, cubic metres, of positions (n, 3)."""
-        sites = self.decoder(placement[:, :2])
-        evaluation = self.decoder.objective.judge([site.view for site in sites])
-        return evaluation.loss, evaluation.space_coverage
-
-
 def _place_by_scores(make: Callable, problem: Problem, pool: CandidatePool, budget: Budget,
                      seed: int, progress: Progress | None) -> SearchResult:
     """Find a placement of a rig by a planner with input ``SCORES``; see :func:`plan`."""
     decoder = Decoder(problem, pool)
     expected = budget.evaluations or _estimate_evaluations(decoder, budget, seed)
-    scorer = RigScorer(decoder, budget, progress)
+    scorer = Scorer(decoder.judge, budget, progress)
     planner = make(problem.region.space, np.random.default_rng([seed, 0]), expected)
     # Without evaluations, the scorer ends the search when the time is used up.
-    result = solve(planner, scorer, budget.evaluations or sys.maxsize)
+    solution = solve(planner, scorer, budget.evaluations or sys.maxsize)
     # The planner may have placed fewer cameras than the rig has.
-    sites = decoder.completed_sites(decoder(result.placement[:, :2]))
+    sites = decoder.completed_sites(decoder(solution.positions))
     return result_of_placement(problem.objective, sites, scorer.evaluations)
-
-
-def _place_on_plane(make: Callable, problem: Problem, budget: Budget, seed: int,
-                    clock: Callable[[], float]) -> SearchResult:
-    """Find a placement on a plane by a planner with input ``SCORES``; see :func:`plan`."""
-    planner = make(space_of(problem.simulator), np.random.default_rng([seed, budget.evaluations]),
-                   budget.evaluations)
-    result = search_and_finish(planner, Scorer(problem.simulator), budget.evaluations, clock)
-    return replace(_plane_result(problem, result.placement, result.evaluations),
-                   trace=result.trace)
 
 
 def _estimate_evaluations(decoder: Decoder, budget: Budget, seed: int) -> int:
     """Estimate how many placements can be scored in the remaining time, by scoring one to four."""
     rng = np.random.default_rng([seed, 1])
-    scorer = RigScorer(decoder, budget)
+    scorer = Scorer(decoder.judge, budget)
     start_time = time.monotonic()
     scorer([decoder.region.space.random(rng) for _ in range(4)])
     # The scorer scores the first placement even if no time is left.
@@ -151,15 +105,15 @@ def _estimate_evaluations(decoder: Decoder, budget: Budget, seed: int) -> int:
     return int(np.clip((budget.seconds - budget.elapsed) / seconds_each, 1, 100_000))
 
 
-def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool | None,
-                      budget: Budget, seed: int, progress: Progress | None, model: str,
+def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool, budget: Budget,
+                      seed: int, progress: Progress | None, model: str,
                       clock: Callable[[], float]) -> SearchResult:
     """
     Find a placement by an online planner; see :func:`plan`.
 
     The episode is simulated: each time step adds the visible points to the observed cloud, and
     constraints and headings are applied as in ``policy_node``. The cameras are then mounted at
-    their last poses, or near them if these are infeasible. ``pool`` is None on a plane.
+    their last poses, or near them if these are infeasible.
     """
     online = make(problem.simulator.config.episode, problem.rig,
                   np.random.default_rng([seed, 1]), model)
@@ -177,18 +131,6 @@ def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool | No
 
     outcome = play(online, episode, should_stop, clock)
     last_turn = episode.turn
-    if pool is None:
-        space = space_of(problem.simulator)
-        placement = space.placement(space.inside(last_turn.positions[:, :2]))
-        result = _plane_result(problem, placement, last_turn.step)
-    else:
-        sites = Decoder(problem, pool)(last_turn.positions, last_turn.headings)
-        result = result_of_placement(problem.objective, sites, last_turn.step)
+    sites = Decoder(problem, pool)(last_turn.positions, last_turn.headings)
+    result = result_of_placement(problem.objective, sites, last_turn.step)
     return replace(result, outcome=outcome)
-
-
-def _plane_result(problem: Problem, placement: np.ndarray, evaluations: int) -> SearchResult:
-    """Return a placement on a plane (K, 3), metres, as a search result."""
-    poses = np.hstack([placement, np.zeros_like(placement)])
-    sites = [MountedCamera(pose, view) for pose, view in zip(poses, problem.look(poses))]
-    return result_of_placement(problem.objective, sites, evaluations)

@@ -16,7 +16,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Generator, Sequence
-from typing import ClassVar, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.rig.free_plane import FreePlane
@@ -26,7 +26,7 @@ class Scores(NamedTuple):
     """
     Scores of B placements.
 
-    :ivar error: (B,) value to minimise: the depth error in metres, or a rig's objective value.
+    :ivar error: (B,) value to minimise: the rig's objective value.
     :ivar space_coverage: (B,) cubic metres.
     """
 
@@ -44,13 +44,10 @@ class Planner(ABC):
 
     A method is a generator: it yields placements and receives their scores.
 
-    :cvar descends: whether a local search may improve the result at the end; False for baselines.
     :param space: feasible region of the cameras.
     :param rng: the only source of random numbers.
     :param budget: expected number of evaluations.
     """
-
-    descends: ClassVar[bool] = True
 
     def __init__(self, space: FreePlane, rng: np.random.Generator, budget: int) -> None:
         self.space = space

@@ -33,8 +33,8 @@ from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import are_spaced, CandidatePool, MountedCamera, Sites, views_of
+from ocp_ros.search.pose_decoder import coarse_objective
 from ocp_ros.search.proof.certificate import Certificate
-from ocp_ros.search.scorer import coarse_objective
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.annealing import annealed, between
@@ -94,7 +94,6 @@ class SearchResult:
     :ivar evaluations: number of proposed placements, infeasible ones included.
     :ivar certificate: lower bound and optimality gap, if the search proved them; otherwise None.
     :ivar uncertain: reason why a tried proof gave no certificate; otherwise empty.
-    :ivar trace: of a search on a plane, see :class:`~ocp_ros.search.solve.Result`.
     :ivar outcome: of an online planner's episode.
     """
 
@@ -104,7 +103,6 @@ class SearchResult:
     evaluations: int
     certificate: Certificate | None = None
     uncertain: str = ''
-    trace: np.ndarray | None = None
     outcome: Outcome | None = None
 
     @property

@@ -19,14 +19,49 @@ Most planners choose only the horizontal position of a camera. The decoder choos
 at this position, or near it, with the height and the heading of the best score.
 """
 
-from collections.abc import Sequence
-from functools import cached_property
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cached_property, lru_cache
 
 import numpy as np
 from ocp_ros.rig.placement_file import as_written
-from ocp_ros.search.candidate_pool import are_spaced, CandidatePool, MountedCamera, Sites
-from ocp_ros.search.scorer import cached_look, coarse_objective
+from ocp_ros.search.candidate_pool import (
+    are_spaced,
+    CandidatePool,
+    MountedCamera,
+    Sites,
+    views_of,
+)
+from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulator import Simulator, View
+
+
+def coarse_objective(objective: Objective) -> Objective:
+    """Return the same objective with smaller depth maps; it accepts the same views."""
+    simulator = objective.simulator
+    # Depth maps of 32 rows rank placements nearly the same in less time.
+    engine = replace(simulator.config.engine, error_rows=32)
+    config = replace(simulator.config, engine=engine)
+    return Objective(Simulator(simulator.scene, config, simulator.models), objective.rig)
+
+
+def _cached_look(simulator: Simulator) -> Callable[[np.ndarray, int], View]:
+    """Return the engine's ``look`` with a cache of views, as a function of pose and camera."""
+    # About 16,000 views in a room of 25,000 points; in any room, at least 64 views are cached.
+    cache_bytes = 64_000_000
+    # A view has a bit for each point and for each cell of the coverage grid.
+    bytes_per_view = simulator.nothing().bits.nbytes + len(simulator.grid) // 8
+
+    # The pose is given as bytes, because a cache needs hashable arguments. A kind of camera is the
+    # number of its first camera, so the engine accepts it as a camera.
+    @lru_cache(max(cache_bytes // bytes_per_view, 64))
+    def look(kind: int, pose: bytes) -> View:
+        return simulator.look(np.frombuffer(pose), kind)
+
+    # Cameras of the same kind share the cached views.
+    return lambda pose, camera: look(
+        simulator.kind(camera), np.asarray(pose, dtype=np.float64).tobytes())
 
 
 class Decoder:
@@ -49,7 +84,7 @@ class Decoder:
         self.region = problem.region
         self.rig = problem.rig
         self._coarse_objective = coarse_objective(problem.objective)
-        self._look = cached_look(problem.simulator)
+        self._look = _cached_look(problem.simulator)
 
     def __call__(self, positions: np.ndarray, headings: np.ndarray | None = None) -> Sites:
         """
@@ -67,6 +102,16 @@ class Decoder:
                 return self._packed_sites[:len(positions)]
             sites.append(site)
         return tuple(sites)
+
+    def judge(self, positions: np.ndarray) -> tuple[float, float]:
+        """
+        Return the objective value and the space coverage, cubic metres, of positions (n, 2).
+
+        The objective value is depth error / depth error without any visible point, plus the costs
+        of regions; the cameras are mounted at feasible poses near the positions.
+        """
+        evaluation = self.objective.judge(views_of(self(positions)))
+        return evaluation.loss, evaluation.space_coverage
 
     def completed_sites(self, sites: Sequence[MountedCamera]) -> Sites:
         """Return the given cameras and the missing ones of the rig, added greedily."""

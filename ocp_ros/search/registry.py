@@ -28,11 +28,10 @@ import re
 from typing import Any, NamedTuple
 
 import numpy as np
-from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online, settings_of
 from ocp_ros.rig.rig_file import Rig
-from ocp_ros.search.annealing import FixedAnnealing, TransDimensionalAnnealing
+from ocp_ros.search.annealing import TransDimensionalAnnealing
 from ocp_ros.search.greedy import GreedyCoverage, GreedyError, GreedySwap, Random, RegularGrid
 from ocp_ros.search.planner import Planner
 from ocp_ros.search.population import (
@@ -53,7 +52,7 @@ RIG_SEARCH = 'rig_search'
 #: Input of a planner: the scan itself, the scores of its proposals, or the observed cloud.
 SCAN, SCORES, OBSERVED = 'the scan', 'scores', 'observed points'
 #: Names of the references of a comparison, which are not planners.
-REFERENCES = ('random_placement', 'truth_search', 'priced_plane')
+REFERENCES = ('random_placement', 'truth_search')
 
 _log = logging.getLogger(__name__)
 
@@ -102,12 +101,10 @@ PLANNERS = {name: RegisteredPlanner(*planner) for name, planner in {
     'greedy_error': (SCORES, GreedyError),
     'greedy_swap': (SCORES, GreedySwap),
     'tdsa': (SCORES, TransDimensionalAnnealing),
-    'annealing': (SCORES, FixedAnnealing),
     'bpso': (SCORES, BinaryParticleSwarm),
     'bee_colony': (SCORES, BeeColony),
     'differential_evolution': (SCORES, DifferentialEvolution),
     'cma_es': (SCORES, CmaEs),
-    'greedy_step': (OBSERVED, _maker_without_weights(GreedyStep)),
     'learned': (OBSERVED, _make_learned),
     'lookahead': (OBSERVED, _maker_without_weights(Lookahead))}.items()}
 
@@ -120,11 +117,6 @@ def planner_names(*input_kinds: str) -> tuple[str, ...]:
     """
     return tuple(name for name, planner in PLANNERS.items()
                  if not input_kinds or planner.input_kind in input_kinds)
-
-
-def planners_for(rig: bool = False) -> tuple[str, ...]:
-    """Return the names of the planners for rigs if ``rig``, otherwise for cameras on a plane."""
-    return planner_names() if rig else planner_names(SCORES, OBSERVED)
 
 
 def check_planner(name: str, counting: bool = False) -> None:

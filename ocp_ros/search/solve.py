@@ -12,100 +12,103 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Run a planner: measure the time, count evaluations, and store the best placements."""
+"""Run a planner that proposes positions: score them, count evaluations, and keep the best."""
 
-from bisect import insort
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-import itertools
-import time
+from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.planner import Planner, Scores
 
-#: Number of best placements to store for a second evaluation.
-ARCHIVE_SIZE = 500
 
-
-@dataclass(frozen=True)
-class Result:
+class Solution(NamedTuple):
     """
-    The best placement that a planner found.
+    The best positions that a planner found.
 
-    :ivar placement: (K, 3) metres, map frame.
-    :ivar depth_error: metres, as scored during the search.
+    :ivar positions: (n, 2) metres, map frame; n may be less than the number of cameras.
+    :ivar error: value that was minimised, see :class:`~ocp_ros.search.planner.Scores`.
     :ivar space_coverage: cubic metres.
     :ivar evaluations: number of scored placements.
-    :ivar seconds: duration of the search.
-    :ivar trace: (T, 3) evaluations, seconds (at the end of the batch) and depth error at each
-        improvement.
-    :ivar best: positions (n, 2) of each of the best placements, the best first, metres.
     """
 
-    placement: np.ndarray
-    depth_error: float
+    positions: np.ndarray
+    error: float
     space_coverage: float
     evaluations: int
-    seconds: float
-    trace: np.ndarray
-    best: tuple[np.ndarray, ...]
 
 
-class Archive:
-    """The best placements so far, at most ``ARCHIVE_SIZE``."""
+class Scorer:
+    """
+    Score placements until the budget is used up.
 
-    def __init__(self) -> None:
-        #: Each: the values of the rank, a unique number, and the positions.
-        self._entries: list[tuple] = []
-        self._numbers = itertools.count()
+    :param judge: returns the error and the space coverage, cubic metres, of positions (n, 2).
+    :param budget: limit of the search. Once it is used up, no more placements are scored. The
+        very first placement is always scored.
+    :param progress: called after each placement.
+    :ivar evaluations: number of scored placements.
+    """
 
-    def add(self, rank: tuple[float, ...], positions: np.ndarray) -> None:
-        """Store a placement (n, 2) if it is among the best; the smallest rank is best."""
-        # Because of the number, the first of equal ranks wins, and positions are never compared.
-        insort(self._entries, (*rank, next(self._numbers), positions))
-        del self._entries[ARCHIVE_SIZE:]
+    def __init__(self, judge: Callable[[np.ndarray], tuple[float, float]], budget: Budget,
+                 progress: Progress | None = None) -> None:
+        self._judge = judge
+        self._budget = budget
+        self._progress = progress
+        self._least_error = np.inf
+        self.evaluations = 0
 
     @property
-    def best(self) -> tuple[np.ndarray, ...]:
-        """Return the stored placements, the best first."""
-        return tuple(entry[-1] for entry in self._entries)
+    def used_share(self) -> float:
+        """Return the used share of the budget."""
+        return self._budget.used_share(self.evaluations, self._budget.evaluations)
+
+    def __call__(self, placements: Sequence[np.ndarray]) -> Scores:
+        """
+        Return the scores of placements.
+
+        :param placements: B placements, positions (n, 2) each, metres, n >= 0.
+        :returns: scores of all placements, or of the first ones if the budget is used up.
+        """
+        scores: list[tuple[float, float]] = []
+        for positions in placements:
+            if self.evaluations and self.used_share >= 1.0:
+                break
+            scores.append(self._judge(positions))
+            self.evaluations += 1
+            self._least_error = min(self._least_error, scores[-1][0])
+            if self._progress is not None:
+                self._progress(self.used_share, self._least_error)
+        # Without scores, both arrays are empty.
+        return Scores(*np.array(scores).reshape(-1, 2).T)
 
 
-def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], evaluations: int,
-          clock: Callable[[], float] = time.perf_counter) -> Result:
+def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], evaluations: int
+          ) -> Solution:
     """
     Run a planner until its budget is used up or its search ends.
 
     :param planner: the method.
-    :param score: returns the scores of placements, each (n, 3) positions of n cameras; if it
+    :param score: returns the scores of placements, positions (n, 2) of n cameras each; if it
         returns fewer scores than placements, the search ends with these.
     :param evaluations: largest number of placements to score.
-    :param clock: returns the current time, seconds.
     :raises ValueError: if a planner places cameras outside its space or too many cameras, or no
         placement was scored.
     """
-    start_time = clock()
     count = 0
-    # The best placement: its rank, then its positions, depth error and space coverage.
     best_rank: tuple[float, ...] = (np.inf, 0, 0.0)
     best: tuple[np.ndarray, float, float] | None = None
-    trace = []
-    archive = Archive()
     while (batch := planner.ask()) is not None and count < evaluations:
         batch = batch[:evaluations - count]
         for positions in batch:
             _check_positions(planner, positions)
-        scores = score([planner.space.placement(positions) for positions in batch])
-        seconds = clock() - start_time
+        scores = score(batch)
         for k, energy in enumerate(planner.energy(scores)):
             # The energy is the value that the planner minimises. Among equal energies, prefer more
             # cameras, then more space coverage.
             rank = float(energy), -len(batch[k]), -float(scores.space_coverage[k])
-            archive.add(rank, batch[k])
             if rank < best_rank:
                 best_rank = rank
                 best = batch[k].copy(), float(scores.error[k]), float(scores.space_coverage[k])
-                trace.append((count + k + 1, seconds, best[1]))
         count += len(scores.error)
         # The evaluations or the scorer's budget ended within this batch. ``ask`` still returns the
         # whole batch, since ``tell`` was not called.
@@ -115,8 +118,7 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     if best is None:
         raise ValueError(f'{type(planner).__name__}: found no placement in {count} evaluations; '
                          'expected at least one; give it a budget of 1 or more')
-    return Result(planner.space.placement(best[0]), *best[1:], count,
-                  clock() - start_time, np.array(trace), archive.best)
+    return Solution(*best, count)
 
 
 def _check_positions(planner: Planner, positions: np.ndarray) -> None:

@@ -30,7 +30,6 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.visibility import FINE
 from ocp_ros.online import lookahead
 from ocp_ros.online.candidate_sites import Candidates
-from ocp_ros.online.greedy_step import GreedyStep
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import (
     MIN_PIPELINED_TURNS,
@@ -81,7 +80,7 @@ MADE = {
     'wanderer': Wanderer,
     'learned': lambda *given, **known: Learned(
         Policy(random_checkpoint(AgentConfig(CLOUD), seed=1, **known)), *given),
-    'greedy step': GreedyStep, 'lookahead': Lookahead}
+    'lookahead': Lookahead}
 
 
 @pytest.fixture(scope='module')
@@ -232,8 +231,6 @@ def test_lookahead_sends_nobody_where_it_cannot_be_in_time(furnished, turn):
 
 
 def test_planners_end_far_better_than_they_began_and_than_random_moves(outcome_of, engine):
-    greedy = outcome_of('greedy step')[0].depth_error
-    assert greedy[-1] < 0.7 * greedy[0]
     final = {name: outcome_of(name)[0].depth_error[-1] for name in ('wanderer', 'lookahead')}
     assert final['lookahead'] < 0.5 * final['wanderer']
     low, high = engine.scene.bounds
@@ -252,7 +249,7 @@ class Staying(Online):
         return np.zeros((len(positions), 2))
 
 
-@pytest.mark.parametrize('name', ['greedy step', 'learned', 'lookahead'])
+@pytest.mark.parametrize('name', ['learned', 'lookahead'])
 def test_what_nobody_has_seen_changes_no_move(name, room):
     # Starts keep a clearance from all of the room, seen or not.
     config = replace(CONFIG, episode=replace(CONFIG.episode, clearance=0.0))

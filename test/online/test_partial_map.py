@@ -21,7 +21,6 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.geometry.packed_bits import unpack
 from ocp_ros.geometry.visibility import FAST, FINE
 from ocp_ros.online import partial_map
-from ocp_ros.online.greedy_step import GreedyStep, MOVES, POINTS, ROWS
 from ocp_ros.online.observed_turn import ObservedTurns
 from ocp_ros.online.partial_map import KeptModel, LookHistory, PartialMap, smallest_rectangle
 from ocp_ros.rig.free_plane import FreePlane
@@ -29,6 +28,8 @@ from ocp_ros.scenes.scene import SceneError, turned
 import pytest
 
 MAX_RANGE, MARGIN = 4.0, 0.1
+#: Points and depth-map rows of the models of these tests.
+POINTS, ROWS = 12000, 64
 
 
 @pytest.fixture(scope='module')
@@ -103,14 +104,10 @@ def unseen_share(known):
 def test_a_camera_that_has_chosen_is_where_it_will_be_for_the_others(room):
     positions = placed(room)
     known, place = observed(room.points, positions), positions[1] + [0.6, 0.9, 0.0]
-    before, count = known.error, len(known.model.points)
+    count = len(known.model.points)
     known.place(1, place)
     np.testing.assert_array_equal(known.positions, [positions[0], place, positions[2]])
     looks = [known.model.look(at) for at in (positions[0], place, positions[2])]
-    assert known.error == known.model.error(looks) != before
-    others = known.merge_other_views(0)
-    np.testing.assert_array_equal(others.seen, looks[1].seen | looks[2].seen)
-    np.testing.assert_array_equal(others.covered, looks[1].covered | looks[2].covered)
     own, others = known.seen_now(0)
     np.testing.assert_array_equal(own, unpack(looks[0].seen, count))
     np.testing.assert_array_equal(others, sum(
@@ -136,18 +133,6 @@ def test_what_is_no_room_is_refused_and_where_cameras_were_counts(kind, room):
         turns(flat_clouds()[kind].astype(np.float32), positions, 0, 30)
     assert unseen_share(turns(room.points, away, 1, 30)) < unseen_share(
         observed(room.points, away, 1))
-
-
-def test_the_greedy_step_takes_the_best_move_by_the_engine(room):
-    """Late in an episode unseen air is worth nothing, and the error alone decides."""
-    positions = placed(room, 1)
-    planner = GreedyStep(np.random.default_rng(0), 0.5, MAX_RANGE, MARGIN)
-    move, = planner.move(room.points, positions, 29, 30)
-    known = observed(room.points, positions, 29)
-    places = [known.space.inside((positions[0, :2] + step)[None])[0] for step in MOVES]
-    *errors, found = [known.model.error([known.model.look(np.append(place, 1.9))])
-                      for place in (*places, positions[0, :2] + move)]
-    assert found == pytest.approx(min(errors)) and found < known.error
 
 
 @for_any(20, width=st.floats(0.5, 20.0), share=st.floats(0.1, 1.0),

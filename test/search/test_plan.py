@@ -27,10 +27,10 @@ from ocp_ros.rig.placement_file import load_placement, placement_of, save_placem
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
-from ocp_ros.search.plan import RigScorer
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, SCORES
 from ocp_ros.search.rig_plan import RigPlanner
+from ocp_ros.search.solve import Scorer
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 import pytest
@@ -202,14 +202,25 @@ def test_cameras_that_hardly_find_room_hang_packed(furnished, name):
     assert len(poses) == 4 and FeasibleRegion(furnished, rig).broken(poses) == []
 
 
+def test_cameras_that_see_alike_share_what_was_seen_from_a_place(furnished, monkeypatch):
+    rig = rig_of(2, 'omnidirectional', spacing=0.0)
+    rig = replace(rig, cameras=(*rig.cameras, *rig_of(1, 'vlp16').cameras))
+    decode, looks = decoder_of(furnished, rig), []
+    simulator = decode.objective.simulator
+    look = simulator.look
+    monkeypatch.setattr(simulator, 'look', lambda pose, camera: looks.append(camera) or look(
+        pose, camera))
+    places = np.array([[1.0, 1.5], [2.7, 3.1], [5.0, 2.0]])
+    losses = [decode.judge(places[order])[0] for order in ([0, 1, 2], [1, 0, 2])]
+    assert losses[0] == losses[1] and looks == [0, 0, 2]
+
+
 def test_planners_are_told_the_loss_and_the_coverage(furnished):
     rig = rig_of(2, 'd455', regions=[{'name': 'corner', 'box': [[0, 0, -0.1], [2, 2, 1]]}])
     decode = decoder_of(furnished, rig)
-    placements = [np.array([[1.0, 1.0, 0.0], [5.0, 3.0, 0.0]]), np.array([[1.0, 1.0, 0.0]]),
-                  np.empty((0, 3))]
-    scores = RigScorer(decode, Budget(evaluations=3))(placements)
-    worth = decode.objective.evaluate(
-        np.array([site.pose for site in decode(placements[0][:, :2])]))
+    placements = [np.array([[1.0, 1.0], [5.0, 3.0]]), np.array([[1.0, 1.0]]), np.empty((0, 2))]
+    scores = Scorer(decode.judge, Budget(evaluations=3))(placements)
+    worth = decode.objective.evaluate(np.array([site.pose for site in decode(placements[0])]))
     assert scores.error[0] == worth.loss
     assert scores.error[0] < scores.error[1] < scores.error[2] == 2.0
     assert scores.space_coverage[0] == worth.space_coverage
@@ -246,5 +257,5 @@ def test_the_clock_cuts_no_episode_short(furnished, few_candidates):
     # Reading kernels and laying out candidates may have taken all the time.
     hours, rig = itertools.count(), rig_of(2, 'omnidirectional')
     budget = Budget(seconds=60.0, clock=lambda: 3600.0 * next(hours))
-    plan = RigPlanner(furnished, rig, FAST, budget, planner='greedy_step').plan(rig)
+    plan = RigPlanner(furnished, rig, FAST, budget, planner='lookahead').plan(rig)
     assert plan.answer.evaluations == EpisodeConfig().turns

@@ -27,7 +27,6 @@ from ocp_ros.rig.motion import bounded_moves, kept_inside
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.search.scorer import Scorer
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.objective import MUST_SEE_COST
@@ -382,22 +381,6 @@ def test_nobody_sees_nothing(room):
     assert objective.overlap([]) == [len(room), 0, 0, 0] and objective.contributions([]) == []
     alone = objective.contributions(objective.look(POSES[:1]))
     assert alone[0].depth_error == 0.0 and alone[0].only > 0.0
-
-
-def test_cameras_that_see_alike_share_what_was_seen(room, monkeypatch):
-    objective = objective_of(room)
-    simulator, looks = objective.simulator, []
-    assert [simulator.kind(k) for k in range(4)] == [0, 0, 0, 3]
-    look = simulator.look
-    monkeypatch.setattr(simulator, 'look', lambda pose, camera: looks.append(camera) or look(
-        pose, camera))
-    score = Scorer(simulator)
-    placement = np.concatenate([POSES, objective.rig.fixed_poses])
-    one, = score([placement]).error
-    other, = score([placement[[1, 2, 0, 3]]]).error
-    assert one == other and len(looks) == 4
-    score([placement[[0, 1, 3, 2]]])
-    assert len(looks) == 6
 
 
 def test_a_region_without_points_and_a_height_without_a_room_are_refused(room):

@@ -201,9 +201,9 @@ def test_best_weights_that_no_line_tells_of_are_judged_anew(begun, run):
     assert longer.updates == min(known, key=lambda line: line['ratio'])['updates']
 
 
-PROTOCOL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'annealing'),
+PROTOCOL = Protocol(rooms=('3',), rotations=(0.0,), planners=('random', 'tdsa'),
                     budgets=(5, 30), seeds=2)
-TASK = 'tasks/3-0-annealing.json'
+TASK = 'tasks/3-0-tdsa.json'
 TASK_DAMAGES = {**DAMAGES, 'gone': None, 'a mapping': lambda content: b'{}',
                 'NaN': replaced(b'"depth_error": 2.1', b'"depth_error": NaN')}
 
@@ -228,9 +228,9 @@ def test_a_damaged_result_is_found_again_and_the_others_stay(compared, tmp_path,
     expected = run()
     spoil(tmp_path / TASK, damage)
     played.clear()
-    assert run() == expected and played == ['annealing']
+    assert run() == expected and played == ['tdsa']
     assert ('found no whole result' in caplog.text) == (damage is not None)
-    assert run() == expected and played == ['annealing']
+    assert run() == expected and played == ['tdsa']
 
 
 def test_a_result_of_another_task_or_comparison_is_not_taken(compared, tmp_path):
@@ -238,10 +238,10 @@ def test_a_result_of_another_task_or_comparison_is_not_taken(compared, tmp_path)
     run()
     task = tmp_path / TASK
     kept = task.read_bytes()
-    task.write_bytes((tmp_path / TASK.replace('annealing', 'random')).read_bytes())
+    task.write_bytes((tmp_path / TASK.replace('tdsa', 'random')).read_bytes())
     played.clear()
     run()
-    assert played == ['annealing'] and task.read_bytes() == kept
+    assert played == ['tdsa'] and task.read_bytes() == kept
     comparison.run_tasks(replace(PROTOCOL, seeds=3), tmp_path / 'other')
     (tmp_path / 'other' / TASK).replace(task)
     run()
