@@ -43,7 +43,7 @@ from ocp_ros.compare.summary import LOG_OFFSET_M
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online, settings_of
-from ocp_ros.online.rollout import play
+from ocp_ros.online.step import play
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.learned import Learned, PolicyAlone
 from ocp_ros.policy.policy import Policy

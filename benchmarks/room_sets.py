@@ -26,8 +26,8 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
+from ocp_ros.search.planner import Scorer, solve
 from ocp_ros.search.registry import PLANNERS
-from ocp_ros.search.solve import Scorer, solve
 from ocp_ros.simulation.problem import space_of
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

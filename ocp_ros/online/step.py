@@ -15,11 +15,14 @@
 """
 One time step of an online planner: observe, plan, apply constraints, choose headings.
 
-``policy_node``, ``ocp plan`` with an online planner and the benchmark all use this step.
+``policy_node``, ``ocp plan`` with an online planner and the benchmark all use this step. The last
+two play simulated episodes: they repeat the step.
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
+import time
 
 import numpy as np
 from ocp_ros.online.constraint_filter import StepConstraints
@@ -28,6 +31,7 @@ from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, Online, PlannedTu
 from ocp_ros.online.rig_state import Command, Limits, RigState
 from ocp_ros.rig.motion import turned_towards
 from ocp_ros.rig.rig_file import Rig
+from ocp_ros.simulation.episode import Episode
 
 
 class OnlineStep:
@@ -158,3 +162,54 @@ class OnlineStep:
             if self._report is None:
                 raise
             self._report(f'{source}: found {type(error).__name__}: {error}; cameras stay {pose}')
+
+
+def state_of(episode: Episode) -> RigState:
+    """Return the current state of an episode's rig, fixed cameras included."""
+    problem, rig = episode.problem, episode.problem.rig
+    # An episode may place only the first cameras of the rig.
+    movable = len(episode.turn.positions)
+    models = (*problem.models[:movable], *problem.models[len(rig.cameras):])
+    return RigState(episode.placement, models, movable, rig.pitch, clearance=rig.clearance)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """
+    Result of the rollout of an episode with K movable cameras; T time steps were taken.
+
+    :ivar trajectory: (T + 1, K, 3) metres: positions of the cameras, the start first.
+    :ivar depth_error: (T + 1,) metres, of the start and of the placement after each time step.
+    :ivar seconds: (T,) duration of the computation of each command.
+    """
+
+    trajectory: np.ndarray
+    depth_error: np.ndarray
+    seconds: np.ndarray
+
+
+def play(online: Online, episode: Episode, should_stop: Callable[[int], bool] = lambda turn: False,
+         clock: Callable[[], float] = time.perf_counter) -> Outcome:
+    """
+    Run an episode to its end; the cameras of a rig file satisfy all constraints of the file.
+
+    :param online: the planner that moves the cameras; it is reset first.
+    :param episode: an episode before its first time step.
+    :param should_stop: gets the number of time steps taken, and returns whether to end the
+        episode early.
+    :param clock: returns the current time, seconds.
+    """
+    config, rig = episode.config, episode.problem.rig
+    step = OnlineStep(online, Limits(config.max_step, config.max_turn, config.wall_margin,
+                                     config.clearance), rig)
+    step.reset()
+    turn_states, seconds = [episode.turn], []
+    while not (episode.turn.truncated or should_stop(episode.turn.step)):
+        state, cloud = state_of(episode), episode.observed_cloud
+        start_time = clock()
+        command = step(cloud, state, episode.turn.step, config.turns)
+        seconds.append(clock() - start_time)
+        moves = (command.placement - state.placement)[:state.movable, :3]
+        turn_states.append(episode.move(moves, command.placement[:state.movable, 3:]))
+    return Outcome(np.array([turn.positions for turn in turn_states]),
+                   np.array([turn.depth_error for turn in turn_states]), np.array(seconds))

@@ -28,13 +28,13 @@ import sys
 import time
 
 import numpy as np
-from ocp_ros.online.rollout import play
+from ocp_ros.online.step import play
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import CandidatePool, check_regions, MountedCamera, pool_of
+from ocp_ros.search.planner import Scorer, solve
 from ocp_ros.search.pose_annealing import result_of_placement, SearchResult
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
-from ocp_ros.search.solve import Scorer, solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.resources import DEFAULT_MODEL

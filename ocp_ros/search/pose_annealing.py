@@ -28,7 +28,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.online.rollout import Outcome
+from ocp_ros.online.step import Outcome
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.search.budget import Budget, Progress

@@ -23,7 +23,7 @@ import numpy as np
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.online.heading_planner import HeadingPlanner
 from ocp_ros.online.online_planner import settings_of
-from ocp_ros.online.rollout import state_of
+from ocp_ros.online.step import state_of
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.cloud_encoder import EncodedTurn, Encoder
 from ocp_ros.policy.observation_cloud import (

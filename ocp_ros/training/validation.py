@@ -20,7 +20,7 @@ from functools import lru_cache
 
 import numpy as np
 from ocp_ros.online.online_planner import Online, settings_of
-from ocp_ros.online.rollout import play
+from ocp_ros.online.step import play
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.learned import PolicyAlone
 from ocp_ros.policy.policy import Policy

@@ -39,8 +39,7 @@ from ocp_ros.online.online_planner import (
 )
 from ocp_ros.online.partial_map import PartialMap
 from ocp_ros.online.rig_state import Limits, RigState
-from ocp_ros.online.rollout import play, state_of
-from ocp_ros.online.step import OnlineStep
+from ocp_ros.online.step import OnlineStep, play, state_of
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD
 from ocp_ros.policy.learned import Learned
 from ocp_ros.policy.policy import Policy

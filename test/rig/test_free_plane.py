@@ -23,7 +23,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.plane_cells import close_cells
 from ocp_ros.online.online_planner import Online
 from ocp_ros.online.rig_state import clearance_of, RigState
-from ocp_ros.online.rollout import play
+from ocp_ros.online.step import play
 from ocp_ros.rig import free_plane
 from ocp_ros.rig.free_plane import CELL_M, CLEARANCE, Floor, floor_of, FreePlane
 from ocp_ros.rig.motion import towards
@@ -31,9 +31,8 @@ from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.search.annealing import TransDimensionalAnnealing
-from ocp_ros.search.planner import Scores
+from ocp_ros.search.planner import Scores, solve
 from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
-from ocp_ros.search.solve import solve
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig

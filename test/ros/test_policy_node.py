@@ -24,7 +24,7 @@ from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.cli import main as cli
 from ocp_ros.geometry.cameras import CameraModel
-from ocp_ros.online.rollout import play
+from ocp_ros.online.step import play
 from ocp_ros.policy.checkpoint import CheckpointError
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.policy import Policy

@@ -27,10 +27,10 @@ from ocp_ros.rig.placement_file import load_placement, placement_of, save_placem
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
+from ocp_ros.search.planner import Scorer
 from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, planner_names, PLANNERS, SCORES
 from ocp_ros.search.rig_plan import RigPlanner
-from ocp_ros.search.solve import Scorer
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
 import pytest

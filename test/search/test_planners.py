@@ -20,10 +20,9 @@ import numpy as np
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.search.annealing import TransDimensionalAnnealing
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.planner import Planner, Scores
+from ocp_ros.search.planner import Planner, Scorer, Scores, solve
 from ocp_ros.search.population import BinaryParticleSwarm, match_positions
 from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
-from ocp_ros.search.solve import Scorer, solve
 import pytest
 from scipy import stats
 
