@@ -6,7 +6,7 @@ RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
 OUT ?= out
 
-.PHONY: help demo train-demo train test test-system lint size docs format bench fuzz fuzz-files soak endings benchmark rooms colcon clean
+.PHONY: help demo train-demo train test test-system lint size docs format bench fuzz fuzz-files soak endings benchmark colcon clean
 
 help:  ## list the targets
 	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:.*##/\t/' | expand -t 14
@@ -71,9 +71,6 @@ endings: $(READY)  ## end nodes in all usual ways and count crashes: make ending
 benchmark: $(READY)  ## compare all planners in all test rooms: an hour on two idle cores; continues an interrupted run
 	$(RUN) -m ocp_ros.cli.main benchmark --preset full --seeds 1 --out "$(OUT)/benchmark"
 	$(RUN) -m benchmarks.benchmark_report "$(OUT)/benchmark" --record benchmark
-
-rooms: $(READY)  ## draw and measure generated rooms: make rooms [SCANS=folder]
-	$(RUN) -m benchmarks.room_sheet --record $(if $(SCANS),--scans "$(SCANS)")
 
 colcon: $(READY)  ## build with colcon and start the installed nodes once
 	tools/check_install $(VENV)

@@ -15,5 +15,5 @@
 """
 The laboratory: what measures and draws for the documentation. It is not installed.
 
-Run a module from the folder of the repository, such as ``python -m benchmarks.engine_bench``.
+Run a module from the folder of the repository, such as ``python -m benchmarks.engine``.
 """

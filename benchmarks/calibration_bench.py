@@ -38,7 +38,7 @@ import sys
 from typing import NamedTuple
 
 from benchmarks import results
-from benchmarks.fused_scan import scan_by_hand
+from benchmarks.hand_held_scan import scan_by_hand
 import numpy as np
 from ocp_ros.geometry.cameras import angle_between, CameraModel, Pose
 from ocp_ros.geometry.packed_bits import Subset
@@ -165,7 +165,7 @@ def generated(seed: int) -> Iterator[BenchRoom]:
         return cast(rays, *what)
 
     yield BenchRoom('tripod', str(seed), generate_room(seed, POINTS), see, hangs)
-    mesh = scan_by_hand(seed).mesh
+    mesh = scan_by_hand(seed)
     points, normals = np.hsplit(sample_faces(mesh.corners), 2)
     yield BenchRoom('hand', str(seed), Scene(points, normals=normals), see, hangs)
 

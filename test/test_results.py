@@ -61,8 +61,6 @@ SENTENCES = [
      'agent/comparisons/four/summary/settings/{key}/random/ratio', '4_30x0.5 4_5x2'),
     (README, 'it takes {} ms per camera, and its F1 score against ray casting is {}',
      'engine/{key}/fine.40000', 'ms f1'),
-    (RESULTS, 'F1 is {} for `fine`, {} for `paper` and {} for rays',
-     'engine/fused_f1/{key}.100000', 'fine paper mesh'),
     (RESULTS, "the integral is {}. When the scan is turned by 17 or 45 degrees, the engine's "
      'error changes by at most {} of its value', 'measure/viewpoints/air/{key}',
      'rank_correlation turned_objective_change_worst'),
@@ -80,8 +78,6 @@ SENTENCES = [
     (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. `lookahead` without a scan delivers {} m',
      'benchmark_four_d455/planners/{key}',
      'rig_search/300/sum rig_search/300/seconds tdsa/300/sum tdsa/300/seconds lookahead/0/sum'),
-    (RESULTS, 'five rooms need {}, {}, {}, {} and {} cameras',
-     'camera_counts/rooms/{key}/counted_up', '0 1 2 3 4'),
     (RESULTS, '{} ms (median) and {} ms (99th percentile). With four D455 it takes {} and {} ms',
      'nodes/value/learned/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),

@@ -18,7 +18,7 @@ import argparse
 from pathlib import Path
 import sys
 
-from benchmarks.engine_bench import cases, f1_score, mask_of, METHODS, RADII, RANGE
+from benchmarks.engine import cases, confusion, f1_of, mask_of, METHODS, RADII, RANGE
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -77,7 +77,7 @@ def draw(path: Path, points: int, room: int) -> None:
     case = list(cases(points, room + 1, 1))[-1]
     said = {name: mask_of(METHODS[name](case)) for name in (
         'fine', 'paper', *(f'hidden_point_removal {radius}' for radius in RADII))}
-    scores = {name: f1_score(mask, case.truth) for name, mask in said.items()}
+    scores = {name: f1_of(confusion(mask, case.truth)) for name, mask in said.items()}
     best = max((name for name in said if name.startswith('hidden')), key=scores.get)
     figure = Figure(figsize=(15.0, 11.5), dpi=100, facecolor='white')
     panels = [('ray casting of the mesh: the truth', case.truth)] + [

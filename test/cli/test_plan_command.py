@@ -18,7 +18,6 @@ from dataclasses import replace
 import errno
 import json
 
-from benchmarks.camera_counts import curves, needed
 from conftest import box_sides, for_any, made_room, MOUNTS, printed, refused, run_python
 from hypothesis import strategies
 import numpy as np
@@ -219,10 +218,14 @@ def test_more_cameras_are_worth_no_less_until_no_more_find_room(furnished, plann
 
 @pytest.mark.system
 def test_counting_up_needs_as_many_as_planning_each_number_anew():
-    up, anew = curves('8', 'omnidirectional', 200, 3, 2000, 0)
+    rigs = [with_count(rig_of(1, 'omnidirectional'), count) for count in (1, 2, 3)]
+    planner = RigPlanner(made_room(8, 2000), rigs[0], EngineConfig(), Budget(evaluations=200))
+    up = [*planner.count_up(lambda count: rigs[count - 1], 1, 3)]
+    anew = [planner.plan(rig) for rig in rigs]
     for target in (0.4, 0.75, 0.9):
-        assert needed(up, 'error', target) == needed(anew, 'error', target)
-    assert needed(up, 'error', 0.75) == 2 and needed(anew[:1], 'error', 0.75) is None
+        assert ([plan.reaches('error', target) for plan in up]
+                == [plan.reaches('error', target) for plan in anew])
+    assert [plan.reaches('error', 0.75) for plan in up] == [False, True, True]
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@
 from dataclasses import replace
 import json
 
-from benchmarks import agent, benchmark_report, engine, engine_bench, fused_bench, results
+from benchmarks import agent, benchmark_report, engine, results
 from conftest import Here, made_room, rows_for
 import numpy as np
 from ocp_ros.cli import main as cli
@@ -352,19 +352,17 @@ def recorded(tmp_path, monkeypatch):
 
 
 def test_the_engine_is_measured(recorded, monkeypatch, capsys):
-    monkeypatch.setattr(engine_bench, 'MIDDLE', 2000)
+    monkeypatch.setattr(engine, 'MIDDLE', 2000)
     # It plays for seconds, however small the room is.
-    monkeypatch.setattr(engine_bench, 'speed', lambda: dict.fromkeys(engine_bench.SPEEDS, 1.0))
-    monkeypatch.setattr(engine_bench, 'training_speed', lambda *interactions: 1.0)
-    monkeypatch.setitem(engine.EXTENTS, 'smoke', engine_bench.Extent((2000,), 1, 1, (2000,)))
-    monkeypatch.setitem(engine.FUSED_EXTENTS, 'smoke', fused_bench.FusedExtent((2000,), 1, 40, 3))
+    monkeypatch.setattr(engine, 'speed', lambda: dict.fromkeys(engine.SPEEDS, 1.0))
+    monkeypatch.setattr(engine, 'training_speed', lambda *interactions: 1.0)
+    monkeypatch.setitem(engine.EXTENTS, 'smoke', engine.Extent((2000,), 1, 1, (2000,)))
     assert engine.main(['--preset', 'smoke', '--record']) == 0
     found = recorded('engine')
     assert found['command'] == 'python -m benchmarks.engine --preset smoke --record'
-    rows = {row['method'].split()[0]: row for row in found['visibility']}
-    assert rows.keys() == {'fine', 'fast', 'paper', 'embree', 'numpy', 'hidden_point_removal'}
-    assert rows['embree']['f1'] == 1.0 and rows['numpy']['f1'] == rows['fast']['f1'] > 0.6
-    assert [row['method'] for row in found['fused'][:4]] == ['fine', 'fast', 'paper', 'mesh']
+    assert found['f1'].keys() == found['ms'].keys() == {
+        f'{name}.2000' for name in ('fine', 'fast', 'paper', 'embree', 'hidden_point_removal')}
+    assert found['f1']['embree.2000'] == 1.0 > found['f1']['fast.2000'] > 0.6
     assert 'evaluations_per_s: ' in capsys.readouterr().out
 
 

@@ -14,8 +14,7 @@
 
 """Kernels of geometry and of what cameras see, against NumPy twins, ray casting and properties."""
 
-from benchmarks.engine_bench import agreement, confusion, free_places
-from benchmarks.numpy_twin import Twin
+from benchmarks.engine import confusion, f1_of, free_places
 from conftest import box_sides, for_any, made_room, panel
 from hypothesis import example
 from hypothesis import strategies as st
@@ -50,6 +49,7 @@ from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.viewpoints import paper_viewpoints
 import pytest
 from scipy.spatial import cKDTree
+from surfel_twin import Twin
 import twins
 from twins import MODELS
 
@@ -486,7 +486,7 @@ def test_visibility_agrees_with_ray_casting(preset, least):
             truth = MeshRays(scene.mesh).visible(scene.points, position, 6.0)
             seen = look_at_scene(scene, Pose.of(position), CameraModel(0.0, 6.0), preset)
             counts.append(confusion(seen, truth))
-    assert agreement(sum(counts))['f1'] >= least
+    assert f1_of(sum(counts)) >= least
 
 
 @pytest.mark.parametrize('name', ['realsense_d455', 'azure_kinect_wfov', 'velodyne_vlp16'])
@@ -498,7 +498,7 @@ def test_a_real_sensor_agrees_with_ray_casting_in_its_cone(name):
         truth = MeshRays(scene.mesh).visible(scene.points, position, model.max_range)
         truth &= np.isfinite(cone)
         counts.append(confusion(look_at_scene(scene, pose, model, 'fine'), truth))
-    assert sum(counts)[0] > 300 and agreement(sum(counts))['f1'] >= 0.86
+    assert sum(counts)[0] > 300 and f1_of(sum(counts)) >= 0.86
 
 
 @pytest.mark.parametrize('preset', PRESETS)

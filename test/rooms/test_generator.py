@@ -18,18 +18,19 @@ import os
 import subprocess
 import sys
 
-from benchmarks.room_likeness import generated, shares_of_kinds, summary
 from conftest import for_any, made_room, refused
 from hypothesis import strategies
 from matplotlib.image import imread
 import numpy as np
 from ocp_ros.cli import main as cli
+from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.rooms import scanning
 from ocp_ros.rooms.furniture import make_solid, moved_piece, SOLID_KINDS
 from ocp_ros.rooms.generator import generate_room, mesh_of
 from ocp_ros.rooms.room_kinds import draw_plan, ROOM_KINDS
 from ocp_ros.rooms.room_plan import mirrored_plan, RoomPlan
 from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.simulation.viewpoints import viewpoints_of
 from plyfile import PlyData
 import pytest
 
@@ -185,16 +186,20 @@ def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
 
 @pytest.mark.system
 def test_generated_rooms_are_as_full_as_real_ones():
-    """The figures of the sheet, on a few rooms: walls, furniture and clutter all have a share."""
-    shares = dict(zip(SOLID_KINDS, shares_of_kinds(range(12), 3000)))
+    kinds = np.concatenate([scanning.scan(plan_of(seed), 3000, np.random.default_rng([seed, 1]))[1]
+                            for seed in range(12)])
+    shares = dict(zip(SOLID_KINDS, np.bincount(kinds, minlength=len(SOLID_KINDS)) / len(kinds)))
     assert shares['floor'] + shares['ceiling'] + shares['wall'] < 0.85
     assert shares['bookcase'] > 0.02 and shares['clutter'] > 0.05
-    figures = summary(generated(range(6), 4000))
-    assert 10.0 < figures['floor (m²)'][1] < 120.0
-    assert figures['directions that hit something (%)'][1] > 90.0
-    floor, ceiling = (figures[f'points from {part} % of the height (%)'][1]
-                      for part in ('0 to 10', '90 to 100'))
-    assert 15.0 < floor < 35.0 and 15.0 < ceiling < 40.0
+    scenes = [generate_room(seed, 4000) for seed in range(6)]
+    assert 10.0 < np.median([np.prod(scene.size[:2]) for scene in scenes]) < 120.0
+    heights = np.median([np.histogram(scene.points[:, 2], 10)[0] / len(scene)
+                         for scene in scenes], axis=0)
+    assert 0.15 < heights[0] < 0.35 and 0.15 < heights[-1] < 0.4
+    errors = [DepthError(scene.points, scene.spacing, scene.diameter, viewpoints_of(scene), 32)
+              for scene in scenes]
+    assert np.median([(error.depth_map(0) < np.float32(error.far)).mean()
+                      for error in errors]) > 0.9
 
 
 @pytest.mark.parametrize(('arguments', 'words'), [

@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Scans as a depth camera in the hand makes them: noisy frames along a path, fused to one cloud.
+Scans as a depth camera in the hand makes them: noisy frames along a path, fused to a mesh.
 
 A frame holds the depth along the camera's axis, in metres, 0 where nothing is measured. Depth is
 triangulated from a disparity that is read in steps, as structured light and stereo do: its error
@@ -24,16 +24,14 @@ at one metre.
 """
 
 from collections.abc import Iterable, Iterator
-from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
-from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.rooms.generator import mesh_of, plan_of
 from ocp_ros.rooms.room_plan import RoomPlan
 from ocp_ros.rooms.scanning import Boxes, boxes_of, is_position_free
 from ocp_ros.scenes.mesh_rays import MeshRays
-from ocp_ros.scenes.scene import Mesh, Scene
+from ocp_ros.scenes.scene import Mesh
 from scipy.ndimage import gaussian_filter1d
 
 #: Pixels of a frame, and what the camera measures: 60 x 47 degrees, 0.4 to 4.5 m.
@@ -55,34 +53,6 @@ PLACES, STEPS, ROUNDING = 14, 4096, 0.3
 TURNS, DOWN, NOD, TILT = 5.0, np.deg2rad(12.0), np.deg2rad(40.0), np.deg2rad(8.0)
 #: Frames along a path.
 FRAMES = 480
-
-
-class FusedScan(NamedTuple):
-    """
-    What the user of a depth camera has of a room.
-
-    :ivar points: (N, 3) float32, metres, map frame.
-    :ivar mesh: the surfaces that were fused.
-    """
-
-    points: np.ndarray
-    mesh: Mesh
-
-    def thinned(self, most: int) -> Scene:
-        """Return the scan as a scene, merged to a number of points as a file is that is read."""
-        return Scene(thinned_to(self.points, most), 'fused', mesh=self.mesh)
-
-
-def exact_depth(rays: MeshRays, pose: Pose, directions: np.ndarray) -> np.ndarray:
-    """
-    Measure the depth of a mesh without noise.
-
-    :param rays: casts at the mesh.
-    :param pose: the camera's pose.
-    :param directions: (..., 3), in the camera's body frame, one metre long along its axis.
-    :returns: (...) float32, along the axis, metres; inf where there is nothing.
-    """
-    return rays.lengths(pose.position, directions @ pose.rotation.T)
 
 
 def pixel_rays() -> np.ndarray:
@@ -167,11 +137,9 @@ def _swing(time: np.ndarray, beats: tuple[int, ...], rng: np.random.Generator) -
     return np.mean([np.sin(beat * time + rng.uniform(0.0, 2.0 * np.pi)) for beat in beats], axis=0)
 
 
-def fuse(frames: Iterable[tuple[np.ndarray, Pose]]) -> FusedScan:
+def fuse(frames: Iterable[tuple[np.ndarray, Pose]]) -> Mesh:
     """
     Fuse frames to a truncated signed distance (Curless and Levoy, 1996) and extract its surface.
-
-    The points are where the distance changes its sign between two voxels: the mesh's vertices.
 
     :param frames: measured depths (H, W), metres, and the poses of the camera.
     :raises ValueError: if no surface is in three frames.
@@ -196,8 +164,7 @@ def fuse(frames: Iterable[tuple[np.ndarray, Pose]]) -> FusedScan:
     vertices, triangles = mesh.vertex.positions.numpy(), mesh.triangle.indices.numpy()
     # Threads of Open3D number the vertices, each time in another order.
     order = np.lexsort(vertices.T)
-    return FusedScan(vertices[order],
-                     Mesh(vertices[order], np.argsort(order)[triangles].astype(np.int32)))
+    return Mesh(vertices[order], np.argsort(order)[triangles].astype(np.int32))
 
 
 def _extrinsic(pose: Pose) -> np.ndarray:
@@ -208,14 +175,14 @@ def _extrinsic(pose: Pose) -> np.ndarray:
     return extrinsic
 
 
-def scan_by_hand(seed: int, frames: int = FRAMES) -> FusedScan:
+def scan_by_hand(seed: int) -> Mesh:
     """
-    Scan a generated room with a depth camera in the hand; the same seed gives the same scan.
+    Scan a generated room with a depth camera in the hand; the same seed gives the same mesh.
 
     :param seed: of the room, see :func:`~ocp_ros.rooms.generator.generate_room`.
-    :param frames: at most so many are fused.
     """
     plan, rng = plan_of(seed), np.random.default_rng([seed, 2])
-    path = list(hand_held_path(plan, frames, rng))
+    path = list(hand_held_path(plan, FRAMES, rng))
     rays, pixels = MeshRays(mesh_of(plan)), pixel_rays()
-    return fuse((measured(exact_depth(rays, pose, pixels), rng), pose) for pose in path)
+    return fuse((measured(rays.lengths(pose.position, pixels @ pose.rotation.T), rng), pose)
+                for pose in path)
