@@ -29,7 +29,7 @@ from tempfile import TemporaryDirectory
 import time
 
 from benchmarks import results
-from benchmarks.drills.spoilt_files import write_obj
+from benchmarks.drills.file_fuzz import write_obj
 from benchmarks.measure import geometric
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix

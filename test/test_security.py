@@ -309,7 +309,7 @@ def test_lists_of_a_ply_file_are_skipped_or_read_with_care(tmp_path):
 
 def test_a_bag_that_is_left_half_read_is_read_again(tmp_path):
     pytest.importorskip('rosbags', reason='bags need rosbags (pip install rosbags)')
-    from benchmarks.drills.spoilt_files import good_files
+    from benchmarks.drills.file_fuzz import good_files
     good_files(tmp_path)
     (tmp_path / 's' / 's.db3').write_bytes((tmp_path / 'sqlite3.db3').read_bytes())
     with Bag(tmp_path / 's') as bag:

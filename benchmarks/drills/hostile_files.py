@@ -35,8 +35,7 @@ from typing import NamedTuple
 
 from backports import zstd
 from benchmarks import results
-from benchmarks.drills.file_fuzz import read_one
-from benchmarks.drills.spoilt_files import gltf_of, good_files, write_e57, write_obj
+from benchmarks.drills.file_fuzz import gltf_of, good_files, read_one, write_e57, write_obj
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.rig.placement_file import load_placement

@@ -21,7 +21,7 @@ from pathlib import Path
 import time
 
 from benchmarks.drills.drill import rss_of
-from benchmarks.drills.malformed import (
+from benchmarks.drills.fuzz import (
     few_points,
     spoilt_cloud,
     spoilt_fields,

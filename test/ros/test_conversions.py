@@ -17,17 +17,20 @@
 from array import array
 from functools import partial
 
-from benchmarks.drills.fuzz_targets import (
+from benchmarks.drills.fuzz import (
     BATCH,
     Fuzzer,
     FuzzError,
+    known_lies,
     LiveTarget,
     PolicyTarget,
     shell,
     SimTarget,
+    spoilt_cloud,
+    spoilt_fields,
+    spoilt_poses,
+    TrainerTarget,
 )
-from benchmarks.drills.fuzz_trainer import TrainerTarget
-from benchmarks.drills.malformed import known_lies, spoilt_cloud, spoilt_fields, spoilt_poses
 from builtin_interfaces.msg import Time
 from conftest import counted, random_checkpoint, SMALL
 from geometry_msgs.msg import Pose, PoseArray, Quaternion

@@ -21,9 +21,7 @@ import subprocess
 import sys
 import warnings
 
-from benchmarks.drills import spoilt_files as files
-from benchmarks.drills.file_fuzz import main as fuzz_main
-from benchmarks.drills.file_fuzz import read_one
+from benchmarks.drills import file_fuzz as files
 from conftest import made_room, refusal, run_python
 import numpy as np
 from ocp_ros.rig.placement_file import load_placement
@@ -192,7 +190,7 @@ def test_spoilt_files_are_read_or_refused_in_one_sentence(tmp_path, good, name):
     folder, readers = good
     if name not in readers:
         pytest.skip('bags need rosbags (pip install rosbags)')
-    assert SPOILT[name] == 1 or read_one(readers[name], folder / name) == ('read', '')
+    assert SPOILT[name] == 1 or files.read_one(readers[name], folder / name) == ('read', '')
     path, content = tmp_path / f'spoilt_{name}', (folder / name).read_bytes()
     for number in range(SPOILT[name]):
         path.write_bytes(files.spoilt(np.random.default_rng([1, number]), content))
@@ -200,12 +198,12 @@ def test_spoilt_files_are_read_or_refused_in_one_sentence(tmp_path, good, name):
             warnings.simplefilter('ignore')
             # Few points: what counts is the reader.
             read = partial(load_scene, max_points=2000) if readers[name] is load_scene else None
-            outcome, said = read_one(read or readers[name], path)
+            outcome, said = files.read_one(read or readers[name], path)
         assert outcome in ('read', 'refused'), f'{number}: {said}'
 
 
 @pytest.mark.system
 def test_many_spoilt_files_harm_no_process(tmp_path, monkeypatch):
     monkeypatch.setenv('PYTHONPATH', os.pathsep.join(sys.path))
-    assert fuzz_main(['--mutations', '100', '--jobs', '2', '--out', str(tmp_path)]) == 0
+    assert files.main(['--mutations', '100', '--jobs', '2', '--out', str(tmp_path)]) == 0
     assert (tmp_path / 'file_fuzz.json').exists()

@@ -17,7 +17,7 @@
 import json
 import logging
 
-from benchmarks.drills import spoilt_files as files
+from benchmarks.drills import file_fuzz as files
 from conftest import for_any, made_room, refusal, refused
 from hypothesis import strategies
 import numpy as np

@@ -17,7 +17,7 @@
 from functools import partial
 import logging
 
-from benchmarks.drills import spoilt_files as files
+from benchmarks.drills import file_fuzz as files
 from conftest import made_room, refusal, ROOT
 import numpy as np
 from ocp_ros.geometry.voxels import voxel_downsample

@@ -18,7 +18,7 @@ from dataclasses import replace
 from pathlib import Path
 import shutil
 
-from benchmarks.drills.spoilt_files import write_ply
+from benchmarks.drills.file_fuzz import write_ply
 from benchmarks.room_sets import SEEDS
 from conftest import box_sides, made_room
 import numpy as np
