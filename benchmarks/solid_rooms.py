@@ -153,8 +153,7 @@ def main(argv: list[str] | None = None) -> None:
              **{key: round(float(np.median([row[key] for row in rows])), 3)
                 for key in ('seconds_to_read', 'ms_mesh', 'ms_fine')},
              'delivered_mesh_over_fine': geometric(
-                 [row['delivered_mesh'] / row['delivered_fine'] for row in rows]),
-             'rows': rows}
+                 [row['delivered_mesh'] / row['delivered_fine'] for row in rows])}
     if options.record:
         results.write('solid_rooms', found, results.command_of('solid_rooms', argv))
 
