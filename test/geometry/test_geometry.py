@@ -49,9 +49,8 @@ from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.simulation.viewpoints import paper_viewpoints
 import pytest
 from scipy.spatial import cKDTree
-from surfel_twin import Twin
 import twins
-from twins import MODELS
+from twins import MODELS, SurfelTwin
 
 HERE = Pose(np.zeros(3), LEVEL)
 ALL_AROUND = MODELS['omnidirectional']
@@ -369,7 +368,7 @@ def test_a_surfel_is_a_disc_on_its_plane(seed):
 @for_any(6, seed=seeds)
 def test_a_look_agrees_with_its_twin(preset, seed):
     points, sizes, normals = cloud(seed, count=300)
-    twin = Twin(points, normals, DISC_SCALE * sizes, np.zeros(3), 4.0, PRESETS[preset])
+    twin = SurfelTwin(points, normals, DISC_SCALE * sizes, np.zeros(3), 4.0, PRESETS[preset])
     # Single precision moves a few edges of discs to the neighbouring cell.
     assert (look(points, sizes, normals, preset) != twin.visible()).mean() <= 0.02
 
@@ -463,8 +462,8 @@ def test_frusta_that_tile_the_sphere_see_what_its_twin_and_an_omnidirectional_ca
     position = np.append(scene.bounds.mean(axis=0)[:2], 1.6)
     whole = look_at_scene(scene, Pose.of(position), ALL_AROUND, preset)
     if preset != 'paper':
-        twin = Twin(scene.points, scene.normals_or_estimate, DISC_SCALE * scene.pitch, position,
-                    4.0, PRESETS[preset])
+        twin = SurfelTwin(scene.points, scene.normals_or_estimate, DISC_SCALE * scene.pitch,
+                          position, 4.0, PRESETS[preset])
         assert (whole != twin.visible()).mean() <= 0.001
     together = np.zeros(len(scene), dtype=bool)
     # The six faces of a cube around the camera.

@@ -16,6 +16,7 @@
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.surfels import MAX_INVERSE_RATIO, MIN_COSINE, MIN_INVERSE_RATIO
 
 MODELS = {
     'omnidirectional': CameraModel(0.0, 4.0),
@@ -140,3 +141,110 @@ def edge_aware_normals(points, neighbours):
     typical = np.linalg.norm(points - points[neighbours[:, 1]], axis=1).mean()
     best = (distance / typical + 3.0 * roughness[candidates]).argmin(axis=1)
     return normals[candidates[np.arange(len(points)), best]]
+
+
+class SurfelTwin:
+    """
+    Look at points as surfels, point by point and cell by cell.
+
+    :param position: (3,) of an omnidirectional camera, metres.
+    :ivar shadow: (H, W) inverse distances, 1/m.
+    """
+
+    def __init__(self, points, normals, radius, position, max_range, settings):
+        self.settings, self.max_range = settings, max_range
+        self.rows, self.columns = settings.rows, 2 * settings.rows
+        self.radius = np.asarray(radius, dtype=np.float64)
+        self.project(points, normals, position)
+        self.shadow = np.full((self.rows, self.columns), 1.0 / max_range)
+        inside = self.distance <= max_range
+        small = self.size < self.flat * settings.single_limit
+        large = ~small & (self.size >= self.flat * settings.quad_limit)
+        # The small ones fill their own cells.
+        own = np.flatnonzero(inside & small)
+        self.put(own, self.row[own].astype(int), self.column[own].astype(int))
+        self.splat_four(np.flatnonzero(inside & ~small & ~large))
+        self.splat_ellipse(np.flatnonzero(inside & large))
+
+    def project(self, points, normals, position):
+        """Compute where points appear and how their planes lean: one step is one cell."""
+        offset, self.distance, elevation, azimuth = polar(points, position)
+        self.inverse = 1.0 / self.distance
+        self.row = (elevation + np.pi / 2) * self.rows / np.pi
+        self.column = (azimuth + np.pi) * self.rows / np.pi
+        self.flat = np.cos(elevation)
+        up = np.stack([-np.sin(elevation) * np.cos(azimuth), -np.sin(elevation) * np.sin(azimuth),
+                       self.flat], axis=1)
+        across = np.stack([-np.sin(azimuth), np.cos(azimuth), 0.0 * azimuth], axis=1)
+        facing = (normals * offset).sum(axis=1) * self.inverse
+        facing = np.copysign(np.maximum(np.abs(facing), MIN_COSINE), facing)
+        self.slope_row = (normals * up).sum(axis=1) / facing
+        self.slope_column = (normals * across).sum(axis=1) / facing
+        steps = np.abs(self.slope_row) + np.abs(self.slope_column) * self.flat
+        self.inverse *= 1.0 - self.settings.setback * steps * np.pi / self.rows
+        self.size = self.radius * self.inverse * self.rows / np.pi
+
+    def put(self, which, row, column, over=False):
+        """Write points into one cell each, at the depth of their planes in its centre."""
+        cell = np.pi / self.rows
+        # A disc that is set back leans as the one that it stands for.
+        value = self.inverse[which] + 1.0 / self.distance[which] * (
+            self.slope_row[which] * cell * (row + 0.5 - self.row[which])
+            + (not over) * self.slope_column[which] * self.flat[which] * cell
+            * (column + 0.5 - self.column[which]))
+        value = np.clip(value, MIN_INVERSE_RATIO * self.inverse[which],
+                        MAX_INVERSE_RATIO * self.inverse[which])
+        np.maximum.at(self.shadow, (row, column % self.columns), value)
+
+    def splat_four(self, which):
+        """Fill those of the four nearest cells whose centre is within reach."""
+        for k in (0, 1):
+            for m in (0, 1):
+                row = np.floor(self.row[which] - 0.5).astype(int) + k
+                column = np.floor(self.column[which] - 0.5).astype(int) + m
+                size = self.size[which]
+                within = (np.abs(row + 0.5 - self.row[which]) <= np.maximum(size, 0.5)) \
+                    & (np.abs(column + 0.5 - self.column[which])
+                       <= np.maximum(size / self.flat[which], 0.5)) \
+                    & (row >= 0) & (row < self.rows)
+                self.put(which[within], row[within], column[within])
+
+    def splat_ellipse(self, large):
+        """Fill the cells whose centre is within the disc, and the own one."""
+        for i in large:
+            form = 1.0 + self.slope_column[i] ** 2
+            whole = form + self.slope_row[i] ** 2
+            height = self.size[i] * np.sqrt(max(form / whole, 1e-4))
+            own_row, own_column = int(self.row[i]), int(self.column[i])
+            first = max(min(int(np.ceil(self.row[i] - height - 0.5)), own_row), 0)
+            last = min(max(int(np.floor(self.row[i] + height - 0.5)), own_row), self.rows - 1)
+            for row in range(first, last + 1):
+                down = row + 0.5 - self.row[i]
+                middle = self.column[i] \
+                    - self.slope_row[i] * self.slope_column[i] / (form * self.flat[i]) * down
+                reach = np.sqrt(max(form * self.size[i] ** 2 - down ** 2 * whole, 0.0)) \
+                    / (form * self.flat[i])
+                left = int(np.ceil(middle - reach - 0.5))
+                right = int(np.floor(middle + reach - 0.5))
+                if row == own_row:
+                    left, right = min(left, own_column), max(right, own_column)
+                if right - left >= self.columns:
+                    left, right = 0, self.columns - 1
+                middle_of_row = row + 0.5
+                over = min(self.row[i] + middle_of_row,
+                           2 * self.rows - self.row[i] - middle_of_row) <= self.size[i]
+                if over:
+                    left, right = 0, self.columns - 1
+                columns = np.arange(left, right + 1)
+                self.put(np.full(len(columns), i), np.full(len(columns), row), columns, over)
+
+    def visible(self):
+        """Return (N,) bool: at most base + share * radius behind the farthest of four cells."""
+        around = np.pad(np.pad(self.shadow, ((0, 0), (1, 1)), mode='wrap'), ((1, 1), (0, 0)),
+                        constant_values=np.inf)
+        row = np.floor(self.row + 0.5).astype(int)
+        column = np.floor(self.column + 0.5).astype(int)
+        deepest = 1.0 / np.min([around[row + k, column + m] for k in (0, 1) for m in (0, 1)],
+                               axis=0)
+        behind = self.settings.base_tolerance + self.settings.radius_tolerance * self.radius
+        return (self.distance <= self.max_range) & (self.distance <= deepest + behind)
