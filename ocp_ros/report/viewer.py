@@ -24,8 +24,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
-from ocp_ros.report.drawing.frustum_drawing import chained, edges
-from ocp_ros.report.drawing.plan_marks import camera_colour, corners_of, STYLES, zones_of
+from ocp_ros.report.drawing.plan_drawing import (
+    camera_colour,
+    chained,
+    corners_of,
+    edges,
+    STYLES,
+    zones_of,
+)
 from ocp_ros.report.drawing.room_drawing import (
     choose_indices,
     HEIGHT_COLOURS,

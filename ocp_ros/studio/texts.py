@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.report import facts
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES
-from ocp_ros.report.drawing.plan_marks import camera_colour
+from ocp_ros.report.drawing.plan_drawing import camera_colour
 from ocp_ros.report.drawing.room_drawing import PLAIN_COLOUR
 from ocp_ros.report.rig_planning import certificate_data
 from ocp_ros.search.proof.certificate import Certificate

@@ -19,7 +19,7 @@ from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import numpy as np
-from ocp_ros.report.drawing.plan_marks import STYLES, zones_of
+from ocp_ros.report.drawing.plan_drawing import STYLES, zones_of
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene

@@ -29,7 +29,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
 from ocp_ros.report.drawing import assessment_pictures, report_page, saved_pictures
-from ocp_ros.report.drawing.plan_marks import move_apart
+from ocp_ros.report.drawing.plan_drawing import move_apart
 from ocp_ros.report.drawing.room_drawing import room_of
 from ocp_ros.report.drawing.room_pictures import draw_placement
 from ocp_ros.report.drawing.saved_pictures import shortened, width_of
@@ -244,17 +244,6 @@ def test_unobserved_points_are_red_in_a_picture_in_a_new_folder(tmp_path):
         assert len(np.unique(np.round(255.0 * image).astype(np.uint8).view(np.uint32))) > 1000
         red.append(np.count_nonzero(image[..., 0] > image[..., 2] + 0.15))
     assert red[1] > 20 * red[0]
-
-
-@pytest.mark.parametrize('change', [
-    {'points': POINTS[:, :2]}, {'observed': np.ones(5, bool)}, {'trajectories': paths(3, 2)[0]},
-    {'trajectories': paths(3, 2)[:0]}, {'max_range': 0.0}])
-def test_wrong_input_is_refused(tmp_path, change):
-    arguments = {'points': POINTS, 'observed': None, 'trajectories': paths(3, 2),
-                 'max_range': 4.0, 'title': ''} | change
-    with pytest.raises(ValueError, match=f'{next(iter(change))}: found'):
-        draw_placement(tmp_path / 'a.png', **arguments)
-    assert not (tmp_path / 'a.png').exists()
 
 
 def test_only_the_ceiling_is_taken_off():

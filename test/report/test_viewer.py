@@ -25,7 +25,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import in_view, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
-from ocp_ros.report.drawing.frustum_drawing import edges, reach
+from ocp_ros.report.drawing.plan_drawing import edges, reach
 from ocp_ros.report.viewer import groups_of, layers_of, paints_of, SHOWN, write_view
 from ocp_ros.rig.placement_file import placement_of
 from ocp_ros.rig.rig_file import rig_of, sensor_named, SENSORS

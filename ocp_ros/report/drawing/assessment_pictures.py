@@ -12,11 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""
-The pictures of an assessment: plan, coverage, depth error and perspective views of the room.
-
-The installer's page has its own plan, which shows the distances to reference walls.
-"""
+"""The pictures of an assessment: plans, coverage, depth error and perspective views."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -27,17 +23,19 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, PowerNorm, to_rgb
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
-from matplotlib.patches import Polygon
 import numpy as np
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.drawing.frustum_drawing import edges, reach
-from ocp_ros.report.drawing.plan_marks import (
+from ocp_ros.report.drawing.plan_drawing import (
     camera_colour,
+    draw_axis,
     draw_headings,
     draw_letters,
     draw_numbers,
+    draw_plan,
     draw_zones,
+    edges,
     move_apart,
+    reach,
     units_per_inch,
     zone_legend,
 )
@@ -56,7 +54,6 @@ from ocp_ros.report.drawing.room_drawing import (
 )
 from ocp_ros.report.drawing.saved_pictures import save_figure
 from ocp_ros.report.facts import count_sentence, SHARE_LABELS
-from scipy import ndimage
 
 #: Colours of points seen by 0, 1, 2, and 3 or more cameras; they differ in hue and lightness.
 COUNT_COLOURS = ('#d55e00', '#b7d4ea', '#5b9bd0', '#174f8f')
@@ -95,26 +92,29 @@ def count_colours(assessed: Assessment) -> np.ndarray:
     return palette[np.minimum(assessed.counts, len(palette) - 1)]
 
 
-def draw_room_plan(axes: Axes, room: Room, assessed: Assessment) -> None:
-    """Draw the room from above with the walls' letters, the cameras and their ranges."""
-    colours = HEIGHT_COLOURS(heights_of(assessed.scene.points))[:, :3]
-    # The room is in the frame of the plan already, so the view from above needs no rotation. The
-    # ranges of the cameras, below, are in the map frame. The colours of the room are lightened.
-    outline = draw_discs(axes, with_colours(room, 0.35 + 0.65 * colours), np.eye(3))
+def draw_room_plan(axes: Axes, room: Room, assessed: Assessment, measured: bool = False) -> None:
+    """
+    Draw the room from above with the cameras and the letters of the walls.
+
+    :param measured: whether to draw the distances to walls and the axes of the coordinates, with
+        letters for a page of their own, in place of the ranges of the cameras.
+    """
     rotation = assessed.plan_rotation[:2, :2]
     floor_and_ceiling = assessed.scene.bounds[:, 2].tolist()
-    # With many cameras the ranges are paler, so that the room stays visible.
-    opacity = min(1.0, 2.0 / np.sqrt(len(assessed.placement.cameras)))
-    for number, placed in enumerate(assessed.placement.cameras):
-        colour = camera_colour(number)
-        polygon = reach(placed.camera.model, placed.pose, floor_and_ceiling)
-        patch = Polygon(polygon @ rotation.T, facecolor=(*to_rgb(colour), 0.2 * opacity),
-                        edgecolor=(*to_rgb(colour), 0.9 * opacity), linewidth=1.0, zorder=3)
-        axes.add_patch(patch).set_clip_path(outline)
-    _hide_outside(axes, room)
+    ranges = [] if measured else [
+        reach(placed.camera.model, placed.pose, floor_and_ceiling) @ rotation.T
+        for placed in assessed.placement.cameras]
+    # Pale colours, so that marks are readable.
+    colours = 0.35 + 0.65 * HEIGHT_COLOURS(heights_of(assessed.scene.points))[:, :3]
+    # Beams under the ceiling are left out: they would look like walls.
+    below_beams = room.select(heights_of(room.points) <= 0.85)
+    draw_plan(axes, with_colours(below_beams, colours), ranges)
     # Marks are placed by the limits of the axes, so the axes are fitted first.
     _fit_axes(axes, assessed, 0.1, room.points[:, :2])
-    _draw_marks(axes, assessed, scale=1.0)
+    if measured:
+        _draw_distances(axes, assessed)
+        _draw_axes(axes, assessed, 0.1 * max(assessed.size))
+    _draw_marks(axes, assessed, scale=1.7 if measured else 1.0)
 
 
 def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
@@ -149,7 +149,7 @@ def _draw_marks(axes: Axes, assessed: Assessment, scale: float) -> None:
     spacing = 0.17 * scale * units_per_inch(axes)
     inner_letters = move_apart(inner_letters, spacing, np.concatenate([letters, positions]))
     draw_letters(axes, inner_walls, inner_letters, 7.0 * scale, **style)
-    # The zones are in front of the cover of :func:`_hide_outside` (3.5) and behind the walls (4).
+    # The zones are in front of the room and the ranges (up to 3.5) and behind the walls (4).
     draw_zones(axes, assessed.objective.rig, rotation, 3.8)
     draw_headings(axes, assessed.placement, positions, 0.07 * longer * rotation, 1.2 * scale)
     draw_numbers(axes, positions, 7.0 * scale, float(np.prod(assessed.size)), letters, always=True)
@@ -165,27 +165,6 @@ def _tick_distances(length: float) -> np.ndarray:
     steps = [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
     step = steps[min(np.searchsorted(steps, length / 6.0), len(steps) - 1)]
     return np.arange(0.0, length + 1e-6, step)
-
-
-def _hide_outside(axes: Axes, room: Room) -> None:
-    """Cover the area outside the room with white, for example outside an L-shaped room."""
-    cell_m = 0.1
-    flat = room.points[:, :2]
-    # The margin of four cells on each side is as wide as the closing of gaps below reaches.
-    low = flat.min(axis=0) - 4 * cell_m
-    cells = np.floor((flat - low) / cell_m).astype(int)
-    # Besides the margin, the size is one more than the largest index.
-    inside = np.zeros(cells.max(axis=0) + 5, dtype=bool)
-    inside[tuple(cells.T)] = True
-    structure = ndimage.iterate_structure(ndimage.generate_binary_structure(2, 1), 4)
-    inside = ndimage.binary_fill_holes(ndimage.binary_closing(inside, structure))
-    # RGBA, opaque outside. The first axis of an image is y, that of the cells is x. The factor 1.6
-    # makes the blurred edge more transparent.
-    cover = np.ones((*inside.T.shape, 4))
-    cover[..., 3] = 1.0 - np.minimum(ndimage.gaussian_filter(1.6 * inside.T, 0.7), 1.0)
-    high = low + cell_m * np.array(inside.shape)
-    axes.imshow(cover, extent=(low[0], high[0], low[1], high[1]), origin='lower',
-                interpolation='bilinear', zorder=3.5)
 
 
 def _corners(assessed: Assessment) -> np.ndarray:
@@ -287,24 +266,12 @@ def draw_floor_plan(path: Path, assessed: Assessment) -> None:
 
 def floor_plan_of(assessed: Assessment) -> Figure:
     """Return the installer's plan: the room, wall A at the top, cameras, measured distances."""
-    # Floor and ceiling are left out.
-    floor_layer_m, ceiling_layer_m, max_points = 0.15, 0.4, 12_000
     longer_edge_inches, min_edge_inches = 10.0, 4.5
-    scene = assessed.scene
-    low, high = scene.bounds[:, 2]
-    points = scene.points[(scene.points[:, 2] > low + floor_layer_m)
-                          & (scene.points[:, 2] < high - ceiling_layer_m)]
-    flat = points[::max(len(points) // max_points, 1), :2] @ assessed.plan_rotation[:2, :2].T
     inches_per_m = longer_edge_inches / max(assessed.size)
     edges_inches = [max(inches_per_m * edge, min_edge_inches) for edge in assessed.size]
     figure = Figure(figsize=edges_inches, dpi=100, facecolor='white')
     axes = figure.add_axes((0.05, 0.08, 0.9, 0.9))
-    axes.scatter(*flat.T, s=2.0, color=PALE_INK, alpha=0.4, linewidths=0.0)
-    # Marks are placed by the limits of the axes, so the axes are fitted first.
-    _fit_axes(axes, assessed, 0.1)
-    _draw_distances(axes, assessed)
-    _draw_marks(axes, assessed, scale=1.7)
-    _draw_axes(axes, assessed, 0.1 * max(assessed.size))
+    draw_room_plan(axes, room_for(assessed), assessed, measured=True)
     legend = zone_legend(assessed.objective.rig)
     if legend:
         figure.legend(legend.values(), legend.keys(), loc='lower center', frameon=False,
@@ -352,10 +319,7 @@ def _draw_axes(axes: Axes, assessed: Assessment, length: float) -> None:
         # than 0.5.
         if np.linalg.norm(direction) < 0.5:
             continue
-        axes.annotate('', corner + length * direction, corner, zorder=5, arrowprops={
-            'arrowstyle': '-|>', 'color': PALE_INK, 'lw': 1.5, 'shrinkA': 0.0, 'shrinkB': 0.0})
-        x, y = corner + 1.15 * length * direction
-        axes.text(x, y, name, fontsize=10, color=PALE_INK, ha='center', va='center', zorder=5)
+        draw_axis(axes, name, corner, length * direction)
 
 
 def _draw_distances(axes: Axes, assessed: Assessment) -> None:

@@ -26,7 +26,7 @@ from matplotlib.patches import FancyBboxPatch, Patch
 import numpy as np
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing import assessment_pictures as pictures
-from ocp_ros.report.drawing.plan_marks import camera_colour, darkened, zone_legend
+from ocp_ros.report.drawing.plan_drawing import camera_colour, darkened, zone_legend
 from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.saved_pictures import (
     draw_table,

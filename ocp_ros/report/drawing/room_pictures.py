@@ -23,9 +23,14 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.legend_handler import HandlerTuple
 from matplotlib.lines import Line2D
-from matplotlib.patches import Circle, Patch, Polygon
+from matplotlib.patches import Patch
 import numpy as np
-from ocp_ros.report.drawing.plan_marks import camera_colour, draw_numbers
+from ocp_ros.report.drawing.plan_drawing import (
+    camera_colour,
+    draw_axis,
+    draw_numbers,
+    draw_plan,
+)
 from ocp_ros.report.drawing.room_drawing import (
     choose_indices,
     draw_discs,
@@ -46,49 +51,29 @@ from ocp_ros.scenes.scene import Scene
 UNOBSERVED = '#c44e3b'
 
 
-def draw_placement(path: str | Path, points: np.ndarray, observed: np.ndarray | None,
-                   trajectories: np.ndarray, max_range: float, title: str,
-                   subtitle: str = '') -> None:
+def draw_placement(path: Path, points: np.ndarray, observed: np.ndarray, paths: np.ndarray,
+                   max_range: float, title: str, subtitle: str) -> None:
     """
     Write a PNG of 1800 x 950 pixels: a plan of the room and a view into it.
 
     :param path: file to write; its folder is created.
     :param points: (N, 3) the N points of the whole room, metres, map frame, z up.
-    :param observed: (N,) bool, points that the final placement sees; None to show no difference.
-    :param trajectories: (T, K, 3) metres, positions of the K cameras after each of T time steps;
-        row 0 is the start.
+    :param observed: (N,) bool, points that the final placement sees.
+    :param paths: (T, K, 3) metres, positions of the K cameras after each of T turns; row 0 is the
+        start.
     :param max_range: range of every camera, metres.
     :param title: headline.
     :param subtitle: line of numbers below the headline.
-    :raises ValueError: for a wrong shape or range; the message contains the wrong value.
     """
-    points, observed, paths = _checked_arrays(points, observed, trajectories, max_range)
-    room = room_of(points, height_colours(points, observed))
+    room = room_of(points.astype(np.float64), height_colours(points, observed))
     figure = Figure(figsize=(18.0, 9.5), dpi=100, facecolor='white')
     figure.text(0.03, 0.945, title, fontsize=21, fontweight='bold', color=INK, va='center',
                 parse_math=False)
     figure.text(0.03, 0.9, subtitle, fontsize=14, color=PALE_INK, va='center', parse_math=False)
-    draw_plan(figure.add_axes((0.045, 0.13, 0.44, 0.73)), room, paths, max_range)
-    _draw_cutaway(figure.add_axes((0.505, 0.1, 0.485, 0.77)), room, paths, max_range)
-    unseen = None if observed is None else f' ({100.0 * np.mean(~observed):.1f} % of the points)'
-    draw_legend(figure, max_range, len(paths) > 1, unseen)
+    draw_paths_on_plan(figure.add_axes((0.045, 0.13, 0.44, 0.73)), room, paths, max_range)
+    _draw_cutaway(figure.add_axes((0.505, 0.1, 0.485, 0.77)), room, paths)
+    draw_legend(figure, max_range, f' ({100.0 * np.mean(~observed):.1f} % of the points)')
     save_figure(figure, path, dpi=100)
-
-
-def _checked_arrays(points, observed, trajectories, max_range: float):
-    """Return points, observed and trajectories as float64 and bool arrays, or raise an error."""
-    points, paths = np.asarray(points, np.float64), np.asarray(trajectories, np.float64)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
-        raise ValueError(f'points: found shape {points.shape}; expected (N, 3), N of 4 or more')
-    if paths.ndim != 3 or paths.shape[2] != 3 or 0 in paths.shape:
-        raise ValueError(f'trajectories: found shape {paths.shape}; expected (T, K, 3): turns, '
-                         'cameras, x y z')
-    if observed is not None and np.shape(observed) != (len(points),):
-        raise ValueError(f'observed: found shape {np.shape(observed)}; expected ({len(points)},), '
-                         'one flag per point, or None')
-    if not 0.0 < max_range < np.inf:
-        raise ValueError(f'max_range: found {max_range}; expected metres above 0')
-    return points, None if observed is None else np.asarray(observed, bool), paths
 
 
 def height_colours(points: np.ndarray, observed: np.ndarray | None) -> np.ndarray:
@@ -107,52 +92,54 @@ def height_colours(points: np.ndarray, observed: np.ndarray | None) -> np.ndarra
     return colours
 
 
-def _draw_cameras(axes: Axes, paths: np.ndarray, max_range: float, clip: Polygon) -> None:
+def draw_paths_on_plan(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
     """
-    Draw ranges, paths, starts and final positions, and fit the axes to them.
+    Draw the room from above, to scale, in metres, with the cameras' paths and ranges.
 
-    :param paths: (T, K, 2) metres, positions in the picture of the K cameras after each of T time
-        steps.
-    :param clip: outline of the room, at which ranges end.
+    :param paths: (T, K, 3) metres, see :func:`draw_placement`.
+    :param max_range: range of every camera, metres.
     """
-    fit_axes(axes, np.concatenate([clip.get_xy(), *paths]), 0.03)
-    # With many cameras the ranges are paler, so that the room stays visible.
-    opacity = min(1.0, 2.0 / np.sqrt(paths.shape[1]))
-    effects = [patheffects.withStroke(linewidth=4.5, foreground='white')]
-    for camera in range(paths.shape[1]):
-        colour, path = camera_colour(camera), paths[:, camera]
-        axes.add_patch(Circle(path[-1], max_range, fill=False, edgecolor=colour, linewidth=1.5,
-                              alpha=0.4 + 0.4 * opacity, zorder=2)).set_clip_path(clip)
-        if len(path) > 1:
-            axes.plot(*path.T, color=colour, linewidth=2.4, zorder=4, path_effects=effects)
-            axes.plot(*path[0], 'o', markersize=7, markerfacecolor='white', markeredgewidth=2.0,
-                      markeredgecolor=colour, zorder=5)
-    draw_numbers(axes, paths[-1], 11.0, float(np.prod(np.ptp(clip.get_xy(), axis=0))), always=True)
-
-
-def draw_plan(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
-    """Draw the room from above, to scale, in metres, with paths (T, K, 3) of the cameras."""
-    outline = draw_discs(axes, room, np.eye(3))
-    _draw_cameras(axes, paths[..., :2], max_range, outline)
+    angles = np.linspace(0.0, 2.0 * np.pi, 100)
+    circle = max_range * np.column_stack([np.cos(angles), np.sin(angles)])
+    # Without a filling, so that points which no camera sees stay red.
+    draw_plan(axes, room, paths[-1, :, None, :2] + circle, fill=0.0)
+    _draw_paths(axes, paths[..., :2], room.points[:, :2])
     axes.set_xlabel('x (m)', fontsize=12, color=PALE_INK)
     axes.set_ylabel('y (m)', fontsize=12, color=PALE_INK)
     axes.tick_params(colors=PALE_INK, labelsize=11)
     axes.spines[:].set_visible(False)
 
 
-def _draw_cutaway(axes: Axes, room: Room, paths: np.ndarray, max_range: float) -> None:
+def _draw_cutaway(axes: Axes, room: Room, paths: np.ndarray) -> None:
     """Draw the room in parallel projection without front walls, with the cameras' paths."""
     view, shown_room = open_view(room)
-    outline = draw_discs(axes, shown_room, view)
+    draw_discs(axes, shown_room, view)
     floor = float(np.percentile(shown_room.points[:, 2], 2.0))
     # A dashed line from each camera down to the floor.
     for position in paths[-1]:
         vertical = np.array([position, [*position[:2], floor]]) @ view[:2].T
         axes.plot(*vertical.T, color=INK, linewidth=1.0, linestyle=(0, (2, 2)), zorder=3)
         axes.plot(*vertical[1], 'o', color=INK, markersize=3.5, zorder=3)
-    _draw_cameras(axes, paths @ view[:2].T, max_range, outline)
+    _draw_paths(axes, paths @ view[:2].T, shown_room.points @ view[:2].T)
     axes.set_axis_off()
     _draw_triad(axes, view)
+
+
+def _draw_paths(axes: Axes, paths: np.ndarray, points: np.ndarray) -> None:
+    """
+    Draw the paths of the cameras from their starts, with numbers at the ends, and fit the axes.
+
+    :param paths: (T, K, 2) metres, positions in the picture of the K cameras in T turns.
+    :param points: (N, 2) metres, the room in the picture.
+    """
+    fit_axes(axes, np.concatenate([points, *paths]), 0.03)
+    effects = [patheffects.withStroke(linewidth=4.5, foreground='white')]
+    for camera, path in enumerate(paths.swapaxes(0, 1)):
+        colour = camera_colour(camera)
+        axes.plot(*path.T, color=colour, linewidth=2.4, zorder=4, path_effects=effects)
+        axes.plot(*path[0], 'o', markersize=7, markerfacecolor='white', markeredgewidth=2.0,
+                  markeredgecolor=colour, zorder=5)
+    draw_numbers(axes, paths[-1], 11.0, float(np.prod(np.ptp(points, axis=0))), always=True)
 
 
 def _draw_triad(axes: Axes, view: np.ndarray) -> None:
@@ -165,21 +152,16 @@ def _draw_triad(axes: Axes, view: np.ndarray) -> None:
     # The leftmost and the lowest end of the arrows are 0.2 lengths from the corner.
     origin = np.array([left, bottom]) + 0.2 * length - np.minimum(axis_vectors, 0.0).min(axis=0)
     for name, tip in zip('xyz', axis_vectors):
-        axes.annotate('', origin + tip, origin, zorder=8,
-                      arrowprops={'arrowstyle': '-|>', 'color': INK, 'linewidth': 1.6,
-                                  'shrinkA': 0.0, 'shrinkB': 0.0})
-        axes.annotate(name, origin + tip, 9.0 * tip / np.hypot(*tip), color=INK, fontsize=12,
-                      textcoords='offset points', ha='center', va='center', zorder=8)
+        draw_axis(axes, name, origin, tip)
     axes.annotate(f'{length:g} m each', (left, bottom + 0.2 * length), (0.0, -10.0),
                   textcoords='offset points', color=PALE_INK, fontsize=11, va='top')
 
 
-def draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | None) -> None:
+def draw_legend(figure: Figure, max_range: float, unseen: str) -> None:
     """
     Draw a legend below the panels.
 
-    :param moved: whether the cameras moved, so that starts and paths are drawn.
-    :param unseen: text after "not observed"; None if the colours show heights only.
+    :param unseen: text after "not observed".
     """
     # Four points at different heights, whose colours the legend shows.
     points = np.arange(4.0)[:, None] * (0.0, 0.0, 1.0)
@@ -187,15 +169,12 @@ def draw_legend(figure: Figure, max_range: float, moved: bool, unseen: str | Non
     entries = {
         'start': Line2D([], [], markersize=8, markerfacecolor='white', markeredgewidth=2.0,
                         **style),
-        'path': Line2D([], [], color=PALE_INK, linewidth=2.4)} if moved else {}
-    entries |= {
+        'path': Line2D([], [], color=PALE_INK, linewidth=2.4),
         'final position': Line2D([], [], markersize=15, **style),
-        f'range {max_range:g} m': Line2D([], [], markersize=17, markerfacecolor='#eceef0',
-                                         **style),
-        'darker is higher': tuple(Patch(color=colour) for colour in height_colours(points, None))}
-    if unseen is not None:
-        entries[f'not observed{unseen}'] = tuple(
-            Patch(color=colour) for colour in height_colours(points, np.zeros(4, dtype=bool)))
+        f'range {max_range:g} m': Line2D([], [], markersize=17, markerfacecolor='none', **style),
+        'darker is higher': tuple(Patch(color=colour) for colour in height_colours(points, None)),
+        f'not observed{unseen}': tuple(Patch(color=colour) for colour in height_colours(
+            points, np.zeros(4, dtype=bool)))}
     figure.legend(entries.values(), entries.keys(), loc='lower center', ncols=len(entries),
                   frameon=False, fontsize=13, labelcolor=INK, bbox_to_anchor=(0.5, 0.012),
                   columnspacing=2.4, handler_map={tuple: HandlerTuple(ndivide=None, pad=0.0)})

@@ -12,25 +12,35 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Marks in a picture: numbered cameras without overlaps, letters of walls, and zones."""
+"""
+The room from above, and marks in pictures.
+
+The marks are cameras with numbers, headings and fields of view, letters of walls, and zones.
+"""
 
 from collections.abc import Sequence
 from typing import Any
 
+from matplotlib import patheffects
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Patch, Polygon
 import numpy as np
-from ocp_ros.report.drawing.room_drawing import INK
+from ocp_ros.geometry.cameras import CameraModel, OMNIDIRECTIONAL, PINHOLE, rotation_matrix
+from ocp_ros.report.drawing.room_drawing import draw_discs, INK, Room
 from ocp_ros.report.wall_references import InnerWall, ReferenceWall
 from ocp_ros.rig.placement_file import Placement
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.zones import Zone
+from scipy import ndimage
+from scipy.spatial import ConvexHull
 
 #: Colours that are distinct with any kind of colour vision, without red: red marks missed points.
 CAMERA_COLOURS = ('#0072b2', '#e69f00', '#009e73', '#cc79a7', '#56b4e9', '#332288', '#f0e442',
                   '#8c6d31')
 NO_POSITIONS = np.empty((0, 2))
+#: Number of directions along each edge of a field of view.
+EDGE_STEPS = 25
 #: Edge colour, hatching and line style of each kind of zone.
 STYLES = {
     'must-see region': {'edgecolor': '#00664d', 'hatch': '//', 'linestyle': '-'},
@@ -42,6 +52,46 @@ STYLES = {
 def camera_colour(number: int) -> str:
     """Return the colour of a camera by its number from 0; colours repeat after eight."""
     return CAMERA_COLOURS[number % len(CAMERA_COLOURS)]
+
+
+def draw_plan(axes: Axes, room: Room, ranges: Sequence[np.ndarray], fill: float = 0.2) -> None:
+    """
+    Draw a room from above, with the ranges of cameras.
+
+    :param room: the room in the axes of the plan.
+    :param ranges: for each camera the M corners (M, 2), metres, of the part of the plan in range.
+    :param fill: opacity of the ranges, from 0 to 1; that of their edges is higher.
+    """
+    outline = draw_discs(axes, room, np.eye(3))
+    # With many cameras the ranges are paler, so that the room stays visible.
+    opacity = min(1.0, 2.0 / np.sqrt(max(len(ranges), 1)))
+    for number, corners in enumerate(ranges):
+        colour = to_rgb(camera_colour(number))
+        patch = Polygon(corners, facecolor=(*colour, fill * opacity),
+                        edgecolor=(*colour, 0.9 * opacity), linewidth=1.0, zorder=3)
+        axes.add_patch(patch).set_clip_path(outline)
+    _hide_outside(axes, room)
+
+
+def _hide_outside(axes: Axes, room: Room) -> None:
+    """Cover the area outside the room with white, for example outside an L-shaped room."""
+    cell_m = 0.1
+    flat = room.points[:, :2]
+    # The margin of four cells on each side is as wide as the closing of gaps below reaches.
+    low = flat.min(axis=0) - 4 * cell_m
+    cells = np.floor((flat - low) / cell_m).astype(int)
+    # Besides the margin, the size is one more than the largest index.
+    inside = np.zeros(cells.max(axis=0) + 5, dtype=bool)
+    inside[tuple(cells.T)] = True
+    structure = ndimage.iterate_structure(ndimage.generate_binary_structure(2, 1), 4)
+    inside = ndimage.binary_fill_holes(ndimage.binary_closing(inside, structure))
+    # RGBA, opaque outside. The first axis of an image is y, that of the cells is x. The factor 1.6
+    # makes the blurred edge more transparent.
+    cover = np.ones((*inside.T.shape, 4))
+    cover[..., 3] = 1.0 - np.minimum(ndimage.gaussian_filter(1.6 * inside.T, 0.7), 1.0)
+    high = low + cell_m * np.array(inside.shape)
+    axes.imshow(cover, extent=(low[0], high[0], low[1], high[1]), origin='lower',
+                interpolation='bilinear', zorder=3.5)
 
 
 def move_apart(positions: np.ndarray, min_distance: float, fixed: np.ndarray) -> np.ndarray:
@@ -140,6 +190,100 @@ def draw_headings(axes: Axes, placement: Placement, positions: np.ndarray, rotat
             axes.annotate('', position + rotation @ [np.cos(yaw), np.sin(yaw)], position, zorder=5,
                           arrowprops={'arrowstyle': '-|>', 'color': camera_colour(number),
                                       'lw': width, 'shrinkA': 0.0, 'shrinkB': 0.0})
+
+
+def rim(model: CameraModel) -> np.ndarray:
+    """
+    Return the directions of M points once around the edge of a field of view.
+
+    :returns: (M, 3) unit vectors, body frame (x forward, y left, z up).
+    """
+    lens, steps = model.lens, np.linspace(-1.0, 1.0, EDGE_STEPS)
+    ones = np.ones_like(steps)
+    # Four edges of a square from -1 to 1: bottom, left, top and right. Left is 1, as y is left.
+    horizontal = np.concatenate([steps, ones, -steps, -ones])
+    vertical = np.concatenate([-ones, steps, ones, -steps])
+    if lens.kind == PINHOLE:
+        # For a pinhole camera the halves are tangents, which are coordinates at x = 1.
+        directions = np.column_stack([np.ones(len(horizontal)), horizontal * lens.half_horizontal,
+                                      vertical * lens.half_vertical])
+        return directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    azimuth = horizontal * 0.5 * model.horizontal_fov
+    elevation = vertical * 0.5 * model.vertical_fov
+    return np.column_stack([np.cos(elevation) * np.cos(azimuth),
+                            np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+
+
+def reach(model: CameraModel, pose: np.ndarray, heights: Sequence[float]) -> np.ndarray:
+    """
+    Return the part of the floor plan that a camera would see if nothing hid anything.
+
+    :param pose: (6,) metres, map frame, and radians.
+    :param heights: heights of floor and ceiling, metres, map frame, which limit the rays.
+    :returns: (M, 2) metres, map frame: the M corners of a polygon.
+    """
+    position, rotation = pose[:3], rotation_matrix(*pose[3:])
+    if model.lens.kind != PINHOLE:
+        # A circle around the camera, or a sector with the camera as its tip.
+        half_angle = 0.5 * model.horizontal_fov
+        azimuth = np.linspace(-half_angle, half_angle, 8 * EDGE_STEPS)
+        horizontal = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros_like(azimuth)])
+        ends = _ray_ends(position, horizontal @ rotation.T, model.max_range, heights)
+        full_circle = half_angle >= np.pi - 1e-6
+        return ends[:, :2] if full_circle else np.concatenate([ends, [position]])[:, :2]
+    # Directions between the optical axis (scale 0) and the rim (scale 1) are needed too, since the
+    # directions near the optical axis may reach farthest in the plan.
+    directions = np.concatenate([scale * rim(model) + [1.0 - scale, 0.0, 0.0]
+                                 for scale in np.linspace(0.1, 1.0, 10)])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ends = _ray_ends(position, directions @ rotation.T, model.max_range, heights)
+    corners = np.concatenate([ends, [position]])[:, :2]
+    # With the option QJ, corners on one line are no error.
+    return corners[ConvexHull(corners, qhull_options='QJ').vertices]
+
+
+def _ray_ends(position: np.ndarray, directions: np.ndarray, max_range: float,
+              heights: Sequence[float]) -> np.ndarray:
+    """Return the ends (M, 3) of rays along M directions, at the range, the floor or ceiling."""
+    below, above = position[2] - heights[0], heights[1] - position[2]
+    space = np.where(directions[:, 2] > 0.0, above, below)
+    slopes = np.maximum(np.abs(directions[:, 2]), 1e-9)
+    return position + directions * np.minimum(max_range, np.maximum(space, 0.0) / slopes)[:, None]
+
+
+def edges(model: CameraModel, pose: np.ndarray, length: float) -> np.ndarray:
+    """
+    Return a camera's frustum as lines: its rim, and for a pinhole camera four rays to the rim.
+
+    :param pose: (6,) metres, map frame, and radians.
+    :param length: metres, from the camera to the rim.
+    :returns: (M, 3) metres, map frame, points of lines with a row of NaN between two lines; empty
+        for an omnidirectional camera.
+    """
+    if model.lens.kind == OMNIDIRECTIONAL:
+        return np.empty((0, 3))
+    ring = pose[:3] + length * rim(model) @ rotation_matrix(*pose[3:]).T
+    # Each of the four edges in the ring begins at a corner of the field of view.
+    rays = [np.stack([pose[:3], ring[k]]) for k in range(0, len(ring), EDGE_STEPS)]
+    return chained([np.concatenate([ring, ring[:1]]),
+                    *(rays if model.lens.kind == PINHOLE else [])])
+
+
+def chained(lines: Sequence[np.ndarray]) -> np.ndarray:
+    """Return lines (M, 3) as one array, with a row of NaN between two lines."""
+    gap = np.full((1, 3), np.nan)
+    return np.concatenate([rows for line in lines for rows in (line, gap)])[:-1]
+
+
+def draw_axis(axes: Axes, name: str, origin: np.ndarray, vector: np.ndarray) -> None:
+    """Draw an axis of coordinates: arrow from origin (2,) along vector (2,), with its name."""
+    halo = [patheffects.withStroke(linewidth=3.5, foreground='white')]
+    axes.annotate('', origin + vector, origin, zorder=5, arrowprops={
+        'arrowstyle': '-|>', 'color': INK, 'linewidth': 1.6, 'shrinkA': 0.0, 'shrinkB': 0.0,
+        'path_effects': halo})
+    axes.annotate(name, origin + vector, 9.0 * vector / np.hypot(*vector), color=INK, fontsize=12,
+                  textcoords='offset points', ha='center', va='center', zorder=5,
+                  path_effects=halo)
 
 
 def darkened(colour: str) -> tuple[float, float, float]:
