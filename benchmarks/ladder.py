@@ -17,9 +17,9 @@ Which repairs make the paper's agent learn: a ladder of trainings, each with mor
 
 All have the potential reward, four cameras, 30 turns of at most 0.5 m, and the same rooms, engine
 and viewpoints. ``literal`` has the networks and the learning of the paper's run; ``critics`` the
-repaired network, whose extractor the critics train, and cameras that choose one after the other;
-``updates`` more and larger gradient steps; ``blocks`` residual heads; ``augmented`` symmetries and
-jitter; ``wide`` a larger extractor.
+repaired network, whose extractor the critics train, augmented samples, and cameras that choose one
+after the other; ``updates`` more and larger gradient steps; ``blocks`` residual heads; ``wide`` a
+larger extractor.
 
     python -m benchmarks.ladder --rungs literal critics --out out/ladder
     python -m benchmarks.ladder --record
@@ -57,12 +57,11 @@ RUNGS: dict[str, dict[str, Any]] = {
     'literal': {},
     'critics': {'updates_per_turn': 1 / 32, 'agent': {'hidden': 256, 'blocks': 0},
                 'sac': {'batch_size': 64, 'gamma': 0.99, 'n_steps': 1, 'tau': 0.005,
-                        'learning_rate': 3e-4, 'augmentation': 'none'}},
+                        'learning_rate': 3e-4}},
     'updates': {'updates_per_turn': 0.25,
                 'sac': {'batch_size': 128, 'gamma': 0.95, 'n_steps': 3, 'tau': 0.01,
                         'learning_rate': 5e-4}},
     'blocks': {'agent': {'blocks': 2, 'hidden': 128}},
-    'augmented': {'sac': {'augmentation': 'jitter'}},
     'wide': {'agent': {'channels': 64, 'keys_2': 16, 'pooled': 256}}}
 
 

@@ -57,7 +57,6 @@ class AgentConfig:
     hidden: int = setting(128, 'width of the heads', 1, 4096)
     blocks: int = setting(2, 'with inputs cloud: residual blocks of the heads; 0: two plain '
                           'layers', 0, 16)
-    length_scale: float = setting(4.0, 'length that the network reads as 1, metres', 0.01, 100.0)
 
     def __post_init__(self) -> None:
         """Reject settings without effect, and extraction units that need too much memory."""

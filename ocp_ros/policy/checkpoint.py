@@ -15,8 +15,8 @@
 """
 Checkpoints: weights and their card, as one safetensors blob, in files and in messages.
 
-Nothing is ever unpickled. The card is JSON: the settings that the weights need (the agent's sizes
-and length scale), their version (updates so far) and their provenance.
+Nothing is ever unpickled. The card is JSON: the settings that the weights need (the agent's
+sizes), their version (updates so far) and their provenance.
 """
 
 from dataclasses import dataclass, field
@@ -27,6 +27,7 @@ from typing import Any
 
 from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
 from ocp_ros.policy.networks import Actor
+from ocp_ros.policy.observation_cloud import LENGTH_SCALE
 from ocp_ros.util.files import MAX_BYTES, read_regular, write_atomically
 from ocp_ros.util.settings import from_nested, to_nested
 from safetensors import SafetensorError
@@ -135,7 +136,11 @@ class Checkpoint:
             card = json.loads(read_metadata(blob)[METADATA_KEY])
             if card['format'] != FORMAT:
                 raise ValueError(f'its format is {card["format"]!r}, not {FORMAT!r}')
-            config = from_nested(AgentConfig, card['config'], source)
+            # Older cards have the unit of length, which was a setting; another unit is unknown.
+            settings = dict(card['config'])
+            if settings.get('length_scale') == LENGTH_SCALE:
+                del settings['length_scale']
+            config = from_nested(AgentConfig, settings, source)
             updates = card['updates']
             run = card['run']
             # ``type`` rejects True too. Nodes publish updates as float64, exact up to 2^53.

@@ -68,14 +68,14 @@ class EncodedTurn:
         if observed is not None:
             centres, is_unseen = observed.air
             unseen_share = float(is_unseen.mean()) if len(centres) else 0.0
-            air = features_of_air(self.positions[camera], centres, is_unseen, config)
+            air = features_of_air(self.positions[camera], centres, is_unseen)
             marks = np.stack(observed.seen_now(camera), axis=1).astype(np.uint8)
             # The rows of the same points as in ``encode``.
             marks = thinned(marks, config.points)
         max_range, views, heading = self._encoder.traits_of(camera)
         path_left = self._max_step * (self._turns - self._turn)
         return {**self._cloud, 'cameras': self._cloud['cameras'][camera:camera + 1],
-                'others': features_of_others(camera, self.positions, self._has_chosen, config),
+                'others': features_of_others(camera, self.positions, self._has_chosen),
                 'turn': np.array([self._turn / self._turns, len(self.positions) / 4.0,
                                   unseen_share, self._max_step / 2.0, min(path_left / 8.0, 2.0),
                                   max_range / 4.0, *views], np.float32),

@@ -128,7 +128,7 @@ class ExtractionUnit(nn.Module):
         """
         Return one feature vector for each key point: (B, K, C').
 
-        :param points: (B, N, 3), N points in each of B observations, unit ``length_scale``.
+        :param points: (B, N, 3), N points in each of B observations, unit ``LENGTH_SCALE``.
         :param features: (B, N, C), C features of each point; None for none.
         :param centres: (B, K, 3), the K key points.
         :param groups: (B, K, G), indices of the G points in the group of each key point.
@@ -192,7 +192,7 @@ class Extractor(nn.Module):
         Return features of the cloud around a centre, and this centre: (B, ``pooled`` + 3).
 
         :param observation: B encoded observations.
-        :param centre: (B, 1, 3), unit ``length_scale``; None for the mean of the key points.
+        :param centre: (B, 1, 3), unit ``LENGTH_SCALE``; None for the mean of the key points.
         """
         points = observation['points']
         marks = None if self.paper else observation['marks'].to(points.dtype)

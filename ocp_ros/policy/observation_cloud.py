@@ -24,6 +24,8 @@ from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.policy.agent_config import AgentConfig, PAPER
 from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 
+#: Length that the network reads as 1, metres.
+LENGTH_SCALE = 4.0
 #: Largest number of other cameras that the network reads for one camera: the nearest ones.
 MAX_OTHERS = 7
 #: Number of values for the turn and the choosing camera: elapsed share of the episode, number of
@@ -49,7 +51,7 @@ def encode(cloud: np.ndarray, positions: np.ndarray, config: AgentConfig
     """
     Return an observation as the network's inputs by name.
 
-    Lengths are in units of ``length_scale``, relative to the centre of the cloud's bounding box.
+    Lengths are in units of ``LENGTH_SCALE``, relative to the centre of the cloud's bounding box.
 
     :param cloud: (M, 3) float32, metres, map frame: M observed points, in any order.
     :param positions: (K, 3), metres, map frame: current positions of the K cameras.
@@ -64,23 +66,22 @@ def encode(cloud: np.ndarray, positions: np.ndarray, config: AgentConfig
     cloud = cloud if len(cloud) else positions
     bounds = corners_of(cloud)
     centre = bounds.mean(axis=0)
-    scale = config.length_scale
-    points = ((thinned(cloud, config.points) - centre) / scale).astype(np.float32)
+    points = ((thinned(cloud, config.points) - centre) / LENGTH_SCALE).astype(np.float32)
     keys_1 = farthest_points(points, config.keys_1)
     key_points = points[keys_1]
     keys_2 = farthest_points(key_points, config.keys_2)
     group = ball_query if config.inputs == PAPER else nearest_in_ball
     indices = {
         'keys_1': keys_1,
-        'groups_1': group(points, keys_1, config.radius_1 / scale, config.group_1),
+        'groups_1': group(points, keys_1, config.radius_1 / LENGTH_SCALE, config.group_1),
         'keys_2': keys_2,
-        'groups_2': group(key_points, keys_2, config.radius_2 / scale, config.group_2)}
+        'groups_2': group(key_points, keys_2, config.radius_2 / LENGTH_SCALE, config.group_2)}
     return {
         'points': points,
         # int16 halves the memory of the replay buffer: there are at most 32767 points.
         **{name: value.astype(np.int16) for name, value in indices.items()},
-        'cameras': ((positions - centre) / scale).astype(np.float32),
-        'half_size': (0.5 * (bounds[1] - bounds[0]) / scale).astype(np.float32)}
+        'cameras': ((positions - centre) / LENGTH_SCALE).astype(np.float32),
+        'half_size': (0.5 * (bounds[1] - bounds[0]) / LENGTH_SCALE).astype(np.float32)}
 
 
 def thinned(rows: np.ndarray, count: int) -> np.ndarray:
@@ -88,19 +89,17 @@ def thinned(rows: np.ndarray, count: int) -> np.ndarray:
     return rows[np.arange(count) * len(rows) // count]
 
 
-def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray,
-                       config: AgentConfig) -> np.ndarray:
+def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarray) -> np.ndarray:
     """
     Return the inputs of a camera that describe the other cameras, the nearest first.
 
     :param camera: number of the camera that chooses, from 0.
     :param positions: (K, 3) metres: positions of the K cameras, after the moves chosen so far.
     :param has_chosen: (K,) bool, whether each camera has chosen its move.
-    :param config: has the unit of length, ``length_scale``.
     :returns: (``MAX_OTHERS``, ``OF_OTHERS``) float32; rows without a camera are 0.
     """
     features = np.zeros((MAX_OTHERS, OF_OTHERS), dtype=np.float32)
-    vectors = (np.delete(positions, camera, axis=0) - positions[camera]) / config.length_scale
+    vectors = (np.delete(positions, camera, axis=0) - positions[camera]) / LENGTH_SCALE
     nearest = np.argsort(np.linalg.norm(vectors, axis=1), kind='stable')[:MAX_OTHERS]
     features[:len(nearest), :3] = vectors[nearest]
     features[:len(nearest), 3] = 1.0
@@ -108,8 +107,8 @@ def features_of_others(camera: int, positions: np.ndarray, has_chosen: np.ndarra
     return features
 
 
-def features_of_air(position: np.ndarray, centres: np.ndarray, is_unseen: np.ndarray,
-                    config: AgentConfig) -> np.ndarray:
+def features_of_air(position: np.ndarray, centres: np.ndarray, is_unseen: np.ndarray
+                    ) -> np.ndarray:
     """
     Return the inputs of a camera that describe the unseen air around it.
 
@@ -119,7 +118,6 @@ def features_of_air(position: np.ndarray, centres: np.ndarray, is_unseen: np.nda
     :param position: (2 or more,) metres: position of the camera.
     :param centres: (C, 2) metres: centres of the cells of the air.
     :param is_unseen: (C,) bool, whether no camera has covered a cell.
-    :param config: has the unit of length, ``length_scale``.
     :returns: (``SECTORS``, ``OF_SECTOR``) float32; rows without unseen air are 0.
     """
     vectors = centres - position[:2]
@@ -130,8 +128,7 @@ def features_of_air(position: np.ndarray, centres: np.ndarray, is_unseen: np.nda
     unseen = np.bincount(sectors, minlength=SECTORS)
     sums = [np.bincount(sectors, values, SECTORS) for values in vectors.T]
     features = np.zeros((SECTORS, OF_SECTOR), dtype=np.float32)
-    features[:, :2] = np.stack(sums, axis=1) / (
-        np.maximum(unseen, 1)[:, None] * config.length_scale)
+    features[:, :2] = np.stack(sums, axis=1) / (np.maximum(unseen, 1)[:, None] * LENGTH_SCALE)
     features[:, 2] = unseen / max(len(sectors), 1)
     features[:, 3] = unseen / np.maximum(cells, 1)
     return features

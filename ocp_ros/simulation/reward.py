@@ -65,6 +65,8 @@ class Value(NamedTuple):
 
 
 #: The reward of a state that no turn has led to.
+#: Added to the reward of a turn, or K_P of the paper, if a command is not allowed.
+PENALTY = -1.0
 NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0)
 
 
@@ -99,9 +101,9 @@ def reward(before: Value, after: Value, outside: bool, volume: float, worst: flo
     if config.kind == 'paper':
         value = config.coverage * coverage_gain + config.depth_error * error_reduction
         # The penalty replaces the weighted sum if a position is not allowed.
-        value = (value * (1.0 - penalty) + config.penalty * penalty) ** 3
+        value = (value * (1.0 - penalty) + PENALTY * penalty) ** 3
     else:
         value = potential(*after[:2], volume, worst) - potential(*before[:2], volume, worst)
         value += config.explored * (after.explored - before.explored)
-        value += config.penalty * penalty
+        value += PENALTY * penalty
     return RewardTerms(value, coverage_gain, error_reduction, penalty)

@@ -59,9 +59,6 @@ class RewardConfig:
     explored: float = setting(
         0.0, 'potential: weight of the share of the points that were seen since the episode '
              'began', 0.0, 1000.0, running=True)
-    penalty: float = setting(
-        -1.0, 'penalty K_P for a command that moves a camera out of the bounding box', -1000.0,
-        0.0, running=True)
 
 
 @dataclass(frozen=True)

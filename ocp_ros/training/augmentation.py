@@ -57,27 +57,20 @@ class CloudReplayBuffer(DictReplayBuffer):
 
     :param n_steps: number n of rewards that are summed before the value of the critics is added.
     :param gamma: discount of the rewards.
-    :param augmentation: augmentation of each sample: ``none``, ``symmetries`` or ``jitter``.
     """
 
-    def __init__(self, *args, n_steps: int = 1, gamma: float = 0.99,
-                 augmentation: str = 'symmetries', **kwargs) -> None:
+    def __init__(self, *args, n_steps: int, gamma: float, **kwargs) -> None:
         super().__init__(*args, **kwargs)
         self.n_steps = n_steps
         self.gamma = gamma
-        self.augmentation = augmentation
 
     def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
-        """Draw a batch; apply the augmentation, a random symmetry alone or also noise."""
+        """Draw a batch; turn or mirror each sample at random, and add noise."""
         batch = super().sample(batch_size, env)
-        if self.augmentation == 'none':
-            return batch
         numbers = np.random.randint(len(SYMMETRIES), size=len(batch.actions))
         matrices = SYMMETRIES[torch.from_numpy(numbers)].to(batch.actions.device)
-        before = turned_observation(batch.observations, matrices)
-        after = turned_observation(batch.next_observations, matrices)
-        if self.augmentation == 'jitter':
-            before, after = jittered(before), jittered(after)
+        before = jittered(turned_observation(batch.observations, matrices))
+        after = jittered(turned_observation(batch.next_observations, matrices))
         return batch._replace(observations=before, next_observations=after,
                               actions=turned_vectors(batch.actions, matrices))
 
@@ -102,7 +95,7 @@ class CloudReplayBuffer(DictReplayBuffer):
 
 def jittered(observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
     """Return clouds with noise, and with 10 % of each group's points replaced by its first."""
-    # Points are in units of the agent's ``length_scale``.
+    # Points are in units of ``LENGTH_SCALE``.
     noise = 0.005 * torch.randn_like(observation['points'])
     noisy = {**observation, 'points': observation['points'] + noise}
     for name in ('groups_1', 'groups_2'):

@@ -130,15 +130,15 @@ def make_sac(sac: SacConfig, agent: AgentConfig, env=None, seed: int = 0,
     buffer_class, buffer_kwargs = DictReplayBuffer, {}
     if agent.one_by_one:
         buffer_class = CloudReplayBuffer
-        buffer_kwargs = {name: getattr(sac, name) for name in ('n_steps', 'gamma', 'augmentation')}
-    # ``auto_`` means that the entropy coefficient is learned from this first value on. The target
-    # entropy is given for each of the two components of each camera's action.
+        buffer_kwargs = {name: getattr(sac, name) for name in ('n_steps', 'gamma')}
+    # The entropy coefficient is learned, from 0.1 on. The target entropy is -1 for each of the two
+    # components of each camera's action.
     model = AgentSac(
         policy_class, env, config=sac, agent=agent,
         learning_rate=falling(sac.learning_rate, sac.constant_share),
         buffer_size=sac.buffer_size, learning_starts=sac.learning_starts,
-        batch_size=sac.batch_size, tau=sac.tau, gamma=sac.gamma, ent_coef=f'auto_{sac.entropy}',
-        target_entropy=sac.target_entropy * 2 * cameras, tensorboard_log=tensorboard, seed=seed,
+        batch_size=sac.batch_size, tau=sac.tau, gamma=sac.gamma, ent_coef='auto_0.1',
+        target_entropy=-2.0 * cameras, tensorboard_log=tensorboard, seed=seed,
         device=sac.device, _init_setup_model=False, policy_kwargs=policy_kwargs,
         replay_buffer_class=buffer_class, replay_buffer_kwargs=buffer_kwargs, **kwargs)
     # Without an environment, the spaces must be set before the networks are built.

@@ -348,7 +348,7 @@ def train(config: TrainingConfig, folder: Path, command: str = '') -> Checkpoint
     claim(folder, config)
     columns = (TextColumn('{task.description}'), MofNCompleteColumn(), TimeRemainingColumn(),
                TextColumn('{task.fields[error]}'))
-    with WorkerPool(config.workers, config.ray or None) as pool, Progress(*columns) as progress:
+    with WorkerPool(config.workers) as pool, Progress(*columns) as progress:
         start = Checkpoint.load(find_model(config.model)) if config.model else None
         run = Run(build_model(config, folder, start), config, folder, pool, progress)
         run.resume()

@@ -38,17 +38,9 @@ class SacConfig:
     learning_starts: int = setting(1000, 'transitions before the first gradient step', 1, 1000000)
     gamma: float = setting(0.95, 'discount per interaction', 0.0, 1.0)
     tau: float = setting(0.01, 'share of the targets replaced per gradient step', 1e-6, 1.0)
-    entropy: float = setting(0.1, 'first entropy coefficient; it is then learned', 1e-6, 100.0)
-    target_entropy: float = setting(
-        -1.0, 'target entropy per component of the action', -10.0, 1.0)
     n_steps: int = setting(
         3, 'with agent.inputs cloud: number of interactions whose rewards are added before the '
            'critics value what follows', 1, 100)
-    augmentation: str = setting(
-        'jitter', 'with agent.inputs cloud: what is done to each sample: nothing (none), a '
-        'rotation by quarter turns or a reflection (symmetries), or these and a small movement '
-        'of its points, some of which are left out (jitter)',
-        choices=('none', 'symmetries', 'jitter'))
     bfloat16: bool = setting(
         False, 'with agent.inputs cloud: the network that is trained computes with 16 bits in '
                'place of 32, which is faster on processors that can')
@@ -132,8 +124,6 @@ class TrainingConfig:
         1 << 40)
     environments: int = setting(4, 'episodes played side by side', 1, 1024)
     workers: int = setting(0, 'processes that play; 0 for one on each core', 0, 1024)
-    ray: str = setting('', 'a Ray cluster that plays evaluations and walks through rooms instead, '
-                       'such as auto; empty for none')
     fewest_cameras: int = setting(
         4, 'least number of cameras in an episode; simulation.rig.cameras is the most', 1,
         MAX_CAMERAS)

@@ -26,7 +26,7 @@ from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, METADATA_KEY, write_atomically
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.policy.networks import ExtractionUnit, Extractor, SYMMETRIES, turned_observation
-from ocp_ros.policy.observation_cloud import encode, features_of_air, MAX_OTHERS
+from ocp_ros.policy.observation_cloud import encode, features_of_air, LENGTH_SCALE, MAX_OTHERS
 from ocp_ros.policy.policy import Policy
 from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 from ocp_ros.rig.sensors import SENSORS
@@ -107,7 +107,7 @@ def test_the_network_of_the_paper_reads_groups_of_points_box_and_all_cameras(sma
     points, keys = encoded['points'], encoded['keys_1']
     assert np.array_equal(keys, farthest_points(points, agent.keys_1))
     assert np.array_equal(encoded['groups_1'], ball_query(
-        points, keys, agent.radius_1 / agent.length_scale, agent.group_1))
+        points, keys, agent.radius_1 / LENGTH_SCALE, agent.group_1))
     assert_same(encoded, encode(cloud, places, agent))
     seen = batch(encoded)
     features = Extractor(agent)(seen)
@@ -165,8 +165,8 @@ def test_points_are_marked_by_who_sees_them_now(cloud):
     told = turn_of(cloud, places)
     for camera in (0, 1):
         seen = told.inputs(camera)
-        points = AGENT.length_scale * (seen['points'] - seen['cameras'][0])
-        way = AGENT.length_scale * seen['others'][0, :3]
+        points = LENGTH_SCALE * (seen['points'] - seen['cameras'][0])
+        way = LENGTH_SCALE * seen['others'][0, :3]
         np.testing.assert_allclose(way, np.subtract(places[1 - camera], places[camera]), atol=1e-5)
         assert set(np.unique(seen['marks'])) == {0, 1}
         for marks, place in zip(seen['marks'].T, (np.zeros(3), way)):
@@ -182,7 +182,7 @@ def test_a_camera_is_told_what_those_before_it_will_do(cloud):
     after = told.inputs(1)
     assert made[0] > 0.5
     np.testing.assert_allclose(after['others'][0, :2] - before['others'][0, :2],
-                               made * 0.5 / AGENT.length_scale, atol=1e-5)
+                               made * 0.5 / LENGTH_SCALE, atol=1e-5)
     assert before['others'][0].tolist()[3:] == [1.0, 0.0]
     assert after['others'][0].tolist()[3:] == [1.0, 1.0]
     assert not before['others'][1:].any()
@@ -196,7 +196,7 @@ def test_the_turn_is_told_and_the_nearest_of_more_cameras_than_there_is_room_for
     (x, y, z), far = corners(cloud)
     ways = np.random.default_rng(0).permutation(0.1 * np.arange(1, MAX_OTHERS + 1))
     seen = turn_of(cloud, [[x, y, z], *([x + way, y, z] for way in ways), far]).inputs(0)
-    np.testing.assert_allclose(AGENT.length_scale * seen['others'][:, 0], np.sort(ways), atol=1e-5)
+    np.testing.assert_allclose(LENGTH_SCALE * seen['others'][:, 0], np.sort(ways), atol=1e-5)
     assert seen['turn'][:2] == pytest.approx([0.1, (MAX_OTHERS + 2) / 4.0])
     assert 0.0 < seen['turn'][2] < 1.0
     # Steps, the path that is left and the range, each in its unit, and a view all around.
@@ -225,17 +225,17 @@ def test_unseen_air_is_told_by_sectors_that_turn_with_the_room(seed, count):
     rng = np.random.default_rng(seed)
     place, centres = rng.uniform(-1.0, 1.0, 2), rng.uniform(-4.0, 4.0, (count, 2))
     unseen = rng.random(count) < 0.6
-    features = features_of_air(place, centres, unseen, AGENT)
+    features = features_of_air(place, centres, unseen)
     x, y = (centres - place).T
     sectors = (np.arctan2(y, x) % (2.0 * np.pi) // (0.25 * np.pi)).astype(int)
     for sector, row in enumerate(features):
         own = unseen[sectors == sector]
-        ways = (centres - place)[unseen & (sectors == sector)] / AGENT.length_scale
+        ways = (centres - place)[unseen & (sectors == sector)] / LENGTH_SCALE
         expected = [*ways.mean(axis=0), len(ways) / unseen.sum(), own.mean()] if len(ways) else 0.0
         np.testing.assert_allclose(row, expected, atol=1e-5)
     quarter, mirror = around_z(90.0), np.diag([1.0, -1.0])
     for matrix, rows in ((quarter, np.roll(features, 2, axis=0)), (mirror, features[::-1])):
-        turned = features_of_air(matrix @ place, centres @ matrix.T, unseen, AGENT)
+        turned = features_of_air(matrix @ place, centres @ matrix.T, unseen)
         expected = np.hstack([rows[:, :2] @ matrix.T, rows[:, 2:]])
         np.testing.assert_allclose(turned, expected, atol=1e-5)
 

@@ -275,8 +275,9 @@ def test_threads_change_nothing(room, preset):
         assert all(map(np.array_equal, view, simulator.look(pose)))
 
 
-def test_the_papers_reward_is_its_formula():
-    config = RewardConfig(kind='paper', coverage=0.02, depth_error=1.0, penalty=-2.0)
+def test_the_papers_reward_is_its_formula(monkeypatch):
+    monkeypatch.setattr('ocp_ros.simulation.reward.PENALTY', -2.0)
+    config = RewardConfig(kind='paper', coverage=0.02, depth_error=1.0)
     inside, outside = (reward(Value(10.0, 5.0, 0.1), Value(25.0, 4.5, 0.3), left, 100.0, 50.0,
                               config) for left in (False, True))
     assert inside.reward == pytest.approx((0.02 * 15.0 + 0.5) ** 3) and outside.reward == -8.0

@@ -28,6 +28,7 @@ from ocp_ros.training.learner import BURST_STEPS, Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
 from ocp_ros.training.transitions import Assembler, Reward, Transition
 import pytest
+from stable_baselines3.common.buffers import DictReplayBuffer
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 SAC = SacConfig(learning_starts=12, batch_size=8, buffer_size=400, device='cpu')
@@ -204,7 +205,7 @@ def test_a_learner_whose_transitions_are_lost_waits_for_new_ones(small_agent, tm
 
 def test_rewards_are_summed_up_while_one_transition_follows_another(small_agent, tmp_path):
     """The third one is of another rig; the last one comes after a restart."""
-    sac = replace(SAC, n_steps=3, gamma=0.5, augmentation='none', learning_starts=100)
+    sac = replace(SAC, n_steps=3, gamma=0.5, learning_starts=100)
     config = LearnerConfig(updates_per_turn=1.0, folder=str(tmp_path))
     states = [observation(small_agent, seed) for seed in range(5)]
     chain = [Transition(before, np.zeros((1, 2), np.float32), reward, after, False)
@@ -214,7 +215,7 @@ def test_rewards_are_summed_up_while_one_transition_follows_another(small_agent,
         learner = Learner(config, small_agent, sac)
         assert all(map(learner.add, parts))
         learner.close()
-    drawn = learner.model.replay_buffer.sample(200)
+    drawn = DictReplayBuffer.sample(learner.model.replay_buffer, 200)
     assert drawn.rewards[:, 0].unique().tolist() == [6.0, 10.0, 100.0, 1e3, 1e4]
     # None of these sums ends at a terminal state, so the critics value what follows.
     assert not drawn.dones.any()
