@@ -171,8 +171,7 @@ def random_checkpoint(agent, seed=0, **known):
 
 def observation(agent, seed=0):
     """Return an encoded observation of random points in a room around the origin."""
-    from ocp_ros.policy.cloud_encoder import Encoder
-    from ocp_ros.policy.observation_cloud import encode
+    from ocp_ros.policy.cloud_encoder import encode, Encoder
     rng = np.random.default_rng(seed)
     cloud = rng.uniform([-3, -2, 0], [3, 2, 3], (300, 3)).astype(np.float32)
     positions = rng.uniform([-1, -1, 1.9], [1, 1, 1.9], (4, 3))

@@ -26,8 +26,8 @@ import struct
 from typing import Any
 
 from ocp_ros.policy.agent_config import AgentConfig, CheckpointError
+from ocp_ros.policy.cloud_encoder import LENGTH_SCALE
 from ocp_ros.policy.networks import Actor
-from ocp_ros.policy.observation_cloud import LENGTH_SCALE
 from ocp_ros.util.files import MAX_BYTES, read_regular, write_atomically
 from ocp_ros.util.settings import from_nested, to_nested
 from safetensors import SafetensorError

@@ -21,7 +21,7 @@ of all cameras, as in section III-C of arXiv 2110.11106 and in stable-baselines3
 """
 
 from ocp_ros.policy.agent_config import AgentConfig, PAPER
-from ocp_ros.policy.observation_cloud import MARKS, OF_OTHERS, OF_SECTOR, OF_TURN
+from ocp_ros.policy.cloud_encoder import MARKS, OF_OTHERS, OF_SECTOR, OF_TURN
 import torch
 from torch import nn, Tensor
 
@@ -142,7 +142,7 @@ class ExtractionUnit(nn.Module):
 
 class Extractor(nn.Module):
     """
-    Features of an encoded observation; see :mod:`ocp_ros.policy.observation_cloud`.
+    Features of an encoded observation; see :mod:`ocp_ros.policy.cloud_encoder`.
 
     The single key point of the last unit is the mean of the second unit's key points in ``paper``,
     and the position of the choosing camera in ``cloud``.
@@ -238,7 +238,7 @@ class Actor(nn.Module):
         """
         Return the distribution of the moves, before the hyperbolic tangent limits them.
 
-        :param observation: B encoded observations; see :mod:`ocp_ros.policy.observation_cloud`.
+        :param observation: B encoded observations; see :mod:`ocp_ros.policy.cloud_encoder`.
         :returns: mean and logarithm of the standard deviation, (B, 2 K) each, of the moves of K
             cameras.
         """

@@ -16,9 +16,8 @@
 
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.policy.cloud_encoder import Encoder
+from ocp_ros.policy.cloud_encoder import encode, Encoder
 from ocp_ros.policy.networks import Actor, SYMMETRIES, turned_observation, turned_vectors
-from ocp_ros.policy.observation_cloud import encode
 from ocp_ros.rig.motion import order_of
 import torch
 
@@ -76,7 +75,7 @@ class Policy:
         The most probable move of the network ``cloud`` is the mean over the eight symmetries of
         the plane, which reduces the network's errors.
 
-        :param encoded: one observation; see :mod:`ocp_ros.policy.observation_cloud`.
+        :param encoded: one observation; see :mod:`ocp_ros.policy.cloud_encoder`.
         :param rng: generator to draw the moves at random; None for the most probable moves.
         :returns: (K, 2) float32, in units of the longest step.
         """

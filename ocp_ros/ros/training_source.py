@@ -35,8 +35,14 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.qos import LATCHED, RECORDER
 from ocp_ros.training.encoded_environment import cameras_of, encoded_space
-from ocp_ros.training.experience import Experience, ExperienceError, from_bytes
-from ocp_ros.training.transitions import Assembler, Reward, Transition
+from ocp_ros.training.experience import (
+    Assembler,
+    Experience,
+    ExperienceError,
+    from_bytes,
+    Reward,
+    Transition,
+)
 from rclpy.node import Node
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
 

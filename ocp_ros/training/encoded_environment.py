@@ -25,9 +25,10 @@ from ocp_ros.online.heading_planner import HeadingPlanner
 from ocp_ros.online.online_planner import settings_of
 from ocp_ros.online.step import state_of
 from ocp_ros.policy.agent_config import AgentConfig
-from ocp_ros.policy.cloud_encoder import EncodedTurn, Encoder
-from ocp_ros.policy.observation_cloud import (
+from ocp_ros.policy.cloud_encoder import (
     encode,
+    EncodedTurn,
+    Encoder,
     MARKS,
     MAX_OTHERS,
     OF_OTHERS,
@@ -49,7 +50,7 @@ def encoded_space(agent: AgentConfig) -> spaces.Dict:
     Return the space of one input of the agent's network.
 
     See :class:`~ocp_ros.policy.cloud_encoder.Encoder` for the inputs ``cloud``, and
-    :func:`~ocp_ros.policy.observation_cloud.encode` for ``paper``.
+    :func:`~ocp_ros.policy.cloud_encoder.encode` for ``paper``.
     """
     def real_box(*shape):
         # A finite bound that no input reaches.

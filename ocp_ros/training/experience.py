@@ -13,12 +13,15 @@
 # limitations under the License.
 
 """
-Experience of a policy in a turn, its observations and choices, as one safetensors blob.
+Experience of a policy: its observations and choices in a turn, and transitions made of them.
 
-The trainer gets exactly the arrays that the network has read. To encode the turn again would take
-as long as to play it, and the inputs of cameras that choose later could not be reconstructed.
+The trainer gets exactly the arrays that the network has read, as one safetensors blob. To encode
+the turn again would take as long as to play it, and the inputs of cameras that choose later could
+not be reconstructed. Experiences, positions and rewards of turns arrive separately, in any order,
+or not at all; :class:`Assembler` makes transitions of them.
 """
 
+from collections import OrderedDict
 from collections.abc import Mapping, Sequence
 import json
 import struct
@@ -136,3 +139,150 @@ def _count_choices(actions: np.ndarray, targets: np.ndarray, together: int) -> i
             f'experience: found actions as {actions.dtype} {actions.shape} of {len(targets)} '
             f'cameras; expected float32 choices of {together} at a time')
     return count
+
+
+class Reward(NamedTuple):
+    """
+    The reward of a turn.
+
+    :ivar previous: time stamp of the turn before, whose command led to this turn, nanoseconds.
+    :ivar stamp: time stamp of the turn, nanoseconds.
+    :ivar step: number of turns of the episode so far, including this one.
+    :ivar reward: reward of the whole turn.
+    :ivar shares: (K,) part of the reward for each of K moves, in the order in which cameras chose.
+    :ivar terminated: whether the episode has ended in a terminal state; False at a turn limit.
+    """
+
+    previous: int
+    stamp: int
+    step: int
+    reward: float
+    shares: tuple[float, ...]
+    terminated: bool
+
+
+class Transition(NamedTuple):
+    """
+    One step of experience: the move of one camera, or of all cameras that choose together.
+
+    :ivar observation: encoded observation before the move.
+    :ivar actions: (C, 2) float32 in [-1, 1], moves of C cameras in units of the longest step.
+    :ivar reward: reward of the move.
+    :ivar next_observation: encoded observation of the next choice.
+    :ivar terminated: whether the next state is terminal.
+    """
+
+    observation: dict[str, np.ndarray]
+    actions: np.ndarray
+    reward: float
+    next_observation: dict[str, np.ndarray]
+    terminated: bool
+
+
+class BoundedDict(OrderedDict):
+    """A dictionary that drops its oldest entries beyond its capacity."""
+
+    def __init__(self, capacity: int) -> None:
+        super().__init__()
+        self.capacity = capacity
+
+    def __setitem__(self, key, value) -> None:
+        """Store an entry, and drop the oldest one if there are too many."""
+        super().__setitem__(key, value)
+        while len(self) > self.capacity:
+            self.popitem(last=False)
+
+
+class Assembler:
+    """
+    Assemble the transitions of one rig by the time stamps of turns.
+
+    A turn is complete when these data have arrived: the choices of the policy, the resulting
+    camera positions, the reward, and the next observation of the policy.
+
+    :param patience: number of turns after which an incomplete turn is dropped and counted.
+    :ivar assembled: number of complete turns.
+    :ivar incomplete: number of turns that were dropped incomplete.
+    :ivar inconsistent: number of turns that do not follow from the policy's choices: the cameras
+        are not where they were sent, or the number of the turn in the episode differs.
+    """
+
+    def __init__(self, patience: int = 32) -> None:
+        self.patience = patience
+        self.assembled = self.incomplete = self.inconsistent = 0
+        self.clear()
+
+    def clear(self) -> None:
+        """Drop all turns, for example when the stamps begin again; count the incomplete ones."""
+        # When the constructor calls this method, there are no rewards yet.
+        self.incomplete += len(getattr(self, '_rewards', ()))
+        # Choices and positions stay longer than rewards, which wait for ``patience`` turns.
+        capacity = 2 * self.patience
+        #: The choices and the positions of turns, by stamp.
+        self._experiences: BoundedDict = BoundedDict(capacity)
+        self._positions: BoundedDict = BoundedDict(capacity)
+        #: The stamps of all turns whose reward has arrived, as keys.
+        self._rewarded: BoundedDict = BoundedDict(2 * capacity)
+        #: By stamp, the rewards of incomplete turns, each with the number of its arrival.
+        self._rewards: dict[int, tuple[int, Reward]] = {}
+        self._reward_count = 0
+
+    def add_experience(self, experience: Experience) -> list[Transition]:
+        """Store the choices of a policy in a turn; return the transitions of complete turns."""
+        self._experiences[experience.stamp] = experience
+        return self._take_complete()
+
+    def add_positions(self, stamp: int, positions: np.ndarray) -> list[Transition]:
+        """Store the positions (K, 3), metres, after a turn; return as ``add_experience``."""
+        self._positions[stamp] = positions
+        return self._take_complete()
+
+    def add_reward(self, reward: Reward) -> list[Transition]:
+        """Store the reward of a turn, unless the turn has one; return as ``add_experience``."""
+        if reward.stamp in self._rewarded:
+            return []
+        self._rewarded[reward.stamp] = True
+        self._reward_count += 1
+        self._rewards[reward.stamp] = (self._reward_count, reward)
+        for stamp, (number, _) in list(self._rewards.items()):
+            if number <= self._reward_count - self.patience:
+                del self._rewards[stamp]
+                self.incomplete += 1
+        return self._take_complete()
+
+    def _take_complete(self) -> list[Transition]:
+        """Remove the complete turns, and return their transitions."""
+        transitions = []
+        for stamp, (_, reward) in list(self._rewards.items()):
+            if stamp in self._positions and all(
+                    needed in self._experiences for needed in (reward.previous, stamp)):
+                del self._rewards[stamp]
+                transitions += self._transitions_of(reward)
+        return transitions
+
+    def _transitions_of(self, reward: Reward) -> list[Transition]:
+        """Return the transitions of a complete turn; if it is inconsistent, only count it."""
+        before, after = self._experiences[reward.previous], self._experiences[reward.stamp]
+        choices, positions = before.choices, self._positions[reward.stamp]
+        if len(reward.shares) == len(before.targets):
+            # Leave out the positions of fixed cameras, which have no share and no target. They
+            # come last.
+            positions = positions[:len(reward.shares)]
+        shares: Sequence[float] = reward.shares
+        if len(choices) == 1:
+            # The only choice, which may be that of all cameras, gets the whole reward.
+            shares = [reward.reward]
+        # The last condition: a camera is more than 5 cm from its target along x or y.
+        if (before.targets.shape != positions.shape or before.turn != reward.step - 1
+                or len(shares) != len(choices)
+                or np.abs(before.targets - positions)[:, :2].max() > 0.05):
+            self.inconsistent += 1
+            return []
+        self.assembled += 1
+        # The observation after a choice is that of the next choice. The last choice of a turn is
+        # followed by the first one of the next turn.
+        next_choices = [*choices[1:], after.choices[0]]
+        terminated = (len(choices) - 1) * [False] + [reward.terminated]
+        return [Transition(choice.observation, choice.actions, share, next_choice.observation, end)
+                for choice, share, next_choice, end in zip(
+                    choices, shares, next_choices, terminated)]

@@ -24,6 +24,7 @@ import threading
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
+from ocp_ros.training.experience import Transition
 from ocp_ros.training.run_folder import REPLAY, STATE
 from ocp_ros.training.sac import actor_checkpoint, load_actor, make_sac
 from ocp_ros.training.sac_state import (
@@ -35,7 +36,6 @@ from ocp_ros.training.sac_state import (
     save_state,
 )
 from ocp_ros.training.training_config import SacConfig
-from ocp_ros.training.transitions import Transition
 from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.settings import MAX_SEED, setting
 from stable_baselines3.common.logger import configure

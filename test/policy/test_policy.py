@@ -24,11 +24,18 @@ import numpy as np
 from ocp_ros.online.rig_state import RigState
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD, PAPER
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError, METADATA_KEY, write_atomically
-from ocp_ros.policy.cloud_encoder import Encoder
+from ocp_ros.policy.cloud_encoder import (
+    ball_query,
+    encode,
+    Encoder,
+    farthest_points,
+    features_of_air,
+    LENGTH_SCALE,
+    MAX_OTHERS,
+    nearest_in_ball,
+)
 from ocp_ros.policy.networks import ExtractionUnit, Extractor, SYMMETRIES, turned_observation
-from ocp_ros.policy.observation_cloud import encode, features_of_air, LENGTH_SCALE, MAX_OTHERS
 from ocp_ros.policy.policy import Policy
-from ocp_ros.policy.sampling import ball_query, farthest_points, nearest_in_ball
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.training.encoded_environment import encoded_space

@@ -52,8 +52,7 @@ from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem
 from ocp_ros.training.encoded_environment import playable
-from ocp_ros.training.experience import Choice, Experience, to_bytes
-from ocp_ros.training.transitions import Transition
+from ocp_ros.training.experience import Choice, Experience, to_bytes, Transition
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray

@@ -23,10 +23,18 @@ from conftest import assert_same, HUNG, observation, wait_until
 import numpy as np
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.training.encoded_environment import encoded_space
-from ocp_ros.training.experience import Choice, Experience, ExperienceError, from_bytes, to_bytes
+from ocp_ros.training.experience import (
+    Assembler,
+    Choice,
+    Experience,
+    ExperienceError,
+    from_bytes,
+    Reward,
+    to_bytes,
+    Transition,
+)
 from ocp_ros.training.learner import BURST_STEPS, Learner, LearnerConfig
 from ocp_ros.training.training_config import SacConfig
-from ocp_ros.training.transitions import Assembler, Reward, Transition
 import pytest
 from stable_baselines3.common.buffers import DictReplayBuffer
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
