@@ -13,24 +13,36 @@
 # limitations under the License.
 
 """
-The whole state of SAC as safetensors, so that training resumes without unpickling.
+What soft actor-critic keeps: the replay buffer, and its whole state in files.
 
-The networks, optimisers and counters are in one file; the replay buffer is in another.
+Samples are augmented by quarter turns, reflections, and noise of points. A rotated or mirrored
+room is as likely as the room itself. Observations are centred on the observed bounding box, so
+these eight symmetries of the plane apply to them exactly. The indices in an observation and the
+reward do not change.
+
+The files are safetensors, so that training resumes without unpickling. The networks, optimisers
+and counters are in one file; the replay buffer is in another. In this module B is the size of a
+batch.
 """
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 import uuid
 
 import numpy as np
 from ocp_ros.policy.checkpoint import CheckpointError, MAX_WEIGHT, read_metadata
-from ocp_ros.training.sac import AgentSac, select_by_prefix
+from ocp_ros.policy.networks import SYMMETRIES, turned_observation, turned_vectors
 from ocp_ros.util.files import check_regular, read_regular, whole_or_absent, write_atomically
 from safetensors import SafetensorError
 import safetensors.numpy
 import safetensors.torch
 from stable_baselines3.common.buffers import DictReplayBuffer
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples
 import torch
+
+if TYPE_CHECKING:
+    from ocp_ros.training.sac import AgentSac
 
 #: Name of the array with the row that is written next, and whether the buffer is full.
 FILLED = 'filled'
@@ -38,13 +50,98 @@ FILLED = 'filled'
 COUNTERS = ('_n_updates', 'num_timesteps')
 
 
-def _optimizers(model: AgentSac) -> dict[str, torch.optim.Optimizer]:
+def samples_of(buffer: DictReplayBuffer, first: tuple[np.ndarray, np.ndarray],
+               last: tuple[np.ndarray, np.ndarray], rewards: np.ndarray
+               ) -> DictReplayBufferSamples:
+    """
+    Return B transitions of a buffer as training samples: (B, ...) tensors.
+
+    :param first: (B,) rows and (B,) environments of the first step of each transition.
+    :param last: (B,) rows and (B,) environments of its last step.
+    :param rewards: (B,) reward of each transition, summed over its steps.
+    """
+    def tensors_at(index: tuple, arrays: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
+        return {name: buffer.to_torch(values[index]) for name, values in arrays.items()}
+
+    # An episode that ends at its time limit has no terminal state.
+    terminated = buffer.dones[last] * (1.0 - buffer.timeouts[last])
+    return DictReplayBufferSamples(
+        tensors_at(first, buffer.observations), buffer.to_torch(buffer.actions[first]),
+        tensors_at(last, buffer.next_observations), buffer.to_torch(terminated[:, None]),
+        buffer.to_torch(rewards.astype(np.float32)[:, None]))
+
+
+class CloudReplayBuffer(DictReplayBuffer):
+    """
+    A replay buffer of clouds.
+
+    A transition may span n steps. The sum of their rewards leaves out the entropy of the steps in
+    between, as in the n-step buffer of stable-baselines3 for plain observations.
+
+    :param n_steps: number n of rewards that are summed before the value of the critics is added.
+    :param gamma: discount of the rewards.
+    """
+
+    def __init__(self, *args, n_steps: int, gamma: float, **kwargs) -> None:
+        super().__init__(*args, **kwargs)
+        self.n_steps = n_steps
+        self.gamma = gamma
+
+    def sample(self, batch_size: int, env=None) -> DictReplayBufferSamples:
+        """Draw a batch; turn or mirror each sample at random, and add noise."""
+        batch = super().sample(batch_size, env)
+        numbers = np.random.randint(len(SYMMETRIES), size=len(batch.actions))
+        matrices = SYMMETRIES[torch.from_numpy(numbers)].to(batch.actions.device)
+        before = jittered(turned_observation(batch.observations, matrices))
+        after = jittered(turned_observation(batch.next_observations, matrices))
+        return batch._replace(observations=before, next_observations=after,
+                              actions=turned_vectors(batch.actions, matrices))
+
+    def _get_samples(self, batch_inds: np.ndarray, env=None) -> DictReplayBufferSamples:
+        """Return n-step transitions from given rows (B,), each of a random environment."""
+        envs = np.random.randint(self.n_envs, size=len(batch_inds))
+        steps = np.arange(self.n_steps)
+        rows = (batch_inds[:, None] + steps) % self.buffer_size
+        # A sum ends at the end of an episode, and at the newest row, which no later step follows.
+        newest_row = (self.pos - 1) % self.buffer_size
+        ends = (self.dones[rows, envs[:, None]] > 0.0) | (rows == newest_row)
+        # A sum ends after n steps at the latest.
+        ends[:, -1] = True
+        last_steps = ends.argmax(axis=1)
+        weights = self.gamma ** steps * (steps <= last_steps[:, None])
+        rewards = (self.rewards[rows, envs[:, None]] * weights).sum(axis=1)
+        last = rows[np.arange(len(rows)), last_steps], envs
+        # The discount of the critics' value, which is added to the sum.
+        discounts = self.to_torch((self.gamma ** (last_steps + 1.0)).astype(np.float32)[:, None])
+        return samples_of(self, (batch_inds, envs), last, rewards)._replace(discounts=discounts)
+
+
+def jittered(observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """Return clouds with noise, and with 10 % of each group's points replaced by its first."""
+    # Points are in units of ``LENGTH_SCALE``.
+    noise = 0.005 * torch.randn_like(observation['points'])
+    noisy = {**observation, 'points': observation['points'] + noise}
+    for name in ('groups_1', 'groups_2'):
+        groups = observation[name]
+        # A repeated first point has no effect, as the network takes the maximum over a group.
+        replaced = torch.rand(groups.shape, device=groups.device) < 0.1
+        noisy[name] = torch.where(replaced, groups[..., :1], groups)
+    return noisy
+
+
+def select_by_prefix(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    """Return the tensors whose names begin with a prefix, by their names without the prefix."""
+    return {name.removeprefix(prefix): tensor for name, tensor in tensors.items()
+            if name.startswith(prefix)}
+
+
+def _optimizers(model: 'AgentSac') -> dict[str, torch.optim.Optimizer]:
     """Return SAC's three optimisers by name."""
     return {'actor': model.actor.optimizer, 'critic': model.critic.optimizer,
             'entropy': model.ent_coef_optimizer}
 
 
-def _weights_and_counters(model: AgentSac) -> dict[str, torch.Tensor]:
+def _weights_and_counters(model: 'AgentSac') -> dict[str, torch.Tensor]:
     """Return the tensors of networks, entropy coefficient and counters, by name in the file."""
     return {**{f'policy.{name}': value for name, value in model.policy.state_dict().items()},
             **{f'averaged.{name}': value for name, value in (model.averaged or {}).items()},
@@ -77,7 +174,7 @@ def new_run() -> str:
     return uuid.uuid4().hex[:12]
 
 
-def save_state(model: AgentSac, path: Path, run: str) -> None:
+def save_state(model: 'AgentSac', path: Path, run: str) -> None:
     """
     Write networks, optimisers, entropy coefficient and counters; the file is whole or absent.
 
@@ -95,7 +192,7 @@ def save_state(model: AgentSac, path: Path, run: str) -> None:
     write_atomically(path, safetensors.torch.save(tensors, metadata={'run': run}))
 
 
-def load_state(model: AgentSac, path: Path) -> str:
+def load_state(model: 'AgentSac', path: Path) -> str:
     """
     Load a saved state into a model that was built with the same settings.
 
@@ -125,7 +222,8 @@ def load_state(model: AgentSac, path: Path) -> str:
     return run
 
 
-def _expected_slots(model: AgentSac, tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+def _expected_slots(model: 'AgentSac', tensors: dict[str, torch.Tensor]
+                    ) -> dict[str, torch.Tensor]:
     """
     Return tensors shaped like Adam's state of each weight that has a state in the file.
 

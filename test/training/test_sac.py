@@ -26,7 +26,6 @@ from ocp_ros.policy.policy import Policy
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.reward import potential
 from ocp_ros.simulation.simulation_config import EpisodeConfig, RewardConfig, SimulationConfig
-from ocp_ros.training.augmentation import CloudReplayBuffer
 from ocp_ros.training.encoded_environment import action_space, cameras_of, encoded_space, playable
 from ocp_ros.training.sac import (
     actor_checkpoint,
@@ -35,7 +34,13 @@ from ocp_ros.training.sac import (
     load_actor,
     make_sac,
 )
-from ocp_ros.training.sac_state import load_replay, load_state, save_replay, save_state
+from ocp_ros.training.sac_state import (
+    CloudReplayBuffer,
+    load_replay,
+    load_state,
+    save_replay,
+    save_state,
+)
 from ocp_ros.training.training_config import EpisodesConfig, SacConfig
 import pytest
 from stable_baselines3.common.buffers import DictReplayBuffer
