@@ -13,3 +13,13 @@
 # limitations under the License.
 
 """A rig planned in a room: what is found about a placement, and its pages, pictures and files."""
+
+from importlib import resources
+from string import Template
+from typing import Any
+
+
+def fill_template(name: str, **values: Any) -> str:
+    """Return the text of a file in the folder ``templates``, with its ``$names`` replaced."""
+    template = resources.files(__package__).joinpath('templates', name).read_text('utf-8')
+    return Template(template).substitute(values)

@@ -17,21 +17,25 @@
 from collections.abc import Collection, Iterator, Sequence
 import csv
 from dataclasses import replace
+from html import escape
 import io
 from itertools import chain
 import json
 from pathlib import Path
+import re
 from typing import Any, NamedTuple
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of, rotation_matrix
+from ocp_ros.report import fill_template
 from ocp_ros.report.assessment import Assessment
-from ocp_ros.report.installer import installer_page
-from ocp_ros.report.templates import fill_template
+from ocp_ros.report.camera_words import INSTRUCTION_COLUMNS, lens_text
+from ocp_ros.report.facts import page_facts_of
 from ocp_ros.rig.placement_file import FRAME, numbers_of, Placement, save_placement
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.util.files import FileSet, write_atomically
+from ocp_ros.util.terminal_text import printable
 
 #: Placement files, which can be read again.
 PLACEMENT_FILES = ('placement.yaml', 'placement.json')
@@ -253,3 +257,58 @@ def rviz_of(placement: Placement) -> str:
     """Return an RViz configuration that shows the frames of the launch file."""
     x, y, z = np.mean([placed.position for placed in placement.cameras], axis=0).round(2)
     return fill_template('cameras.rviz', frame=json.dumps(placement.frame), x=x, y=y, z=z)
+
+
+def escape_markdown(text: str) -> str:
+    """Return a text, which may come from a file, as one line of Markdown without markup."""
+    # Characters that begin or end markup within a line; an underscore between letters does not.
+    # The colon of http://, the dot of www. and @ would make a link of the text around them.
+    markup = r'[\\`*\[\]|~]|(?<![^\W_])_|_(?![^\W_])|:(?=//)|(?<=www)\.|@'
+    return re.sub(markup, r'\\\g<0>', escape(printable(text), quote=False))
+
+
+def installer_page(assessed: Assessment, plan: str) -> str:
+    """
+    Return the installer's page as Markdown: mounting instructions, and a plan with letters.
+
+    :param assessed: the placement in its room.
+    :param plan: file name of the plan's picture in the same folder.
+    """
+    facts = page_facts_of(assessed)
+    cameras = assessed.placement.cameras
+    rig = assessed.objective.rig
+    floor = assessed.floor
+    mounts = {'walls': 'on walls', 'ceiling': 'under the ceiling',
+              'plane': 'on stands, poles or rods, all at one height',
+              'free': 'on stands, poles or rods'}
+    corner_position = assessed.frame.to_source(np.append(assessed.corner.position, floor)).round(2)
+    # Optional sentences of the page.
+    surfaces = ', '.join(wall.description(assessed.walls, floor)
+                         for wall in assessed.references.inner)
+    # A mount that the rig file does not give is not named.
+    mount = '' if 'mount' not in rig.document.data else (
+        f'**Mount.** The cameras are {mounts[rig.mount.on]}. The room is '
+        f'{100.0 * (assessed.scene.bounds[1, 2] - floor):.0f} cm high.\n\n')
+    advice = ' Unless the table gives a roll, keep the long side of the camera level, top side up.'
+    table = [['', *INSTRUCTION_COLUMNS], ['---'] * (len(INSTRUCTION_COLUMNS) + 1),
+             *(map(escape_markdown, row) for row in assessed.rows)]
+    return fill_template(
+        'installer.md', room=escape_markdown(assessed.scene.name), plan=plan, walls=facts.walls,
+        doubts=''.join(f'**Check first:** {escape_markdown(doubt)}.\n\n'
+                       for doubt in facts.doubts),
+        inner_walls=f' Other surfaces to measure from: {surfaces}.' if surfaces else '',
+        mount=mount,
+        level='' if all(placed.camera.model.omnidirectional for placed in cameras) else advice,
+        frame=facts.frame, corner=assessed.corner.letters,
+        # Adding 0 turns -0.0 into 0.0.
+        corner_at=', '.join(f'{value + 0.0:.2f}' for value in corner_position),
+        table='\n'.join(f'| {" | ".join(row)} |' for row in table),
+        lenses='\n'.join(f'- {escape_markdown(placed.camera.name)}: '
+                         + '; '.join(filter(None, (lens_text(placed.camera.model), aim)))
+                         for placed, aim in zip(cameras, assessed.aims)),
+        # The first three, in the order of ``score_figures``: the depth error on the scan, the
+        # expected one, and the share of seen points.
+        figures='; '.join(f'{label} {value} ({remark})'
+                          for label, value, remark in facts.figures[:3]),
+        certificate=f' {escape_markdown(facts.certificate)}'.rstrip(),
+        origin=escape_markdown(facts.origin))

@@ -22,6 +22,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from ocp_ros.report import fill_template
 from ocp_ros.report.assessment import Assessment
 from ocp_ros.report.drawing.assessment_pictures import COUNT_COLOURS, COUNT_NAMES, ERROR_COLOURS
 from ocp_ros.report.drawing.plan_drawing import (
@@ -42,7 +43,6 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
 )
 from ocp_ros.report.facts import page_facts_of, REGION_COLUMNS
-from ocp_ros.report.templates import fill_template
 from ocp_ros.rig.zones import Zone
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically

@@ -30,10 +30,9 @@ from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import judge
 from ocp_ros.report.camera_words import instructions_for
-from ocp_ros.report.exports import csv_of, launch_of, rviz_of, xacro_of
+from ocp_ros.report.exports import csv_of, installer_page, launch_of, rviz_of, xacro_of
 from ocp_ros.report.facts import metres
 from ocp_ros.report.findings import scores_of
-from ocp_ros.report.installer import installer_page
 from ocp_ros.report.wall_references import WallReferences, walls_around
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement
