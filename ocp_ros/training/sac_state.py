@@ -50,27 +50,6 @@ FILLED = 'filled'
 COUNTERS = ('_n_updates', 'num_timesteps')
 
 
-def samples_of(buffer: DictReplayBuffer, first: tuple[np.ndarray, np.ndarray],
-               last: tuple[np.ndarray, np.ndarray], rewards: np.ndarray
-               ) -> DictReplayBufferSamples:
-    """
-    Return B transitions of a buffer as training samples: (B, ...) tensors.
-
-    :param first: (B,) rows and (B,) environments of the first step of each transition.
-    :param last: (B,) rows and (B,) environments of its last step.
-    :param rewards: (B,) reward of each transition, summed over its steps.
-    """
-    def tensors_at(index: tuple, arrays: dict[str, np.ndarray]) -> dict[str, torch.Tensor]:
-        return {name: buffer.to_torch(values[index]) for name, values in arrays.items()}
-
-    # An episode that ends at its time limit has no terminal state.
-    terminated = buffer.dones[last] * (1.0 - buffer.timeouts[last])
-    return DictReplayBufferSamples(
-        tensors_at(first, buffer.observations), buffer.to_torch(buffer.actions[first]),
-        tensors_at(last, buffer.next_observations), buffer.to_torch(terminated[:, None]),
-        buffer.to_torch(rewards.astype(np.float32)[:, None]))
-
-
 class CloudReplayBuffer(DictReplayBuffer):
     """
     A replay buffer of clouds.
@@ -110,10 +89,18 @@ class CloudReplayBuffer(DictReplayBuffer):
         last_steps = ends.argmax(axis=1)
         weights = self.gamma ** steps * (steps <= last_steps[:, None])
         rewards = (self.rewards[rows, envs[:, None]] * weights).sum(axis=1)
-        last = rows[np.arange(len(rows)), last_steps], envs
+        # The row and the environment of the first and of the last step of each transition.
+        first, last = (batch_inds, envs), (rows[np.arange(len(rows)), last_steps], envs)
+        # An episode that ends at its time limit has no terminal state.
+        terminated = self.dones[last] * (1.0 - self.timeouts[last])
         # The discount of the critics' value, which is added to the sum.
-        discounts = self.to_torch((self.gamma ** (last_steps + 1.0)).astype(np.float32)[:, None])
-        return samples_of(self, (batch_inds, envs), last, rewards)._replace(discounts=discounts)
+        discounts = self.gamma ** (last_steps + 1.0)
+        columns = [self.to_torch(values.astype(np.float32)[:, None])
+                   for values in (terminated, rewards, discounts)]
+        before, after = ({name: self.to_torch(values[index]) for name, values in arrays.items()}
+                         for index, arrays in ((first, self.observations),
+                                               (last, self.next_observations)))
+        return DictReplayBufferSamples(before, self.to_torch(self.actions[first]), after, *columns)
 
 
 def jittered(observation: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
