@@ -106,8 +106,9 @@ def draw_room_plan(axes: Axes, room: Room, assessed: Assessment, measured: bool 
         for placed in assessed.placement.cameras]
     # Pale colours, so that marks are readable.
     colours = 0.35 + 0.65 * HEIGHT_COLOURS(heights_of(assessed.scene.points))[:, :3]
-    # Beams under the ceiling are left out: they would look like walls.
-    below_beams = room.select(heights_of(room.points) <= 0.85)
+    # Beams under the ceiling are left out: they would look like walls. Half of the points stay.
+    heights = heights_of(room.points)
+    below_beams = room.select(heights <= max(0.85, float(np.median(heights))))
     draw_plan(axes, with_colours(below_beams, colours), ranges)
     # Marks are placed by the limits of the axes, so the axes are fitted first.
     _fit_axes(axes, assessed, 0.1, room.points[:, :2])
