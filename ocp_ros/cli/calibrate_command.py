@@ -78,7 +78,7 @@ def run(arguments: argparse.Namespace) -> Found:
     from ocp_ros.report.exports import launch_of
     from ocp_ros.rig.placement_file import load_placement, save_placement
     from ocp_ros.rig.rig_file import load_rig
-    from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
+    from ocp_ros.util.files import file_set, folder_to_write, write_atomically
     # Check the command line and read the inputs. A text of ``--clouds`` is FILE or CAMERA=FILE.
     inputs = [arguments.bag] if arguments.bag else [
         text.partition('=')[2] or text for text in arguments.clouds]
@@ -101,12 +101,12 @@ def run(arguments: argparse.Namespace) -> Found:
             for name, placed in zip(names, placement.cameras)]
     result: Found = {'cameras': rows, 'written': [str(arguments.out / name) for name in written]}
     # Write the files; the launch file leaves out refused cameras.
-    with FileSet(arguments.out, written, figures_name) as files:
-        save_placement(files.aside / placement_name, built)
+    with file_set(arguments.out, written, figures_name) as unfinished:
+        save_placement(unfinished / placement_name, built)
         refused = [row['camera'] for row in rows if row['refused']]
         launch = launch_of(built, prefix=arguments.frame_prefix, omitted=refused)
-        write_atomically(files.aside / launch_name, launch)
-        write_atomically(files.aside / figures_name, json_text(result) + '\n')
+        write_atomically(unfinished / launch_name, launch)
+        write_atomically(unfinished / figures_name, json_text(result) + '\n')
     if all(row['refused'] for row in rows):
         result['error'] = (
             f'{arguments.placement}: found no camera that could be calibrated ('

@@ -30,7 +30,7 @@ import warnings
 
 from ocp_ros.cli.arguments import join_up_option
 from ocp_ros.cli.start import EXIT_STOPPED
-from ocp_ros.util.files import complete_set, file_to_write
+from ocp_ros.util.files import file_to_write
 from ocp_ros.util.settings import ConfigurationError, UserError
 from ocp_ros.util.terminal_text import printable
 
@@ -295,9 +295,7 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[st
         raise ConfigurationError(
             f'{option}: found the folder {folders[0]}; expected a file there, or nothing; '
             'name another folder, or move that one')
-    # A killed run may have left a complete set of files that are not in the folder itself yet.
-    if not folder.is_dir() or _may_replace(arguments, folder) or any(folder.glob(mark)) or (
-            complete_set(folder, names, mark)):
+    if not folder.is_dir() or _may_replace(arguments, folder) or any(folder.glob(mark)):
         return
     others = sorted(path.name for path in folder.iterdir() if not path.name.startswith('.'))
     if others:

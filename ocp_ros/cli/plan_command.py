@@ -50,7 +50,6 @@ if TYPE_CHECKING:
     from ocp_ros.rig.placement_file import Placement
     from ocp_ros.rig.rig_file import Rig
     from ocp_ros.search.budget import Budget
-    from ocp_ros.util.files import FileSet
 
 
 def add_arguments(commands: Commands) -> None:
@@ -110,10 +109,10 @@ def run(arguments: argparse.Namespace) -> Found:
     with _stop_at_ctrl_c(budget), _show_progress(arguments.json) as progress:
         planned = PlannedRig(scene, rig, task, budget, proof_seconds, progress)
     placement = planned.placement(room, command_of(arguments.argv))
-    with _keep_placement(folder, placement) as files:
+    with _keep_placement(folder, placement) as unfinished:
         assessed = planned.judged(placement, arguments.frame)
         # After Ctrl-C no report is drawn.
-        outputs = write_files(files, assessed, arguments.frame_prefix, brief=budget.stopped)
+        outputs = write_files(unfinished, assessed, arguments.frame_prefix, brief=budget.stopped)
         return {**assessed.found, **outputs}
 
 
@@ -141,19 +140,19 @@ def task_of(arguments: argparse.Namespace) -> 'PlanTask':
 
 
 @contextmanager
-def _keep_placement(folder: Path, placement: 'Placement') -> 'Iterator[FileSet]':
-    """Save a placement, so that a Ctrl-C during the evaluation keeps it; yield the file set."""
+def _keep_placement(folder: Path, placement: 'Placement') -> Iterator[Path]:
+    """Save a placement, so that a Ctrl-C during the evaluation keeps it; see ``file_set``."""
     from ocp_ros.report.exports import MARK, PLACEMENT_FILES, WRITTEN
     from ocp_ros.rig.placement_file import save_placement
-    from ocp_ros.util.files import FileSet
+    from ocp_ros.util.files import file_set
     try:
-        with FileSet(folder, WRITTEN, MARK) as files:
-            # At the end, also by Ctrl-C, the file set moves its files into the folder. If the
+        with file_set(folder, WRITTEN, MARK) as unfinished:
+            # At the end, also by Ctrl-C, the files are moved into the folder. If the
             # placement cannot be written now, the final writing reports the error.
             with suppress(OSError):
                 for name in PLACEMENT_FILES:
-                    save_placement(files.aside / name, placement)
-            yield files
+                    save_placement(unfinished / name, placement)
+            yield unfinished
     except KeyboardInterrupt:
         print(f'ocp: stopped; the placement is in {printable(str(folder / PLACEMENT_FILES[0]))}',
               file=sys.stderr)

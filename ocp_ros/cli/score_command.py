@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> Found:
     """Evaluate a placement, write its files if ``--out`` is given, and return the findings."""
     from ocp_ros.report.assessment import judge
     from ocp_ros.report.exports import MARK, write_files, WRITTEN
-    from ocp_ros.util.files import FileSet, folder_to_write
+    from ocp_ros.util.files import file_set, folder_to_write
     if arguments.out:
         claim_folder(arguments, arguments.out, WRITTEN, MARK)
     scene, placement, room = room_and_placement(arguments)
@@ -56,8 +56,8 @@ def run(arguments: argparse.Namespace) -> Found:
     assessed = judge(scene, placement, room, command_of(arguments.argv), arguments.frame)
     if folder is None:
         return assessed.found
-    with FileSet(folder, WRITTEN, MARK) as files:
-        return {**assessed.found, **write_files(files, assessed, arguments.frame_prefix)}
+    with file_set(folder, WRITTEN, MARK) as unfinished:
+        return {**assessed.found, **write_files(unfinished, assessed, arguments.frame_prefix)}
 
 
 def show(result: Found) -> None:

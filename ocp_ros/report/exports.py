@@ -34,7 +34,7 @@ from ocp_ros.report.camera_words import INSTRUCTION_COLUMNS, lens_text
 from ocp_ros.report.facts import page_facts_of
 from ocp_ros.rig.placement_file import FRAME, numbers_of, Placement, save_placement
 from ocp_ros.scenes.source_frame import SourceFrame
-from ocp_ros.util.files import FileSet, write_atomically
+from ocp_ros.util.files import write_atomically
 from ocp_ros.util.terminal_text import printable
 
 #: Placement files, which can be read again.
@@ -60,12 +60,13 @@ JOINT_TEMPLATE = """    <link name="%s"/>
 """
 
 
-def write_files(files: FileSet, assessed: Assessment, prefix: str = '', brief: bool = False
+def write_files(folder: Path, assessed: Assessment, prefix: str = '', brief: bool = False
                 ) -> dict[str, Any]:
     """
     Write a placement in all file formats, and its reports.
 
-    :param files: the folder, whose files are replaced together.
+    :param folder: the folder of an unfinished set of files, see
+        :func:`~ocp_ros.util.files.file_set`.
     :param assessed: the placement in its room.
     :param prefix: prefix of frame names, so that the frames of two rigs have different names.
     :param brief: whether to leave out the reports, which take seconds to draw.
@@ -73,13 +74,13 @@ def write_files(files: FileSet, assessed: Assessment, prefix: str = '', brief: b
     """
     paths: list[str] = []
     try:
-        for path in chain(export(files.aside, assessed, prefix),
-                          () if brief else reports(files.aside, assessed)):
-            # At the end the files are moved from ``aside`` to ``folder``.
-            paths.append(str(files.folder / path.name))
+        for path in chain(export(folder, assessed, prefix),
+                          () if brief else reports(folder, assessed)):
+            # At the end the files are moved to the parent folder.
+            paths.append(str(folder.parent / path.name))
     except OSError as error:
         return {'written': paths, 'error': (
-            f'--out: found {files.folder}, where not all could be written '
+            f'--out: found {folder.parent}, where not all could be written '
             f'({error.strerror or error}); expected room for it; use what is printed, or make '
             'room and do it again')}
     return {'written': paths}

@@ -24,7 +24,7 @@ from ocp_ros.report.exports import export, MARK, reports, WRITTEN
 from ocp_ros.rig.placement_file import load_placement, Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig, Rig
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.util.files import FileSet, folder_to_write, write_atomically
+from ocp_ros.util.files import file_set, folder_to_write, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.yaml_files import written
 
@@ -115,7 +115,7 @@ class Folder:
         """
         assessment = judge(scene, placement, placement.room, command)
         folder = folder_to_write(self.claim_path(name, ''))
-        # The files appear together in the folder, once all of them are written to ``aside``.
-        with FileSet(folder, WRITTEN, MARK) as files:
-            return [path.name for path in chain(export(files.aside, assessment),
-                                                reports(files.aside, assessment))]
+        # The files appear together in the folder, once all of them are written.
+        with file_set(folder, WRITTEN, MARK) as unfinished:
+            return [path.name for path in chain(export(unfinished, assessment),
+                                                reports(unfinished, assessment))]

@@ -19,7 +19,6 @@ from contextlib import contextmanager, suppress
 import errno
 import fcntl
 import hashlib
-import json
 import math
 import os
 from pathlib import Path
@@ -30,12 +29,10 @@ from typing import BinaryIO
 
 from ocp_ros.util.settings import ConfigurationError
 
-#: The file in a complete set that lists the names of its other files.
-NAMES_FILE = '.names.json'
 #: The folder of a complete set that will replace the previous one.
 COMPLETE_FOLDER = '.ocp_complete'
-#: Prefix of a folder with an unfinished set of files.
-UNFINISHED_PREFIX = '.ocp_unfinished_'
+#: The folder of an unfinished set.
+UNFINISHED_FOLDER = '.ocp_unfinished'
 #: The default largest size in bytes of a file read at once.
 MAX_BYTES = 1_000_000_000
 
@@ -158,117 +155,67 @@ def whole_or_absent(path: str | Path, private: bool = False) -> Iterator[Path]:
         raise
 
 
-class FileSet:
+@contextmanager
+def file_set(folder: Path, names: Collection[str], mark: str) -> Iterator[Path]:
     """
-    A set of files that is written to a temporary folder and replaces the previous set at the end.
+    Yield a folder to write a set of files to; at the end they replace the previous set.
 
-    Use it in a ``with`` statement, and write the files to ``aside``. Whenever the process ends,
-    the folder contains all files of the new set or all files of the previous one, at the latest
-    after the next run has begun (see :func:`recover`). If the block fails after the file ``mark``
-    was written, the files written so far are the new set.
+    Whenever the process ends, ``folder`` contains all files of the new set or all files of the
+    previous one, at the latest after the next run has begun. If the block fails after the file
+    ``mark`` was written, the files written so far are the new set. Another process that writes a
+    set to ``folder`` waits.
 
     :param folder: the folder of the set; it is created if necessary.
     :param names: the names of all files that a set may have. Files of the previous set that the
         new set does not have are removed.
     :param mark: the name of the file that makes a set complete: every set must have it.
-    :ivar aside: the temporary folder to write to.
-    :raises OSError: if nothing can be written.
+    :returns: a subfolder of ``folder``, which is empty.
+    :raises OSError: if nothing can be written, or if a complete set cannot replace the previous
+        one; then it stays in its own folder.
     """
-
-    def __init__(self, folder: Path, names: Collection[str], mark: str) -> None:
-        self.folder = folder
-        self._names = names
-        self._mark = mark
-
-    def __enter__(self) -> 'FileSet':
-        """Make the folder to write to."""
-        recover(self.folder, self._names, self._mark)
-        with _locked(self.folder):
-            self.aside = Path(tempfile.mkdtemp(prefix=UNFINISHED_PREFIX, dir=self.folder))
-            #: The lock, see :func:`recover`, shows that the writing process is alive.
-            self._lock = os.open(self.aside, os.O_RDONLY)
-            with suppress(OSError):
-                fcntl.flock(self._lock, fcntl.LOCK_EX)
-        return self
-
-    def __exit__(self, *exception) -> None:
-        """Replace the previous set by the new one, if the new one is complete."""
-        written = [name for name in self._names if (self.aside / name).exists()]
-        try:
-            if self._mark in written:
-                write_atomically(self.aside / NAMES_FILE, json.dumps(written))
-                with _locked(self.folder):
-                    # The folder of the complete set of a killed run is freed by swapping it in.
-                    _swap_in(self.folder, self._names, self._mark)
-                    self.aside.rename(self.folder / COMPLETE_FOLDER)
-        finally:
-            # Unlock ``aside``, so that ``recover`` removes it if the new set is incomplete;
-            # ``recover`` swaps in a complete new set.
-            os.close(self._lock)
-            recover(self.folder, self._names, self._mark)
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Lock a folder against swaps by other processes, if the disk supports locks."""
+    folder.mkdir(parents=True, exist_ok=True)
+    unfinished = folder / UNFINISHED_FOLDER
     handle = os.open(folder, os.O_RDONLY)
     try:
+        # Some disks do not support locks.
         with suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX)
-        yield
+        _swap_in(folder, names, mark)
+        _remove(unfinished)
+        unfinished.mkdir(mode=0o700)
+        try:
+            yield unfinished
+        finally:
+            if (unfinished / mark).exists():
+                unfinished.rename(folder / COMPLETE_FOLDER)
+            _swap_in(folder, names, mark)
+            _remove(unfinished)
     finally:
         os.close(handle)
 
 
-def recover(folder: Path, names: Collection[str], mark: str) -> None:
-    """
-    Finish the work of a killed run in a folder: swap in a complete set, remove incomplete ones.
-
-    :param names: the names of all files that a set may have.
-    :param mark: the name of the file that makes a set complete, see :class:`FileSet`.
-    :raises OSError: if a complete set cannot be swapped in; it stays in its own folder.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    with _locked(folder):
-        _swap_in(folder, names, mark)
-        for unfinished in folder.glob(f'{UNFINISHED_PREFIX}*'):
-            # The folder of a process that still writes is locked, which raises OSError.
-            with suppress(OSError):
-                handle = os.open(unfinished, os.O_RDONLY | os.O_NOFOLLOW | os.O_DIRECTORY)
-                try:
-                    fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                    shutil.rmtree(unfinished, ignore_errors=True)
-                finally:
-                    os.close(handle)
-
-
-def complete_set(folder: Path, names: Collection[str], mark: str) -> list[str]:
-    """Return the file names of a complete set that is not swapped in yet; [] without one."""
-    complete = folder / COMPLETE_FOLDER
-    try:
-        set_names = json.loads(read_regular(complete / NAMES_FILE, max_bytes=10_000))
-        # Files that are missing here have been swapped in already.
-        is_complete = mark in set_names and set(set_names) <= set(names) and all(
-            (complete / name).is_file() or (folder / name).is_file() for name in set_names)
-    except (OSError, ValueError, TypeError, RecursionError):
-        return []
-    return list(set_names) if is_complete and isinstance(set_names, list) else []
-
-
 def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:
-    """Replace the previous set by a complete one; remove an incomplete one."""
+    """Replace the previous set by the complete one, if any, which a killed run may have left."""
     complete = folder / COMPLETE_FOLDER
-    set_names = complete_set(folder, names, mark)
-    for name in (names if set_names else ()):
-        if name not in set_names:
-            (folder / name).unlink(missing_ok=True)
-        elif (complete / name).exists():
+    if complete.is_symlink():
+        complete.unlink()
+    # The mark is moved first: as long as it is in its folder, all other files are there too.
+    if (complete / mark).exists():
+        for name in names:
+            if not (complete / name).exists():
+                (folder / name).unlink(missing_ok=True)
+    for name in (mark, *names):
+        if (complete / name).exists():
             os.replace(complete / name, folder / name)
-    # A link or a file in place of the folder is removed, but not what a link leads to.
-    if complete.is_dir() and not complete.is_symlink():
-        shutil.rmtree(complete, ignore_errors=True)
+    _remove(complete)
+
+
+def _remove(path: Path) -> None:
+    """Remove a folder with its files, or anything else at a path; links are not followed."""
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path, ignore_errors=True)
     else:
-        complete.unlink(missing_ok=True)
+        path.unlink(missing_ok=True)
 
 
 def remove_unfinished(folder: Path) -> None:
