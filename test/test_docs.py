@@ -145,7 +145,7 @@ def commands():
 
 COMMANDS = commands()
 #: What runs here in a second or two; the others are held against the parser.
-CHEAP = {('score',), ('view',), ('rooms', 'list'), ('rooms', 'make'), ('rooms', 'preview')}
+CHEAP = {'score', 'view', 'rooms'}
 
 
 def test_every_command_in_the_documentation_can_be_read():
@@ -158,12 +158,10 @@ def test_every_command_in_the_documentation_can_be_read():
 
 
 @pytest.mark.system
-@pytest.mark.parametrize('command', [command for command in COMMANDS
-                                     if CHEAP & {command[:1], command[:2]}], ids=' '.join)
+@pytest.mark.parametrize('command', [command for command in COMMANDS if command[0] in CHEAP],
+                         ids=' '.join)
 def test_every_cheap_command_in_the_documentation_runs(command, tmp_path, monkeypatch, capsys):
-    scans = () if 'make' in command else ('scans/room-8.ply', 'scans/room-9.ply')
-    for name in ('room.ply', 'scan.ply', *scans):
-        save_scene(made_room(8, 1500), tmp_path / name)
+    save_scene(made_room(8, 1500), tmp_path / 'room.ply')
     for folder in (tmp_path, tmp_path / 'out' / 'studio'):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / 'placement.yaml').write_text(

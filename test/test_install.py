@@ -92,7 +92,7 @@ def test_commands_of_the_wheel_find_what_comes_with_it(installed, elsewhere):
          '--out', 'plan')
     assert (elsewhere / 'plan' / 'placement.yaml').is_file()
     call(ocp, 'plan', '7', '--rig', 'config/rig/four_d455.yaml', '--evaluations', '20')
-    call(ocp, 'rooms', 'make', '1', '--out', 'rooms')
+    call(ocp, 'rooms', '1', '--out', 'rooms')
     room = elsewhere / 'rooms' / 'room-1.ply'
     call(ocp, 'benchmark', '--rooms', room, '--cameras', '2', '--planners', 'learned',
          '--workers', '1', '--seeds', '1')

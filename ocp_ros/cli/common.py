@@ -82,33 +82,23 @@ class Commands:
         self._contents: dict[str, list[tuple[str, str]]] = {title: [] for title in TITLES}
         self.examples: list[str] = []
 
-    def add(self, group: str, name: str, purpose: str, example: str = '') -> Parser:
+    def add(self, group: str, name: str, purpose: str, example: str) -> Parser:
         """
-        Add a command, and return its parser.
+        Add a command, and return its parser, which has the option ``--json``.
 
         :param group: title of its group, one of ``TITLES``.
         :param purpose: what the command does, in a few words.
-        :param example: a command line; empty for a command that only has subcommands.
+        :param example: a command line.
         """
         self._contents[group].append((name, purpose))
         self.parser.epilog = self._contents_table()
-        return self.add_parser(self._subparsers, name, purpose, example)
-
-    def add_parser(self, parsers: Any, name: str, purpose: str, example: str) -> Parser:
-        """
-        Add a command to argparse's subparsers, and return its parser.
-
-        The parser has the option ``--json`` if there is an example; a command without an example
-        only has subcommands.
-        """
-        parser = parsers.add_parser(
+        self.examples.append(example)
+        parser = self._subparsers.add_parser(
             name, help=purpose, description=f'{purpose[0].upper()}{purpose[1:]}.',
-            epilog=f'example:\n  {example}' if example else None,
+            epilog=f'example:\n  {example}',
             formatter_class=argparse.RawDescriptionHelpFormatter)
-        if example:
-            self.examples.append(example)
-            parser.add_argument('--json', action='store_true',
-                                help='print one JSON document and nothing else, also for errors')
+        parser.add_argument('--json', action='store_true',
+                            help='print one JSON document and nothing else, also for errors')
         return parser
 
     def _contents_table(self) -> str:

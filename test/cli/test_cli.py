@@ -79,7 +79,7 @@ def test_every_example_can_be_read_and_stands_in_the_help_of_its_command(example
     program, name, *words = shlex.split(example)
     assert program == 'ocp'
     cli.build_parser().parse_args([name, *words])
-    text = help_of(capsys, name, *words[:1] if name == 'rooms' else ())
+    text = help_of(capsys, name)
     assert example in text and '--json' in text
     lines = [line.split() for line in help_of(capsys).splitlines() if line.startswith('  ')]
     assert [first for first, *_ in lines].count(name) == 1
@@ -89,10 +89,8 @@ def test_every_example_can_be_read_and_stands_in_the_help_of_its_command(example
     ('score room.ply placement.yaml',
      'room cameras scores broken missed one_more expected notes remarks'),
     ('view holes.ply --drop-nonfinite', 'room written'),
-    ('rooms preview holes.ply --drop-nonfinite --scale 1.1 --points 1000 --out b.png', 'written'),
     ('room 6 4 3 --out made.yaml', 'written size openings boxes'),
-    ('rooms list --count 2', 'rooms'),
-    ('rooms make 8 --points 1000 --out made', 'folder written')])
+    ('rooms 3 4', 'rooms written'), ('rooms 8 --points 1000 --out made', 'rooms written')])
 def test_json_is_all_that_a_command_prints(files, capsys, command, keys):
     assert cli.main([*command.split(), '--json']) == 0
     found = json.loads(capsys.readouterr().out)
@@ -103,11 +101,11 @@ def test_json_is_all_that_a_command_prints(files, capsys, command, keys):
 
 @pytest.mark.parametrize(('arguments', 'words'), [
     ('score none.ply placement.yaml', 'none.ply'), ('score room.ply', 'PLACEMENT'),
-    (f'score {"7" * 5000} placement.yaml', '777...'), ('rooms preview 99999999999', '99999999999'),
+    (f'score {"7" * 5000} placement.yaml', '777...'), ('rooms 99999999999', '99999999999'),
     ('view room.ply --op', '--op'), ('plan 8 --target 0.5', '--target'),
     ('plan 8 --cameras 2 --by seen', '--by'), ('view room.ply --out .', '--out'),
     ('view room.ply --out /proc/a.html', '--out'),
-    ('rooms preview 8 --out room.ply/a.png', '--out'), ('rooms make 8 --out /proc/rooms', '--out'),
+    ('info 8 --out room.ply/a.png', '--out'), ('rooms 8 --out /proc/rooms', '--out'),
     (f'{SCORE} /proc/a', '--out'), (f'{TRAIN} room.ply', '--out'),
     (f'{TRAIN} o --model /proc/a', '--model'), ('benchmark --out /proc/a', '--out'),
     ('benchmark --rooms room.ply none.ply', 'none.ply'),
@@ -204,15 +202,15 @@ def contents(folder):
     ('room.ply', 'view room.ply --out room.ply --overwrite', 'room.ply'),
     ('out/rig.yaml', 'view room.ply placement.yaml --rig out/rig.yaml --out out/rig.yaml',
      'rig.yaml'),
-    ('room.ply', 'rooms preview 8 room.ply --out room.ply', 'room.ply'),
+    ('room.ply', 'info room.ply --out room.ply', 'room.ply'),
     ('new/installer.md', f'{SCORE} new', 'new/installer.md, and no placement.json'),
     ('new/placement.yaml', 'plan room.ply --out new', 'no placement.json'),
     ('new/placement.yaml', 'calibrate room.ply placement.yaml --clouds room.ply --out new',
      'no calibration.json'),
     ('new/results.csv', 'benchmark --out new', 'no protocol.json'),
     ('page.html', 'view room.ply --out page.html', 'page.html'),
-    ('a.png', 'rooms preview 8 --out a.png', 'a.png'),
-    ('room-8_mesh.ply', 'rooms make 8 --out .', 'room-8_mesh.ply'),
+    ('a.png', 'info 8 --out a.png', 'a.png'),
+    ('room-8_mesh.ply', 'rooms 8 --out .', 'room-8_mesh.ply'),
     ('room.json', f'{TRAIN} run --model room.safetensors', '--model: found room.json'),
     ('run/best.safetensors', f'{TRAIN} run', 'found best.safetensors'),
     ('rooms.json', f'{TRAIN} .', 'rooms.json')])
@@ -239,8 +237,8 @@ def test_other_files_are_replaced_where_that_is_asked_for_and_own_files_always(f
     (new / 'curve.png').write_text('of an earlier run')
     assert cli.main(f'{SCORE} new'.split()) == 0
     assert not (new / 'curve.png').exists() and (new / 'notes.md').read_text() == 'mine'
-    for command in ('view room.ply', 'rooms make 8 --points 1000',
-                    'rooms preview 8 --points 1000 --out out/b.png'):
+    for command in ('view room.ply', 'rooms 8 --points 1000 --out out/rooms',
+                    'info 8 --points 1000 --out out/b.png'):
         assert cli.main(command.split()) == cli.main(command.split()) == 0
 
 
@@ -385,5 +383,5 @@ def test_a_folder_that_was_removed_is_said_to_be_so(files, capsys, monkeypatch):
     (files / 'gone').mkdir()
     monkeypatch.chdir('gone')
     (files / 'gone').rmdir()
-    for arguments in (['rooms', 'list'], ['score', str(files / 'room.ply'), 'placement.yaml']):
+    for arguments in (['rooms'], ['score', str(files / 'room.ply'), 'placement.yaml']):
         assert 'no longer exists' in refused(capsys, *arguments)

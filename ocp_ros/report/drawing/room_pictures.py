@@ -44,7 +44,6 @@ from ocp_ros.report.drawing.room_drawing import (
     room_of,
 )
 from ocp_ros.report.drawing.saved_pictures import save_figure
-from ocp_ros.rooms.generator import generate_room, plan_of
 from ocp_ros.scenes.scene import Scene
 
 #: Colour of points that no camera sees; no camera has this colour.
@@ -202,11 +201,3 @@ def draw_rooms(path: Path, scenes: Sequence[tuple[str, Scene]], columns: int = 4
         axes.set_axis_off()
         axes.set_title(title, fontsize=12, color=INK, parse_math=False)
     save_figure(figure, path, dpi=75)
-
-
-def titled_room(seed: int, points: int) -> tuple[str, Scene]:
-    """Return a title with kind and size of a generated room, and the room with ``points``."""
-    plan = plan_of(seed)
-    width, depth, height = plan.size
-    return (f'{seed}: {plan.kind.replace("_", " ")}, {width:.1f} x {depth:.1f} x {height:.1f} m',
-            generate_room(seed, points))
