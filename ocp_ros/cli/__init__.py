@@ -13,3 +13,6 @@
 # limitations under the License.
 
 """The command line ``ocp``: one file for each command."""
+
+#: Exit code of a program that Ctrl-C has ended.
+EXIT_STOPPED = 130

@@ -28,8 +28,8 @@ import sys
 from typing import Any, NoReturn
 import warnings
 
+from ocp_ros.cli import EXIT_STOPPED
 from ocp_ros.cli.arguments import join_up_option
-from ocp_ros.cli.start import EXIT_STOPPED
 from ocp_ros.util.files import file_to_write
 from ocp_ros.util.settings import ConfigurationError, UserError
 from ocp_ros.util.terminal_text import printable

@@ -22,8 +22,7 @@ import signal
 import sys
 from typing import NoReturn
 
-#: Exit code of a program that Ctrl-C has ended.
-EXIT_STOPPED = 130
+from ocp_ros.cli import EXIT_STOPPED
 
 
 def main() -> int:
