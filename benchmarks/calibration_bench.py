@@ -50,8 +50,7 @@ from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.rooms.scanning import boxes_of, is_position_free
 from ocp_ros.rooms.splits import SETS
-from ocp_ros.scenes.mesh_files import sample_faces
-from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.meshes import MeshRays, sample_faces
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
 from scipy.ndimage import gaussian_filter

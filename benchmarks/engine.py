@@ -39,7 +39,7 @@ from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import PRESETS
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.meshes import MeshRays
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem

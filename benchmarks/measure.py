@@ -39,7 +39,7 @@ from ocp_ros.rig.rig_file import Rig, rig_of
 from ocp_ros.rig.structure import Air
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.rooms.splits import SETS
-from ocp_ros.scenes.mesh_files import sample_faces
+from ocp_ros.scenes.meshes import sample_faces
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.scenes.scene_files import scene_of
 from ocp_ros.search.budget import Budget

@@ -41,7 +41,7 @@ from ocp_ros.rooms.furniture import make_solid, Solid
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.rooms.room_plan import RoomPlan
 from ocp_ros.rooms.splits import TEST
-from ocp_ros.scenes.mesh_files import sample_faces
+from ocp_ros.scenes.meshes import sample_faces
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.search.budget import Budget

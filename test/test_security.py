@@ -74,7 +74,7 @@ def test_no_file_of_any_kind_does_harm(hostile, listener):
 
 CONFINED = """
 import os, signal, socket, sys
-from ocp_ros.util.confinement import confine, limit
+from ocp_ros.util.guarded_process import confine, limit
 limit(1 << 30, 10, 1000)
 handle = os.pidfd_open(os.getppid())
 confine([sys.argv[1]], sys.argv[3])

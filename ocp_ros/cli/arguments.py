@@ -128,7 +128,7 @@ def add_units(command: argparse.ArgumentParser, files: str = 'scan') -> None:
 def read_direction(text: str) -> str:
     """Read the direction of a scan that points up."""
     # Imported only here, so that a command line is read without importing NumPy.
-    from ocp_ros.scenes.up_axis import UP_CHOICES
+    from ocp_ros.scenes.source_frame import UP_CHOICES
     if text not in UP_CHOICES:
         raise argparse.ArgumentTypeError(
             f'found {text!r}; expected one of {", ".join(UP_CHOICES)}')

@@ -29,7 +29,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.motion import mounted, MountingErrors
 from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.up_axis import BY_FILE
+from ocp_ros.scenes.source_frame import BY_FILE
 from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.ray_visibility import with_rays
 from ocp_ros.simulation.simulation_config import SimulationConfig

@@ -37,7 +37,7 @@ from ocp_ros.rooms.splits import TEST
 from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
-from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
+from ocp_ros.scenes.source_frame import BY_FILE, UP_CHOICES
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.plan import plan

@@ -31,7 +31,7 @@ from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.sim_node import SimNodeConfig
 from ocp_ros.scenes.scene import Scene
-from ocp_ros.scenes.up_axis import UP_CHOICES
+from ocp_ros.scenes.source_frame import UP_CHOICES
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import from_flat, to_nested

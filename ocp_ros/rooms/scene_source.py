@@ -22,7 +22,7 @@ from ocp_ros.rooms.generator import generate_room
 from ocp_ros.scenes.scene import Scene, SceneError, turned
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene
-from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
+from ocp_ros.scenes.source_frame import BY_FILE, UP_CHOICES
 from ocp_ros.util.files import sha256_of_file
 from ocp_ros.util.settings import MAX_ROOM_POINTS, MAX_SEED, MIN_ROOM_POINTS, setting
 

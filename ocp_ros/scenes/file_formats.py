@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.scenes.laser_files import las_unit, read_e57_points, read_las_points
 from ocp_ros.scenes.measured_room import read_measured_room, solids_in
-from ocp_ros.scenes.mesh_files import MESHES, read_mesh
+from ocp_ros.scenes.meshes import MESHES, read_mesh
 from ocp_ros.scenes.pcd_files import read_pcd_fields
 from ocp_ros.scenes.ply_files import has_faces, read_ply_fields
 from ocp_ros.scenes.scene import SceneError

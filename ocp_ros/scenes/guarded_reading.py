@@ -12,19 +12,36 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Read scans and meshes in a process with limits, since bad files can crash libraries."""
+"""
+Read a file in a separate process, since broken or hostile bytes can crash or hang a library.
 
-from collections.abc import Sequence
+:func:`read_guarded` starts the process with limits of memory, time and output. The process runs
+:func:`main`, which writes rows of float64 numbers to its standard output, or one line about the
+error to its standard error. It imports the library, then gives up all other rights
+(:func:`~ocp_ros.util.guarded_process.confine`), and only then opens the file. The imports in the
+functions below return what was imported before.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from importlib import import_module
+import json
+import os
 from pathlib import Path
+import sys
+from types import SimpleNamespace
+from urllib.parse import unquote
 
 import numpy as np
-from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
+from ocp_ros.util.guarded_process import confine, GuardedProcess, limit, ReadingCost
 
 #: The limits of each kind of file: bytes of memory, more bytes of memory per byte of the file, and
 #: seconds.
 READING_COSTS = {
     'e57': ReadingCost(600_000_000, 20, 10), 'las': ReadingCost(600_000_000, 3, 10),
     'mesh': ReadingCost(700_000_000, 40, 20), 'ply': ReadingCost(400_000_000, 40, 10)}
+#: The number of bytes of points that are processed at once.
+BLOCK_BYTES = 1 << 25
 
 
 def read_guarded(kind: str, path: Path, columns: int, max_rows: int,
@@ -32,8 +49,7 @@ def read_guarded(kind: str, path: Path, columns: int, max_rows: int,
     """
     Read a file in a separate process, which takes about half a second.
 
-    :param kind: the kind of file, a key of ``READING_COSTS`` and of ``READERS`` in
-        :mod:`~ocp_ros.scenes.reading_process`.
+    :param kind: the kind of file, a key of ``READING_COSTS`` and of ``READERS``.
     :param columns: the number of columns of each row.
     :param max_rows: the largest number of rows accepted.
     :param reader_arguments: the arguments of the reader after the path.
@@ -43,10 +59,157 @@ def read_guarded(kind: str, path: Path, columns: int, max_rows: int,
     # Each number takes eight bytes.
     max_bytes = 8 * columns * max_rows
     arguments = [kind, str(path.absolute()), *reader_arguments]
-    with GuardedProcess('ocp_ros.scenes.reading_process', arguments, READING_COSTS[kind],
+    with GuardedProcess('ocp_ros.scenes.guarded_reading', arguments, READING_COSTS[kind],
                         path.stat().st_size) as process:
         # One byte more is read to notice too many rows.
         content = process.read(max_bytes + 1)
     if len(content) > max_bytes:
         raise ValueError(f'more than {max_rows:,} points')
     return np.frombuffer(content).reshape(-1, columns)
+
+
+def las_rows(path: str) -> Iterator[np.ndarray]:
+    """
+    Yield the points of a LAS or LAZ file as rows (N, 4): x, y, z in the unit of the file, a flag.
+
+    The flag is 1 for points of a surface, 0 for noise and withheld points.
+    """
+    import laspy
+    # Extended records at the end of the file (EVLRs) are not needed.
+    with laspy.open(path, read_evlrs=False) as file:
+        for points in file.chunk_iterator(max(BLOCK_BYTES // file.header.point_format.size, 1)):
+            # Classes 7 and 18 are noise, not surfaces.
+            is_kept = ~np.isin(points.classification, (7, 18)) & (np.asarray(points.withheld) == 0)
+            yield np.stack([points.x, points.y, points.z, is_kept], axis=1)
+
+
+def e57_rows(path: str) -> Iterator[np.ndarray]:
+    """Yield the valid points (N, 3) of each scan of an E57 file, all in the frame of the file."""
+    from pye57 import E57
+    with E57(path) as file:
+        for index in range(file.scan_count):
+            columns = file.read_scan(index, ignore_missing_fields=True)
+            yield np.stack([columns[f'cartesian{axis}'] for axis in 'XYZ'], axis=1)
+
+
+def mesh_rows(path: str) -> Iterator[np.ndarray]:
+    """Yield the corners (T, 9) of triangles of a mesh, in the unit and the axes of the file."""
+    # Dash, the web server of Open3D's viewer, is not used, and takes a third of the import time.
+    # An empty stand-in replaces it.
+    sys.modules['dash'] = SimpleNamespace(html=None, dcc=None, Dash=None)
+    import open3d
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)
+    vertices, triangles = _read_triangles(open3d.io, path)
+    if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
+        raise ValueError('faces with vertices that are not there')
+    # A triangle is 9 numbers of 8 bytes.
+    block_rows = BLOCK_BYTES // 72
+    for start in range(0, len(triangles), block_rows):
+        yield vertices[triangles[start:start + block_rows]].reshape(-1, 9)
+
+
+def _read_triangles(open3d_io, path: str) -> tuple[np.ndarray, np.ndarray]:
+    """Read the vertices (V, 3) and triangles (T, 3) of a mesh, all of its parts in one frame."""
+    # Open3D reads these formats with its own, better reader, and all others with the library
+    # Assimp, which stores coordinates as float32.
+    if path.lower().endswith(('.ply', '.off')):
+        meshes = [open3d_io.read_triangle_mesh(path)]
+    else:
+        # read_triangle_mesh is not used: it leaves out faces with more than three corners (0.20).
+        meshes = [model_part.mesh for model_part in open3d_io.read_triangle_model(path).meshes]
+    parts = [(np.asarray(mesh.vertices), np.asarray(mesh.triangles)) for mesh in meshes]
+    if not parts:
+        raise ValueError('no faces')
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
+    vertices = np.concatenate([vertices for vertices, _ in parts])
+    # Open3D's reader of .off files rounds to float32 too; only the one of .ply files does not.
+    if not path.lower().endswith('.ply'):
+        _check_rounding(vertices)
+    return vertices, np.concatenate([
+        offset + triangles for offset, (_, triangles) in zip(offsets, parts)])
+
+
+def _check_rounding(vertices: np.ndarray) -> None:
+    """Refuse vertices (V, 3) that are so far from the origin that float32 has rounded them."""
+    vertices = vertices[np.isfinite(vertices).all(axis=1)]
+    if len(vertices):
+        step = abs(vertices).max() * np.finfo(np.float32).eps
+        # Steps of more than 1 mm for an extent of 10 m are too coarse.
+        if step > 1e-4 * np.ptp(vertices, axis=0).max():
+            raise ValueError('a mesh so far from the origin that its reader rounds it: move it '
+                             'near the origin, or save it as .ply')
+
+
+def ply_rows(path: str, *columns: str) -> Iterator[np.ndarray]:
+    """Yield the vertices of a PLY file as rows (N, C), with C columns of the given names."""
+    from plyfile import PlyData
+    vertices = PlyData.read(path)['vertex'].data
+    yield np.stack([vertices[name] for name in columns], axis=1)
+
+
+def buffer_files(path: str) -> list[str]:
+    """
+    Return the paths of the files that contain the buffers of a glTF file; [] for other formats.
+
+    :raises ValueError: if a buffer is outside of the folder or does not exist.
+    """
+    if not path.lower().endswith(('.gltf', '.glb')):
+        return []
+    document = Path(path).read_bytes()
+    # A GLB file begins with a header of 12 bytes, the length of the JSON in 4 bytes, its type in
+    # 4 bytes, and the JSON.
+    if document[:4] == b'glTF':
+        document = document[20:20 + int.from_bytes(document[12:16], 'little')]
+    folder = Path(path).resolve().parent
+    files = []
+    for buffer in json.loads(document).get('buffers', ()):
+        # Buffers without a URI or with a data URI are in the file itself.
+        uri = buffer.get('uri', 'data:')
+        if uri.startswith('data:'):
+            continue
+        # Some readers decode %20 as a blank, others do not, so both names are allowed.
+        candidates = [(folder / file).resolve() for file in (uri, unquote(uri))]
+        if not all(file.parent == folder for file in candidates):
+            raise ValueError(f'it names {uri[:60]!r}, which is not in its folder')
+        if not any(file.is_file() for file in candidates):
+            raise ValueError(f'it names {uri[:60]!r}, where there is no file')
+        files += [str(file) for file in candidates if file.is_file()]
+    return files
+
+
+#: The reader of each kind, and the packages that it imports before the process gives up its
+#: rights.
+READERS = {'e57': (e57_rows, 'pye57'), 'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
+           'mesh': (mesh_rows, 'open3d'),
+           'ply': (ply_rows, 'plyfile', 'encodings.ascii')}
+
+
+def main(arguments: list[str]) -> int:
+    """
+    Apply the limits, read a file and write its rows to the standard output.
+
+    :param arguments: the limits (bytes of memory, seconds of all cores, bytes written), a key of
+        ``READERS``, the path, and the other arguments of the reader.
+    :returns: the exit status: 0, or 1 if the file cannot be read.
+    """
+    limit(*map(int, arguments[:3]))
+    kind, path, *reader_arguments = arguments[3:]
+    read_rows, *packages = READERS[kind]
+    with os.fdopen(os.dup(1), 'wb') as output:
+        # Text that libraries print must not mix with the rows, so it goes to the standard error.
+        os.dup2(2, 1)
+        try:
+            # A missing package is reported by the reader if it needs the package.
+            for package in packages:
+                with suppress(ImportError):
+                    import_module(package)
+            confine([path, *buffer_files(path)])
+            for block in read_rows(path, *reader_arguments):
+                output.write(np.ascontiguousarray(block, dtype=np.float64))
+        except MemoryError:
+            print('more memory than such a file needs', file=sys.stderr)
+            return 1
+        except BaseException as error:  # Broken files; lazrs raises a BaseException.
+            print((str(error).splitlines() or [''])[0] or type(error).__name__, file=sys.stderr)
+            return 1
+    return 0

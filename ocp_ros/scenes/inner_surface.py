@@ -32,8 +32,7 @@ from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.geometry.visibility import FINE, SurfelVisibility
 from ocp_ros.geometry.voxels import CellGrid
-from ocp_ros.scenes.mesh_files import sample_faces
-from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.meshes import MeshRays, sample_faces
 from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene, SceneError
 from ocp_ros.util.kernels import njit
 from scipy import ndimage

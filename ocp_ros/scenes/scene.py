@@ -22,8 +22,7 @@ from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.scenes.neighbours import nearest
-from ocp_ros.scenes.source_frame import SourceFrame
-from ocp_ros.scenes.up_axis import axis_of
+from ocp_ros.scenes.source_frame import axis_of, SourceFrame
 from ocp_ros.util.settings import UserError
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.distance import pdist
@@ -181,8 +180,9 @@ def check_points(points: np.ndarray, name: str, up: str = 'z') -> None:
 
     :param points: (N, 3) array.
     :param name: the name of the points in the message.
-    :param up: the direction that points up, one of :data:`~ocp_ros.scenes.up_axis.UP_AXES`; the
-        message guesses a wrong unit from the height.
+    :param up: the direction that points up, one of
+        :data:`~ocp_ros.scenes.source_frame.UP_AXES`; the message guesses a wrong unit from the
+        height.
     :raises SceneError: for a wrong shape, fewer than 100 points, NaN or inf, a flat cloud, or a
         size that no room in metres has.
     """

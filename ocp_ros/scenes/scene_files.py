@@ -25,16 +25,24 @@ import warnings
 import numpy as np
 from ocp_ros.geometry.clouds import away_from, corners_of
 from ocp_ros.geometry.voxels import MIN_VOXEL_M, voxel_downsample, voxel_size_for
-from ocp_ros.scenes import up_axis
+from ocp_ros.scenes.false_points import isolated_points, stray_points, without_mirror_images
 from ocp_ros.scenes.file_formats import Declared, declared_by, MEASURED, READERS
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
 from ocp_ros.scenes.main_room import main_room
 from ocp_ros.scenes.measured_room import CORNERS, room_between
-from ocp_ros.scenes.mesh_files import MESH_SAMPLES, sample_faces
-from ocp_ros.scenes.mirror_images import without_mirror_images
+from ocp_ros.scenes.meshes import MESH_SAMPLES, sample_faces
 from ocp_ros.scenes.scene import check_numbers, check_points, Mesh, MIN_POINTS, Scene, SceneError
-from ocp_ros.scenes.source_frame import SourceFrame
-from ocp_ros.scenes.stray_points import isolated_points, stray_points
+from ocp_ros.scenes.source_frame import (
+    AUTO,
+    axis_of,
+    BY_FILE,
+    likely_up,
+    likely_up_axis,
+    map_from_file,
+    SourceFrame,
+    UP_AXES,
+    UP_CHOICES,
+)
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.settings import UserError
 from ocp_ros.util.terminal_text import printable
@@ -51,13 +59,13 @@ class SceneWarning(UserWarning):
 
 
 def load_scene(path, *, voxel_size: float = 0.0, max_points: int = 0, scale: float = 0.0,
-               up: str = up_axis.BY_FILE, drop_nonfinite: bool = False,
+               up: str = BY_FILE, drop_nonfinite: bool = False,
                all_rooms: bool = False) -> Scene:
     """
     Read a room from a file.
 
     Exact duplicates are removed, and stray points (see
-    :func:`~ocp_ros.scenes.stray_points.stray_points`). Coordinates farther than 1 km from the
+    :func:`~ocp_ros.scenes.false_points.stray_points`). Coordinates farther than 1 km from the
     origin, such as UTM, are moved near it by whole hundreds of metres, since float32 would round
     them. All changes are logged. ``source`` converts back to the file's coordinates, ``notes``
     list possible problems, and ``remarks`` list what was left out.
@@ -137,10 +145,10 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
         rows, triangle_corners, notes = _points_between_corners(rows[:, :3], name)
     # Use the unit and the up direction that the file declares, if the options leave them open.
     remarks: tuple[str, ...] = ()
-    if (scale == 0.0 and declared.metres != 1.0) or (up == up_axis.BY_FILE and declared.up != 'z'):
+    if (scale == 0.0 and declared.metres != 1.0) or (up == BY_FILE and declared.up != 'z'):
         remarks = (declared.remark,)
     scale = scale or declared.metres
-    up = declared.up if up == up_axis.BY_FILE else up
+    up = declared.up if up == BY_FILE else up
     # Convert to metres; numbers that overflow are refused like inf. Leave out stray points.
     if drop_nonfinite:
         rows = _without_nonfinite(rows, name)
@@ -151,20 +159,20 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     remarks += stray_remarks
     points = rows[:, :3]
     # The check needs the up direction only to guess a wrong unit, so z will do until it is known.
-    check_points(points, name, 'z' if up == up_axis.AUTO else up)
+    check_points(points, name, 'z' if up == AUTO else up)
     # Rotate z up, move the room near the origin and leave out duplicates.
-    if up == up_axis.AUTO:
-        up = up_axis.likely_up(points)
+    if up == AUTO:
+        up = likely_up(points)
         remarks += (f'up: {up}, a guess (--up)',)
     notes += _notes_of_size(points, up)
-    rotation = up_axis.map_from_file(up)
+    rotation = map_from_file(up)
     points, shift = _move_near_origin(points @ rotation.T, name)
     source = SourceFrame(scale, rotation, shift)
     points, normals = _without_duplicates(points.astype(np.float32),
                                           _unit_normals(rows[:, 3:], rotation), name)
     # The z axis may be vertical only by default. If the points suggest another axis, a note says
     # so, and all rooms are kept, since rooms are separated on a plan seen from above.
-    if up_axis.axis_of(up) == 2 and (up_notes := _notes_of_up(points)):
+    if axis_of(up) == 2 and (up_notes := _notes_of_up(points)):
         notes += up_notes
         all_rooms = True
     # If a mesh encloses air, the sides of its faces that are visible from this air are the room.
@@ -346,7 +354,7 @@ def _records(values: np.ndarray, columns: list[tuple[str, str]]) -> np.ndarray:
 def _check_options(name: str, voxel_size: float, max_points: int, scale: float, up: str,
                    from_file: bool = False) -> None:
     """Refuse invalid options; only for a file may scale be 0 and up be ``file``."""
-    directions = up_axis.UP_CHOICES if from_file else (*up_axis.UP_AXES, up_axis.AUTO)
+    directions = UP_CHOICES if from_file else (*UP_AXES, AUTO)
     numbers = {'voxel_size': voxel_size, 'max_points': max_points, 'scale': scale}
     for option, value in numbers.items():
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)):
@@ -475,7 +483,7 @@ def _notes_of_size(points: np.ndarray, up: str) -> list[str]:
     """Return a note if a room is smaller than any real room, as with a wrong scale; else []."""
     size = np.ptp(corners_of(points), axis=0)
     min_height_m, min_length_m = 1.0, 1.5
-    if size[up_axis.axis_of(up)] >= min_height_m or size.max() >= min_length_m:
+    if size[axis_of(up)] >= min_height_m or size.max() >= min_length_m:
         return []
     return [f'found a room of {" x ".join(f"{edge:.3g}" for edge in size)} m; expected one that '
             f'is {min_height_m:g} m high or {min_length_m:g} m long; correct the scale (--scale), '
@@ -484,7 +492,7 @@ def _notes_of_size(points: np.ndarray, up: str) -> list[str]:
 
 def _notes_of_up(points: np.ndarray) -> list[str]:
     """Return a note if floor and ceiling seem to be normal to another axis than z; else []."""
-    axis = up_axis.likely_up_axis(points)
+    axis = likely_up_axis(points)
     return [] if axis == 'z' else [
         f'found the two fullest layers, floor and ceiling, across {axis}; expected z up; turn it '
         f'(--up {axis}) unless z is up']

@@ -12,12 +12,96 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The transform between the map frame and the frame of the file that a room was read from."""
+"""
+The frame of the file that a room was read from: its up direction, and the transform to the map.
+
+If no up direction is given, it is guessed.
+"""
 
 from dataclasses import dataclass, field
 
 import numpy as np
-from ocp_ros.scenes.up_axis import up_of
+from ocp_ros.geometry.voxels import voxel_downsample
+
+#: For each up direction: the axes of the file, and their signs, that become x, y, z of the map.
+_AXES_AND_SIGNS = {
+    'x': ([1, 2, 0], [1, 1, 1]), '-x': ([2, 1, 0], [1, 1, -1]),
+    'y': ([0, 2, 1], [1, -1, 1]), '-y': ([0, 2, 1], [1, 1, -1]),
+    'z': ([0, 1, 2], [1, 1, 1]), '-z': ([0, 1, 2], [1, -1, -1])}
+#: The directions of a file that may point up.
+UP_AXES = tuple(_AXES_AND_SIGNS)
+#: The option for the direction that the file format declares, else z.
+BY_FILE = 'file'
+#: The option for a direction that is guessed from the points.
+AUTO = 'auto'
+UP_CHOICES = (*UP_AXES, AUTO, BY_FILE)
+
+
+def map_from_file(up: str) -> np.ndarray:
+    """
+    Return the rotation from the axes of a file to those of the map, z up.
+
+    :param up: one of :data:`UP_AXES`.
+    :returns: (3, 3), determinant 1.
+    """
+    axes, signs = _AXES_AND_SIGNS[up]
+    return np.eye(3)[axes] * np.array(signs)[:, None]
+
+
+def axis_of(up: str) -> int:
+    """Return the number of the axis, 0, 1 or 2, of a direction such as ``-y``."""
+    return 'xyz'.index(up[-1])
+
+
+def likely_up_axis(points: np.ndarray) -> str:
+    """
+    Guess the vertical axis of a room: the axis along which floor and ceiling stand out.
+
+    Floor and ceiling extend over the whole room, while walls have openings. The score of an axis
+    is the geometric mean of the shares of points in its lowest and highest decimetre. The guess
+    differs from z only with clear evidence: the other axis has more than 1.5 times the score of z,
+    and its extent is shorter than that of z and, since corridors are narrow but no room is lower,
+    longer than 2 m.
+
+    For a bare cube the guess is z. For a closed shaft higher than 1.5 times its width the guess is
+    wrong, since it looks like a room lying on its side.
+
+    :param points: (N, 3), metres.
+    :returns: ``'x'``, ``'y'`` or ``'z'``.
+    """
+    low, high = np.percentile(points, [0.5, 99.5], axis=0)
+    scores = np.sqrt((points < low + 0.1).mean(axis=0) * (points > high - 0.1).mean(axis=0))
+    best = int(scores.argmax())
+    size = high - low
+    is_clear = scores[best] > 1.5 * scores[2] and 2.0 < size[best] < size[2]
+    return 'xyz'[best] if is_clear else 'z'
+
+
+def likely_up(points: np.ndarray) -> str:
+    """
+    Guess which direction of a room points up.
+
+    The axis is that of :func:`likely_up_axis`. Furniture stands on the floor, so the end of the
+    axis with more points nearby is the lower one. Files with z down are rare, so z is guessed to
+    point down only with clear evidence.
+
+    :param points: (N, 3), metres.
+    :returns: one of :data:`UP_AXES`.
+    """
+    axis = likely_up_axis(points)
+    # All points in a cube of 10 cm count as one point.
+    cubes = voxel_downsample(np.asarray(points - points.mean(axis=0), dtype=np.float32), 0.1)
+    heights = cubes[:, axis_of(axis)]
+    low, high = np.percentile(heights, [0.5, 99.5])
+    # Furniture is counted at these distances from either end of the axis.
+    min_distance_m, max_distance_m = 0.15, 1.2
+    count_low, count_high = (
+        np.count_nonzero((distances > min_distance_m) & (distances < max_distance_m))
+        for distances in (heights - low, high - heights))
+    # This number is added to both counts, since few cubes are no evidence.
+    added_cubes = 20
+    evidence = np.log((added_cubes + count_low) / (added_cubes + count_high))
+    return axis if evidence > (-0.25 if axis == 'z' else 0.0) else f'-{axis}'
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +135,8 @@ class SourceFrame:
     @property
     def up(self) -> str:
         """Return the direction of the file that is up in the map, such as ``'z'`` or ``'-y'``."""
-        return up_of(self.rotation)
+        axis = int(np.argmax(np.abs(self.rotation[2])))
+        return ('-' if self.rotation[2, axis] < 0.0 else '') + 'xyz'[axis]
 
     def to_source(self, positions: np.ndarray) -> np.ndarray:
         """Return positions (..., 3) in the map, metres, as positions in the frame of the file."""

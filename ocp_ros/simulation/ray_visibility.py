@@ -22,7 +22,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import pack, spatial_order
 from ocp_ros.geometry.shadow_maps import in_reach
 from ocp_ros.geometry.visibility import MESH, NO_BITS
-from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.meshes import MeshRays
 from ocp_ros.scenes.scene import Mesh, Scene
 
 

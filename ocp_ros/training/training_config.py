@@ -17,7 +17,7 @@
 from dataclasses import dataclass
 
 from ocp_ros.policy.agent_config import AgentConfig
-from ocp_ros.scenes.up_axis import BY_FILE, UP_CHOICES
+from ocp_ros.scenes.source_frame import BY_FILE, UP_CHOICES
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.settings import ConfigurationError, group, MAX_CAMERAS, MAX_SEED, setting
 

@@ -42,7 +42,7 @@ from ocp_ros.geometry.surfels import project_block, splat_surfels, Surfels, Work
 from ocp_ros.geometry.visibility import CubeVisibility, DISC_SCALE, PRESETS, SurfelVisibility
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.meshes import MeshRays
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator

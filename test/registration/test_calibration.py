@@ -38,7 +38,7 @@ from ocp_ros.rig.placement_file import load_placement, placement_of, save_placem
 from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
-from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.meshes import MeshRays
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import save_scene
 import pytest

@@ -25,7 +25,7 @@ from ocp_ros.report.room_facts import facts_of, SIDES
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, SceneWarning
-from ocp_ros.scenes.up_axis import map_from_file
+from ocp_ros.scenes.source_frame import map_from_file
 from ocp_ros.simulation.problem import Problem
 import pytest
 

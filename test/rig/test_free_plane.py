@@ -20,12 +20,11 @@ from conftest import around_z, box_room, box_sides, for_any, l_shaped, made_room
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.geometry.plane_cells import close_cells
 from ocp_ros.online.online_planner import Online
 from ocp_ros.online.rig_state import clearance_of, RigState
 from ocp_ros.online.step import play
 from ocp_ros.rig import free_plane
-from ocp_ros.rig.free_plane import CELL_M, CLEARANCE, Floor, floor_of, FreePlane
+from ocp_ros.rig.free_plane import CELL_M, CLEARANCE, close_cells, Floor, floor_of, FreePlane
 from ocp_ros.rig.motion import towards
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import rig_of

@@ -18,10 +18,10 @@ from conftest import box_room, box_sides, made_room
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.rig.plausibility import room_notes
+from ocp_ros.scenes.false_points import stray_points
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.scenes.scene_files import scene_of as room_of
-from ocp_ros.scenes.stray_points import stray_points
 import pytest
 from scipy.spatial import cKDTree
 

@@ -41,7 +41,7 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.policy import live_turns
 from ocp_ros.ros.policy.instructions import FINAL, instructions, STAY
 from ocp_ros.ros.policy_node import PolicyNode
-from ocp_ros.scenes.mesh_rays import MeshRays
+from ocp_ros.scenes.meshes import MeshRays
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.util.settings import ConfigurationError
 import pytest

@@ -87,7 +87,7 @@ def test_a_process_that_takes_too_much_is_stopped(laz, monkeypatch):
 
 def test_the_process_that_reads_imports_neither_learning_nor_ros(laz):
     ended = run_python(
-        'import sys; from ocp_ros.scenes.reading_process import las_rows; '
+        'import sys; from ocp_ros.scenes.guarded_reading import las_rows; '
         f'print(sum(map(len, las_rows({str(laz)!r})))); '
         "assert not {'torch', 'rclpy', 'numba', 'open3d'} & set(sys.modules)")
     assert ended.stdout.split() == [str(len(ROOM))], ended.stderr

@@ -22,7 +22,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.scenes.file_formats import READERS
-from ocp_ros.scenes.mesh_files import sample_faces
+from ocp_ros.scenes.meshes import sample_faces
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import load_scene, scene_of, SceneWarning
 from ocp_ros.simulation.problem import Problem

@@ -25,10 +25,10 @@ from ocp_ros.cli.main import main
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.scenes.measured_room import document_of, triangles_of
-from ocp_ros.scenes.mesh_files import MESH_SAMPLES, read_mesh, sample_faces
+from ocp_ros.scenes.meshes import MESH_SAMPLES, read_mesh, sample_faces
 from ocp_ros.scenes.scene import Mesh, Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scans_in, scene_of, SceneWarning
-from ocp_ros.scenes.up_axis import map_from_file
+from ocp_ros.scenes.source_frame import map_from_file
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig

@@ -23,7 +23,13 @@ from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import check_points, Scene, SceneError, turned
 from ocp_ros.scenes.scene_files import load_scene, SceneWarning
-from ocp_ros.scenes.up_axis import likely_up, likely_up_axis, map_from_file, UP_AXES, up_of
+from ocp_ros.scenes.source_frame import (
+    likely_up,
+    likely_up_axis,
+    map_from_file,
+    SourceFrame,
+    UP_AXES,
+)
 import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
@@ -159,7 +165,7 @@ def test_each_direction_that_may_be_up_is_turned_to_z(tmp_path, up):
     rotation, path = map_from_file(up), tmp_path / 'room.npy'
     upwards = np.eye(3)['xyz'.index(up[-1])] * (-1.0 if up[0] == '-' else 1.0)
     np.testing.assert_allclose(rotation @ upwards, [0.0, 0.0, 1.0])
-    assert np.linalg.det(rotation) == pytest.approx(1.0) and up_of(rotation) == up
+    assert np.linalg.det(rotation) == pytest.approx(1.0) and SourceFrame(rotation=rotation).up == up
     np.save(path, ROOM.astype(np.float64) @ rotation)
     scene = load_scene(path, up=up)
     assert np.allclose(scene.points, ROOM, atol=1e-6) and scene.source.up == up

@@ -23,7 +23,7 @@ import numpy as np
 from ocp_ros.geometry.voxels import voxel_downsample
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scene_of, SceneWarning
-from ocp_ros.scenes.up_axis import map_from_file
+from ocp_ros.scenes.source_frame import map_from_file
 import pytest
 
 SCANS = ROOT.parent / 'shared' / 'data' / 'rooms'

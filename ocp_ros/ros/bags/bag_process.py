@@ -31,7 +31,7 @@ import struct
 import sys
 from typing import Any, BinaryIO
 
-from ocp_ros.util.confinement import allow_seconds, confine, limit
+from ocp_ros.util.guarded_process import allow_seconds, confine, limit
 
 CLOUD, POSES = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseArray'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
