@@ -165,7 +165,8 @@ def test_each_direction_that_may_be_up_is_turned_to_z(tmp_path, up):
     rotation, path = map_from_file(up), tmp_path / 'room.npy'
     upwards = np.eye(3)['xyz'.index(up[-1])] * (-1.0 if up[0] == '-' else 1.0)
     np.testing.assert_allclose(rotation @ upwards, [0.0, 0.0, 1.0])
-    assert np.linalg.det(rotation) == pytest.approx(1.0) and SourceFrame(rotation=rotation).up == up
+    assert np.linalg.det(rotation) == pytest.approx(1.0)
+    assert SourceFrame(rotation=rotation).up == up
     np.save(path, ROOM.astype(np.float64) @ rotation)
     scene = load_scene(path, up=up)
     assert np.allclose(scene.points, ROOM, atol=1e-6) and scene.source.up == up
