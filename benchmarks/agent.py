@@ -49,7 +49,7 @@ from ocp_ros.policy.learned import Learned, PolicyAlone
 from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.rig.rig_file import load_rig, with_count
-from ocp_ros.rooms.splits import SETS
+from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.source_frame import BY_FILE
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.plan import plan

@@ -47,9 +47,8 @@ from ocp_ros.registration.camera_registration import register
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
 from ocp_ros.rig.sensors import SENSORS
-from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
-from ocp_ros.rooms.scanning import boxes_of, is_position_free
-from ocp_ros.rooms.splits import SETS
+from ocp_ros.rooms.generator import boxes_of, generate_room, is_position_free, mesh_of, plan_of
+from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.meshes import MeshRays, sample_faces
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene

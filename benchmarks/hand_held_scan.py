@@ -27,9 +27,8 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
-from ocp_ros.rooms.generator import mesh_of, plan_of
+from ocp_ros.rooms.generator import Boxes, boxes_of, is_position_free, mesh_of, plan_of
 from ocp_ros.rooms.room_plan import RoomPlan
-from ocp_ros.rooms.scanning import Boxes, boxes_of, is_position_free
 from ocp_ros.scenes.meshes import MeshRays
 from ocp_ros.scenes.scene import Mesh
 from scipy.ndimage import gaussian_filter1d

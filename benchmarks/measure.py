@@ -38,7 +38,7 @@ from ocp_ros.rig.motion import mounted, MountingErrors
 from ocp_ros.rig.rig_file import Rig, rig_of
 from ocp_ros.rig.structure import Air
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.rooms.splits import SETS
+from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.meshes import sample_faces
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.scenes.scene_files import scene_of

@@ -37,7 +37,7 @@ from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.report.findings import expected
 from ocp_ros.rig.motion import mounted
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.rooms.splits import SETS
+from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene, READERS
 from ocp_ros.search.budget import Budget

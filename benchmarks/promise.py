@@ -37,7 +37,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.rig.rig_file import Rig, rig_of
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.rooms.splits import SETS
+from ocp_ros.rooms.room_sets import SETS
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.rig_plan import RigPlanner

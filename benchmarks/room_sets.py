@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Choose the generated rooms of all sets, and print them for ``ocp_ros/rooms/splits.py``.
+Choose the generated rooms of all sets, and print them for ``ocp_ros/rooms/room_sets.py``.
 
 Ratios of depth errors mean nothing where four cameras see all there is, so a room is only taken if
 the best of a short search leaves at least 5 % of the depth error that placements leave on average.

@@ -40,7 +40,7 @@ from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.rooms.furniture import make_solid, Solid
 from ocp_ros.rooms.generator import generate_room, mesh_of, plan_of
 from ocp_ros.rooms.room_plan import RoomPlan
-from ocp_ros.rooms.splits import TEST
+from ocp_ros.rooms.room_sets import TEST
 from ocp_ros.scenes.meshes import sample_faces
 from ocp_ros.scenes.scene import Mesh, Scene
 from ocp_ros.scenes.scene_files import load_scene

@@ -198,7 +198,7 @@ def store(model, before, after, action, reward, done=False, info=None):
 def domain(tmp_path_factory):
     """Hold a ROS domain that no other test process uses."""
     pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
-    from ocp_ros.demo.node_processes import free_domain
+    from ocp_ros.demo.watched_nodes import free_domain
     from ocp_ros.ros.runtime.network import local_transport
     os.environ.update(local_transport())
     os.environ['ROS_LOG_DIR'] = str(tmp_path_factory.mktemp('ros'))

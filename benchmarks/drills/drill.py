@@ -22,7 +22,7 @@ import re
 from typing import Any
 
 from benchmarks import results
-from ocp_ros.demo.watcher import run_watched, Watch
+from ocp_ros.demo.watched_nodes import run_watched, Watch
 
 #: MB that the memory of a node may grow by, once it has done all that it does.
 MOST_GROWTH = 20.0

@@ -50,7 +50,7 @@ import traceback
 
 from benchmarks import results
 import numpy as np
-from ocp_ros.demo.node_processes import free_domain
+from ocp_ros.demo.watched_nodes import free_domain
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.rooms.generator import generate_room

@@ -35,8 +35,7 @@ from benchmarks import results
 from benchmarks.drills.drill import grown, rss_of, run_drill
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
-from ocp_ros.demo.watcher import Watch
+from ocp_ros.demo.watched_nodes import NodeProcess, stopped_at_the_end, Watch
 from ocp_ros.policy.checkpoint import Checkpoint, METADATA_KEY
 from ocp_ros.policy.cloud_encoder import Encoder
 from ocp_ros.ros.interface import topics

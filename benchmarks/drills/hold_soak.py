@@ -33,7 +33,7 @@ from benchmarks.drills.drill import run_drill
 from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, MAP, OPTICAL, Rig, S
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from ocp_ros.demo.watcher import Watch
+from ocp_ros.demo.watched_nodes import Watch
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.interface.conversions import msg_to_positions
 from ocp_ros.ros.policy_node import PolicyNode

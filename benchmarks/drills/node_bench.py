@@ -35,14 +35,14 @@ from typing import Any
 
 from benchmarks import results
 import numpy as np
-from ocp_ros.demo.node_processes import (
+from ocp_ros.demo.train_demo import start_nodes
+from ocp_ros.demo.watched_nodes import (
     end_on_signals,
     free_domain,
     NodeProcess,
     stopped_at_the_end,
+    Watch,
 )
-from ocp_ros.demo.train_demo import start_nodes
-from ocp_ros.demo.watcher import Watch
 from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rooms.generator import generate_room

@@ -34,9 +34,8 @@ from benchmarks import results
 from benchmarks.drills.drill import grown, run_drill
 from benchmarks.drills.soak_watch import check_files, Latency, Lies, MemoryWatch
 import numpy as np
-from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
 from ocp_ros.demo.train_demo import pair_parameters
-from ocp_ros.demo.watcher import Watch
+from ocp_ros.demo.watched_nodes import NodeProcess, stopped_at_the_end, Watch
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.ros.interface.conversions import ns_to_stamp
 from ocp_ros.util.resources import find_model

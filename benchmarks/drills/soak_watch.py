@@ -30,7 +30,7 @@ from benchmarks.drills.fuzz import (
 )
 from geometry_msgs.msg import PoseArray
 import numpy as np
-from ocp_ros.demo.node_processes import NodeProcess
+from ocp_ros.demo.watched_nodes import NodeProcess
 from ocp_ros.policy.checkpoint import Checkpoint, CheckpointError
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, ns_to_stamp, stamp_to_ns

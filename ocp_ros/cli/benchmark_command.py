@@ -126,7 +126,7 @@ def _compared(pairs: dict[str, Any], planner: str) -> str:
 def protocol_of(arguments: argparse.Namespace) -> 'Protocol':
     """Return the settings of the comparison from a command line of ``ocp benchmark``."""
     from ocp_ros.compare.protocol import placement_settings, PRESETS, rooms_in, rooms_of_s3dis
-    from ocp_ros.rooms.splits import SETS
+    from ocp_ros.rooms.room_sets import SETS
     changes: dict[str, Any] = {
         name: value for name in ('planners', 'budgets', 'seeds', 'scale', 'up', 'model')
         if (value := getattr(arguments, name)) is not None}

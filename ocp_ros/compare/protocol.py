@@ -32,9 +32,8 @@ from typing import Any
 import numpy as np
 from ocp_ros.compare.judging import JUDGE_POINTS, judged_room, JudgedRoom, SEARCH_POINTS
 from ocp_ros.geometry.engine_config import PROMISING
+from ocp_ros.rooms.room_sets import chosen_rooms, s3dis_folder, TEST, TEST_AREAS
 from ocp_ros.rooms.scene_source import make_room
-from ocp_ros.rooms.splits import TEST
-from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
 from ocp_ros.scenes.source_frame import BY_FILE, UP_CHOICES

@@ -24,8 +24,7 @@ import sys
 from typing import Any
 
 import numpy as np
-from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
-from ocp_ros.demo.watcher import run_watched, Watch, Watcher
+from ocp_ros.demo.watched_nodes import NodeProcess, run_watched, stopped_at_the_end, Watch, Watcher
 from ocp_ros.report.drawing.room_pictures import draw_placement
 from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig

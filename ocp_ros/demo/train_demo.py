@@ -27,8 +27,7 @@ import time
 from typing import Any
 
 from ocp_ros.demo.demo import START_TIMEOUT_S
-from ocp_ros.demo.node_processes import NodeProcess, stopped_at_the_end
-from ocp_ros.demo.watcher import run_watched, Watch
+from ocp_ros.demo.watched_nodes import NodeProcess, run_watched, stopped_at_the_end, Watch
 from ocp_ros.util.resources import DEFAULT_MODEL
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn

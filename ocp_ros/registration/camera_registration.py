@@ -34,6 +34,9 @@ from ocp_ros.geometry.cameras import CameraModel, Pose
 from ocp_ros.registration.alignment import (
     aligned_poses,
     AlignmentStage,
+    axis_name,
+    Certainty,
+    estimate_certainty,
     Matches,
     matches_of,
     MIN_NORMAL_COSINE,
@@ -44,7 +47,6 @@ from ocp_ros.registration.alignment import (
     weights_of,
 )
 from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.pose_certainty import axis_name, Certainty, estimate_certainty
 from ocp_ros.registration.scan_surfaces import ScanSurfaces, SurfacesInView
 from scipy.stats import qmc
 

@@ -24,8 +24,8 @@ from gymnasium import spaces
 import numpy as np
 from ocp_ros.geometry.clouds import corners_of, fixed_size
 from ocp_ros.rig.motion import bounded_moves, wrapped
+from ocp_ros.rooms.room_sets import TRAINING
 from ocp_ros.rooms.scene_source import make_room
-from ocp_ros.rooms.splits import TRAINING
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, Problem

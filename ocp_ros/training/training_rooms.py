@@ -23,9 +23,16 @@ three sets.
 
 from collections.abc import Sequence
 
+from ocp_ros.rooms.room_sets import (
+    chosen_rooms,
+    MORE_TRAINING,
+    s3dis_folder,
+    TEST,
+    TEST_AREAS,
+    TRAINING,
+    VALIDATION,
+)
 from ocp_ros.rooms.scene_source import make_room
-from ocp_ros.rooms.splits import MORE_TRAINING, TEST, TRAINING, VALIDATION
-from ocp_ros.scenes.s3dis import chosen_rooms, s3dis_folder, TEST_AREAS
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
 from ocp_ros.training.training_config import RoomsConfig

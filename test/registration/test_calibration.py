@@ -21,7 +21,14 @@ from conftest import blank_report, box_sides, printed, refused
 import numpy as np
 from ocp_ros.cli.main import main
 from ocp_ros.geometry.cameras import CameraModel, heading_of, OPTICAL_TO_BODY, Pose
-from ocp_ros.registration.alignment import Matches, matches_of, Patches, Poses, Surfaces
+from ocp_ros.registration.alignment import (
+    estimate_certainty,
+    Matches,
+    matches_of,
+    Patches,
+    Poses,
+    Surfaces,
+)
 from ocp_ros.registration.calibration import as_built, calibrate
 from ocp_ros.registration.camera_registration import (
     _behind_shares,
@@ -31,7 +38,6 @@ from ocp_ros.registration.camera_registration import (
     registered_nearby,
 )
 from ocp_ros.registration.live_view import LiveView
-from ocp_ros.registration.pose_certainty import estimate_certainty
 from ocp_ros.registration.scan_surfaces import inward_sign, ScanSurfaces
 from ocp_ros.report.facts import details_of
 from ocp_ros.rig.placement_file import load_placement, placement_of, save_placement

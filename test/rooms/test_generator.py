@@ -24,7 +24,7 @@ from matplotlib.image import imread
 import numpy as np
 from ocp_ros.cli import main as cli
 from ocp_ros.geometry.depth_error import DepthError
-from ocp_ros.rooms import scanning
+from ocp_ros.rooms import generator
 from ocp_ros.rooms.furniture import make_solid, moved_piece, SOLID_KINDS
 from ocp_ros.rooms.generator import generate_room, mesh_of
 from ocp_ros.rooms.room_kinds import draw_plan, ROOM_KINDS
@@ -98,8 +98,8 @@ def test_exact_points_are_evenly_spread():
 
 def test_scans_are_thinner_where_they_look_askance_and_have_holes():
     plan = plan_of(1)
-    surface = scanning.surface_of(plan, 0.1, np.random.default_rng(0))
-    points, _ = scanning.scan(plan, len(surface.points), np.random.default_rng(0))
+    surface = generator.surface_of(plan, 0.1, np.random.default_rng(0))
+    points, _ = generator.scan(plan, len(surface.points), np.random.default_rng(0))
     # Columns of the floor, all of which have as many points before the scan.
     counts = np.histogram2d(*points[points[:, 2] < 0.05, :2].T, bins=(20, 12))[0]
     assert (counts == 0).sum() > 5
@@ -112,11 +112,11 @@ def test_what_no_tripod_sees_is_not_scanned():
                        [3.1, 2.0, 1.0]])
     normals = np.array([[1.0, 0, 0], [0, 1.0, 0], [0, 0, 1.0], [1.0, 0, 0], [1.0, 0, 0]])
     tripod = np.array([[2.0, 4.5, 1.5]])
-    seen = scanning.sampling_densities(points, normals, tripod, *scanning.boxes_of(plan)) > 0.0
+    seen = generator.sampling_densities(points, normals, tripod, *generator.boxes_of(plan)) > 0.0
     np.testing.assert_array_equal(seen, [False, True, True, True, False])
     # A second one beyond the wall sees the rest, and the near one denser.
     tripods = np.vstack([tripod, [[5.0, 2.0, 1.5]]])
-    both = scanning.sampling_densities(points, normals, tripods, *scanning.boxes_of(plan))
+    both = generator.sampling_densities(points, normals, tripods, *generator.boxes_of(plan))
     assert (both[[0, 4]] > 0.0).all() and both[4] > 0.1
 
 
@@ -130,7 +130,7 @@ def test_rays_are_blocked_as_sampled_ones_are(seed):
     tripod = rng.uniform(0.0, [6.0, 5.0, 3.0], (1, 3))
     normals = points - tripod
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    seen = scanning.sampling_densities(points, normals, tripod, *scanning.boxes_of(plan)) > 0.0
+    seen = generator.sampling_densities(points, normals, tripod, *generator.boxes_of(plan)) > 0.0
     steps = np.linspace(0.0, 1.0, 2000)[:, None]
     deepest = np.array([depth_in(tripod + steps * (point - tripod), plan.solids[0]).max()
                         for point in points])
@@ -143,18 +143,18 @@ def test_what_touches_is_not_exposed():
     table = make_solid('table', (1, 1, 0.7), (2, 2, 0.74))
     lying = make_solid('clutter', (1.2, 1.2, 0.74), (1.5, 1.5, 0.9))
     plan = box_plan(table, lying)
-    boxes = scanning.boxes_of(plan)
+    boxes = generator.boxes_of(plan)
     points = np.array([[1.3, 1.3, 0.74], [1.8, 1.8, 0.74], [1.3, 1.3, 0.9], [3.0, 3.0, 0.0]])
-    keep = scanning.exposed_points(points, np.array([0, 0, 1, -1]), plan.size, *boxes, 0.03)
+    keep = generator.exposed_points(points, np.array([0, 0, 1, -1]), plan.size, *boxes, 0.03)
     np.testing.assert_array_equal(keep, [False, True, True, True])
-    assert scanning.is_position_free(np.array([3.0, 3.0, 1.5]), 0.3, *boxes)
-    assert not scanning.is_position_free(np.array([2.1, 1.5, 0.72]), 0.3, *boxes)
+    assert generator.is_position_free(np.array([3.0, 3.0, 1.5]), 0.3, *boxes)
+    assert not generator.is_position_free(np.array([2.1, 1.5, 0.72]), 0.3, *boxes)
 
 
 def test_windows_return_nothing():
     plan = box_plan(make_solid('clutter', (2, 2, 0), (3, 3, 1)))
     plan.windows.append(np.array([[-0.01, 1.0, 1.0], [0.01, 3.0, 2.0]]))
-    points, kinds = scanning.scan(plan, 12000, np.random.default_rng(0))
+    points, kinds = generator.scan(plan, 12000, np.random.default_rng(0))
     low, high = [-0.05, 1.1, 1.1], [0.05, 2.9, 1.9]
     assert not ((points > low) & (points < high)).all(axis=1).any()
     assert {SOLID_KINDS[k] for k in np.unique(kinds)} == {'ceiling', 'floor', 'wall', 'clutter'}
@@ -185,7 +185,7 @@ def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
 
 @pytest.mark.system
 def test_generated_rooms_are_as_full_as_real_ones():
-    kinds = np.concatenate([scanning.scan(plan_of(seed), 3000, np.random.default_rng([seed, 1]))[1]
+    kinds = np.concatenate([generator.scan(plan_of(seed), 3000, np.random.default_rng([seed, 1]))[1]
                             for seed in range(12)])
     shares = dict(zip(SOLID_KINDS, np.bincount(kinds, minlength=len(SOLID_KINDS)) / len(kinds)))
     assert shares['floor'] + shares['ceiling'] + shares['wall'] < 0.85

@@ -23,7 +23,7 @@ import subprocess
 import sys
 
 from conftest import HUNG, run_python
-from ocp_ros.demo.node_processes import free_domain
+from ocp_ros.demo.watched_nodes import free_domain
 from ocp_ros.ros.runtime.network import stay_local, USER_VARIABLES
 from ocp_ros.ros.runtime.node_main import run, undisturbed
 from ocp_ros.scenes.scene import SceneError
@@ -130,7 +130,7 @@ def test_native_code_that_never_returns_keeps_no_process():
 PARENT = """
 import sys
 from pathlib import Path
-from ocp_ros.demo.node_processes import free_domain, NodeProcess
+from ocp_ros.demo.watched_nodes import free_domain, NodeProcess
 
 domain, holder = free_domain()
 node = NodeProcess('policy_node', domain, Path(sys.argv[1]), {})

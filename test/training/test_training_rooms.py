@@ -25,10 +25,9 @@ import numpy as np
 from ocp_ros.cli.benchmark_command import protocol_of
 from ocp_ros.cli.main import build_parser
 from ocp_ros.compare.protocol import PRESETS, rooms_in, rooms_of_s3dis
+from ocp_ros.rooms.room_sets import chosen_rooms, FRESH, rooms_of_area, TEST, TRAINING, VALIDATION
 from ocp_ros.rooms.scene_source import make_room
-from ocp_ros.rooms.splits import FRESH, TEST, TRAINING, VALIDATION
 from ocp_ros.scenes import scene_cache
-from ocp_ros.scenes.s3dis import chosen_rooms, rooms_of_area
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene, save_scene
