@@ -12,14 +12,23 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Point clouds: samples of a fixed size, bounding boxes, and numbers for the cells of a grid."""
+"""Point clouds: bounding boxes, samples of a fixed size, thinning, and the cells of grids."""
+
+from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.util.kernels import njit
 
 #: The number of bits of a cell number per axis.
 BITS_PER_AXIS = 21
 #: The number of cells on each side of the origin along an axis.
 MAX_CELL = 1 << (BITS_PER_AXIS - 1)
+#: Metres: the smallest edge of a voxel.
+MIN_VOXEL_M = 0.001
+#: The odd multiplier of a multiplicative hash: 2^64 over the golden ratio.
+HASH_MULTIPLIER = np.uint64(0x9E3779B97F4A7C15)
+#: The mark of a free slot of a hash table.
+EMPTY = -1
 
 
 def fixed_size(points: np.ndarray, count: int) -> np.ndarray:
@@ -73,3 +82,176 @@ def cells_numbered(numbers: np.ndarray) -> np.ndarray:
     mask = (1 << BITS_PER_AXIS) - 1
     axes = (numbers >> 2 * BITS_PER_AXIS & mask, numbers >> BITS_PER_AXIS & mask, numbers & mask)
     return np.stack(axes, axis=1) - MAX_CELL
+
+
+class CellGrid(NamedTuple):
+    """
+    Equal cubes that fill a box.
+
+    :ivar low: (3,) metres, corner of the first cell.
+    :ivar edge: the edge of a cell, metres.
+    :ivar shape: (3,) int, the number of cells along each axis.
+    """
+
+    low: np.ndarray
+    edge: float
+    shape: np.ndarray
+
+    @classmethod
+    def over(cls, bounds: np.ndarray, centred: bool = False) -> 'CellGrid':
+        """
+        Divide a box into cells of 0.1 m, or into about 4 million larger ones.
+
+        :param bounds: (2, 3) the lowest and the highest corner of the box, metres.
+        :param centred: whether the grid is centred on the box, so that a mirrored room has
+            mirrored cells.
+        """
+        size = bounds[1] - bounds[0]
+        edge = max(0.1, float((size.prod() / 4_000_000) ** (1.0 / 3.0)))
+        shape = np.floor(size / edge).astype(int) + 1
+        low = bounds.mean(axis=0) - 0.5 * edge * shape if centred else bounds[0]
+        return cls(low, edge, shape)
+
+    def cells(self, points: np.ndarray) -> np.ndarray:
+        """Return the cells of points (M, 3), metres, nearest ones for points outside: (3, M)."""
+        cells = np.floor((points - self.low) / self.edge).astype(int)
+        return np.clip(cells, 0, self.shape - 1).T
+
+    def middles(self, cells: np.ndarray) -> np.ndarray:
+        """Return the centres (M, 3), metres, of the cells with indices (M, 3)."""
+        return self.low + self.edge * (cells + 0.5)
+
+    def taken(self, points: np.ndarray) -> np.ndarray:
+        """Return whether each cell contains any of N points (N, 3), metres: (X, Y, Z) bool."""
+        taken = np.zeros(self.shape, dtype=bool)
+        taken[tuple(self.cells(points))] = True
+        return taken
+
+
+def voxel_downsample(points: np.ndarray, voxel_size: float) -> np.ndarray:
+    """
+    Replace the points in each cube of a grid by their mean.
+
+    :param points: (N, 3), N points, metres.
+    :param voxel_size: edge of the cubes, metres.
+    :returns: (M, 3) float32, metres, one point for each of M occupied cubes, sorted by x,
+        then y, then z of the cubes.
+    :raises ValueError: if the voxel size is below a millimetre.
+    """
+    if not voxel_size >= MIN_VOXEL_M:
+        raise ValueError(f'voxel_size: found {voxel_size}; expected at least {MIN_VOXEL_M} m')
+    grid = _VoxelGrid(points)
+    occupied = grid.assign_points(voxel_size)
+    counts = np.bincount(grid.ranks)
+    means = np.column_stack([np.bincount(grid.ranks, column) / counts for column in points.T])
+    # Cell numbers are in the order of x, then y, then z; see :func:`_rank_voxels`.
+    return means[np.argsort(grid.cells[:occupied])].astype(np.float32)
+
+
+def thinned_to(points: np.ndarray, max_points: int) -> np.ndarray:
+    """
+    Return a cloud with at most a given number of points.
+
+    :param points: (N, 3), N points, metres.
+    :param max_points: the largest number of points wanted.
+    :returns: the given array if it is small enough; otherwise the mean of the points in each of M
+        voxels, (M, 3) float32, see :func:`voxel_downsample`.
+    """
+    if len(points) <= max_points:
+        return points
+    return voxel_downsample(points, voxel_size_for(points, max_points))
+
+
+def voxel_size_for(points: np.ndarray, max_points: int) -> float:
+    """
+    Find the smallest voxel size, to 2 %, that leaves at most ``max_points`` points.
+
+    :param points: (N, 3), N points, metres.
+    :param max_points: the largest number of points wanted.
+    :returns: the voxel size, metres.
+    """
+    grid = _VoxelGrid(points)
+    # The voxel size is between these limits, metres.
+    low, high = MIN_VOXEL_M, 1000.0
+    x, y, z = np.maximum(np.ptp(grid.corners, axis=0), MIN_VOXEL_M)
+    # A room has about the surface of its bounding box; the first trial divides it into squares.
+    trial = np.sqrt(2.0 * (x * y + y * z + z * x) / max_points)
+    attempt = 0
+    while high / low > 1.02:
+        # Each trial moves one of the limits, since it lies between them.
+        trial = np.clip(trial, low * 1.004, high / 1.004)
+        attempt += 1
+        count = grid.assign_points(trial)
+        if count > max_points:
+            low = trial
+        else:
+            high = trial
+        # The number of cubes on a surface falls with the square of their edge. Steps are
+        # 0.5 % too long, so that both limits move. Every fourth step is a bisection, which
+        # converges even if steps by this rule do not.
+        trial *= np.sqrt(count / max_points) * (1.005 if count > max_points else 1.0 / 1.005)
+        if attempt % 4 == 0:
+            trial = np.sqrt(low * high)
+    return float(high)
+
+
+class _VoxelGrid:
+    """
+    Points in the voxels of a grid that begins at their lowest corner.
+
+    :param points: (N, 3), N points, metres.
+    :ivar corners: (2, 3) the lowest and the highest corner of their bounding box.
+    :ivar ranks: (N,) int64: the rank of each point's voxel, in the order in which voxels are
+        found.
+    :ivar cells: (N,) int64: the number of the grid's cell for each rank; entries after the last
+        rank are undefined.
+    """
+
+    def __init__(self, points: np.ndarray) -> None:
+        self._points = np.asarray(points)
+        self.corners = corners_of(self._points)
+        self.ranks, self.cells = np.empty((2, len(points)), dtype=np.int64)
+        # A power of two, as the search needs it; at least half of the slots stay empty, so that
+        # searches are short.
+        self._slots = np.empty(1 << (2 * len(points)).bit_length(), dtype=np.int64)
+
+    def assign_points(self, voxel_size: float) -> int:
+        """Assign the points to voxels of an edge in metres; return how many are occupied."""
+        self._slots.fill(EMPTY)
+        edge = self._points.dtype.type(voxel_size)
+        return _rank_voxels(self._points, self.corners, edge, self._slots, self.ranks, self.cells)
+
+
+@njit(cache=True, nogil=True)
+def _rank_voxels(points, corners, edge, slots, ranks, cells):
+    """
+    Rank the occupied voxels with a hash table with open addressing.
+
+    :param points: (N, 3), metres.
+    :param corners: (2, 3) of the same type, see :class:`_VoxelGrid`.
+    :param edge: the edge of a voxel, metres, of the same type.
+    :param slots: (2^S,) int64, in and out: ranks of voxels, all ``EMPTY`` at first.
+    :param ranks: (N,) int64, out, see :class:`_VoxelGrid`.
+    :param cells: (N,) int64, out, see :class:`_VoxelGrid`.
+    :returns: the number of occupied voxels.
+    """
+    low = corners[0]
+    mask = slots.shape[0] - 1
+    occupied = 0
+    y_count = np.int64(np.floor((corners[1, 1] - low[1]) / edge)) + 1
+    z_count = np.int64(np.floor((corners[1, 2] - low[2]) / edge)) + 1
+    for i in range(points.shape[0]):
+        x = np.int64(np.floor((points[i, 0] - low[0]) / edge))
+        y = np.int64(np.floor((points[i, 1] - low[1]) / edge))
+        z = np.int64(np.floor((points[i, 2] - low[2]) / edge))
+        cell = (x * y_count + y) * z_count + z
+        # The search begins at a slot that the upper half of the product selects. It tries the next
+        # slots until it finds the cell or an empty slot.
+        slot = np.int64((np.uint64(cell) * HASH_MULTIPLIER) >> np.uint64(32)) & mask
+        while slots[slot] != EMPTY and cells[slots[slot]] != cell:
+            slot = (slot + 1) & mask
+        if slots[slot] == EMPTY:
+            slots[slot], cells[occupied] = occupied, cell
+            occupied += 1
+        ranks[i] = slots[slot]
+    return occupied

@@ -23,12 +23,11 @@ from functools import cached_property
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Frustum, OMNIDIRECTIONAL, Pose
-from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size
+from ocp_ros.geometry.clouds import cell_numbers, cells_numbered, fixed_size, thinned_to
 from ocp_ros.geometry.depth_error import DepthError
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, unpack
 from ocp_ros.geometry.surfels import SurfelSettings
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
-from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.rig.free_plane import CLEARANCE, FreePlane
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.simulator import clipped, View

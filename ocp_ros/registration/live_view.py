@@ -18,8 +18,8 @@ from functools import cached_property
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
+from ocp_ros.geometry.clouds import thinned_to
 from ocp_ros.geometry.normals import edge_aware_normals
-from ocp_ros.geometry.voxels import thinned_to
 from ocp_ros.registration.alignment import Patches, Poses
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import MIN_POINTS, PLANE_NEIGHBOURS, SceneError

@@ -27,10 +27,10 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Pose
+from ocp_ros.geometry.clouds import voxel_downsample, voxel_size_for
 from ocp_ros.geometry.normals import edge_aware_normals
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.geometry.visibility import FAST, SurfelVisibility
-from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
 from ocp_ros.registration.alignment import Surfaces
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import PLANE_NEIGHBOURS, Scene

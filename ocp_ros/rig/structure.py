@@ -19,8 +19,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.geometry.clouds import CellGrid
 from ocp_ros.geometry.normals import LEVEL, STEEP
-from ocp_ros.geometry.voxels import CellGrid
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.scenes.scene import Scene
 from scipy import ndimage

@@ -28,10 +28,9 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
-from ocp_ros.geometry.clouds import corners_of
+from ocp_ros.geometry.clouds import CellGrid, corners_of
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.geometry.visibility import FINE, SurfelVisibility
-from ocp_ros.geometry.voxels import CellGrid
 from ocp_ros.scenes.meshes import MeshRays, sample_faces
 from ocp_ros.scenes.scene import Mesh, MIN_POINTS, Scene, SceneError
 from ocp_ros.util.kernels import njit

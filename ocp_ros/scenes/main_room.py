@@ -25,7 +25,7 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from ocp_ros.geometry.voxels import voxel_downsample
+from ocp_ros.geometry.clouds import voxel_downsample
 from ocp_ros.scenes.scene import MIN_POINTS, Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree

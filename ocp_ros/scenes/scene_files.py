@@ -23,8 +23,13 @@ from pathlib import Path
 import warnings
 
 import numpy as np
-from ocp_ros.geometry.clouds import away_from, corners_of
-from ocp_ros.geometry.voxels import MIN_VOXEL_M, voxel_downsample, voxel_size_for
+from ocp_ros.geometry.clouds import (
+    away_from,
+    corners_of,
+    MIN_VOXEL_M,
+    voxel_downsample,
+    voxel_size_for,
+)
 from ocp_ros.scenes.false_points import isolated_points, stray_points, without_mirror_images
 from ocp_ros.scenes.file_formats import Declared, declared_by, MEASURED, READERS
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside

@@ -21,7 +21,7 @@ If no up direction is given, it is guessed.
 from dataclasses import dataclass, field
 
 import numpy as np
-from ocp_ros.geometry.voxels import voxel_downsample
+from ocp_ros.geometry.clouds import voxel_downsample
 
 #: For each up direction: the axes of the file, and their signs, that become x, y, z of the map.
 _AXES_AND_SIGNS = {

@@ -23,9 +23,8 @@ from ocp_ros.rig.rig_config import KINDS as SENSORS
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.studio import texts, zone_edits
 from ocp_ros.studio.depth_image import NO_DEPTH_COLOUR
-from ocp_ros.studio.model import Evaluation
+from ocp_ros.studio.model import Evaluation, State
 from ocp_ros.studio.server import in_order
-from ocp_ros.studio.state import State
 from ocp_ros.studio.tasks import addition_work, find_least_useful, Progress, search_work, Work
 from ocp_ros.util.settings import ConfigurationError
 import viser

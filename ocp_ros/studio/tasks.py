@@ -30,8 +30,7 @@ from ocp_ros.search.plan import plan
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
-from ocp_ros.studio.model import Evaluation, Studio
-from ocp_ros.studio.state import changed_rig, State
+from ocp_ros.studio.model import changed_rig, Evaluation, State, Studio
 from ocp_ros.util.settings import ConfigurationError, UserError
 
 _log = logging.getLogger(__name__)

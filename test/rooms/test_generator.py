@@ -185,8 +185,9 @@ def test_rooms_are_listed_made_and_drawn(tmp_path, capsys):
 
 @pytest.mark.system
 def test_generated_rooms_are_as_full_as_real_ones():
-    kinds = np.concatenate([generator.scan(plan_of(seed), 3000, np.random.default_rng([seed, 1]))[1]
-                            for seed in range(12)])
+    kinds = np.concatenate([
+        generator.scan(plan_of(seed), 3000, np.random.default_rng([seed, 1]))[1]
+        for seed in range(12)])
     shares = dict(zip(SOLID_KINDS, np.bincount(kinds, minlength=len(SOLID_KINDS)) / len(kinds)))
     assert shares['floor'] + shares['ceiling'] + shares['wall'] < 0.85
     assert shares['bookcase'] > 0.02 and shares['clutter'] > 0.05

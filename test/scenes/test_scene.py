@@ -18,7 +18,7 @@ from conftest import for_any, made_room
 from hypothesis import strategies
 from hypothesis.extra import numpy as arrays
 import numpy as np
-from ocp_ros.geometry.voxels import voxel_downsample, voxel_size_for
+from ocp_ros.geometry.clouds import voxel_downsample, voxel_size_for
 from ocp_ros.rooms.scene_source import room_named
 from ocp_ros.scenes.neighbours import nearest
 from ocp_ros.scenes.scene import check_points, Scene, SceneError, turned

@@ -20,7 +20,7 @@ import logging
 from benchmarks.drills import file_fuzz as files
 from conftest import made_room, refusal, ROOT
 import numpy as np
-from ocp_ros.geometry.voxels import voxel_downsample
+from ocp_ros.geometry.clouds import voxel_downsample
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, scene_of, SceneWarning
 from ocp_ros.scenes.source_frame import map_from_file

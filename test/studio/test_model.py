@@ -24,8 +24,7 @@ from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.studio import tasks, texts, zone_edits
 from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
-from ocp_ros.studio.model import Studio
-from ocp_ros.studio.state import State
+from ocp_ros.studio.model import State, Studio
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 
