@@ -69,7 +69,7 @@ def main() -> None:
             print(f'wrote {path}')
 
         take('studio', DESK, lambda tab: None)
-        page.enqueue(lambda: page.compare(page.evaluation))
+        page.enqueue(lambda: page.panel.compare(page.evaluation))
 
         def take_over(news: Progress) -> None:
             if news.poses is not None:
@@ -78,7 +78,7 @@ def main() -> None:
 
         Task(search_work(studio, studio.state, False), SECONDS, take_over).join()
         take('studio_compared', DESK, lambda tab: tab.get_by_role('tab', name='Numbers').click())
-        page.enqueue(lambda: page.compare(None))
+        page.enqueue(lambda: page.panel.compare(None))
         take('studio_phone', PHONE, lambda tab: None)
         page.close()
 

@@ -17,7 +17,7 @@
 from collections.abc import Callable
 from functools import partial
 import logging
-from threading import Condition, Thread
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -26,8 +26,8 @@ from ocp_ros.studio.depth_image import depth_colours, depth_image
 from ocp_ros.studio.folder import Folder
 from ocp_ros.studio.model import Evaluation, Studio
 from ocp_ros.studio.panel import Panel
-from ocp_ros.studio.scene_nodes import CameraNode, Cloud, Surfaces, ZoneNode
-from ocp_ros.studio.tasks import Progress, Task
+from ocp_ros.studio.scene_nodes import CameraNode, ZoneNode
+from ocp_ros.studio.session import Session
 from ocp_ros.studio.zone_edits import entries_of, Entry, moved_box
 from ocp_ros.util.settings import UserError
 import viser
@@ -38,47 +38,26 @@ VIEW_OFFSET = np.array([-0.35, -0.5, 0.6])
 _log = logging.getLogger(__name__)
 
 
-class Page:
+class Page(Session):
     """
-    A page on which people edit a placement; all clients (open browsers) show the same.
+    The page of a session; see :class:`.Session` for the parameters.
 
     One thread of the page runs all actions of people.
-
-    :param server: of the page.
-    :param studio: the room and the placement.
-    :param folder: for the files of the studio.
-    :ivar task: the task in the background; None if there is none.
-    :ivar kept_evaluation: of the kept placement, which is shown for comparison; None if there is
-        none.
-    :ivar cloud: the points of the room.
-    :ivar surfaces: the mesh of the room; None if the room has no mesh.
     """
 
     def __init__(self, server: viser.ViserServer, studio: Studio, folder: Folder) -> None:
-        self.server, self.studio, self.folder = server, studio, folder
-        self.task: Task | None = None
-        self.kept_evaluation: Evaluation | None = None
+        super().__init__(server, studio, folder)
         self._shown_evaluation: Evaluation | None = None
-        #: Is notified of new actions and drags, and of the end; its lock guards them.
-        self._changed = Condition()
-        self._actions: list[Callable[[], None]] = []
         #: Newest position (3,), rotation (3, 3) and gesture of each dragged camera, by its name. A
         #: gesture identifies one drag, whose moves are undone together.
         self._drags: dict[str, tuple[np.ndarray, np.ndarray, object]] = {}
         self._gesture_count = 0
         self._closed = self._details_shown = False
-        scene = studio.scene
-        self._points = scene.points[studio.point_order]
-        self._spacing = float(np.median(scene.spacing))
-        self._normals = scene.normals_or_estimate[studio.point_order]
-        self.cloud = Cloud(server.scene, '/room', self._points, self._normals, self._spacing)
-        self.surfaces = Surfaces(server.scene, scene.mesh) if scene.mesh is not None else None
-        self._comparison_nodes: list[Cloud | CameraNode] = []
         #: Nodes with the values that they show: see :func:`_update_nodes`.
         self._camera_nodes: dict[str, tuple[Any, CameraNode]] = {}
         self._zone_nodes: dict[str, tuple[Any, ZoneNode]] = {}
         self._nearest_node: CameraNode | None = None
-        low, high = scene.bounds
+        low, high = studio.scene.bounds
         # At first the room is shown without its upper fifth.
         self.panel = Panel(self, low[2] + 0.8 * (high[2] - low[2]))
         self.cut_room(self.panel.height_slider.value)
@@ -104,12 +83,6 @@ class Page:
         self._thread.join()
         self.server.stop()
 
-    def enqueue(self, action: Callable[[], None]) -> None:
-        """Let the thread of the page run an action soon, and show its result."""
-        with self._changed:
-            self._actions.append(action)
-            self._changed.notify()
-
     def take_drag(self, name: str, position: np.ndarray, rotation: np.ndarray, phase: str,
                   client: int) -> None:
         """Let the thread of the page move a dragged camera; see :data:`.DragCallback`."""
@@ -121,18 +94,6 @@ class Page:
             else:
                 self._drags[name] = position, rotation, (name, client, self._gesture_count)
             self._changed.notify()
-
-    @property
-    def evaluation(self) -> Evaluation:
-        """Return the evaluation of the present placement."""
-        return self.studio.evaluation()
-
-    @property
-    def selected_camera(self) -> int:
-        """Return the number of the selected camera; the first camera if none is selected."""
-        names = self.studio.state.names
-        name = self.panel.camera_list.value
-        return names.index(name) if name in names else 0
 
     def _greet_client(self, client: viser.ClientHandle) -> None:
         """Move the view of a phone, and show three lines of help until something is edited."""
@@ -203,7 +164,7 @@ class Page:
             rig_changed = previous is None or evaluation.state.rig is not previous.state.rig or (
                 evaluation.state.locked != previous.state.locked)
             self._shown_evaluation = evaluation
-            self.colour_points()
+            self.panel.colour_points()
             self.server.flush()
             self.panel.show_summary(evaluation)
             if rig_changed:
@@ -212,15 +173,10 @@ class Page:
         self.panel.show_figures(evaluation, self.studio.certificate(evaluation),
                                 self.kept_evaluation)
 
-    def colour_points(self) -> None:
-        """Colour the points of the room as the panel asks for."""
-        self.cloud.set_colours(
-            texts.point_colours(self.evaluation, self.panel.colouring, self.selected_camera))
-
     def _show_details(self) -> None:
         """Show what takes longer or would disturb a person who drags a camera."""
         self._details_shown = True
-        evaluation, camera = self.evaluation, self.selected_camera
+        evaluation, camera = self.evaluation, self.panel.selected_camera
         self._place_cameras()
         self.panel.show_details(evaluation.state, camera)
         self._show_nearest(evaluation, camera)
@@ -290,73 +246,6 @@ class Page:
             self._nearest_node = CameraNode(
                 self.server.scene, '/nearest', 'nearest allowed pose',
                 evaluation.problem.models[camera], pose, texts.rgb(texts.PLAIN_COLOUR))
-
-    def edit_rig(self, **new_values: Any) -> None:
-        """Change values of the rig by their keys, such as zones; this stops the task."""
-        self.stop_task()
-        self.studio.set_rig(**new_values)
-
-    def start_task(self, work: Callable[[Task], Any], seconds: float) -> None:
-        """Stop the present task, and start another one in the background; see :class:`.Task`."""
-        self.stop_task()
-        # The gesture identifies this task, whose changes of the placement are undone together.
-        gesture = object()
-        self.task = Task(work, seconds, lambda progress: self.enqueue(
-            lambda: self._show_progress(progress, gesture)))
-        # Poses of the task are used only while this state is the present one.
-        self._task_gesture, self._task_state = gesture, self.studio.state
-
-    def stop_task(self) -> None:
-        """Stop the task in the background, if there is one."""
-        if self.task is not None:
-            self.task.stop()
-            self.task = None
-
-    def _show_progress(self, progress: Progress, gesture: object) -> None:
-        """Show a report of the present task; use its poses unless the placement was edited."""
-        if self.task is None or gesture is not self._task_gesture:
-            return
-        self.panel.show_progress(progress)
-        if progress.poses is not None and self.studio.state is self._task_state:
-            self.studio.set_placement(self.studio.state.rig, progress.poses, action=gesture)
-            self._task_state = self.studio.state
-        if progress.ended:
-            self.task = None
-
-    def compare(self, kept: Evaluation | None) -> None:
-        """Show the evaluation of another placement beside the present one; None to end this."""
-        for node in self._comparison_nodes:
-            node.remove()
-        self._comparison_nodes = []
-        self.kept_evaluation = kept
-        if kept is None:
-            return
-        # The kept placement is shown in a second room beside the room, with this gap.
-        gap_m = 1.0
-        offset = np.array([-self.studio.scene.size[0] - gap_m, 0.0, 0.0])
-        cloud = Cloud(self.server.scene, '/kept/room', self._points, self._normals,
-                      self._spacing, offset)
-        cloud.cut(self.panel.height_slider.value)
-        # In the colouring by camera, camera 0 of the kept placement is the selected one.
-        cloud.set_colours(texts.point_colours(kept, self.panel.colouring, 0))
-        self._comparison_nodes = [cloud]
-        for number, (camera, pose) in enumerate(zip(kept.state.rig.cameras, kept.state.poses)):
-            self._comparison_nodes.append(CameraNode(
-                self.server.scene, f'/kept/{camera.name}', f'A: {number + 1}', camera.model,
-                pose + np.concatenate([offset, np.zeros(3)]), texts.camera_rgb(number)))
-
-    def cut_room(self, height: float) -> None:
-        """Show the room up to a height, metres."""
-        # Cameras are not cut, and there may be no mesh.
-        for node in (self.cloud, self.surfaces, *self._comparison_nodes):
-            if isinstance(node, (Cloud, Surfaces)):
-                node.cut(height)
-
-    def show_room(self, room_view: str) -> None:
-        """Show the points or the mesh of the room, or both; one of :data:`.texts.ROOM_VIEWS`."""
-        self.cloud.show(room_view != texts.MESH)
-        if self.surfaces is not None:
-            self.surfaces.show(room_view in (texts.POINTS_AND_MESH, texts.MESH))
 
 
 def _update_nodes(nodes: dict[str, tuple[Any, Any]],

@@ -16,7 +16,7 @@
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any, TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 from ocp_ros.rig.rig_config import KINDS as SENSORS
@@ -25,12 +25,10 @@ from ocp_ros.studio import texts, zone_edits
 from ocp_ros.studio.depth_image import NO_DEPTH_COLOUR
 from ocp_ros.studio.model import Evaluation, State
 from ocp_ros.studio.server import in_order
+from ocp_ros.studio.session import Session
 from ocp_ros.studio.tasks import addition_work, find_least_useful, Progress, search_work, Work
 from ocp_ros.util.settings import ConfigurationError
 import viser
-
-if TYPE_CHECKING:
-    from ocp_ros.studio.page import Page
 
 #: Least and largest duration of a task, seconds.
 MIN_SECONDS, MAX_SECONDS = 1.0, 3600.0
@@ -44,18 +42,18 @@ class Panel:
     """
     The panel of the page; all clients (open browsers) share it.
 
-    :param page: runs the actions of people.
+    :param session: runs the actions of people.
     :param height: height up to which the room is shown at first, metres, map frame.
     :ivar camera_list: list of the cameras, whose value is the name of the selected camera.
     :ivar height_slider: slider of the height up to which the room is shown.
     :ivar depth_picture: depth image of the selected camera.
     """
 
-    def __init__(self, page: 'Page', height: float) -> None:
-        self.page, self.studio = page, page.studio
+    def __init__(self, session: Session, height: float) -> None:
+        self.session, self.studio = session, session.studio
         #: Nearest allowed pose (6,) of the selected camera; None if it is not needed or unknown.
         self._nearest_pose: np.ndarray | None = None
-        gui = page.server.gui
+        gui = session.server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
         gui.add_html(texts.STYLE_RULES)
         self.summary = gui.add_html('')
@@ -71,7 +69,7 @@ class Panel:
         for label, key, action in (('Undo', 'z', self._undo), ('Redo', 'y', self._redo),
                                    ('Lock or unlock the selected camera', 'l', self._toggle_lock)):
             command = gui.add_command(label, hotkey=key, modifier='cmd/ctrl+alt')
-            command.on_trigger(in_order(lambda _, action=action: page.enqueue(action)))
+            command.on_trigger(in_order(lambda _, action=action: session.enqueue(action)))
 
     def _add_camera_fields(self, gui: viser.GuiApi) -> None:
         """Add the fields of the selected camera."""
@@ -106,11 +104,11 @@ class Panel:
         self.height_slider = gui.add_slider('Show up to (m)', round(low, 1), round(high + 0.1, 1),
                                             STEP_M, round(height, 1))
         self.compare_buttons = self._add_buttons(gui, 'Compare', {
-            'Keep as A': lambda: self.page.compare(self.page.evaluation),
-            'Go to A': self._restore_kept, 'Stop': lambda: self.page.compare(None)})
+            'Keep as A': lambda: self.compare(self.session.evaluation),
+            'Go to A': self._restore_kept, 'Stop': lambda: self.compare(None)})
         self._connect(self.colouring_list, self._set_colours)
-        self._connect(self.room_list, self.page.show_room)
-        self._connect(self.height_slider, lambda value: self.page.cut_room(float(value)))
+        self._connect(self.room_list, self.session.show_room)
+        self._connect(self.height_slider, lambda value: self.session.cut_room(float(value)))
 
     def _add_zone_fields(self, gui: viser.GuiApi) -> None:
         """Add the list of zones and the fields of the selected zone."""
@@ -186,7 +184,7 @@ class Panel:
         def enqueue_action(event: viser.GuiEvent) -> None:
             # Without a client, the program itself has changed the value.
             if event.client is not None:
-                self.page.enqueue(partial(run, event.target.value))
+                self.session.enqueue(partial(run, event.target.value))
         # Only buttons have on_click.
         (field.on_click if hasattr(field, 'on_click') else field.on_update)(
             in_order(enqueue_action))
@@ -201,11 +199,26 @@ class Panel:
         value = self.colouring_list.value
         return value if value in texts.COLOURINGS else texts.COLOURINGS.by_count
 
+    @property
+    def selected_camera(self) -> int:
+        """Return the number of the selected camera; the first camera if none is selected."""
+        names = self.studio.state.names
+        name = self.camera_list.value
+        return names.index(name) if name in names else 0
+
     def select_camera(self, name: str) -> None:
         """Select the camera with this name."""
         if name in self.camera_list.options:
             self.camera_list.value = name
-        self.page.colour_points()
+        self.colour_points()
+
+    def colour_points(self) -> None:
+        """Colour the points as chosen."""
+        self.session.colour_points(self.colouring, self.selected_camera)
+
+    def compare(self, kept: Evaluation | None) -> None:
+        """Show another placement beside the present one; None to end the comparison."""
+        self.session.compare(kept, self.colouring, self.height_slider.value)
 
     def show_summary(self, evaluation: Evaluation) -> None:
         """Show the most important figures of a placement."""
@@ -226,7 +239,7 @@ class Panel:
             self.sensor_list.value = rig_camera.sensor
         # This colouring depends on the selected camera, which may be another one now.
         if self.colouring == texts.COLOURINGS.by_camera:
-            self.page.colour_points()
+            self.colour_points()
 
     def show_nearest(self, pose: np.ndarray | None, is_violating: bool) -> None:
         """
@@ -259,14 +272,14 @@ class Panel:
     def _start_task(self, work: Work, seconds: float, message: str, field: viser.GuiHtmlHandle
                     ) -> None:
         """Start a task; show a message, and all later ones of this task, in a field."""
-        self.page.start_task(work, seconds)
+        self.session.start_task(work, seconds, self.show_progress)
         self._task_message = field
         self.show_progress(Progress(0.0, message))
 
     def _edit_camera(self, edit: Callable[..., Any], *values: Any) -> None:
         """Stop the task; call a function with the number of the selected camera and the values."""
-        self.page.stop_task()
-        edit(self.page.selected_camera, *values)
+        self.session.stop_task()
+        edit(self.selected_camera, *values)
 
     def _set_sensor(self, sensor: str) -> None:
         """Give the selected camera another sensor."""
@@ -279,13 +292,13 @@ class Panel:
     def _toggle_lock(self) -> None:
         """Lock the selected camera if it is not locked, otherwise unlock it."""
         state = self.studio.state
-        self._set_locked(state.names[self.page.selected_camera] not in state.locked)
+        self._set_locked(state.names[self.selected_camera] not in state.locked)
 
     def _set_typed_pose(self, _: Any) -> None:
         """Move the selected camera to the pose in the fields."""
         pose = np.concatenate([self.position.value, np.deg2rad(self.angles.value)])
         # An unchanged pose must not become a step that people can undo.
-        if not np.allclose(pose, self.studio.state.poses[self.page.selected_camera], atol=1e-9):
+        if not np.allclose(pose, self.studio.state.poses[self.selected_camera], atol=1e-9):
             self._edit_camera(self.studio.move_camera, pose)
 
     def _move_to_nearest(self, _: Any) -> None:
@@ -299,13 +312,13 @@ class Panel:
 
     def _copy_camera(self) -> None:
         """Add a camera like the selected one, half a metre beside it, and select the new one."""
-        state, camera = self.studio.state, self.page.selected_camera
+        state, camera = self.studio.state, self.selected_camera
         pose = state.poses[camera] + np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.0])
         self._add_and_select(state.names[camera], pose)
 
     def _add_and_select(self, sensor: str, pose: np.ndarray | None = None) -> None:
         """Add a camera, and select it; see :meth:`.Studio.add_camera`."""
-        self.page.stop_task()
+        self.session.stop_task()
         camera = self.studio.add_camera(sensor, pose)
         names = self.studio.state.names
         _set_choices(self.camera_list, names)
@@ -317,28 +330,28 @@ class Panel:
 
     def _undo(self) -> None:
         """Go back to the previous placement."""
-        self.page.stop_task()
+        self.session.stop_task()
         if not self.studio.history.undo():
             self.show_message('nothing to undo')
 
     def _redo(self) -> None:
         """Go to the placement that was undone last."""
-        self.page.stop_task()
+        self.session.stop_task()
         if not self.studio.history.redo():
             self.show_message('nothing to redo')
 
     def _set_colours(self, _: Any) -> None:
         """Colour the points as chosen, and show the legend."""
         self.legend.content = texts.legend(self.colouring)
-        self.page.colour_points()
-        if self.page.kept_evaluation is not None:
-            self.page.compare(self.page.kept_evaluation)
+        self.colour_points()
+        if self.session.kept_evaluation is not None:
+            self.compare(self.session.kept_evaluation)
 
     def _restore_kept(self) -> None:
         """Make the kept placement the present one."""
-        if self.page.kept_evaluation is not None:
-            state = self.page.kept_evaluation.state
-            self.page.stop_task()
+        if self.session.kept_evaluation is not None:
+            state = self.session.kept_evaluation.state
+            self.session.stop_task()
             self.studio.set_placement(state.rig, state.poses, state.locked)
 
     @property
@@ -366,7 +379,7 @@ class Panel:
     def _edit_zone(self, **new_values: Any) -> None:
         """Change values of the selected zone, and select it again, since its name may be new."""
         if (entry := self._selected_entry) is not None:
-            self.page.edit_rig(
+            self.session.edit_rig(
                 **zone_edits.changed_entry(self.studio.state.rig, entry, **new_values))
             self._select_zone(entry.key, entry.number)
 
@@ -379,14 +392,14 @@ class Panel:
     def _add_zone(self, kind: str) -> None:
         """Add a box in the middle of the room, and select it; one of :data:`.zone_edits.KEYS`."""
         key, studio = zone_edits.KEYS[kind], self.studio
-        floor = self.page.evaluation.problem.region.floor
-        self.page.edit_rig(**zone_edits.added_box(studio.state.rig, key, studio.scene, floor))
+        floor = self.session.evaluation.problem.region.floor
+        self.session.edit_rig(**zone_edits.added_box(studio.state.rig, key, studio.scene, floor))
         self._select_zone(key, len(studio.state.rig.document.data[key]) - 1)
 
     def _remove_zone(self, _: Any) -> None:
         """Remove the selected zone."""
         if (entry := self._selected_entry) is not None:
-            self.page.edit_rig(**zone_edits.removed_entry(self.studio.state.rig, entry))
+            self.session.edit_rig(**zone_edits.removed_entry(self.studio.state.rig, entry))
 
     def _select_zone(self, key: str, number: int) -> None:
         """Select the zone with this key of a list and this index in the list."""
@@ -404,20 +417,20 @@ class Panel:
 
     def _stop_search(self) -> None:
         """Stop the task at its next step; what it has found stays."""
-        task = self.page.task
+        task = self.session.task
         if task is not None:
             task.stop()
 
     def _search_addition(self, _: Any) -> None:
         """Search for the best pose of one more camera, and add this camera."""
         def add(name: str, pose: np.ndarray) -> None:
-            self.page.enqueue(partial(self.studio.add_camera, name, pose))
-        self._start_task(addition_work(self.page.evaluation, add), MAX_SECONDS, 'searching',
+            self.session.enqueue(partial(self.studio.add_camera, name, pose))
+        self._start_task(addition_work(self.session.evaluation, add), MAX_SECONDS, 'searching',
                          self.search_message)
 
     def _select_least_useful(self, _: Any) -> None:
         """Select the camera whose removal leaves the least objective value; show this value."""
-        evaluation = self.page.evaluation
+        evaluation = self.session.evaluation
         camera, loss = find_least_useful(evaluation)
         name = evaluation.state.names[camera]
         self.select_camera(name)
@@ -427,7 +440,7 @@ class Panel:
 
     def _save(self, kind: str) -> None:
         """Save the placement or the rig: ``Placement`` or ``Rig``."""
-        folder, name = self.page.folder, self.file_name.value
+        folder, name = self.session.folder, self.file_name.value
         path = (folder.save_placement(name, self.studio.placement(scored=True))
                 if kind == 'Placement' else folder.save_rig(name, self.studio.state.rig))
         self._list_files(path.name)
@@ -436,8 +449,8 @@ class Panel:
     def _load(self, _: Any) -> None:
         """Load the selected file."""
         name = self.file_list.value
-        rig, poses = self.page.folder.load(name, self.studio.scene)
-        self.page.stop_task()
+        rig, poses = self.session.folder.load(name, self.studio.scene)
+        self.session.stop_task()
         self.studio.replace_rig(rig, poses)
         self.file_name.value = name.rpartition('.')[0]
         self.file_message.content = texts.message(f'loaded {name}')
@@ -447,14 +460,14 @@ class Panel:
         name, placement = self.file_name.value, self.studio.placement(scored=True)
 
         def work(_: Any) -> Any:
-            files = self.page.folder.export(name, self.studio.scene, placement,
-                                            self.studio.command)
+            files = self.session.folder.export(name, self.studio.scene, placement,
+                                               self.studio.command)
             yield Progress(1.0, f'wrote {len(files)} files to {name}: {", ".join(files)}')
         self._start_task(work, MAX_SECONDS, 'writing all files', self.file_message)
 
     def _list_files(self, selected_name: str = '') -> None:
         """List the files of the folder, and select one by its name; empty to keep the choice."""
-        _set_choices(self.file_list, self.page.folder.file_names() or [NO_CHOICE])
+        _set_choices(self.file_list, self.session.folder.file_names() or [NO_CHOICE])
         if selected_name:
             self.file_list.value = selected_name
 
