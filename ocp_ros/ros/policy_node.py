@@ -113,7 +113,7 @@ class PolicyNode(ManagedNode):
             self._live = LiveTurns(
                 self, self.config, self._commander, self._decide, lambda: self._is_final,
                 self._refuse, self._must_wait, self._decider.describe_gain, self._plan_ahead,
-                self._decider.add_fixed_poses)
+                self._decider.add_fixed_poses, lambda: self._decider.ranges)
         else:
             self._turns = SimulatedTurns(self, self._commander, self._decide, self._on_turn_info,
                                          self._refuse, self._must_wait, self._plan_ahead)

@@ -25,25 +25,31 @@ from ocp_ros.util.settings import group, setting
 
 
 @dataclass(frozen=True)
-class EpisodeConfig:
-    """Number and size of the turns of one episode."""
+class EpisodeLimits:
+    """Number of turns of an episode, and limits of the cameras in each turn."""
 
-    turns: int = setting(30, 'turns until the episode ends', 1, 100000, running=True)
+    turns: int = setting(
+        30, 'turns until the episode ends and the placement is final', 1, 100000, running=True)
     max_step: float = setting(
         0.5, 'longest move of a camera in one turn, metres', 0.001, 10.0, running=True)
     max_turn: float = setting(
-        0.5, 'largest rotation in one time step (turn), radians, for cameras with a limited field '
-             'of view',
-        0.001, 3.1416, running=True)
+        0.5, 'largest rotation in one turn, radians, of cameras of a rig file with a limited '
+             'field of view; 0: do not turn cameras', 0.0, 3.1416, running=True)
+    wall_margin: float = setting(
+        0.1, 'least distance to the sides of the bounding box of the room or of the observed '
+             'points, metres', 0.0, 5.0, running=True)
+    clearance: float = setting(
+        CLEARANCE, 'least distance to every surface, metres; 0: no limit; with a rig file '
+                   'keep_clear applies', 0.0, 5.0, running=True)
+
+
+@dataclass(frozen=True)
+class EpisodeConfig(EpisodeLimits):
+    """Settings of one episode of a simulated rig."""
+
     start_radius: float = setting(
         0.5, 'largest distance of the start positions from the centre, '
              'metres', 0.0, 50.0, running=True)
-    wall_margin: float = setting(
-        0.1, 'least distance to the sides of the bounding box, metres', 0.0, 5.0,
-        running=True)
-    clearance: float = setting(
-        CLEARANCE, 'least distance of start and planned positions to every surface, metres; 0: no '
-                   'limit', 0.0, 5.0, running=True)
 
 
 @dataclass(frozen=True)

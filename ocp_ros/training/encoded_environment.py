@@ -130,7 +130,9 @@ class PlaneMoves(gym.ActionWrapper):
         targets[:state.movable, :2] += bounded_moves(action, limits.max_step)
         headings = self._heading_planner(episode.observed_cloud, state, targets, limits.max_turn,
                                          turn.step, limits.turns)
-        return way_between(turn.headings, headings[:state.movable]) / limits.max_turn
+        return way_between(turn.headings, headings[:state.movable]) / (
+            # Cameras that must not turn have rotations of 0.
+            limits.max_turn or 1.0)
 
 
 class EncodedObservation(gym.ObservationWrapper):

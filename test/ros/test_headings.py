@@ -186,7 +186,7 @@ def test_who_moves_cameras_by_hand_is_told_how_to_turn_them(graph, probe, rig_fi
     """The first pose of each camera is known, so the turn in the words leads to the command."""
     probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
     probe.listen(String, topics.INSTRUCTIONS, qos.LATCHED)
-    graph.add(PolicyNode, cloud_topics='points', manual=True, max_turn=0.7, max_range=6.0,
+    graph.add(PolicyNode, cloud_topics='points', manual=True, max_turn=0.7,
               rig_file=rig_file('cameras: [{sensor: realsense_d455}]'))
     poses = probe.publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
     clouds = probe.publisher(PointCloud2, 'points', qos.LOOP)
@@ -215,8 +215,8 @@ def test_live_cameras_are_turned_and_waited_for(graph, probe, rig_file, room):
     probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
     rig = graph.add(lambda **kwargs: TurnedRig(episode, **kwargs))
     policy = graph.add(
-        PolicyNode, cloud_topics='points_0,points_1', turns=12, max_range=6.0,
-        planner='lookahead', arrival_timeout=HUNG, cloud_timeout=HUNG,
+        PolicyNode, cloud_topics='points_0,points_1', turns=12, planner='lookahead',
+        arrival_timeout=HUNG, cloud_timeout=HUNG,
         rig_file=rig_file(RIG.replace('count: 4', 'count: 2')))
     found = msg_to_poses(probe.last(topics.PLACEMENT))
     assert counted(policy, 'late_turns') == 0 and counted(policy, 'refused_messages') == 0

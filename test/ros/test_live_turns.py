@@ -130,11 +130,21 @@ def test_the_fused_cloud_is_what_cameras_see_whatever_the_frames_of_their_clouds
     assert farthest_distance(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
 
 
-def test_points_out_of_range_of_their_camera_and_stray_ones_are_left_out(live):
+@pytest.mark.parametrize('has_rig_file', [False, True])
+def test_points_out_of_range_of_their_camera_and_stray_ones_are_left_out(
+        live, tmp_path, has_rig_file):
+    # The ranges of a rig file replace the parameters.
+    parameters = {'min_range': 1.0, 'max_range': 2.0}
+    if has_rig_file:
+        path = tmp_path / 'rig.yaml'
+        path.write_text('cameras: [{sensor: omnidirectional, min_range: 1.0, max_range: 2.0, '
+                        f'count: {CAMERAS}}}]')
+        parameters = {'rig_file': str(path)}
+
     def stray(cloud):
         cloud.data[:4] = array('B', np.float32(3e38).tobytes())
 
-    rig, policy = live.start(min_range=1.0, max_range=2.0)
+    rig, policy = live.start(**parameters)
     rig.spoil, positions = dict.fromkeys(range(CAMERAS), stray), rig.positions
     found = msg_to_cloud(live.last(topics.OBSERVATION))
     away = np.linalg.norm(found[:, None] - positions[None], axis=2)

@@ -40,8 +40,8 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
+from ocp_ros.ros.policy.decider import make_planner
 from ocp_ros.ros.policy.policy_config import PLANNERS
-from ocp_ros.ros.policy.policy_planners import make_planner
 from ocp_ros.ros.policy.simulated_turns import MAX_STORED_POSES
 from ocp_ros.ros.policy_node import has_message, PolicyNode
 from ocp_ros.ros.sim_node import SimNode

@@ -12,7 +12,11 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Decision of a turn in ``policy_node``: messages to a rig state, one planner step, and back."""
+"""
+Decision of a turn in ``policy_node``: messages to a rig state, one planner step, and back.
+
+PyTorch is imported only where a policy is made: its import takes longer than all others together.
+"""
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -22,11 +26,13 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, heading_of, Pose
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.online.expected_gain import ExpectedGain
+from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online
 from ocp_ros.online.rig_state import Limits, RigState
 from ocp_ros.online.step import OnlineStep
+from ocp_ros.policy.learned import Learned, PolicyAlone
 from ocp_ros.rig.motion import way_between
-from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.rig.rig_file import load_rig, Rig
 from ocp_ros.ros.interface.conversions import (
     MessageError,
     move_poses,
@@ -34,7 +40,6 @@ from ocp_ros.ros.interface.conversions import (
     rotation_of,
 )
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.policy.policy_planners import make_planner, planner_suits
 from ocp_ros.scenes.scene import MAX_EXTENT_M, SceneError
 from rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -42,9 +47,42 @@ if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint
 
 
+#: Parameters that the constructor of a planner takes, and that may change at run time.
+PLANNER_PARAMETERS = ('max_step', 'max_range', 'wall_margin', 'clearance')
+
+
 def limits_of(config: PolicyNodeConfig) -> Limits:
     """Return the limits that the parameters set to the moves of a turn."""
     return Limits(config.max_step, config.max_turn, config.wall_margin, config.clearance)
+
+
+def max_range_of(config: PolicyNodeConfig, rig: Rig | None) -> float:
+    """Return the range of the cameras to place, metres: that of the rig file, if there is one."""
+    return config.max_range if rig is None else rig.farthest
+
+
+def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None',
+                 rig: Rig | None = None) -> tuple[Online, PolicyAlone | None]:
+    """
+    Build the planner that chooses the moves.
+
+    :param config: parameters of the node: the name of the planner, and limits of the moves.
+    :param checkpoint: weights of the policy; None if no policy is used.
+    :param rig: the rig of the rig file; None without a rig file.
+    :returns: the planner, and its part that runs the policy (None without a policy).
+    """
+    # The positional arguments of Online.
+    settings = (np.random.default_rng(config.seed), config.max_step, max_range_of(config, rig),
+                config.wall_margin, config.clearance)
+    if checkpoint is None:
+        return Lookahead(*settings), None
+    from ocp_ros.policy.policy import Policy
+    from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
+    if config.explore:
+        explorer = PolicyAlone(RecordedPolicy(checkpoint), *settings, drawn=True)
+        return explorer, explorer
+    learned = Learned(Policy(checkpoint), *settings)
+    return learned, learned.agent
 
 
 class Decider:
@@ -66,8 +104,8 @@ class Decider:
                  log: RcutilsLogger) -> None:
         self._config = config
         self._log = log
-        planner, self.explorer = make_planner(config, checkpoint)
         self.rig = load_rig(config.rig_file) if config.rig_file else None
+        planner, self.explorer = make_planner(config, checkpoint, self.rig)
         # An error in a step is logged and must not end this node.
         self.step = OnlineStep(planner, limits_of(config), self.rig, log.error)
         self.stay_warnings: list[str] = []
@@ -85,9 +123,10 @@ class Decider:
     def apply_config(self, config: PolicyNodeConfig) -> None:
         """Continue with new parameters; make a new planner if the present one does not suit."""
         planner = self.planner
-        if not planner_suits(self._config, config):
-            planner, self.explorer = make_planner(
-                config, None if self.explorer is None else self.explorer.policy.checkpoint)
+        if any(getattr(self._config, name) != getattr(config, name)
+               for name in PLANNER_PARAMETERS):
+            checkpoint = None if self.explorer is None else self.explorer.policy.checkpoint
+            planner, self.explorer = make_planner(config, checkpoint, self.rig)
         self._config = config
         self.step.change(planner, limits_of(config))
 
@@ -97,6 +136,12 @@ class Decider:
         if self.rig is not None:
             return self.rig.models
         return (CameraModel(self._config.min_range, self._config.max_range),)
+
+    @property
+    def ranges(self) -> tuple[float, float]:
+        """Return the least minimum range and the largest maximum range of all cameras, metres."""
+        return (min(model.min_range for model in self.models),
+                max(model.max_range for model in self.models))
 
     def count_movable(self, poses: PoseArray) -> int:
         """Return the number of cameras to place; the fixed cameras come after them in a rig."""
@@ -195,7 +240,7 @@ class Decider:
         """Return a sentence on the expected gain of a command; empty if too little is observed."""
         try:
             return str(ExpectedGain.of(cloud, self.state(poses), self.state(command).placement,
-                                       self._config.max_range))
+                                       max_range_of(self._config, self.rig)))
         except SceneError:
             return ''
 

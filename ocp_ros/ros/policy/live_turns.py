@@ -67,6 +67,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
+#: Largest number of points of the fused cloud; beyond it the voxels grow.
+MAX_FUSED_POINTS = 100_000
 #: Seconds after which a command, which may be lost, is sent again to cameras that are under way.
 RESEND_S = 1.0
 
@@ -97,7 +99,9 @@ class LiveTurns:
                  must_wait: Callable[[], bool],
                  describe_gain: Callable[[np.ndarray, PoseArray, PoseArray], str],
                  plan_ahead: Callable[[], None],
-                 add_fixed_poses: Callable[[list[Pose]], list[Pose]]) -> None:
+                 add_fixed_poses: Callable[[list[Pose]], list[Pose]],
+                 ranges: Callable[[], tuple[float, float]]) -> None:
+        self._ranges = ranges
         self._must_wait = must_wait
         self._describe_gain = describe_gain
         self._plan_ahead = plan_ahead
@@ -107,7 +111,7 @@ class LiveTurns:
         self._answer = answer
         self._is_final = is_final
         self._refuse = refuse
-        self._fused_cloud = FusedCloud(config.voxel_size, config.most_points)
+        self._fused_cloud = FusedCloud(config.voxel_size, MAX_FUSED_POINTS)
         self._transforms = Transforms(node)
         self._add_fixed_poses = add_fixed_poses
         self._frames = CameraFrames(node, config.publish_tf, self._transforms.has_transform)
@@ -266,7 +270,7 @@ class LiveTurns:
         points, camera_positions = transform_cloud(
             msg_to_cloud(message), message.header.frame_id, rig, self._transforms)
         self._fused_cloud.add(points_in_range(
-            points, camera_positions, self._config.min_range, self._config.max_range))
+            points, camera_positions, *self._ranges()))
 
     def _answer_turn(self) -> None:
         """Ask for the command of this turn, send it, and begin to wait for the cameras."""

@@ -16,9 +16,9 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.ros.interface.frames import publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
+from ocp_ros.simulation.simulation_config import EpisodeLimits
 from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
 
@@ -28,7 +28,7 @@ MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
 
 
 @dataclass(frozen=True)
-class PolicyNodeConfig:
+class PolicyNodeConfig(EpisodeLimits):
     """Parameters of ``policy_node``."""
 
     planner: str = setting(
@@ -37,20 +37,10 @@ class PolicyNodeConfig:
         'weights', choices=PLANNERS)
     model: str = setting(
         DEFAULT_MODEL, 'weights: a path, or the name of a shipped model; lookahead ignores it')
-    turns: int = setting(
-        30, 'turns until the placement is final; default 5 with manual', 1, 100000, running=True)
-    max_step: float = setting(0.5, 'longest move of a camera in one turn, metres; default 2 with '
-                              'manual', 0.001, 10.0, running=True)
-    max_turn: float = setting(0.5, 'with a rig file: largest rotation in one time step (turn), '
-                              'radians, for cameras with a limited field of view; default 1.6 '
-                              'with manual; 0: do not turn cameras', 0.0, 3.1416, running=True)
-    max_range: float = setting(
-        4.0, 'maximum range of the cameras, metres', 0.1, 100.0, running=True)
-    wall_margin: float = setting(0.1, 'least distance to the sides of the observed bounding box, '
-                                 'metres', 0.0, 5.0, running=True)
-    clearance: float = setting(
-        CLEARANCE, 'without a rig file: least distance to every observed surface, metres; 0: no '
-        'limit; with a rig file keep_clear applies', 0.0, 5.0, running=True)
+    max_range: float = setting(4.0, 'maximum range of the cameras, metres; with a rig file its '
+                               'ranges apply', 0.1, 100.0, running=True)
+    min_range: float = setting(0.0, 'minimum range of the cameras, metres; with a rig file its '
+                               'ranges apply', 0.0, 10.0, running=True)
     explore: bool = setting(
         False, 'for training: draw moves at random from the distribution of the policy, whatever '
                'the planner is; the placement never becomes final')
@@ -70,10 +60,6 @@ class PolicyNodeConfig:
         '', 'live: topics of the clouds, separated by commas; empty: work with a simulation')
     voxel_size: float = setting(
         0.05, 'live: edge of the voxels of the fused cloud, metres', 0.001, 1.0)
-    most_points: int = setting(100000, 'live: largest number of points of the fused cloud; beyond '
-                               'it the voxels grow', 1000, 10000000)
-    min_range: float = setting(
-        0.0, 'live: minimum range; nearer points are left out, metres', 0.0, 10.0, running=True)
     arrival_distance: float = setting(0.05, 'live: a camera within this distance of its target '
                                       'has arrived, metres', 0.01, 1.0, running=True)
     arrival_angle: float = setting(0.1, 'live: a camera within this angle of its target has '
@@ -87,7 +73,8 @@ class PolicyNodeConfig:
     publish_tf: bool = publish_tf()
     autostart: bool = autostart()
     manual: bool = setting(False, 'live: a person moves the cameras as `instructions` says, '
-                           'without time limit; defaults are then few turns with long moves')
+                           'without time limit; the defaults are then 5 turns of at most 2 m '
+                           'and 1.6 radians')
 
     def __post_init__(self) -> None:
         """Refuse parameters that contradict each other."""
