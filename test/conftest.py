@@ -269,9 +269,9 @@ def counted(node, name):
 @pytest.fixture
 def graph(domain, monkeypatch):
     """Return a graph of nodes of its own, which know each other at once."""
-    from ocp_ros.ros.policy import commander
-    monkeypatch.setattr(commander, 'DISCOVERY_S', 0.0)
-    monkeypatch.setattr(commander, 'PUBLISHER_AGE_S', 0.0)
+    from ocp_ros.ros.policy import turn_source
+    monkeypatch.setattr(turn_source, 'DISCOVERY_S', 0.0)
+    monkeypatch.setattr(turn_source, 'PUBLISHER_AGE_S', 0.0)
     with ExitStack() as stack:
         made = Graph(domain)
         stack.callback(made.close)

@@ -55,6 +55,7 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
 )
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
+from ocp_ros.ros.policy.simulated_turns import SimulatedTurns
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.runtime.network import LOCALHOST_ENVIRONMENT
 from ocp_ros.simulation.episode import Episode
@@ -101,15 +102,18 @@ class Answers:
         self.node = PolicyNode(context=watch.context, parameter_overrides=[
             Parameter('planner', value=planner), Parameter('model', value=model),
             Parameter('turns', value=TURNS), Parameter('rig_file', value=rig)])
+        assert isinstance(self.node.source, SimulatedTurns)
+        self.turns = self.node.source
         self._published = 0.0
-        self.node._turns._plan_ahead = self._reflect
+        self._plan_ahead = self.node.plan_ahead
+        self.node.plan_ahead = self._reflect  # type: ignore[method-assign]
         # A node that has just begun looks first whether another one commands.
-        watch.spin_until(lambda: not self.node._must_wait(), PATIENCE, 'the right to command', [])
+        watch.spin_until(lambda: not self.node.must_wait, PATIENCE, 'the right to command', [])
 
     def _reflect(self) -> None:
         """Think as the node does, and remember when that began."""
         self._published = time.perf_counter()
-        self.node._plan_ahead()
+        self._plan_ahead()
 
     def play(self, room: int, points: int) -> None:
         """Play an episode in a room of so many points."""
@@ -121,20 +125,20 @@ class Answers:
         while not episode.turn.truncated:
             number += 1
             header = Header(stamp=ns_to_stamp(number), frame_id='map')
-            self.node._turns.on_reward(_reward(number, room, episode.turn.step))
-            self.node._turns.on_poses(positions_to_msg(
+            self.turns.on_reward(_reward(number, room, episode.turn.step))
+            self.turns.on_poses(positions_to_msg(
                 episode.turn.positions, header, episode.turn.headings))
             cloud = cloud_to_msg(episode.observed_cloud, header)
             wall, cpu = time.perf_counter(), time.process_time()
             if self.profile:
-                self.profile.runcall(self.node._turns.on_cloud, cloud)
+                self.profile.runcall(self.turns.on_cloud, cloud)
             else:
-                self.node._turns.on_cloud(cloud)
+                self.turns.on_cloud(cloud)
             self.cpu.append(time.process_time() - cpu)
             self.wall.append(self._published - wall)
             self.thought.append(time.perf_counter() - self._published)
             self.points.append(cloud.width)
-            targets = msg_to_poses(self.node._turns.answer)
+            targets = msg_to_poses(self.turns.answer)
             moves = [pose.position for pose in targets] - episode.turn.positions
             episode.move(moves, np.array([heading_of(pose.rotation) for pose in targets])
                          if self.rig else None)

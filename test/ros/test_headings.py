@@ -158,7 +158,7 @@ def test_poses_without_a_direction_and_aiming_that_fails_turn_nobody_and_stop_no
         raise ZeroDivisionError('by 0')
 
     with monkeypatch.context() as patched:
-        patched.setattr(policy._decider.step, 'aim', fail)
+        patched.setattr(policy.decider.step, 'aim', fail)
         robot.send(4, poses)
         assert robot.command(4).poses[0].orientation == poses.poses[0].orientation
     assert 'by 0' in capfd.readouterr().err

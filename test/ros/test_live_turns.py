@@ -124,7 +124,7 @@ def test_the_fused_cloud_is_what_cameras_see_whatever_the_frames_of_their_clouds
     assert farthest_distance(found, expected) < 1e-4 and farthest_distance(expected, found) < 1e-4
     # One that is no room is begun anew.
     live.wait_for_turns(1)
-    policy._live._fused_cloud.add(np.array([[900.0, 0.0, 0.0]]))
+    policy.source._fused_cloud.add(np.array([[900.0, 0.0, 0.0]]))
     live.graph.until(lambda: counted(policy, 'refused_messages') == 1)
     live.received[topics.OBSERVATION].clear()
     assert farthest_distance(msg_to_cloud(live.last(topics.OBSERVATION)), room.points) < 1e-4
@@ -356,7 +356,7 @@ def test_poses_that_come_while_the_node_is_busy_are_of_one_clock(graph, probe, p
     # Five a second, while the node is busy.
     for stamp in range(1, 21):
         poses.publish(positions_to_msg(np.zeros((2, 3)), header_at(200_000_000 * stamp)))
-    graph.until(lambda: policy._live._turns.positions is not None)
+    graph.until(lambda: policy.source._turns.positions is not None)
     for _ in range(20):
         graph.executor.spin_once(timeout_sec=0.01)
     assert counted(policy, 'clock_jumps') == 0 == counted(policy, 'refused_messages')
@@ -365,7 +365,7 @@ def test_poses_that_come_while_the_node_is_busy_are_of_one_clock(graph, probe, p
 def test_clouds_that_come_while_the_node_is_busy_are_dropped_but_the_newest(graph, probe, room):
     policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points')
     heard = []
-    policy._live._turns.on_cloud = lambda topic, stamp, cloud: heard.append(stamp)
+    policy.source._turns.on_cloud = lambda topic, stamp, cloud: heard.append(stamp)
     clouds = probe.publisher(PointCloud2, 'points', qos.LOOP)
     # Nobody spins meanwhile, as in a long turn.
     for stamp in range(1, 41):
@@ -387,7 +387,7 @@ def test_cameras_on_their_way_stop_where_they_are_and_go_on_later(live, how):
 
     rig.obeys = False
     live.graph.until(lambda: rig.target is not None)
-    assert not policy._live._turns.cameras_stand
+    assert not policy.source._turns.cameras_stand
     # Half of the way is behind them.
     rig.episode.move(0.5 * (rig.target - rig.positions)[:, :2])
     here = rig.positions.copy()

@@ -30,8 +30,8 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     stamp_to_ns,
 )
-from ocp_ros.ros.policy.commander import Commander
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy.turn_source import Commander
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode, SimNodeConfig
 from ocp_ros.util.settings import ConfigurationError, leaves
@@ -71,7 +71,7 @@ def test_the_second_policy_holds_and_takes_over_when_the_first_ends(graph, capfd
 
 def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
     first = graph.add(PolicyNode, planner='lookahead')
-    graph.until(lambda: not first._must_wait())
+    graph.until(lambda: not first.must_wait)
     second = graph.add(PolicyNode, planner='lookahead', cloud_topics='points')
     graph.until(lambda: held(second))
     probe.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
@@ -85,12 +85,12 @@ def test_a_live_policy_that_is_not_the_first_sends_nothing(graph, probe, room):
 
     for stamp in (10, 11, 12):
         send(stamp)
-        graph.until(lambda at=stamp: second._live._turns._newest_stamps.get('points') == at)
+        graph.until(lambda at=stamp: second.source._turns._newest_stamps.get('points') == at)
     assert not counted(second, 'turns_answered') and not probe.received[topics.CAMERA_COMMANDS]
     # What it has seen while it waited is long ago when it takes over.
-    graph.until(lambda: not second._live._turns.is_due())
+    graph.until(lambda: not second.source._turns.is_due())
     graph.remove(first)
-    graph.until(lambda: not second._must_wait())
+    graph.until(lambda: not second.must_wait)
     send(1000)
     graph.until(lambda: counted(second, 'turns_answered') == 1)
     command = probe.last(topics.CAMERA_COMMANDS)
@@ -128,7 +128,7 @@ def test_of_several_that_begin_at_once_one_commands(graph, monkeypatch):
         blind.setattr(Commander, '_rival_count', 0)
         nodes = [graph.add(PolicyNode, planner='lookahead') for _ in range(3)]
     assert nodes[0].count_publishers(topics.CAMERA_COMMANDS) == 3
-    graph.until(lambda: sum(not node._must_wait() for node in nodes) == 1)
+    graph.until(lambda: sum(not node.must_wait for node in nodes) == 1)
     graph.until(lambda: sum(held(node) for node in nodes) == 2)
 
 
@@ -326,8 +326,8 @@ def test_live_turns_follow(graph, change):
     policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points')
     assert change(policy, arrival_distance=0.2, arrival_timeout=3.0, cloud_timeout=1.0,
                   turn_seconds=4.0, min_range=0.4) == ''
-    assert policy._live._turns.limits[:4] == (0.2, 3.0, 1.0, 4.0)
-    assert policy._live._config.min_range == 0.4
+    assert policy.source._turns.limits[:4] == (0.2, 3.0, 1.0, 4.0)
+    assert policy.config.min_range == 0.4
 
 
 def test_a_simulation_follows(graph, probe, change):
@@ -384,7 +384,7 @@ def test_commands_are_held_to_a_rig_file(robot, tmp_path, monkeypatch):
         assert not ((found[:2, 0] >= 3.5) & (found[:2, 0] <= 4.5)).any()
         assert cKDTree(CLOUD).query(found[:2])[0].min() >= 0.399
         positions = found
-    assert not policy._decider.stay_warnings
+    assert not policy.decider.stay_warnings
 
 
 def test_cameras_are_turned_as_far_as_they_may_be_while_the_node_runs(robot, tmp_path, change):

@@ -77,7 +77,7 @@ def robot(probe, model, room):
 
     def say(stamp, **fields):
         probe.rewards.publish(reward(stamp, **fields))
-        probe.graph.until(lambda: probe.policy._turns.reward_stamp == stamp)
+        probe.graph.until(lambda: probe.policy.source.reward_stamp == stamp)
 
     probe.start, probe.play_turns, probe.say = start, play, say
     return probe
@@ -104,7 +104,7 @@ def test_no_camera_is_sent_through_a_wall(robot, monkeypatch):
 def test_a_turn_is_answered_whose_parts_are_never_the_latest_together(robot, room):
     """Somebody else publishes as well, and this node takes one message of each kind at a time."""
     policy = robot.start()
-    turns = policy._turns
+    turns = policy.source
     for other in range(10, 40, 2):
         turns.on_poses(positions_to_msg(POSITIONS, header_at(5)))
         turns.on_cloud(cloud_to_msg(room.points, header_at(other)))
@@ -281,8 +281,8 @@ def test_a_turn_waits_for_its_reward_but_not_for_ever(robot, room):
     policy = robot.start(turns=9)
 
     def send(stamp):
-        policy._turns.on_poses(positions_to_msg(POSITIONS, header_at(stamp)))
-        policy._turns.on_cloud(cloud_to_msg(room.points, header_at(stamp)))
+        policy.source.on_poses(positions_to_msg(POSITIONS, header_at(stamp)))
+        policy.source.on_cloud(cloud_to_msg(room.points, header_at(stamp)))
         return counted(policy, 'turns_answered')
 
     robot.say(1)
@@ -293,7 +293,7 @@ def test_a_turn_waits_for_its_reward_but_not_for_ever(robot, room):
     robot.say(4, step=9, truncated=True)
     np.testing.assert_allclose(robot.play_turns(4), POSITIONS)
     assert send(5) == 4
-    policy._turns.on_reward(reward(5, episode=2, step=0))
+    policy.source.on_reward(reward(5, episode=2, step=0))
     assert counted(policy, 'turns_answered') == 5
     assert not np.allclose(msg_to_positions(robot.command(5)), POSITIONS)
 
@@ -332,7 +332,7 @@ def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_tu
     robot.play_turns(1)
     if late:
         # Poses of another publisher are not those of the turn.
-        policy._turns.on_poses(positions_to_msg(POSITIONS + 1e6, header_at(9)))
+        policy.source.on_poses(positions_to_msg(POSITIONS + 1e6, header_at(9)))
         robot.say(1, step=5, truncated=True)
     placement = robot.last(topics.PLACEMENT)
     assert stamp_to_ns(placement.header.stamp) == 1

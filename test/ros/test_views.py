@@ -31,8 +31,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.frames import transform_to_msg
 from ocp_ros.ros.interface.markers import frustum_edges, rig_markers
-from ocp_ros.ros.interface.views import camera_info
-from ocp_ros.ros.policy.policy_views import observed_maps
+from ocp_ros.ros.interface.views import camera_info, observed_maps
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.ros.trainer_node import TrainerNode
@@ -78,7 +77,7 @@ def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe):
 def test_nothing_is_made_that_nobody_sees(graph, probe):
     sim = graph.add(SimNode, resend_period=0.05, **SMALL)
     policy = graph.add(PolicyNode)
-    views = (sim._cloud_view, sim._rig_view, policy._views._cloud_view)
+    views = (sim._cloud_view, sim._rig_view, policy._cloud_view)
     graph.until(lambda: sim.episode.turn.step >= 2)
     assert not any(publisher.messages_made for view in views for publisher in view._publishers)
     for topic in (*CLOUDS, *TRUE_CLOUDS):
@@ -268,7 +267,7 @@ def test_live_cameras_have_frames_unless_somebody_else_publishes_them(tf, graph,
     tf.listen(PoseArray, topics.CAMERA_COMMANDS, qos.LOOP)
     policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points_0,points_1,points_2')
     if known:
-        listener = policy._live._transforms
+        listener = policy.source._transforms
         graph.until(lambda: listener.has_transform('camera_1', 'map'))
     rig = graph.add(lambda **kwargs: Rig(episode_in(room), (BODY,) * 3, **{
         **kwargs, 'parameter_overrides': []}))

@@ -24,12 +24,18 @@ from typing import Any
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, PINHOLE, Pose
+from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.online.partial_map import thinned
+from ocp_ros.rig.rig_config import RigConfig
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import value_cloud
 from ocp_ros.ros.interface.markers import rig_markers
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
-from ocp_ros.simulation.point_maps import PointMaps
+from ocp_ros.scenes.scene import Scene
+from ocp_ros.simulation.point_maps import maps_of, PointMaps
+from ocp_ros.simulation.simulation_config import SimulationConfig
+from ocp_ros.simulation.simulator import Simulator
 from rclpy.event_handler import PublisherEventCallbacks, QoSPublisherMatchedInfo
 from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, PointCloud2
@@ -156,6 +162,24 @@ class CloudView:
         has_error = maps.error > 0.0
         return value_cloud(maps.points[has_error], 'error',
                            maps.error[has_error].astype(np.float32), self._header)
+
+
+def observed_maps(cloud: np.ndarray, poses: list[Pose],
+                  models: Sequence[CameraModel]) -> PointMaps:
+    """
+    Return the coverage and the error on the points observed so far, as if they were the room.
+
+    :param cloud: N observed points, (N, 3) float32, metres.
+    :param poses: poses of the cameras.
+    :param models: one camera model per camera, or a single model for all cameras.
+    :raises SceneError: if the cloud cannot be a room, for example because it is too small.
+    """
+    # Fewer points, rows and cells than by default, since a node computes the maps after each turn.
+    scene = Scene(thinned(cloud, 15000), 'observed cloud')
+    # The simulator does not use the rig of its configuration, since models and poses are given.
+    config = SimulationConfig(RigConfig(cameras=len(poses), height=0.5 * float(scene.size[2])),
+                              EngineConfig(preset='fast', error_rows=64, coverage_cell=0.5))
+    return maps_of(Simulator(scene, config, models), poses)
 
 
 def camera_info(model: CameraModel, header: Header) -> CameraInfo | None:

@@ -22,47 +22,43 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 import time
+from typing import TYPE_CHECKING
 
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.registration.calibration import as_built, calibrate, drift
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
-from ocp_ros.rig.placement_file import Placed, Placement, placement_of, save_placement
-from ocp_ros.rig.rig_file import Camera
+from ocp_ros.rig.placement_file import Placement, save_placement
 from ocp_ros.ros.interface.conversions import MessageError, shortened
-from ocp_ros.ros.interface.frames import CameraClouds, LiveRig
-from ocp_ros.ros.policy.decider import Decider
-from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.policy.live_turns import LiveTurns
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.scenes.scene_files import load_scene
 from ocp_ros.util.settings import ConfigurationError, UserError
-from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
+
+if TYPE_CHECKING:
+    from ocp_ros.ros.policy_node import PolicyNode
 
 
 class Calibrator:
     """
     Register live cameras to a scan on request, and check their drift at intervals if configured.
 
-    :param node: gets the service and a timer.
-    :param config: parameters of the node, with ``scan``.
-    :param decider: has the rig of the rig file, or, without a rig file, the camera models.
-    :param latest_clouds: returns the newest clouds, or raises a MessageError if data are missing.
-    :param is_final: returns whether the placement is final: only then the drift is checked.
+    The drift is checked only when the placement is final.
+
+    :param node: gets the service and a timer; its parameter ``scan`` names the scan.
+    :param source: has the newest clouds.
     :raises ConfigurationError: if the file of the scan does not exist.
     """
 
-    def __init__(self, node: Node, config: PolicyNodeConfig, decider: Decider,
-                 latest_clouds: Callable[[], CameraClouds], is_final: Callable[[], bool]) -> None:
-        if not Path(config.scan).is_file():
-            raise ConfigurationError(f'scan: found no file {config.scan!r}; expected a scan of '
-                                     'the room; correct the path, or leave it empty')
+    def __init__(self, node: 'PolicyNode', source: LiveTurns) -> None:
+        scan = node.config.scan
+        if not Path(scan).is_file():
+            raise ConfigurationError(f'scan: found no file {scan!r}; expected a scan of the room; '
+                                     'correct the path, or leave it empty')
         self._node = node
-        self._config = config
-        self._decider = decider
-        self._latest_clouds = latest_clouds
-        self._is_final = is_final
+        self._source = source
         self._worker = ThreadPoolExecutor(1, thread_name_prefix='calibrator')
         self._surfaces: ScanSurfaces | None = None
         self._job_runs = False
@@ -73,12 +69,6 @@ class Calibrator:
         self.drift_checks = 0
         node.create_service(Trigger, '~/calibrate', self._on_calibrate)
         create_steady_timer(node, 1.0, self._check_drift)
-
-    def apply_config(self, config: PolicyNodeConfig) -> None:
-        """Continue with new parameters."""
-        self._config = config
-        if not config.drift_seconds:
-            self.drift_warnings = []
 
     def close(self) -> None:
         """Let the present job end, and start no more jobs."""
@@ -101,8 +91,10 @@ class Calibrator:
 
     def _check_drift(self) -> None:
         """Start a drift check if one is due."""
-        interval = self._config.drift_seconds
-        if not interval or self._job_runs or not self._is_final() or \
+        interval = self._node.config.drift_seconds
+        if not interval:
+            self.drift_warnings = []
+        if not interval or self._job_runs or not self._node.convergence.is_final or \
                 time.monotonic() - self._check_time < interval:
             return
         self._check_time = time.monotonic()
@@ -141,29 +133,17 @@ class Calibrator:
     def _scan_surfaces(self) -> ScanSurfaces:
         """Return the surfaces of the scan; read the scan once."""
         if self._surfaces is None:
-            self._surfaces = ScanSurfaces(load_scene(self._config.scan))
+            self._surfaces = ScanSurfaces(load_scene(self._node.config.scan))
         return self._surfaces
 
     def _placement_and_clouds(self) -> tuple[Placement, dict[str, np.ndarray]]:
         """Return the placement as reported, and the newest clouds by the names of the cameras."""
-        rig, clouds = self._latest_clouds()
-        placement = self._placement(rig)
+        rig, clouds = self._source.latest_clouds()
+        poses = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in rig.poses])
+        placement = self._node.decider.placement(poses, rig.frame)
         # Cameras that are not in the rig file are left out.
         return placement, {placement.cameras[number].camera.name: cloud for number, cloud
                            in clouds.items() if number < len(placement.cameras)}
-
-    def _placement(self, rig: LiveRig) -> Placement:
-        """Return the placement with the reported poses of the cameras."""
-        poses = np.array([[*pose.position, *heading_of(pose.rotation)] for pose in rig.poses])
-        rig_of_file, models = self._decider.rig, self._decider.models
-        # With a rig file, the placement takes the poses of fixed cameras from it. Without one, or
-        # if poses are missing, the cameras are named by their numbers.
-        if rig_of_file is not None and len(poses) >= len(rig_of_file.cameras):
-            return placement_of(rig_of_file, poses[:len(rig_of_file.cameras)], frame=rig.frame)
-        return Placement(tuple(
-            Placed(Camera(f'camera_{number}', '', models[min(number, len(models) - 1)]),
-                   tuple(pose[:3].tolist()), tuple(np.rad2deg(pose[3:]).tolist()), 'free')
-            for number, pose in enumerate(poses)), frame=rig.frame)
 
     def _calibrate(self, placement: Placement, clouds: Mapping[str, np.ndarray]
                    ) -> tuple[bool, str]:
@@ -189,8 +169,8 @@ class Calibrator:
                              f'within {1000.0 * registration.certainty.metres[0]:.0f} mm')
         built = as_built(placement, registrations, 'policy_node')
         any_registered = any(not registration.refused for registration in registrations.values())
-        if any_registered and self._config.placement_file:
-            path = Path(self._config.placement_file)
+        if any_registered and self._node.config.placement_file:
+            path = Path(self._node.config.placement_file)
             path = path.with_name(f'{path.stem}_as_built{path.suffix}')
             save_placement(path, built)
             lines.append(f'wrote {path}')

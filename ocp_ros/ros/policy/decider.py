@@ -18,7 +18,6 @@ Decision of a turn in ``policy_node``: messages to a rig state, one planner step
 PyTorch is imported only where a policy is made: its import takes longer than all others together.
 """
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
@@ -32,7 +31,8 @@ from ocp_ros.online.rig_state import Limits, RigState
 from ocp_ros.online.step import OnlineStep
 from ocp_ros.policy.learned import Learned, PolicyAlone
 from ocp_ros.rig.motion import way_between
-from ocp_ros.rig.rig_file import load_rig, Rig
+from ocp_ros.rig.placement_file import as_written, Placed, Placement, placement_of
+from ocp_ros.rig.rig_file import Camera, load_rig, Rig
 from ocp_ros.ros.interface.conversions import (
     MessageError,
     move_poses,
@@ -77,7 +77,7 @@ def make_planner(config: PolicyNodeConfig, checkpoint: 'Checkpoint | None',
     if checkpoint is None:
         return Lookahead(*settings), None
     from ocp_ros.policy.policy import Policy
-    from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
+    from ocp_ros.ros.policy.experiences import RecordedPolicy
     if config.explore:
         explorer = PolicyAlone(RecordedPolicy(checkpoint), *settings, drawn=True)
         return explorer, explorer
@@ -205,6 +205,31 @@ class Decider:
         return RigState(rows, models, movable, pitch, may_rotate=self._config.max_turn > 0.0,
                         clearance=None if self.rig is None else self.rig.clearance)
 
+    def all_poses(self, poses: PoseArray) -> list[Pose]:
+        """Return the poses of all cameras in a turn, fixed cameras included; see :meth:`state`."""
+        return [Pose.of(row) for row in self.state(poses).placement]
+
+    def placement(self, poses: np.ndarray, frame: str, created: dict[str, str] | None = None
+                  ) -> Placement:
+        """
+        Return a placement of the cameras.
+
+        Without a rig file, or if poses are missing, the cameras are named by their numbers.
+
+        :param poses: (N, 6) metres and radians. The placement takes the poses of fixed cameras
+            from the rig file.
+        :param frame: frame of the poses.
+        :param created: see :class:`~ocp_ros.rig.placement_file.Placement`.
+        """
+        fields = {'created': created or {}, 'frame': frame}
+        if self.rig is not None and len(poses) >= len(self.rig.cameras):
+            return placement_of(self.rig, poses[:len(self.rig.cameras)], **fields)
+        models = self.models * len(poses) if self.rig is None else self.models
+        return Placement(tuple(
+            Placed(Camera(f'camera_{number}', '', model), tuple(pose[:3].tolist()),
+                   tuple(np.rad2deg(pose[3:]).tolist()), 'free')
+            for number, (pose, model) in enumerate(zip(as_written(poses), models))), **fields)
+
     def decide(self, cloud: np.ndarray, poses: PoseArray, turn: int) -> PoseArray:
         """
         Return the next positions and headings of the cameras.
@@ -227,14 +252,6 @@ class Decider:
         self.largest_rotation = float(max(angles, default=0.0))
         # The placement has the fixed cameras too, which ``poses`` may lack.
         return move_poses(poses, command.placement[:len(poses.poses), :3], headings)
-
-    def plan_ahead(self, interrupted: Callable[[], bool]) -> None:
-        """
-        Let the planner plan the next turn while the cameras move.
-
-        :param interrupted: returns whether planning has to end now.
-        """
-        self.step.plan_ahead(interrupted)
 
     def describe_gain(self, cloud: np.ndarray, poses: PoseArray, command: PoseArray) -> str:
         """Return a sentence on the expected gain of a command; empty if too little is observed."""

@@ -14,36 +14,55 @@
 
 """Experiences that an exploring policy publishes for a trainer, and its wait for the trainer."""
 
-from collections.abc import Callable
 import time
+from typing import TYPE_CHECKING
 
 import numpy as np
+from ocp_ros.policy.policy import Policy
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import bytes_to_msg, MessageError, msg_to_fields
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
-from ocp_ros.ros.policy.recorded_policy import RecordedPolicy
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
-from ocp_ros.training.experience import Experience, to_bytes
-from rclpy.node import Node
+from ocp_ros.training.experience import Choice, Experience, to_bytes
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
+
+if TYPE_CHECKING:
+    from ocp_ros.ros.policy_node import PolicyNode
 
 #: Seconds after which the policy stops waiting for a trainer that is silent.
 MAX_SILENCE_S = 5.0
+
+
+class RecordedPolicy(Policy):
+    """A policy that records its observations and choices until they are taken."""
+
+    def __init__(self, *args) -> None:
+        super().__init__(*args)
+        self._choices: list[Choice] = []
+
+    def take_choices(self) -> list[Choice]:
+        """Return the choices since the last call, in their order, and clear them."""
+        choices = self._choices
+        self._choices = []
+        return choices
+
+    def choose(self, encoded: dict[str, np.ndarray], rng: np.random.Generator | None = None
+               ) -> np.ndarray:
+        """Choose the next moves; see :meth:`~ocp_ros.policy.policy.Policy.choose`."""
+        moves = super().choose(encoded, rng)
+        self._choices.append(Choice(encoded, moves))
+        return moves
 
 
 class Experiences:
     """
     Publish the observations and choices of a policy, and make it wait while a trainer is behind.
 
-    :param node: gets the publisher and the subscription.
-    :param get_policy: returns the policy that runs.
-    :param on_caught_up: is called when the policy need not wait for the trainer any more.
+    :param node: gets the publisher and the subscription; its policy is a recorded one.
     """
 
-    def __init__(self, node: Node, get_policy: Callable[[], RecordedPolicy],
-                 on_caught_up: Callable[[], None]) -> None:
-        self._get_policy = get_policy
-        self._on_caught_up = on_caught_up
+    def __init__(self, node: 'PolicyNode') -> None:
+        self._node = node
         #: Time at which the trainer last asked the policy to wait (``hold``), by a steady clock;
         #: None if its last message did not ask for that.
         self._hold_time: float | None = None
@@ -65,13 +84,13 @@ class Experiences:
         had_to_wait = self._hold_time is not None
         self._hold_time = time.monotonic() if hold else None
         if had_to_wait and not hold:
-            self._on_caught_up()
+            self._node.source.answer_if_ready()
 
     def _check_silence(self) -> None:
         """Continue without a trainer that has become silent."""
         if self._hold_time is not None and not self.must_wait:
             self._hold_time = None
-            self._on_caught_up()
+            self._node.source.answer_if_ready()
 
     def publish(self, stamp: int, turn: int, targets: np.ndarray) -> None:
         """
@@ -81,7 +100,7 @@ class Experiences:
         :param turn: number of turns of the episode before this one.
         :param targets: commanded positions of the K movable cameras, (K, 3) metres.
         """
-        choices = self._get_policy().take_choices()
+        choices = self._node.policy.take_choices()  # type: ignore[attr-defined]
         complete = sum(len(choice.actions) for choice in choices) == len(targets)
         if choices and complete and all(np.isfinite(choice.actions).all() for choice in choices):
             self._publisher.publish(bytes_to_msg(

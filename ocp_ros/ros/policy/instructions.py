@@ -12,9 +12,21 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Instructions in words for a person who moves the cameras."""
+"""Instructions in words, and as arrows, for a person who moves the cameras."""
+
+from collections.abc import Mapping
 
 import numpy as np
+from ocp_ros.geometry.cameras import heading_of
+from ocp_ros.rig.motion import way_between
+from ocp_ros.ros.interface import topics
+from ocp_ros.ros.interface.frames import LiveRig
+from ocp_ros.ros.interface.markers import move_markers
+from ocp_ros.ros.interface.qos import LATCHED
+from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from rclpy.node import Node
+from std_msgs.msg import Header, String
+from visualization_msgs.msg import MarkerArray
 
 STAY = 'leave every camera where it is'
 FINAL = f'the placement is final: {STAY}'
@@ -85,3 +97,65 @@ def _move_text(position: np.ndarray, target: np.ndarray) -> str:
     # Adding 0 changes -0 to 0.
     coordinates = [f'{coordinate + 0.0:.2f}' for coordinate in np.round(target, 2)[:axes]]
     return f'{" and ".join(texts)}, to ({", ".join(coordinates)})'
+
+
+class Instructor:
+    """
+    Publish which cameras a person has to move or rotate, if that has changed.
+
+    :param node: gets the publishers.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._log = node.get_logger()
+        self._text_publisher = node.create_publisher(String, topics.INSTRUCTIONS, LATCHED)
+        self._markers_publisher = node.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last instruction."""
+        self._text = ''
+        #: The last instruction, (K, 8): target x, y, z and present x, y, z, metres; changes of yaw
+        #: and pitch, radians.
+        self._moves = np.empty((0, 8))
+
+    def publish(self, rig: LiveRig, targets: np.ndarray,
+                target_rotations: Mapping[int, np.ndarray], header: Header,
+                config: PolicyNodeConfig, expected: str, is_final: bool) -> None:
+        """
+        Publish the instructions.
+
+        :param rig: present poses of K cameras.
+        :param targets: target positions, (K, 3) metres.
+        :param target_rotations: target rotations, (3, 3), of the cameras that are rotated.
+        :param header: header of the markers.
+        :param config: smaller moves and rotations than its arrival limits are left out.
+        :param expected: see :func:`instructions`.
+        :param is_final: whether the placement is final: all cameras stay.
+        """
+        positions = rig.positions
+        # Changes of yaw and pitch, radians.
+        changes = np.zeros((len(targets), 2))
+        for camera, target_rotation in target_rotations.items():
+            changes[camera] = way_between(heading_of(rig.poses[camera].rotation),
+                                          heading_of(target_rotation))
+        min_move = config.arrival_distance
+        text = FINAL if is_final else instructions(
+            positions, targets, min_move, changes, config.arrival_angle, expected)
+        moves = np.column_stack([targets, positions, changes])
+        # Changes of less than 5 cm and 0.05 radians may be noise of the poses.
+        is_same = (self._moves.shape == moves.shape
+                   and (np.abs(moves - self._moves) < 0.05).all()
+                   and _instructed_cameras(text) == _instructed_cameras(self._text))
+        if text != self._text and not is_same:
+            self._text = text
+            self._moves = moves
+            self._text_publisher.publish(String(data=text))
+            self._markers_publisher.publish(
+                move_markers(positions, targets, needs_move(positions, targets, min_move), header))
+            self._log.info(text)
+
+
+def _instructed_cameras(text: str) -> list[str]:
+    """Return the lines of an instruction without distances: cameras, or the text to stay."""
+    return [line.partition(':')[0] for line in text.splitlines()]

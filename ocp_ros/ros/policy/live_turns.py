@@ -20,16 +20,15 @@ the executor is busy with one cloud or one answer at a time, however fast the ca
 """
 
 from collections import Counter
-from collections.abc import Callable
 from functools import partial
 import math
+from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import Pose as PoseMsg
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.geometry.cameras import angle_between, heading_of, Pose
 from ocp_ros.online.cloud_fusion import FusedCloud
-from ocp_ros.rig.motion import way_between
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
@@ -53,19 +52,18 @@ from ocp_ros.ros.interface.frames import (
     transform_cloud,
     Transforms,
 )
-from ocp_ros.ros.interface.markers import move_markers
-from ocp_ros.ros.interface.qos import LATCHED, LOOP, POSES, SENSOR
-from ocp_ros.ros.policy.commander import Commander
-from ocp_ros.ros.policy.instructions import FINAL, instructions, needs_move
-from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
+from ocp_ros.ros.interface.qos import LOOP, POSES, SENSOR
+from ocp_ros.ros.policy.instructions import Instructor
+from ocp_ros.ros.policy.turn_source import TurnSource
 from ocp_ros.ros.policy.turns import Turns, WaitLimits
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.util.settings import ConfigurationError
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import Header, String
-from visualization_msgs.msg import MarkerArray
+from std_msgs.msg import Header
+
+if TYPE_CHECKING:
+    from ocp_ros.ros.policy_node import PolicyNode
 
 #: Largest number of points of the fused cloud; beyond it the voxels grow.
 MAX_FUSED_POINTS = 100_000
@@ -73,47 +71,20 @@ MAX_FUSED_POINTS = 100_000
 RESEND_S = 1.0
 
 
-class LiveTurns:
+class LiveTurns(TurnSource):
     """
     Fuse the clouds of cameras that stand still, and ask for the next command.
 
-    :param node: gets the subscriptions; its log gets the warnings.
-    :param config: parameters of the node.
-    :param commander: publishes the commands.
-    :param answer: is called once per turn with the N points of the fused cloud, (N, 3) float32,
-        metres, and the camera poses; returns the command.
-    :param is_final: returns whether the placement is final: then clouds are no longer read.
-    :param refuse: counts and logs a message that cannot be used.
-    :param must_wait: returns whether this node may not command now.
-    :param describe_gain: is called with the fused cloud, the camera poses and the command; returns
-        a sentence on the expected gain, for a person.
-    :param plan_ahead: is called after each command, to plan while the cameras move.
-    :param add_fixed_poses: returns the given poses and those of missing fixed cameras.
+    :param node: gets the subscriptions, and answers the turns.
     :raises ConfigurationError: if the name of a topic is invalid, is given twice or is that of the
         fused cloud.
     """
 
-    def __init__(self, node: Node, config: PolicyNodeConfig, commander: Commander,
-                 answer: Callable[[np.ndarray, PoseArray], PoseArray],
-                 is_final: Callable[[], bool], refuse: Callable[[ValueError], None],
-                 must_wait: Callable[[], bool],
-                 describe_gain: Callable[[np.ndarray, PoseArray, PoseArray], str],
-                 plan_ahead: Callable[[], None],
-                 add_fixed_poses: Callable[[list[Pose]], list[Pose]],
-                 ranges: Callable[[], tuple[float, float]]) -> None:
-        self._ranges = ranges
-        self._must_wait = must_wait
-        self._describe_gain = describe_gain
-        self._plan_ahead = plan_ahead
-        self._node = node
-        self._config = config
-        self._commander = commander
-        self._answer = answer
-        self._is_final = is_final
-        self._refuse = refuse
+    def __init__(self, node: 'PolicyNode') -> None:
+        super().__init__(node)
+        config = node.config
         self._fused_cloud = FusedCloud(config.voxel_size, MAX_FUSED_POINTS)
         self._transforms = Transforms(node)
-        self._add_fixed_poses = add_fixed_poses
         self._frames = CameraFrames(node, config.publish_tf, self._transforms.has_transform)
         #: The newest cloud of each topic, unread.
         self._newest_clouds: dict[str, PointCloud2] = {}
@@ -123,12 +94,10 @@ class LiveTurns:
         self._sent_rotations: dict[int, np.ndarray] = {}
         #: The poses at which the cameras stood when the turn was answered.
         self._start_poses = PoseArray()
+        #: Instructs a person who moves the cameras, if one does.
+        self._instructor = Instructor(node) if config.manual else None
         self.reset()
         self._observation_publisher = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
-        if config.manual:
-            self._instructions_publisher = node.create_publisher(
-                String, topics.INSTRUCTIONS, LATCHED)
-            self._markers_publisher = node.create_publisher(MarkerArray, topics.MARKERS, LATCHED)
         node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, POSES)
         for topic, name in self._full_topic_names(config.live_topics).items():
             node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
@@ -136,12 +105,17 @@ class LiveTurns:
         create_steady_timer(node, 0.1, self._play_turn)
         self._resend_timer = create_steady_timer(node, RESEND_S, self._resend)
 
+    @property
+    def _is_final(self) -> bool:
+        """Return whether the placement is final: then clouds are no longer read."""
+        return self._node.convergence.is_final
+
     def _wait_limits(self) -> WaitLimits:
         """Return the limits of waiting for cameras and clouds."""
-        config = self._config
+        config = self._node.config
         arrival_timeout = math.inf if config.manual else config.arrival_timeout
         # Each turn of a final placement sends the same command: it need not do so for every cloud.
-        min_duration = max(config.turn_seconds, RESEND_S if self._is_final() else 0.0)
+        min_duration = max(config.turn_seconds, RESEND_S if self._is_final else 0.0)
         return WaitLimits(config.arrival_distance, arrival_timeout, config.cloud_timeout,
                           min_duration, config.arrival_angle)
 
@@ -149,7 +123,7 @@ class LiveTurns:
         """Command cameras that may be moving to stay where they are."""
         if self._poses_message is not None and self._command is not None and (
                 not self._turns.cameras_stand):
-            self._commander.publish(self._poses_message)
+            self._node.commander.publish(self._poses_message)
 
     def reset(self) -> None:
         """Drop the data of earlier turns, and begin to wait for cameras and clouds."""
@@ -160,21 +134,20 @@ class LiveTurns:
         #: The number of cameras and the frame of their poses; None before the first answer.
         self._rig_size: tuple[int, str] | None = None
         self._command: PoseArray | None = None
-        self._instruction_text = self._gain_text = ''
-        #: The last instruction, (K, 8): target x, y, z and present x, y, z, metres; changes of yaw
-        #: and pitch, radians.
-        self._instructed_moves = np.empty((0, 8))
+        self._gain_text = ''
+        if self._instructor is not None:
+            self._instructor.reset()
         #: Number of turns that were decided, and by topic the number of these turns in which the
         #: topic brought a cloud.
         self._decided_turns = 0
         self._turns_with_cloud = Counter[str]()
-        self._turns: Turns[PointCloud2] = Turns(self._config.live_topics, self._wait_limits())
+        self._turns: Turns[PointCloud2] = Turns(
+            self._node.config.live_topics, self._wait_limits())
         #: The value of ``_turns.stamp_jumps`` when the transforms were last dropped.
         self._seen_jumps = 0
 
-    def apply_config(self, config: PolicyNodeConfig) -> None:
-        """Continue with new parameters."""
-        self._config = config
+    def apply_config(self) -> None:
+        """Continue with the node's new parameters."""
         self._turns.limits = self._wait_limits()
 
     def _full_topic_names(self, names: list[str]) -> dict[str, str]:
@@ -206,13 +179,13 @@ class LiveTurns:
                 raise MessageError('poses: found the stamp 0; expected when the cameras were '
                                    'there, by the clock of the clouds')
         except MessageError as error:
-            self._refuse(error)
+            self._node.refuse(error)
             return
         if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
                                 [pose.rotation for pose in rig.poses]):
             self._poses_message = message
             self._rig = rig
-            self._frames.publish(message.header, self._add_fixed_poses(rig.poses))
+            self._frames.publish(message.header, self._node.decider.add_fixed_poses(rig.poses))
         self._play_turn()
 
     def _check_same_rig(self, rig: LiveRig) -> None:
@@ -241,18 +214,18 @@ class LiveTurns:
                     waiting_topics.append(topic)
                 else:
                     self._turns.refuse_cloud(topic)
-                    self._refuse(error)
+                    self._node.refuse(error)
             except ValueError as error:
                 self._turns.refuse_cloud(topic)
-                self._refuse(error)
+                self._node.refuse(error)
         # Answer the turn, or log what it waits for.
-        if self._turns.is_due() and not self._must_wait():
+        if self._turns.is_due() and not self._node.must_wait:
             self._answer_turn()
-        elif self._turns.lacks_clouds and not self._must_wait():
+        elif self._turns.lacks_clouds and not self._node.must_wait:
             self._node.get_logger().warning(
                 f'{self._silence_text()}; expected a cloud since the cameras stand, by the clock '
                 'of the poses; waiting', throttle_duration_sec=5.0)
-        elif self._turns.poses_missing and self._command is None and not self._must_wait():
+        elif self._turns.poses_missing and self._command is None and not self._node.must_wait:
             name = self._node.resolve_topic_name(topics.CAMERA_POSES)
             self._node.get_logger().warning(
                 f'poses: found nothing on {name}; expected where the cameras are '
@@ -261,7 +234,7 @@ class LiveTurns:
 
     def _fuse_cloud(self, message: PointCloud2) -> None:
         """Add a cloud to the fused cloud, unless the placement is final."""
-        if self._is_final():
+        if self._is_final:
             return
         # ``mean_poses`` are all positions and all rotations: each pose gets one of both. When a
         # cloud is taken, the cameras stand: ``standing_begin`` is not None.
@@ -270,7 +243,7 @@ class LiveTurns:
         points, camera_positions = transform_cloud(
             msg_to_cloud(message), message.header.frame_id, rig, self._transforms)
         self._fused_cloud.add(points_in_range(
-            points, camera_positions, *self._ranges()))
+            points, camera_positions, *self._node.decider.ranges))
 
     def _answer_turn(self) -> None:
         """Ask for the command of this turn, send it, and begin to wait for the cameras."""
@@ -279,18 +252,18 @@ class LiveTurns:
         stamp = ns_to_stamp(max(self._turns.used_stamps.values()))
         header = Header(stamp=stamp, frame_id=self._rig.frame)
         poses = self._standing_poses(header)
-        was_final = self._is_final()
+        was_final = self._is_final
         try:
-            self._command = self._answer(self._fused_cloud.points, poses)
+            self._command = self._node.decide(self._fused_cloud.points, poses)
         except MessageError as error:
             # For example, the fused cloud has no points, or points of more than one room.
             self._fused_cloud.clear()
             self._turns.drop_clouds()
-            self._refuse(error)
+            self._node.refuse(error)
             return
         # If the answer has made the placement final, this turn decided nothing, but its cloud is
         # published.
-        if not self._is_final():
+        if not self._is_final:
             self._decided_turns += 1
             self._turns_with_cloud.update(self._turns.used_stamps.keys())
         if not was_final:
@@ -298,32 +271,39 @@ class LiveTurns:
         self._start_poses = poses
         self._send_command()
         # Turns of a final placement last longer.
-        if self._is_final():
+        if self._is_final:
             self._turns.limits = self._wait_limits()
-        self._plan_ahead()
+        self._node.plan_ahead()
 
     def _send_command(self) -> None:
         """Send the command of this turn, and begin to wait for the cameras."""
         poses = self._start_poses
-        self._commander.publish(self._command)
+        self._node.commander.publish(self._command)
         self._resend_timer.reset()
         targets = msg_to_positions(self._command)
         self._rig_size = len(targets), poses.header.frame_id
         target_rotations = self._target_rotations(poses)
-        if self._config.manual:
-            self._gain_text = self._describe_gain(self._fused_cloud.points, poses, self._command)
-            self._publish_instructions(self._rig.positions, targets, target_rotations,
-                                       poses.header)
-        self._turns.on_command(targets, target_rotations,
-                               height_changes=targets[:, 2] != msg_to_positions(poses)[:, 2])
         self._sent_positions = targets
         self._sent_rotations = target_rotations
+        if self._instructor is not None:
+            self._gain_text = self._node.decider.describe_gain(
+                self._fused_cloud.points, poses, self._command)
+            self._instruct()
+        self._turns.on_command(targets, target_rotations,
+                               height_changes=targets[:, 2] != msg_to_positions(poses)[:, 2])
+
+    def _instruct(self) -> None:
+        """Tell the person who moves the cameras, if one does, what is left to do."""
+        if self._instructor is not None:
+            self._instructor.publish(
+                self._rig, self._sent_positions, self._sent_rotations, self._poses_message.header,
+                self._node.config, self._gain_text, self._is_final)
 
     @property
     def missing_data(self) -> str:
         """Return in words the topics with clouds in less than half of the turns; '' if none."""
         return ', '.join(f'{topic} brought a cloud in {self._turns_with_cloud[topic]} of '
-                         f'{self._decided_turns} turns' for topic in self._config.live_topics
+                         f'{self._decided_turns} turns' for topic in self._node.config.live_topics
                          if 2 * self._turns_with_cloud[topic] < self._decided_turns)
 
     def _standing_poses(self, header: Header) -> PoseArray:
@@ -357,9 +337,9 @@ class LiveTurns:
         offset = measured.position - [sent.position.x, sent.position.y, sent.position.z]
         # A larger offset from the target is more than noise, even within wider arrival limits.
         max_noise_m, max_noise_radians = 0.1, 0.2
-        is_near = np.linalg.norm(offset) <= min(self._config.arrival_distance, max_noise_m)
+        is_near = np.linalg.norm(offset) <= min(self._node.config.arrival_distance, max_noise_m)
         angle = angle_between(measured.rotation, rotation)
-        is_aligned = angle <= min(self._config.arrival_angle, max_noise_radians)
+        is_aligned = angle <= min(self._node.config.arrival_angle, max_noise_radians)
         return sent if is_near and is_aligned else None
 
     def _target_rotations(self, poses: PoseArray) -> dict[int, np.ndarray]:
@@ -371,49 +351,18 @@ class LiveTurns:
 
     def _resend(self) -> None:
         """Send the command and the instructions again while cameras have not arrived."""
-        if self._must_wait():
+        if self._node.must_wait:
             # When this node may command again, the present clouds will be old.
             self._turns.drop_clouds()
         elif self._command is not None and not self._turns.cameras_stand:
-            self._commander.publish(self._command)
-            if self._config.manual and self._turns.positions is not None:
-                self._publish_instructions(self._turns.positions, self._sent_positions,
-                                           self._sent_rotations, self._poses_message.header)
-
-    def _publish_instructions(self, positions: np.ndarray, targets: np.ndarray,
-                              target_rotations: dict[int, np.ndarray], header: Header) -> None:
-        """
-        Publish which cameras a person has to move or rotate, if that has changed.
-
-        :param positions: present positions of K cameras, (K, 3) metres.
-        :param targets: target positions, (K, 3) metres.
-        :param target_rotations: target rotations, (3, 3), of the cameras that are rotated.
-        :param header: header of the markers.
-        """
-        min_move = self._config.arrival_distance
-        # Changes of yaw and pitch, radians.
-        changes = np.zeros((len(targets), 2))
-        for camera, target_rotation in target_rotations.items():
-            changes[camera] = way_between(heading_of(self._rig.poses[camera].rotation),
-                                          heading_of(target_rotation))
-        text = FINAL if self._is_final() else instructions(
-            positions, targets, min_move, changes, self._config.arrival_angle, self._gain_text)
-        moves = np.column_stack([targets, positions, changes])
-        # Changes of less than 5 cm and 0.05 radians may be noise of the poses.
-        is_same = (self._instructed_moves.shape == moves.shape
-                   and (np.abs(moves - self._instructed_moves) < 0.05).all()
-                   and _instructed_cameras(text) == _instructed_cameras(self._instruction_text))
-        if text != self._instruction_text and not is_same:
-            self._instruction_text = text
-            self._instructed_moves = moves
-            self._instructions_publisher.publish(String(data=text))
-            self._markers_publisher.publish(
-                move_markers(positions, targets, needs_move(positions, targets, min_move), header))
-            self._node.get_logger().info(text)
+            self._node.commander.publish(self._command)
+            # After a command the positions are unknown until the next poses.
+            if self._turns.positions is not None:
+                self._instruct()
 
     def _log_missing(self) -> None:
         """Log which data this turn lacks."""
-        log = self._node.get_logger()
+        log, config = self._node.get_logger(), self._node.config
         if self._turns.silent_topics():
             log.warning(f'{self._silence_text()}; expected a cloud since the cameras stand; going '
                         'on without', throttle_duration_sec=1.0)
@@ -423,8 +372,8 @@ class LiveTurns:
                         'from the mean of their poses', throttle_duration_sec=1.0)
         elif self._turns.overdue:
             log.warning('cameras: found that they have not arrived after '
-                        f'{self._config.arrival_timeout:.1f} s; expected them within '
-                        f'{self._config.arrival_distance} m of the commanded positions; the next '
+                        f'{config.arrival_timeout:.1f} s; expected them within '
+                        f'{config.arrival_distance} m of the commanded positions; the next '
                         'turn begins at their present positions', throttle_duration_sec=1.0)
 
     def _silence_text(self) -> str:
@@ -445,7 +394,7 @@ class LiveTurns:
             raise MessageError(f'cameras: found nothing on {missing} yet; expected poses and '
                                'clouds; call it again when the cameras run')
         clouds = {}
-        for number, topic in enumerate(self._config.live_topics):
+        for number, topic in enumerate(self._node.config.live_topics):
             if topic in self._newest_clouds:
                 message = self._newest_clouds[topic]
                 match = CAMERA_FRAME.fullmatch(message.header.frame_id.lstrip('/'))
@@ -460,7 +409,7 @@ class LiveTurns:
         """Return a warning (empty if there is none) and values to show, for diagnostics."""
         silent_topics = self._turns.silent_topics()
         warning = ''
-        if self._turns.poses_missing and not (self._config.manual and self._command is not None):
+        if self._turns.poses_missing and (self._instructor is None or self._command is None):
             warning = f'nothing on {topics.CAMERA_POSES}'
         elif self._turns.jumped_source():
             warning = (f'stamps of {self._turns.jumped_source()} go back: found two clocks, or '
@@ -474,11 +423,6 @@ class LiveTurns:
             'silent_topics': ','.join(silent_topics), 'late_turns': self._turns.overdue_turns,
             'turns_with_clouds': ', '.join(
                 f'{topic} {self._turns_with_cloud[topic]}/{self._decided_turns}'
-                for topic in self._config.live_topics),
+                for topic in self._node.config.live_topics),
             'clock_jumps': self._turns.stamp_jumps, 'fused_points': len(self._fused_cloud),
             'voxel_size': self._fused_cloud.edge}
-
-
-def _instructed_cameras(text: str) -> list[str]:
-    """Return the lines of an instruction without distances: cameras, or the text to stay."""
-    return [line.partition(':')[0] for line in text.splitlines()]

@@ -14,11 +14,9 @@
 
 """Turns of a simulation: an observation and poses with the same stamp make a turn."""
 
-from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
-import numpy as np
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     MessageError,
@@ -28,57 +26,25 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LOOP
-from ocp_ros.ros.policy.commander import Commander
+from ocp_ros.ros.policy.turn_source import TurnSource
+from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
-from rclpy.node import Node
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
+
+if TYPE_CHECKING:
+    from ocp_ros.ros.policy_node import PolicyNode
 
 #: Number of poses that are kept: the poses of a turn and its observation may arrive far apart if
 #: other nodes publish as well and this node is slow.
 MAX_STORED_POSES = 16
 
 
-class TurnInfo(NamedTuple):
-    """
-    The data of a turn from its reward message.
+class SimulatedTurns(TurnSource):
+    """Match the messages of a turn by their stamps, and answer the turn."""
 
-    :ivar episode: number of the episode.
-    :ivar step: number of turns of the episode before this turn.
-    :ivar is_last: whether this is the last turn of the episode.
-    :ivar answered_poses: the camera poses, if the turn has been answered already; else None.
-    """
-
-    episode: int
-    step: int
-    is_last: bool
-    answered_poses: PoseArray | None
-
-
-class SimulatedTurns:
-    """
-    Match the messages of a turn by their stamps, and answer the turn.
-
-    :param node: gets the subscriptions.
-    :param commander: publishes the answers.
-    :param answer: is called once per turn with the N points observed so far, (N, 3) float32,
-        metres, and the camera poses; returns the command.
-    :param on_turn_info: is called once per turn with its data.
-    :param refuse: counts and logs a message that cannot be used.
-    :param must_wait: returns whether this node may not command now.
-    :param plan_ahead: is called after each command, to plan while the cameras move.
-    """
-
-    def __init__(self, node: Node, commander: Commander,
-                 answer: Callable[[np.ndarray, PoseArray], PoseArray],
-                 on_turn_info: Callable[[TurnInfo], None], refuse: Callable[[ValueError], None],
-                 must_wait: Callable[[], bool], plan_ahead: Callable[[], None]) -> None:
-        self._commander = commander
-        self._answer_turn = answer
-        self._on_turn_info = on_turn_info
-        self._refuse = refuse
-        self._must_wait = must_wait
-        self._plan_ahead = plan_ahead
+    def __init__(self, node: 'PolicyNode') -> None:
+        super().__init__(node)
         #: The latest observation.
         self.cloud: PointCloud2 | None = None
         #: Poses by their stamps in nanoseconds, in the order in which they came: those of the turn
@@ -100,12 +66,12 @@ class SimulatedTurns:
         node.create_subscription(PointCloud2, topics.OBSERVATION, self.on_cloud, LOOP)
 
     def on_reward(self, message: Float64MultiArray) -> None:
-        """Report the data of a turn, and answer the turn if it has waited for this message."""
+        """Give the node the data of a turn, and answer the turn if it has waited for them."""
         try:
             fields = msg_to_fields(
                 message, ('stamp_sec', 'stamp_nanosec', 'episode', 'step', 'truncated'))
         except MessageError as error:
-            self._refuse(error)
+            self._node.refuse(error)
             return
         stamp = ns_of(fields, 'stamp')
         if stamp == self.reward_stamp:
@@ -114,9 +80,9 @@ class SimulatedTurns:
         self.reward_stamp = stamp
         answered = self.answer is not None and stamp_to_ns(self.answer.header.stamp) == stamp
         # ``poses`` always has the poses of the answered turn: only other poses are dropped.
-        self._on_turn_info(TurnInfo(
-            int(fields['episode']), int(fields['step']), is_last=bool(fields['truncated']),
-            answered_poses=self.poses[stamp] if answered else None))
+        self._node.set_turn(int(fields['episode']), int(fields['step']),
+                            is_last=bool(fields['truncated']),
+                            answered_poses=self.poses[stamp] if answered else None)
         if not answered and self.cloud is not None \
                 and stamp_to_ns(self.cloud.header.stamp) == stamp:
             self.answer_if_ready()
@@ -141,7 +107,7 @@ class SimulatedTurns:
         cloud = self.cloud
         stamp = None if cloud is None else stamp_to_ns(cloud.header.stamp)
         # Without a cloud the stamp is None, which no poses have.
-        if stamp not in self.poses or self._must_wait():
+        if stamp not in self.poses or self._node.must_wait:
             return
         poses = self.poses[stamp]
         if self.answer is None or self.answer.header.stamp != poses.header.stamp:
@@ -151,15 +117,15 @@ class SimulatedTurns:
                 if cloud.header.frame_id != poses.header.frame_id:
                     raise MessageError(f'cloud: found the frame {cloud.header.frame_id!r}; '
                                        f'expected that of the poses, {poses.header.frame_id!r}')
-                self.answer = self._answer_turn(msg_to_cloud(cloud), poses)
+                self.answer = self._node.decide(msg_to_cloud(cloud), poses)
                 # The poses that came before those of this turn are not needed any more.
                 while next(iter(self.poses)) != stamp:
                     del self.poses[next(iter(self.poses))]
             except MessageError as error:
-                self._refuse(error)
+                self._node.refuse(error)
                 return
-        self._commander.publish(self.answer)
-        self._plan_ahead()
+        self._node.commander.publish(self.answer)
+        self._node.plan_ahead()
 
     def _update_wait_for_reward(self, stamp: int) -> bool:
         """Start or stop the wait for the reward of a turn; return whether to wait."""
@@ -180,3 +146,8 @@ class SimulatedTurns:
         self._reward_timer.cancel()
         self._may_wait = False
         self.answer_if_ready()
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        """Return a warning if there are several simulations; no values."""
+        return diagnostics.warn_of_crowd(
+            self._node, topics.OBSERVATION, diagnostics.ONE_SIMULATION), {}

@@ -13,7 +13,9 @@
 # limitations under the License.
 
 """
-Commands to the cameras, sent by one policy alone: nodes count the publishers in the ROS graph.
+Where the turns of ``policy_node`` come from, and its commands to the cameras.
+
+One policy alone sends commands: nodes count the publishers in the ROS graph.
 
 A node creates its publisher only if the graph has no other publisher of the topic. It commands
 once its publisher has been the only one for a while, since discovery takes time. If several nodes
@@ -22,9 +24,9 @@ again, each at its own interval, which is drawn at random. So one of them is the
 other publisher. A node that has commanded continues, even if another publisher appears.
 """
 
-from collections.abc import Callable
 import random
 import time
+from typing import TYPE_CHECKING
 
 from geometry_msgs.msg import PoseArray
 from ocp_ros.ros.interface import topics
@@ -32,8 +34,11 @@ from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.runtime import diagnostics
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from rclpy.duration import Duration
-from rclpy.lifecycle import LifecycleNode
 from rclpy.publisher import Publisher
+from rclpy.timer import Timer
+
+if TYPE_CHECKING:
+    from ocp_ros.ros.policy_node import PolicyNode
 
 #: Seconds until a new node has discovered all others: with config/fastdds_local.xml nodes announce
 #: themselves once a second.
@@ -49,32 +54,35 @@ class Commander:
     :param node: gets the publisher while it is active.
     """
 
-    def __init__(self, node: LifecycleNode) -> None:
+    def __init__(self, node: 'PolicyNode') -> None:
         self._node = node
         self._topic = node.resolve_topic_name(topics.CAMERA_COMMANDS)
         self._publisher: Publisher | None = None
+        self._timer: Timer | None = None
         self._has_commanded = False
         #: Time from which on this node may command.
         self._use_time = time.monotonic() + DISCOVERY_S
 
-    def begin_checks(self, on_may_command: Callable[[], None]) -> None:
+    def begin_checks(self) -> None:
         """
         Check at intervals whether this node may command; the interval is drawn at random once.
 
-        :param on_may_command: is called at each check at which this node may command, until it has
-            commanded.
+        At each check at which it may, until it has commanded, the turn that waits is answered.
         """
-        self._on_may_command = on_may_command
         # The graph is checked every 0.15 to 0.35 s.
-        create_steady_timer(self._node, random.uniform(0.15, 0.35), self._check_graph)
+        self._timer = create_steady_timer(
+            self._node, random.uniform(0.15, 0.35), self._check_graph)
         self._check_graph()
 
     def end_commands(self) -> None:
-        """Stop commanding; the node itself destroys the publisher and the timer."""
+        """Stop commanding, so that other nodes may."""
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
         if self._publisher is not None:
             # The last command must not get lost.
             self._publisher.wait_for_all_acked(Duration(seconds=0.5))
-        self._publisher = None
+            self._node.destroy_publisher(self._publisher)
+        self._publisher = self._timer = None
         self._has_commanded = False
 
     def publish(self, message: PoseArray) -> None:
@@ -105,7 +113,7 @@ class Commander:
             self._publisher = self._node.create_publisher(PoseArray, self._topic, LOOP)
             self._use_time = max(self._use_time, time.monotonic() + PUBLISHER_AGE_S)
         elif not self.must_wait:
-            self._on_may_command()
+            self._node.source.answer_if_ready()
 
     def conflict_warning(self) -> str:
         """Log and return a warning if other nodes command too; else return an empty text."""
@@ -113,3 +121,33 @@ class Commander:
             return diagnostics.warn_of_crowd(
                 self._node, self._topic, 'one policy, so this one holds', max_publishers=0)
         return diagnostics.warn_of_crowd(self._node, self._topic, 'one policy')
+
+
+class TurnSource:
+    """
+    A source of turns: live cameras or a simulation.
+
+    It calls the methods ``decide``, ``refuse`` and ``plan_ahead`` of the node, and publishes the
+    commands with the node's ``commander``.
+
+    :param node: gets the subscriptions and timers, and answers the turns.
+    """
+
+    #: Topics that brought no cloud in many turns, in words; empty if there are none.
+    missing_data = ''
+
+    def __init__(self, node: 'PolicyNode') -> None:
+        self._node = node
+
+    def answer_if_ready(self) -> None:
+        """Answer the turn that waits, if there is one."""
+
+    def hold_cameras(self) -> None:
+        """Command cameras that may be moving to stay where they are."""
+
+    def apply_config(self) -> None:
+        """Continue with the node's new parameters."""
+
+    def status(self) -> tuple[str, dict[str, object]]:
+        """Return a warning (empty if there is none) and values to show, for diagnostics."""
+        return '', {}
