@@ -49,8 +49,7 @@ from ocp_ros.ros.policy.live_turns import LiveTurns
 from ocp_ros.ros.policy.policy_config import MANUAL_DEFAULTS, PolicyNodeConfig
 from ocp_ros.ros.policy.simulated_turns import SimulatedTurns
 from ocp_ros.ros.policy.turn_source import Commander, TurnSource
-from ocp_ros.ros.runtime import diagnostics
-from ocp_ros.ros.runtime.managed_node import ManagedNode
+from ocp_ros.ros.runtime.managed_node import ManagedNode, publish_diagnostics, Status
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.point_maps import PointMaps
@@ -120,7 +119,7 @@ class PolicyNode(ManagedNode):
         self._make_views()
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/reset', self._on_reset)
-        self._status_publisher = diagnostics.StatusPublisher(self, self._status)
+        publish_diagnostics(self, self._status)
         weights = 'no weights' if path is None else \
             f'weights of {path.name}: {self.policy.checkpoint.updates} updates'
         live = self.config.live_topics
@@ -318,7 +317,7 @@ class PolicyNode(ManagedNode):
         self.get_logger().warning(
             f'message refused: {shortened(error)}', throttle_duration_sec=1.0)
 
-    def _status(self) -> diagnostics.Status:
+    def _status(self) -> Status:
         """Return the status of the planner for diagnostics."""
         message = 'placement is final' if self.convergence.is_final else 'answering turns'
         missing_data = self.convergence.missing_data

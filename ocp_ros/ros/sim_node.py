@@ -44,8 +44,15 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.interface.frames import CameraFrames, publish_tf
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.interface.views import CloudView, RigView
-from ocp_ros.ros.runtime import diagnostics
-from ocp_ros.ros.runtime.managed_node import autostart, create_steady_timer, ManagedNode
+from ocp_ros.ros.runtime.managed_node import (
+    autostart,
+    create_steady_timer,
+    ManagedNode,
+    ONE_SIMULATION,
+    publish_diagnostics,
+    Status,
+    warn_of_crowd,
+)
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.episode import Episode
@@ -92,7 +99,7 @@ class SimNode(ManagedNode):
         self.create_service(Trigger, '~/reset', self._on_reset)
         self._resend_timer = create_steady_timer(
             self, self.config.resend_period, self._on_command_timeout)
-        self._status_publisher = diagnostics.StatusPublisher(self, self._status)
+        publish_diagnostics(self, self._status)
         scene = self.simulator.scene
         models = self.problem.models
         self._scene_publisher.publish(cloud_to_msg(scene.points, self._header()))
@@ -261,13 +268,13 @@ class SimNode(ManagedNode):
         response.message = f'episode {self._episodes}'
         return response
 
-    def _status(self) -> diagnostics.Status:
+    def _status(self) -> Status:
         """Return the status of the loop for diagnostics."""
         turn = self.episode.turn
         message = 'episode over' if turn.truncated else 'waiting for commands'
         if not self.active:
             message = 'inactive'
-        warning = diagnostics.warn_of_crowd(self, topics.OBSERVATION, diagnostics.ONE_SIMULATION)
+        warning = warn_of_crowd(self, topics.OBSERVATION, ONE_SIMULATION)
         level = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         return level, warning or message, {
             'episode': self._episodes, 'step': turn.step, **self._counts}

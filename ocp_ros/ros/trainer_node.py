@@ -32,8 +32,7 @@ import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.ros.interface import topics
-from ocp_ros.ros.runtime import diagnostics
-from ocp_ros.ros.runtime.managed_node import create_steady_timer
+from ocp_ros.ros.runtime.managed_node import create_steady_timer, publish_diagnostics, Status
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.ros.runtime.parameters import declare
 from ocp_ros.ros.training_source import TransitionSource
@@ -93,7 +92,7 @@ class TrainerNode(Node):
         for name in [name for name in names if name] or [self.get_namespace().strip('/')]:
             self._add_source(f'/{name}')
         create_steady_timer(self, 0.1, self._tick)
-        self._status_publisher = diagnostics.StatusPublisher(self, self._status)
+        publish_diagnostics(self, self._status)
         self.get_logger().info(
             f'run {self.learner.run}: {self.learner.updates} updates so far from '
             f'{self.learner.transitions} transitions, checkpoints in {self.learner.folder}')
@@ -185,7 +184,7 @@ class TrainerNode(Node):
         ratios = [ratio for source in self.sources.values() for ratio in source.error_ratios]
         return round(float(np.mean(ratios)), 3) if ratios else '-'
 
-    def _status(self) -> diagnostics.Status:
+    def _status(self) -> Status:
         """Return the status of the training for diagnostics."""
         learner = self.learner
         totals = self.totals()

@@ -37,9 +37,8 @@ from ocp_ros.cli.main import build_parser, main
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.ros.bags.bag_files import Bag, CLOUD, POSES, Recorded, TRANSFORMS
-from ocp_ros.ros.bags.bag_replay import Replay
+from ocp_ros.ros.bags.bag_replay import Replay, ReplayOptions
 from ocp_ros.ros.bags.recorded_clouds import recorded_clouds
-from ocp_ros.ros.bags.replay_options import ReplayOptions
 from ocp_ros.ros.bags.replay_run import options_of, pose_of
 from ocp_ros.ros.interface import qos, topics
 from ocp_ros.ros.interface.conversions import (

@@ -429,13 +429,6 @@ def test_quality_of_service_follows_parameters_also_when_configured_again(graph)
     assert depth() == 3
 
 
-def test_what_a_file_says_to_all_nodes_ends_none(graph, tmp_path, monkeypatch, capfd):
-    path = tmp_path / 'all.yaml'
-    path.write_text('/**: {ros__parameters: {robot: {name: one}, turnz: 4}}\n'
-                    'policy_node: {ros__parameters: {turnz: 5, turns: 7}}\n')
-    monkeypatch.setattr('sys.argv', ['policy_node', '--ros-args', '--params-file', str(path)])
-    graph.add(PolicyNode, planner='lookahead', **{'robot.name': 'one'})
-    assert "found 'robot.name' for all nodes" in capfd.readouterr().err
-    # What is meant for this node has to be known to it.
+def test_a_parameter_that_does_not_exist_is_refused(graph):
     with pytest.raises(ConfigurationError, match="'turnz'; did you mean 'turns'"):
         graph.add(PolicyNode, planner='lookahead', turnz=5)

@@ -22,8 +22,7 @@ from typing import Any
 
 import numpy as np
 from ocp_ros.ros.bags.bag_files import Bag
-from ocp_ros.ros.bags.bag_replay import Replay
-from ocp_ros.ros.bags.replay_options import choose_topics, ReplayOptions
+from ocp_ros.ros.bags.bag_replay import choose_topics, Replay, ReplayOptions
 from ocp_ros.ros.runtime.network import stay_local
 from ocp_ros.ros.runtime.node_main import END_SIGNALS
 from ocp_ros.util.settings import ConfigurationError

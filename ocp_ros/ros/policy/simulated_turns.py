@@ -27,8 +27,7 @@ from ocp_ros.ros.interface.conversions import (
 )
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.policy.turn_source import TurnSource
-from ocp_ros.ros.runtime import diagnostics
-from ocp_ros.ros.runtime.managed_node import create_steady_timer
+from ocp_ros.ros.runtime.managed_node import create_steady_timer, ONE_SIMULATION, warn_of_crowd
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Float64MultiArray
 
@@ -149,5 +148,5 @@ class SimulatedTurns(TurnSource):
 
     def status(self) -> tuple[str, dict[str, object]]:
         """Return a warning if there are several simulations; no values."""
-        return diagnostics.warn_of_crowd(
-            self._node, topics.OBSERVATION, diagnostics.ONE_SIMULATION), {}
+        return warn_of_crowd(
+            self._node, topics.OBSERVATION, ONE_SIMULATION), {}

@@ -31,8 +31,7 @@ from typing import TYPE_CHECKING
 from geometry_msgs.msg import PoseArray
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.qos import LOOP
-from ocp_ros.ros.runtime import diagnostics
-from ocp_ros.ros.runtime.managed_node import create_steady_timer
+from ocp_ros.ros.runtime.managed_node import create_steady_timer, warn_of_crowd
 from rclpy.duration import Duration
 from rclpy.publisher import Publisher
 from rclpy.timer import Timer
@@ -118,9 +117,9 @@ class Commander:
     def conflict_warning(self) -> str:
         """Log and return a warning if other nodes command too; else return an empty text."""
         if self._publisher is None:
-            return diagnostics.warn_of_crowd(
+            return warn_of_crowd(
                 self._node, self._topic, 'one policy, so this one holds', max_publishers=0)
-        return diagnostics.warn_of_crowd(self._node, self._topic, 'one policy')
+        return warn_of_crowd(self._node, self._topic, 'one policy')
 
 
 class TurnSource:

@@ -15,15 +15,17 @@
 """
 Nodes with a life cycle: they send nothing before they are activated, and can be cleaned up.
 
+This module also has what all nodes share: steady timers and diagnostics.
 By default a node configures and activates itself, so that ``ros2 run`` is one step. With
 ``autostart: false`` it waits for ``ros2 lifecycle``, a launch file or a life cycle manager. If the
 node cannot be configured, it logs why and can be configured again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.ros.runtime.parameters import declare, read_config, watch_parameters
 from ocp_ros.scenes.scene import SceneError
@@ -39,6 +41,9 @@ from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 SUCCESS, FAILURE = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
+ONE_SIMULATION = 'one simulation, or their turns get mixed up'
+#: The status of a node for diagnostics: level, message, and values by their names.
+Status = tuple[bytes, str, Mapping[str, object]]
 
 
 def autostart() -> Any:
@@ -50,6 +55,47 @@ def autostart() -> Any:
 def create_steady_timer(node: Node, period_s: float, callback: Callable[[], None]) -> Timer:
     """Create a timer that runs on a steady clock: also while /clock stops or jumps."""
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
+
+
+def warn_of_crowd(node: Node, topic: str, expected: str, max_publishers: int = 1) -> str:
+    """
+    Log and return a warning if more nodes publish on a topic than expected.
+
+    :param node: reads the ROS graph, and logs.
+    :param topic: relative or full name.
+    :param expected: which publishers are expected, in words for the warning.
+    :param max_publishers: number of publishers that is expected at most.
+    :returns: the warning; empty if there are not too many publishers.
+    """
+    publishers = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
+    if len(publishers) <= max_publishers:
+        return ''
+    names = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in publishers)
+    warning = (f'found publishers of {topic}: {", ".join(names)}; expected {expected}; end the '
+               'others, or give each its own namespace (a node that was killed is found for up to '
+               '20 s more)')
+    node.get_logger().warning(warning, throttle_duration_sec=10.0)
+    return warning
+
+
+def publish_diagnostics(node: Node, make_status: Callable[[], Status]) -> None:
+    """
+    Publish a node's status on ``/diagnostics`` once a second.
+
+    :param make_status: returns the status.
+    """
+    publisher = node.create_publisher(DiagnosticArray, '/diagnostics', 10)
+
+    def publish() -> None:
+        level, message, values = make_status()
+        array = DiagnosticArray()
+        array.header.stamp = node.get_clock().now().to_msg()
+        array.status = [DiagnosticStatus(
+            level=level, name=node.get_fully_qualified_name(), message=message,
+            values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])]
+        publisher.publish(array)
+
+    create_steady_timer(node, 1.0, publish)
 
 
 def _allow_overrides(topic: str, profile: QoSProfile | int, settings: dict) -> QoSProfile | int:
@@ -86,9 +132,8 @@ class ManagedNode(LifecycleNode):
                  flag_defaults: dict[str, dict[str, Any]] | None = None, **kwargs) -> None:
         super().__init__(name, **kwargs)
         self.configured = self.active = False
-        #: ROS entities that existed before the step, by kind: undoing the step keeps them.
-        self._entities_before_configure: dict[str, set] = {}
-        self._entities_before_activate: dict[str, set] = {}
+        #: ROS entities that existed before the configuration, by kind: the clean-up keeps them.
+        self._kept_entities: dict[str, set] = {}
         self._step_error: Exception | None = None
         #: Whether the constructor still runs, which raises the error of a failed step itself.
         self._constructing = True
@@ -118,7 +163,7 @@ class ManagedNode(LifecycleNode):
         """Start sending, or continue."""
 
     def deactivate(self) -> None:
-        """Stop sending until the next activation."""
+        """Stop sending until the next activation; undo everything that ``activate`` has done."""
 
     def release(self) -> None:
         """Release everything that is not an entity of ROS."""
@@ -139,14 +184,13 @@ class ManagedNode(LifecycleNode):
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Configure the node, or log why that fails."""
-        self.config = read_config(self, type(self.config), {})
-        self._entities_before_configure = self._entities()
+        self.config = read_config(self, type(self.config))
+        self._kept_entities = self._entities()
         self.configured = self._try_step(self.configure, self._release_node)
         return SUCCESS if self.configured else FAILURE
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Activate the node, or log why that fails."""
-        self._entities_before_activate = self._entities()
         self.active = self._try_step(self.activate, self._deactivate_node)
         return SUCCESS if self.active else FAILURE
 
@@ -194,28 +238,23 @@ class ManagedNode(LifecycleNode):
         return True
 
     def _deactivate_node(self) -> None:
-        """Deactivate, and destroy all entities created since the activation."""
+        """Deactivate the node."""
         self.deactivate()
         self.active = False
-        self._destroy_except(self._entities_before_activate)
 
     def _release_node(self) -> None:
         """Release everything, and destroy all entities created since the configuration."""
         self.configured = False
         self.release()
-        self._destroy_except(self._entities_before_configure)
+        for kind, entities in self._entities().items():
+            # There is no record before the first configuration.
+            for entity in entities - self._kept_entities.get(kind, entities):
+                getattr(self, f'destroy_{kind}')(entity)
 
     def _entities(self) -> dict[str, set]:
         """Return the ROS entities that the node has now, by kind."""
         return {kind: set(getattr(self, f'{kind}s'))
                 for kind in ('publisher', 'subscription', 'timer', 'service', 'client')}
-
-    def _destroy_except(self, kept_entities: dict[str, set]) -> None:
-        """Destroy all ROS entities of the node except those to keep, which are given by kind."""
-        for kind, entities in self._entities().items():
-            # A kind without a record keeps all its entities.
-            for entity in entities - kept_entities.get(kind, entities):
-                getattr(self, f'destroy_{kind}')(entity)
 
     def _LifecycleNodeMixin__change_state(self, transition_id: int) -> TransitionCallbackReturn:
         """

@@ -14,12 +14,9 @@
 
 """ROS parameters from configuration dataclasses, which define the defaults."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from dataclasses import Field
-import difflib
 from functools import partial
-from pathlib import Path
-import sys
 from typing import Any, TypeVar
 
 from ocp_ros.util.settings import check_known, ConfigurationError, from_flat, leaves
@@ -31,7 +28,6 @@ from rcl_interfaces.msg import (
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
-import yaml
 
 T = TypeVar('T')
 
@@ -64,55 +60,9 @@ def declare(node: Node, config_type: type[T],
     # qos_overrides change the quality of service of topics.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
                and not name.startswith('qos_overrides.')]
-    # A name for all nodes that is similar to a parameter of this node is a misspelt parameter; any
-    # other name is one of other nodes.
-    meant_for_others = {
-        name for name in parameters_for_all_nodes(sys.argv, node.get_name()) & set(unknown)
-        if not difflib.get_close_matches(name, settings, n=1, cutoff=0.8)}
-    for name in meant_for_others:
-        node.get_logger().warning(f'parameters: found {name!r} for all nodes (/**), which this '
-                                  'one does not have; going on without')
-    check_known([name for name in unknown if name not in meant_for_others], settings,
-                f'{node.get_name()} parameters')
+    check_known(unknown, settings, f'{node.get_name()} parameters')
     node.add_on_set_parameters_callback(partial(_check_changes, node, config_type))
     return from_flat(config_type, values, node.get_name())
-
-
-def parameters_for_all_nodes(arguments: Sequence[str], node_name: str) -> set[str]:
-    """
-    Return the names of parameters that files set for all nodes (``/**``), not for this node.
-
-    Other nodes may need them, so they are no error here.
-
-    :param arguments: of the command line; the files are those after ``--params-file``.
-    :param node_name: name of this node; parameters that a file sets for it are left out.
-    """
-    names_for_all: set[str] = set()
-    names_for_node: set[str] = set()
-    for option, path in zip(arguments, arguments[1:]):
-        if option != '--params-file':
-            continue
-        try:
-            content = yaml.safe_load(Path(path).read_text())
-        except (OSError, UnicodeDecodeError, yaml.YAMLError):
-            # ROS itself reports a file that cannot be read.
-            continue
-        for node_key, section in content.items() if isinstance(content, dict) else ():
-            values = section.get('ros__parameters') if isinstance(section, dict) else None
-            if isinstance(values, dict) and node_key == '/**':
-                names_for_all |= set(_dotted_names(values))
-            elif isinstance(values, dict) and str(node_key).endswith(node_name):
-                names_for_node |= set(_dotted_names(values))
-    return names_for_all - names_for_node
-
-
-def _dotted_names(values: dict[str, Any], prefix: str = '') -> Iterator[str]:
-    """Yield the names of nested parameters, such as ``scene.file``."""
-    for name, value in values.items():
-        if isinstance(value, dict):
-            yield from _dotted_names(value, f'{prefix}{name}.')
-        else:
-            yield f'{prefix}{name}'
 
 
 def watch_parameters(node: Node, apply_config: Callable[[T], None]) -> None:
@@ -128,20 +78,21 @@ def watch_parameters(node: Node, apply_config: Callable[[T], None]) -> None:
     def apply_changes(parameters: list[Parameter]) -> None:
         changed = [f'{p.name} = {p.value!r}' for p in parameters if p.name in settings]
         if changed:
-            apply_config(read_config(node, config_type, {}))
+            apply_config(read_config(node, config_type))
             node.get_logger().info(f'from now on {", ".join(changed)}')
 
     node.add_post_set_parameters_callback(apply_changes)
 
 
-def read_config(node: Node, config_type: type[T], changes: dict[str, Any]) -> T:
+def read_config(node: Node, config_type: type[T], changes: dict[str, Any] | None = None
+                ) -> T:
     """
     Return the configuration from the parameters of a node.
 
     :param changes: other values of some parameters, by dotted name.
     """
     values = {name: node.get_parameter(name).value for name in leaves(config_type)}
-    return from_flat(config_type, values | changes, node.get_name())
+    return from_flat(config_type, values | (changes or {}), node.get_name())
 
 
 def _check_changes(node: Node, config_type: type, parameters: list[Parameter]
