@@ -199,7 +199,7 @@ def domain(tmp_path_factory):
     """Hold a ROS domain that no other test process uses."""
     pytest.importorskip('rclpy', reason='node tests need ROS 2 (rclpy)')
     from ocp_ros.demo.watched_nodes import free_domain
-    from ocp_ros.ros.runtime.network import local_transport
+    from ocp_ros.ros.runtime.node_main import local_transport
     os.environ.update(local_transport())
     os.environ['ROS_LOG_DIR'] = str(tmp_path_factory.mktemp('ros'))
     number, holder = free_domain()

@@ -137,7 +137,7 @@ def test_a_node_takes_no_profile_from_the_current_folder(domain, tmp_path, monke
     monkeypatch.chdir(tmp_path)
     (tmp_path / 'DEFAULT_FASTRTPS_PROFILES.xml').write_text('no profile at all')
     ended = run_python(
-        'from ocp_ros.ros.runtime.network import stay_local; stay_local(); import rclpy; '
+        'from ocp_ros.ros.runtime.node_main import stay_local; stay_local(); import rclpy; '
         "rclpy.init(); rclpy.create_node('a')", ROS_DOMAIN_ID=str(domain))
     assert ended.returncode == 0 and 'XML' not in ended.stderr + ended.stdout
 

@@ -58,7 +58,7 @@ from ocp_ros.ros import policy_node, sim_node, trainer_node
 from ocp_ros.ros.interface.conversions import msg_to_positions, ns_to_stamp, positions_to_msg
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
-from ocp_ros.ros.runtime.network import LOCALHOST_ENVIRONMENT, USER_VARIABLES
+from ocp_ros.ros.runtime.node_main import LOCALHOST_ENVIRONMENT, USER_VARIABLES
 from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem

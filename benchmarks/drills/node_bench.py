@@ -57,7 +57,7 @@ from ocp_ros.ros.interface.conversions import (
 from ocp_ros.ros.policy.policy_config import PLANNERS, PolicyNodeConfig
 from ocp_ros.ros.policy.simulated_turns import SimulatedTurns
 from ocp_ros.ros.policy_node import PolicyNode
-from ocp_ros.ros.runtime.network import LOCALHOST_ENVIRONMENT
+from ocp_ros.ros.runtime.node_main import LOCALHOST_ENVIRONMENT
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem
 from ocp_ros.simulation.simulation_config import SimulationConfig

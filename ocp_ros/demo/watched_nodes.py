@@ -38,8 +38,12 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.qos import LATCHED, RECORDER
-from ocp_ros.ros.runtime.network import local_transport
-from ocp_ros.ros.runtime.node_main import END_SIGNALS, PARENT_VARIABLE, undisturbed
+from ocp_ros.ros.runtime.node_main import (
+    END_SIGNALS,
+    local_transport,
+    PARENT_VARIABLE,
+    undisturbed,
+)
 from ocp_ros.util.files import folder_to_write, write_atomically
 from ocp_ros.util.settings import ConfigurationError
 import rclpy

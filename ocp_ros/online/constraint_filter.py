@@ -26,13 +26,14 @@ import numpy as np
 from ocp_ros.geometry.cameras import Pose
 from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.geometry.shadow_maps import in_reach
-from ocp_ros.online.rig_state import clearance_of, Limits, RigState
+from ocp_ros.online.rig_state import clearance_of, RigState
 from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import kept_inside, nearest_place, ROUNDING, towards
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.rig.structure import floor_height, STAND_OFF
 from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.simulation.simulation_config import EpisodeLimits
 from ocp_ros.util.settings import ConfigurationError
 
 #: Assumed free height above a camera, metres: cameras that look down do not observe it.
@@ -63,11 +64,11 @@ class StepConstraints:
     :ivar filter: applies the constraints of the rig file; None without rig file.
     """
 
-    def __init__(self, limits: Limits, rig: Rig | None) -> None:
+    def __init__(self, limits: EpisodeLimits, rig: Rig | None) -> None:
         self._limits = limits
         self.filter = None if rig is None else ConstraintFilter(rig, limits.wall_margin)
 
-    def set_limits(self, limits: Limits) -> None:
+    def set_limits(self, limits: EpisodeLimits) -> None:
         """Replace the limits of a time step."""
         self._limits = limits
         if self.filter is not None:

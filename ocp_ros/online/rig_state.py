@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""State of a rig at a time step, its limits in one time step, and its command."""
+"""State of a rig at a time step, and its command."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -20,7 +20,6 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, Frustum
 from ocp_ros.online.partial_map import LookHistory, PartialMap
-from ocp_ros.rig.free_plane import CLEARANCE
 from ocp_ros.simulation.simulator import View
 
 #: Radius around a camera with a frustum in which cells count as air even if unobserved, metres:
@@ -84,23 +83,6 @@ class RigState(NamedTuple):
         headings = directions(self.pitch, yaws, pitches)
         headings[:, 2] = self.placement[camera, 5]
         return headings
-
-
-class Limits(NamedTuple):
-    """
-    Limits of a rig in one time step.
-
-    :ivar max_step: farthest a camera moves, metres.
-    :ivar max_turn: largest rotation of a camera, radians; 0 if no camera rotates.
-    :ivar wall_margin: cameras stay this far inside the observed bounding box, metres.
-    :ivar clearance: cameras stay this far from all observed points, metres; the clearance of a
-        rig file replaces any value but 0.
-    """
-
-    max_step: float
-    max_turn: float
-    wall_margin: float
-    clearance: float = CLEARANCE
 
 
 class Command(NamedTuple):

@@ -28,10 +28,11 @@ import numpy as np
 from ocp_ros.online.constraint_filter import StepConstraints
 from ocp_ros.online.heading_planner import HeadingPlanner, never_interrupted
 from ocp_ros.online.online_planner import MIN_PIPELINED_TURNS, Online, PlannedTurn
-from ocp_ros.online.rig_state import Command, Limits, RigState
+from ocp_ros.online.rig_state import Command, RigState
 from ocp_ros.rig.motion import turned_towards
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.simulation.episode import Episode
+from ocp_ros.simulation.simulation_config import EpisodeLimits
 
 
 class OnlineStep:
@@ -48,7 +49,7 @@ class OnlineStep:
         choose.
     """
 
-    def __init__(self, planner: Online, limits: Limits, rig: Rig | None = None,
+    def __init__(self, planner: Online, limits: EpisodeLimits, rig: Rig | None = None,
                  report: Callable[[str], None] | None = None) -> None:
         self.planner, self.limits = planner, limits
         self._report = report
@@ -59,7 +60,7 @@ class OnlineStep:
         #: The time step to prepare while the cameras move.
         self._next_turn: PlannedTurn | None = None
 
-    def change(self, planner: Online, limits: Limits) -> None:
+    def change(self, planner: Online, limits: EpisodeLimits) -> None:
         """Replace the planner and the limits during an episode."""
         if self.limits.wall_margin != limits.wall_margin:
             self.aim = HeadingPlanner.of(self.rig, limits.wall_margin)
@@ -200,8 +201,7 @@ def play(online: Online, episode: Episode, should_stop: Callable[[int], bool] = 
     :param clock: returns the current time, seconds.
     """
     config, rig = episode.config, episode.problem.rig
-    step = OnlineStep(online, Limits(config.max_step, config.max_turn, config.wall_margin,
-                                     config.clearance), rig)
+    step = OnlineStep(online, config, rig)
     step.reset()
     turn_states, seconds = [episode.turn], []
     while not (episode.turn.truncated or should_stop(episode.turn.step)):

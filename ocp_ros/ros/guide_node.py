@@ -32,7 +32,7 @@ import numpy as np
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import MessageError, msg_to_cloud, msg_to_poses, shortened
 from ocp_ros.ros.interface.qos import LATCHED, LOOP, POSES
-from ocp_ros.ros.runtime.managed_node import autostart, ManagedNode
+from ocp_ros.ros.runtime.managed_node import autostart, create_steady_timer, ManagedNode
 from ocp_ros.ros.runtime.node_main import run
 from ocp_ros.studio import FIRST_PORT, guide_page, LOCAL_ADDRESS
 from ocp_ros.studio.guide_page import GuidePage
@@ -40,8 +40,6 @@ from ocp_ros.studio.server import start_server
 from ocp_ros.util.settings import setting
 from rcl_interfaces.srv import GetParameters, SetParameters
 from rclpy.client import Client
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.parameter import Parameter
 from rclpy.task import Future
 from sensor_msgs.msg import PointCloud2
@@ -94,10 +92,8 @@ class GuideNode(ManagedNode):
         self._reset_client = self.create_client(Trigger, f'{policy}/reset')
         self._set_client = self.create_client(SetParameters, f'{policy}/set_parameters')
         self._get_client = self.create_client(GetParameters, f'{policy}/get_parameters')
-        # Timers on a steady clock run also while /clock stops.
-        steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.create_timer(0.1, self._run_pressed_actions, clock=steady)
-        self.create_timer(0.25, self.page.show, clock=steady)
+        create_steady_timer(self, 0.1, self._run_pressed_actions)
+        create_steady_timer(self, 0.25, self.page.show)
         self.get_logger().info(f'the guide is at {self.url}')
 
     def release(self) -> None:

@@ -134,9 +134,7 @@ class PolicyNode(ManagedNode):
             self, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._observed_maps)
         self._rig_view = None
         if self.config.live_topics:
-            models = self.decider.models
-            # Without a rig file the cameras are omnidirectional and have no CameraInfo.
-            self._rig_view = RigView(self, topics.RIG_MARKERS, models, len(models))
+            self._rig_view = RigView(self, topics.RIG_MARKERS, self.decider.models)
 
     def activate(self) -> None:
         """Command the cameras as soon as no other node commands them."""
@@ -148,10 +146,11 @@ class PolicyNode(ManagedNode):
         self.commander.end_commands()
 
     def release(self) -> None:
-        """End the registration, if one runs, and a pause."""
+        """Drop the weights, the rig and all observations."""
         if self._calibrator is not None:
             self._calibrator.close()
-        self._calibrator = None
+        self.decider = self.source = self._experiences = self._calibrator = None
+        self._shown_turn = None
         self._paused = False
 
     def plan_ahead(self) -> None:

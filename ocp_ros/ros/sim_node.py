@@ -130,8 +130,7 @@ class SimNode(ManagedNode):
         self._error_publisher = self.create_publisher(Float64, topics.DEPTH_ERROR, LOOP)
         self._scene_publisher = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
         self._frames = CameraFrames(self, self.config.publish_tf)
-        models = self.problem.models
-        self._rig_view = RigView(self, topics.MARKERS, models, len(models))
+        self._rig_view = RigView(self, topics.MARKERS, self.problem.models)
         self._cloud_view = CloudView(self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
                                      lambda: maps_of(self.simulator, self._camera_poses()))
 

@@ -38,7 +38,7 @@ from ocp_ros.online.online_planner import (
     settings_of,
 )
 from ocp_ros.online.partial_map import PartialMap
-from ocp_ros.online.rig_state import Limits, RigState
+from ocp_ros.online.rig_state import RigState
 from ocp_ros.online.step import OnlineStep, play, state_of
 from ocp_ros.policy.agent_config import AgentConfig, CLOUD
 from ocp_ros.policy.learned import Learned
@@ -49,7 +49,7 @@ from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import PlaneProblem, Problem
-from ocp_ros.simulation.simulation_config import EpisodeConfig, SimulationConfig
+from ocp_ros.simulation.simulation_config import EpisodeConfig, EpisodeLimits, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 import pytest
 
@@ -206,7 +206,8 @@ class Sent(PipelinedPlanner):
 
 def test_a_camera_with_a_cabinet_in_its_way_gets_to_its_target(furnished):
     """Straight on it would walk into the side of the cabinet in every turn."""
-    step = OnlineStep(Sent([5.0, 2.0]), Limits(MAX_STEP, 0.0, MARGIN))
+    step = OnlineStep(Sent([5.0, 2.0]), EpisodeLimits(
+        max_step=MAX_STEP, max_turn=0.0, wall_margin=MARGIN))
     placement = np.array([[3.0, 2.0, 1.9, 0.0, 0.0, 0.0]])
     for turn in range(MIN_PIPELINED_TURNS):
         state = RigState(placement, (CameraModel(),), 1)
@@ -299,7 +300,7 @@ def begun(room, planner=Lookahead, max_turn=0.5):
     config = SimulationConfig(engine=EngineConfig('fast', 32, 0.5))
     episode = Episode(Problem.of(room, RIG, config), np.random.default_rng(4))
     online = planner(*settings_of(config.episode, RIG, np.random.default_rng(0)))
-    return OnlineStep(online, Limits(0.5, max_turn, 0.1), RIG), episode
+    return OnlineStep(online, EpisodeLimits(max_turn=max_turn), RIG), episode
 
 
 def steps(room, name, turns, reflects, monkeypatch, played):

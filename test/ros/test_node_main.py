@@ -24,8 +24,7 @@ import sys
 
 from conftest import HUNG, run_python
 from ocp_ros.demo.watched_nodes import free_domain
-from ocp_ros.ros.runtime.network import stay_local, USER_VARIABLES
-from ocp_ros.ros.runtime.node_main import run, undisturbed
+from ocp_ros.ros.runtime.node_main import run, stay_local, undisturbed, USER_VARIABLES
 from ocp_ros.scenes.scene import SceneError
 import pytest
 import rclpy
@@ -227,7 +226,7 @@ import os, socket, struct
 from contextlib import suppress
 from pathlib import Path
 import rclpy
-from ocp_ros.ros.runtime.network import USER_VARIABLES, stay_local
+from ocp_ros.ros.runtime.node_main import USER_VARIABLES, stay_local
 
 for name in USER_VARIABLES:
     os.environ.pop(name, None)

@@ -30,8 +30,7 @@ from ocp_ros.ros.interface.conversions import (
     rotation_of,
 )
 from ocp_ros.ros.interface.frames import transform_to_msg
-from ocp_ros.ros.interface.markers import frustum_edges, rig_markers
-from ocp_ros.ros.interface.views import camera_info, observed_maps
+from ocp_ros.ros.interface.views import camera_info, frustum_edges, observed_maps, rig_markers
 from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.ros.trainer_node import TrainerNode

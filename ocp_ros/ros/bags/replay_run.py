@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 from ocp_ros.ros.bags.bag_files import Bag
 from ocp_ros.ros.bags.bag_replay import choose_topics, Replay, ReplayOptions
-from ocp_ros.ros.runtime.network import stay_local
-from ocp_ros.ros.runtime.node_main import END_SIGNALS
+from ocp_ros.ros.runtime.node_main import END_SIGNALS, stay_local
 from ocp_ros.util.settings import ConfigurationError
 import rclpy
 from rclpy.executors import Executor, SingleThreadedExecutor

@@ -27,7 +27,7 @@ from ocp_ros.geometry.clouds import corners_of
 from ocp_ros.online.expected_gain import ExpectedGain
 from ocp_ros.online.lookahead import Lookahead
 from ocp_ros.online.online_planner import Online
-from ocp_ros.online.rig_state import Limits, RigState
+from ocp_ros.online.rig_state import RigState
 from ocp_ros.online.step import OnlineStep
 from ocp_ros.policy.learned import Learned, PolicyAlone
 from ocp_ros.rig.motion import way_between
@@ -49,11 +49,6 @@ if TYPE_CHECKING:
 
 #: Parameters that the constructor of a planner takes, and that may change at run time.
 PLANNER_PARAMETERS = ('max_step', 'max_range', 'wall_margin', 'clearance')
-
-
-def limits_of(config: PolicyNodeConfig) -> Limits:
-    """Return the limits that the parameters set to the moves of a turn."""
-    return Limits(config.max_step, config.max_turn, config.wall_margin, config.clearance)
 
 
 def max_range_of(config: PolicyNodeConfig, rig: Rig | None) -> float:
@@ -107,7 +102,7 @@ class Decider:
         self.rig = load_rig(config.rig_file) if config.rig_file else None
         planner, self.explorer = make_planner(config, checkpoint, self.rig)
         # An error in a step is logged and must not end this node.
-        self.step = OnlineStep(planner, limits_of(config), self.rig, log.error)
+        self.step = OnlineStep(planner, config, self.rig, log.error)
         self.stay_warnings: list[str] = []
         self.largest_rotation = 0.0
 
@@ -128,7 +123,7 @@ class Decider:
             checkpoint = None if self.explorer is None else self.explorer.policy.checkpoint
             planner, self.explorer = make_planner(config, checkpoint, self.rig)
         self._config = config
-        self.step.change(planner, limits_of(config))
+        self.step.change(planner, config)
 
     @property
     def models(self) -> tuple[CameraModel, ...]:

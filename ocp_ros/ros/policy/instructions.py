@@ -21,8 +21,8 @@ from ocp_ros.geometry.cameras import heading_of
 from ocp_ros.rig.motion import way_between
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.frames import LiveRig
-from ocp_ros.ros.interface.markers import move_markers
 from ocp_ros.ros.interface.qos import LATCHED
+from ocp_ros.ros.interface.views import move_markers
 from ocp_ros.ros.policy.policy_config import PolicyNodeConfig
 from rclpy.node import Node
 from std_msgs.msg import Header, String

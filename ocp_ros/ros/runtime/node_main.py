@@ -33,8 +33,8 @@ import sys
 from types import FrameType
 
 from ocp_ros.policy.agent_config import CheckpointError
-from ocp_ros.ros.runtime.network import stay_local
 from ocp_ros.scenes.scene import SceneError
+from ocp_ros.util.resources import share_folder
 from ocp_ros.util.settings import ConfigurationError
 import rclpy
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
@@ -50,6 +50,46 @@ END_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 PARENT_VARIABLE = 'OCP_ROS_PARENT'
 #: Seconds for the middleware to shut a node down: ``ros2 launch`` kills it 10 s after Ctrl-C.
 SHUTDOWN_TIMEOUT_S = 3.0
+LOCALHOST_ENVIRONMENT = {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST'}
+#: Variables by which the user may have set the range of discovery or the transport.
+USER_VARIABLES = ('ROS_AUTOMATIC_DISCOVERY_RANGE', 'ROS_LOCALHOST_ONLY', 'ROS_DISCOVERY_SERVER',
+                  'FASTRTPS_DEFAULT_PROFILES_FILE', 'FASTDDS_DEFAULT_PROFILES_FILE',
+                  'FASTDDS_BUILTIN_TRANSPORTS', 'CYCLONEDDS_URI')
+
+
+def local_transport() -> dict[str, str]:
+    """
+    Return the environment variables that limit nodes to this machine.
+
+    With Fast DDS, messages go by UDP and not by shared memory, for two reasons. A killed node
+    keeps the segments that it was reading, until the other nodes have no shared memory left for
+    clouds. And a living node may die of SIGSEGV when it ends
+    (``SharedMemChannelResource::release``, once in about 700 endings beside killed nodes). Nodes
+    that use shared memory are still received, by UDP. Peers in
+    ``ROS_STATIC_PEERS`` may be on other machines, which this UDP does not reach.
+    """
+    middleware = os.environ.get('RMW_IMPLEMENTATION') or 'rmw_fastrtps'
+    if not middleware.startswith('rmw_fastrtps') or os.environ.get('ROS_STATIC_PEERS'):
+        return LOCALHOST_ENVIRONMENT
+    # The file limits the nodes to this machine, so ROS sets no range of its own (SYSTEM_DEFAULT).
+    return {'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT',
+            'FASTRTPS_DEFAULT_PROFILES_FILE': str(share_folder() / 'config' / 'fastdds_local.xml')}
+
+
+def stay_local() -> bool:
+    """
+    Limit this process to its machine, unless a variable of ``USER_VARIABLES`` is set.
+
+    Nodes on this machine are found whatever their own range is. Call it before ``rclpy.init``.
+
+    :returns: whether it was limited: no variable was set.
+    """
+    # Fast DDS would read a file of the current folder as the user's profile.
+    os.environ.setdefault('SKIP_DEFAULT_XML_FILE', '1')
+    if any(os.environ.get(name) for name in USER_VARIABLES):
+        return False
+    os.environ.update(local_transport())
+    return True
 
 
 def ignore_signals() -> None:
