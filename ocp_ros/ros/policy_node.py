@@ -162,7 +162,7 @@ class PolicyNode(ManagedNode):
     @property
     def planner(self) -> Online:
         """Return the planner that chooses the moves."""
-        return self.decider.planner
+        return self.decider.step.planner
 
     @property
     def policy(self) -> 'Policy | None':

@@ -30,7 +30,6 @@ from ocp_ros.online.online_planner import Online
 from ocp_ros.online.rig_state import RigState
 from ocp_ros.online.step import OnlineStep
 from ocp_ros.policy.learned import Learned, PolicyAlone
-from ocp_ros.rig.motion import way_between
 from ocp_ros.rig.placement_file import as_written, Placed, Placement, placement_of
 from ocp_ros.rig.rig_file import Camera, load_rig, Rig
 from ocp_ros.ros.interface.conversions import (
@@ -45,7 +44,6 @@ from rclpy.impl.rcutils_logger import RcutilsLogger
 
 if TYPE_CHECKING:
     from ocp_ros.policy.checkpoint import Checkpoint
-
 
 #: Parameters that the constructor of a planner takes, and that may change at run time.
 PLANNER_PARAMETERS = ('max_step', 'max_range', 'wall_margin', 'clearance')
@@ -91,7 +89,6 @@ class Decider:
     :ivar explorer: the part of the planner that runs the policy; None without a policy.
     :ivar step: computes the time steps.
     :ivar stay_warnings: a sentence for each camera that stays since it has no feasible pose.
-    :ivar largest_rotation: the largest camera rotation of the last command, radians.
     :raises ConfigurationError: if the rig file cannot be used.
     """
 
@@ -104,12 +101,6 @@ class Decider:
         # An error in a step is logged and must not end this node.
         self.step = OnlineStep(planner, config, self.rig, log.error)
         self.stay_warnings: list[str] = []
-        self.largest_rotation = 0.0
-
-    @property
-    def planner(self) -> Online:
-        """Return the planner that chooses the moves."""
-        return self.step.planner
 
     def reset(self) -> None:
         """Drop the data of the last episode."""
@@ -117,7 +108,7 @@ class Decider:
 
     def apply_config(self, config: PolicyNodeConfig) -> None:
         """Continue with new parameters; make a new planner if the present one does not suit."""
-        planner = self.planner
+        planner = self.step.planner
         if any(getattr(self._config, name) != getattr(config, name)
                for name in PLANNER_PARAMETERS):
             checkpoint = None if self.explorer is None else self.explorer.policy.checkpoint
@@ -242,9 +233,6 @@ class Decider:
         if self.stay_warnings:
             self._log.warning('; '.join(self.stay_warnings), throttle_duration_sec=5.0)
         headings = {camera: command.placement[camera, 3:] for camera in command.rotated}
-        angles = [np.linalg.norm(way_between(state.placement[camera, 3:], heading))
-                  for camera, heading in headings.items()]
-        self.largest_rotation = float(max(angles, default=0.0))
         # The placement has the fixed cameras too, which ``poses`` may lack.
         return move_poses(poses, command.placement[:len(poses.poses), :3], headings)
 

@@ -90,10 +90,8 @@ class LiveTurns(TurnSource):
         self._newest_clouds: dict[str, PointCloud2] = {}
         #: Targets of the last command: positions of the K cameras, (K, 3) metres, and rotations,
         #: (3, 3), of the cameras that the command rotates.
-        self._sent_positions = np.empty((0, 3))
-        self._sent_rotations: dict[int, np.ndarray] = {}
-        #: The poses at which the cameras stood when the turn was answered.
-        self._start_poses = PoseArray()
+        self._targets = np.empty((0, 3))
+        self._target_rotations: dict[int, np.ndarray] = {}
         #: Instructs a person who moves the cameras, if one does.
         self._instructor = Instructor(node) if config.manual else None
         self.reset()
@@ -268,35 +266,35 @@ class LiveTurns(TurnSource):
             self._turns_with_cloud.update(self._turns.used_stamps.keys())
         if not was_final:
             self._observation_publisher.publish(cloud_to_msg(self._fused_cloud.points, header))
-        self._start_poses = poses
-        self._send_command()
+        self._send_command(poses)
         # Turns of a final placement last longer.
         if self._is_final:
             self._turns.limits = self._wait_limits()
         self._node.plan_ahead()
 
-    def _send_command(self) -> None:
-        """Send the command of this turn, and begin to wait for the cameras."""
-        poses = self._start_poses
+    def _send_command(self, poses: PoseArray) -> None:
+        """Send the command of this turn, and begin to wait for the cameras, now at ``poses``."""
         self._node.commander.publish(self._command)
         self._resend_timer.reset()
-        targets = msg_to_positions(self._command)
+        self._targets = targets = msg_to_positions(self._command)
+        # A command repeats the orientation of a camera that does not rotate.
+        self._target_rotations = {
+            camera: rotation_of(goal.orientation, f'command: camera {camera}')
+            for camera, (goal, present) in enumerate(zip(self._command.poses, poses.poses))
+            if goal.orientation != present.orientation}
         self._rig_size = len(targets), poses.header.frame_id
-        target_rotations = self._target_rotations(poses)
-        self._sent_positions = targets
-        self._sent_rotations = target_rotations
         if self._instructor is not None:
             self._gain_text = self._node.decider.describe_gain(
                 self._fused_cloud.points, poses, self._command)
             self._instruct()
-        self._turns.on_command(targets, target_rotations,
+        self._turns.on_command(targets, self._target_rotations,
                                height_changes=targets[:, 2] != msg_to_positions(poses)[:, 2])
 
     def _instruct(self) -> None:
         """Tell the person who moves the cameras, if one does, what is left to do."""
         if self._instructor is not None:
             self._instructor.publish(
-                self._rig, self._sent_positions, self._sent_rotations, self._poses_message.header,
+                self._rig, self._targets, self._target_rotations, self._poses_message.header,
                 self._node.config, self._gain_text, self._is_final)
 
     @property
@@ -341,13 +339,6 @@ class LiveTurns(TurnSource):
         angle = angle_between(measured.rotation, rotation)
         is_aligned = angle <= min(self._node.config.arrival_angle, max_noise_radians)
         return sent if is_near and is_aligned else None
-
-    def _target_rotations(self, poses: PoseArray) -> dict[int, np.ndarray]:
-        """Return the commanded rotations, (3, 3), of the cameras that the command rotates."""
-        # A command repeats the orientation of a camera that does not rotate.
-        return {camera: rotation_of(goal.orientation, f'command: camera {camera}')
-                for camera, (goal, present) in enumerate(zip(self._command.poses, poses.poses))
-                if goal.orientation != present.orientation}
 
     def _resend(self) -> None:
         """Send the command and the instructions again while cameras have not arrived."""

@@ -135,15 +135,15 @@ class ManagedNode(LifecycleNode):
         #: ROS entities that existed before the configuration, by kind: the clean-up keeps them.
         self._kept_entities: dict[str, set] = {}
         self._step_error: Exception | None = None
-        #: Whether the constructor still runs, which raises the error of a failed step itself.
-        self._constructing = True
         self.config = declare(self, config_type, flag_defaults)
         watch_parameters(self, self._store_config)
-        if self.config.autostart:
+        #: Whether the constructor starts the node: it raises the error of a failed step itself.
+        self._is_starting = self.config.autostart
+        if self._is_starting:
             for trigger in (self.trigger_configure, self.trigger_activate):
                 if trigger() != SUCCESS:
                     raise self._step_error
-        self._constructing = False
+        self._is_starting = False
 
     def create_publisher(self, msg_type, topic: str, qos_profile, **settings) -> Publisher:
         """Create a publisher; parameters may override its quality of service."""
@@ -228,7 +228,7 @@ class ManagedNode(LifecycleNode):
         except Exception as error:
             undo_step()
             self._step_error = error
-            if not (self._constructing and self.config.autostart):
+            if not self._is_starting:
                 # The user can correct a wrong file or parameter.
                 user_errors = (CheckpointError, ConfigurationError, SceneError, OSError)
                 self.get_logger().error(
