@@ -4,6 +4,7 @@
 VENV := .venv
 RUN := $(VENV)/bin/python
 READY := $(VENV)/.ready
+BROWSER := $(VENV)/.browser
 OUT ?= out
 
 .PHONY: help demo train-demo train test test-system lint size docs format bench fuzz fuzz-files soak endings benchmark colcon clean
@@ -13,6 +14,9 @@ help:  ## list the targets
 
 $(READY): tools/setup setup.py $(wildcard requirements/*.txt)
 	tools/setup $(VENV)
+
+$(BROWSER): $(READY)
+	tools/setup $(VENV) browser
 
 demo: $(READY)  ## place cameras with real ROS nodes: make demo [ROOM=scan.ply] [CAMERAS=4] [HEIGHT=1.9] [SCALE=1.0] [UP=z] [DROP_NONFINITE=1] [MODEL=actor]
 	$(RUN) -m ocp_ros.demo.demo --out "$(OUT)" $(if $(ROOM),--room "$(ROOM)") $(if $(CAMERAS),--cameras $(CAMERAS)) $(if $(HEIGHT),--height $(HEIGHT)) $(if $(SCALE),--scale $(SCALE)) $(if $(UP),--up $(UP)) $(if $(DROP_NONFINITE),--drop-nonfinite) $(if $(MODEL),--model $(MODEL))
@@ -30,7 +34,7 @@ TEST := $(RUN) -m pytest -n auto --maxprocesses 4 --dist worksteal --reruns 1 --
 test: $(READY)  ## run the tests, on up to four cores; the whole-system drills are in make test-system
 	$(TEST) -m "not system"
 
-test-system: $(READY)  ## run the drills of whole systems: soak, training demo, Ray cluster, interrupted nodes
+test-system: $(BROWSER)  ## run the drills of whole systems: soak, training demo, Ray cluster, interrupted nodes
 	$(TEST) -m system
 
 lint: $(READY)  ## check style, by the rules of ament_flake8, ament_pep257 and ament_copyright, and types
