@@ -39,7 +39,7 @@ test-system: $(BROWSER)  ## run the drills of whole systems: soak, training demo
 
 lint: $(READY)  ## check style, by the rules of ament_flake8, ament_pep257 and ament_copyright, and types
 	$(VENV)/bin/ruff check .
-	$(VENV)/bin/flake8 ocp_ros benchmarks test launch setup.py
+	$(VENV)/bin/flake8 ocp_ros benchmarks examples test launch setup.py
 	$(VENV)/bin/mypy
 
 size:  ## how large the package is; an error where it is above the bar

@@ -15,8 +15,8 @@
 """
 Online optimal placement of depth cameras in indoor rooms.
 
-``plan`` and ``score`` are the functions behind ``ocp plan`` and ``ocp score``; see
-docs/tasks/python.md.
+These names are the public Python interface; ``examples/`` shows how to use them. All other modules
+may change without notice.
 """
 
 from importlib import import_module
@@ -26,11 +26,15 @@ __version__ = '0.1.0'
 #: Public names and the modules from which they are imported at first use: the engine takes seconds
 #: to import.
 _HOMES = {
-    'plan': 'api', 'score': 'api',
-    'PlanResult': 'api', 'ScoreResult': 'api',
-    'load_rig': 'rig.rig_file', 'rig_of': 'rig.rig_file',
+    'plan': 'api', 'score': 'api', 'PlanResult': 'api', 'ScoreResult': 'api',
+    'Scene': 'scenes.scene', 'generate_room': 'rooms.generator',
     'load_scene': 'scenes.scene_files', 'scene_of': 'scenes.scene_files',
-    'generate_room': 'rooms.generator', 'register_planner': 'search.registry',
+    'save_scene': 'scenes.scene_files',
+    'Rig': 'rig.rig_file', 'load_rig': 'rig.rig_file', 'rig_of': 'rig.rig_file',
+    'Simulator': 'simulation.simulator', 'SimulationConfig': 'simulation.simulation_config',
+    'CameraPlacementEnv': 'simulation.environment', 'environment_of': 'simulation.environment',
+    'Planner': 'search.planner', 'Online': 'online.online_planner',
+    'register_planner': 'search.registry',
     'UserError': 'util.settings'}
 __all__ = ['__version__', *_HOMES]  # noqa: PLE0604
 
