@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Print the tables of docs/reference/sensors.md: ``python -m benchmarks.docs.sensor_table``."""
+"""Print the table of docs/reference/sensors.md: ``python -m benchmarks.docs.sensor_table``."""
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
@@ -34,7 +34,7 @@ def pixel_size(model: CameraModel, distance: float) -> tuple[float, float]:
 
 
 def rows() -> list[str]:
-    """Return one line of Markdown per sensor, its numbers first and then its source."""
+    """Return one line of Markdown per sensor."""
     lines = []
     for name, sensor in SENSORS.items():
         model = sensor.model
@@ -44,7 +44,7 @@ def rows() -> list[str]:
         lines.append(f'| `{name}` | {sensor.title} | {model.min_range:g} to {model.max_range:g} | '
                      f'{angles} | {model.resolution[0]} x {model.resolution[1]} | '
                      f'{across} x {down} |')
-    return lines + [f'| `{name}` | {sensor.source} |' for name, sensor in SENSORS.items()]
+    return lines
 
 
 if __name__ == '__main__':
