@@ -34,15 +34,18 @@ FOLDER = ROOT / 'docs' / 'reference'
 
 
 def page(node: str, cls: type) -> str:
-    """Return the page of one node as Markdown, a row per parameter."""
-    rows = [f'| `{name}` | `{item.default!r}` | '
-            f'{"any time" if item.metadata["running"] else "start"} | '
-            f'{item.metadata["description"]} |' for name, item in leaves(cls).items()]
+    """Return the page of one node as Markdown, with a row for each parameter."""
+    sections = []
+    for heading, running in (('Read at the start', False), ('Read at any time', True)):
+        rows = [f'| `{name}: {item.default!r}` | {item.metadata["description"]} |'
+                for name, item in leaves(cls).items() if item.metadata['running'] == running]
+        if rows:
+            sections += [f'## {heading}', '', '| parameter and default | meaning |', '|---|---|',
+                         *rows, '']
     return '\n'.join([
         f'# Parameters of {node}', '',
-        '[Node parameters](parameters.md) explains the column *read*. `python -m '
-        f'benchmarks.docs.parameter_table` writes this page.{MORE.get(node, "")}', '',
-        '| parameter | default | read | meaning |', '|---|---|---|---|', *rows, ''])
+        '[Node parameters](parameters.md) explains the sections. `python -m '
+        f'benchmarks.docs.parameter_table` writes this page.{MORE.get(node, "")}', '', *sections])
 
 
 if __name__ == '__main__':
