@@ -35,5 +35,5 @@ print('regions:', plan.found['scores']['regions'])
 print('violated constraints:', plan.broken or 'none')
 
 # Without a fixed number of cameras: how many reduce the depth error by half?
-counted = ocp_ros.plan(room, RIG, cameras='auto', target=0.5, most=4, evaluations=40)
+counted = ocp_ros.plan(room, RIG, cameras='auto', target=0.5, most=3, evaluations=20)
 print(f'{len(counted.poses)} cameras, target reached: {counted.reached}')

@@ -35,5 +35,6 @@ scanned = ocp_ros.scene_of(points, scale=0.001, up='y')
 # A file: .ply, .pcd, .e57, .las, .xyz, .obj, .glb and others.
 ocp_ros.save_scene(measured, 'room.ply')
 for room in (measured, scanned, ocp_ros.load_scene('room.ply')):
-    plan = ocp_ros.plan(room, cameras=2, sensor='d455', evaluations=30)
-    print(f'{room.size.round(2)} m: {plan.seen:.0%} of the points seen')
+    print(f'{room.name}: {len(room)} points, {room.size.round(2)} m')
+plan = ocp_ros.plan(measured, cameras=2, sensor='d455', evaluations=30)
+print(f'{plan.seen:.0%} of the points seen')

@@ -27,7 +27,7 @@ EXAMPLES = {path.stem: path for path in sorted((ROOT / 'examples').glob('*.py'))
 PRINTED = {
     '01_plan': 'optimality gap', '02_score': 'found an array of shape (3,)',
     '03_own_rig': 'target reached: True', '04_own_planner': 'random_moves: objective value',
-    '05_own_room': '[6.  4.5 2.7] m', '06_environment': 'end: depth error',
+    '05_own_room': 'points, [6.  4.5 2.7] m', '06_environment': 'end: depth error',
     '07_live_from_bag': '/cam1/points: 8 messages', '08_calibrate': 'mm from its true position'}
 #: Examples that take longer, because they start programs.
 SLOW = {'07_live_from_bag', '08_calibrate'}

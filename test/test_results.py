@@ -59,7 +59,7 @@ SENTENCES = [
     (README, 'Their depth error is {} times that of the same cameras moved without a scan '
      '(`lookahead`, below), and {} times that of a search',
      'measure/plans/rigs/d455_walls/{key}', 'plan_over_lookahead plan_over_truth'),
-    (README, 'In a share of {} of the rooms the error is in the interval',
+    (README, 'In a share of {} of the rooms the error is in the expected interval',
      'measure/plans/rigs/d455_walls/{key}', 'promise_coverage'),
     (README, 'have {} times the error of cameras that explore by random moves, the search being '
      'equal, after 30 turns of up to 0.5 m, and {} times after 5 turns',
