@@ -32,7 +32,7 @@ ARGUMENTS = (
     ('manual', 'manual', bool, 'true: a person moves the cameras'),
     ('turns', 'turns', int, 'turns until the placement is final'),
     ('max_step', 'max_step', float, 'farthest a camera moves in one turn, metres'),
-    ('max_range', 'max_range', float, 'effective range of the cameras, metres'),
+    ('max_range', 'max_range', float, 'effective range of the cameras without a rig file, metres'),
     ('use_sim_time', 'use_sim_time', bool, 'true: time comes from /clock, such as that of a bag'),
 )
 

@@ -414,6 +414,14 @@ def test_another_rig_is_refused_and_a_camera_that_may_go_nowhere_is_a_warning(
     assert level == DiagnosticStatus.WARN and 'omnidirectional_1 stays at' in message
 
 
+def test_a_planner_has_the_range_of_the_rig_file_also_after_a_change(graph, tmp_path, change):
+    policy = graph.add(PolicyNode, planner='lookahead', rig_file=rig_file(
+        tmp_path, 'cameras: [{sensor: omnidirectional, max_range: 6.0, count: 3}]'))
+    assert policy.planner.max_range == 6.0
+    assert change(policy, max_step=0.3) == ''
+    assert (policy.planner.max_step, policy.planner.max_range) == (0.3, 6.0)
+
+
 def test_quality_of_service_follows_parameters_also_when_configured_again(graph):
     name = 'qos_overrides./camera_commands.publisher.depth'
     policy = graph.add(PolicyNode, planner='lookahead', **{name: 3})
