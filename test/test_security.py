@@ -27,9 +27,9 @@ from conftest import box_room, made_room, run_python
 import numpy as np
 from ocp_ros.report.rig_planning import PlannedRig, PlanTask
 from ocp_ros.rig.rig_file import load_rig, rig_of
+from ocp_ros.rooms import scene_source
+from ocp_ros.rooms.scene_source import load_cached
 from ocp_ros.ros.bags.bag_files import Bag
-from ocp_ros.scenes import scene_cache
-from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene, save_scene
 from ocp_ros.search import rig_search
 from ocp_ros.search.budget import Budget
@@ -229,7 +229,7 @@ def test_files_are_as_open_as_the_user_says_and_copies_of_scans_are_private(
             os.umask(before)
         assert mode(tmp_path / 'a') == expected
     monkeypatch.setenv('OCP_ROS_CACHE', str(tmp_path / 'cache'))
-    monkeypatch.setattr(scene_cache, 'MIN_CACHED_BYTES', 0)
+    monkeypatch.setattr(scene_source, 'MIN_CACHED_BYTES', 0)
     save_scene(made_room(8, 1500), tmp_path / 'room.ply')
     load_cached(tmp_path / 'room.ply')
     kept, = (tmp_path / 'cache' / 'scans').iterdir()

@@ -24,12 +24,17 @@ from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.cameras import camera_of, Frustum, in_cone, OMNIDIRECTIONAL, Pose
-from ocp_ros.geometry.vector_rows import LANES, put_nearer
-from ocp_ros.util.kernels import njit
+from ocp_ros.util.kernels import import_elsewhere, njit
 
 f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64
 PI, HALF_PI, QUARTER_PI = np.pi, 0.5 * np.pi, 0.25 * np.pi
 TAN_EIGHTH = np.sqrt(2.0) - 1.0
+ir, types = import_elsewhere('llvmlite.ir'), import_elsewhere('numba').types
+cgutils = import_elsewhere('numba.core.cgutils')
+#: The number of cells that are written at once.
+LANES = 8
+#: LLVM's fast-math flags: no value here becomes NaN.
+FASTMATH = ('nnan', 'nsz', 'contract', 'reassoc')
 
 
 class CubeSettings(NamedTuple):
@@ -290,3 +295,55 @@ def mark_visible(projection, compensation, inverse_map, words):
         distance = projection.distance[i]
         visible = (distance <= f32(1.0) / cells[cell_of[i]] + compensation) & (distance < np.inf)
         words[i >> u64(6)] |= u64(visible) << (i & u64(63))
+
+
+@import_elsewhere('numba.extending').intrinsic
+def put_nearer(typing, cells, first, value, step, low, high, last):
+    """
+    Generate code that writes a plane into up to ``LANES`` cells of a row, where it is nearer.
+
+    Compilers do not vectorise such short loops. The memory of ``LANES`` cells is read and
+    written; cells after the last one do not change.
+
+    :param cells: (N,) float32, inverse distances, 1/m, in and out.
+    :param first: uint64, the index of the first cell.
+    :param value: float32, the inverse distance of the plane in the first cell, 1/m.
+    :param step: float32, the increase of the inverse distance per cell, 1/m.
+    :param low: float32, the lower limit of the written values, 1/m.
+    :param high: float32, the upper limit of the written values, 1/m.
+    :param last: float32, the number of cells after the first one.
+    :returns: the signature and the code generator, for Numba. This function gets the types of the
+        arguments, and ``generate`` their LLVM values.
+    """
+    def generate(context, builder, signature, arguments):
+        cells, first, *scalars = arguments
+        integer, vector = ir.IntType(32), ir.VectorType(ir.FloatType(), LANES)
+        undefined = ir.Constant(vector, ir.Undefined)
+
+        def repeat_in_lanes(scalar):
+            first_lane = builder.insert_element(undefined, scalar, ir.Constant(integer, 0))
+            return builder.shuffle_vector(
+                first_lane, undefined, ir.Constant(ir.VectorType(integer, LANES), [0] * LANES))
+
+        def call_intrinsic(name, left, right):
+            function = cgutils.get_or_insert_function(
+                builder.module, ir.FunctionType(vector, [vector, vector]),
+                f'llvm.{name}.v{LANES}f32')
+            return builder.call(function, [left, right], fastmath=FASTMATH)
+
+        value, step, low, high, last = map(repeat_in_lanes, scalars)
+        ramp = ir.Constant(vector, [float(lane) for lane in range(LANES)])
+        value = builder.fadd(value, builder.fmul(ramp, step, flags=FASTMATH), flags=FASTMATH)
+        value = call_intrinsic('maxnum', call_intrinsic('minnum', value, high), low)
+        # Lanes after the last cell get 0, which is infinitely far away, so that the maximum below
+        # does not change their cells; storing only some lanes would be slow.
+        value = builder.select(builder.fcmp_ordered('<=', ramp, last), value,
+                               ir.Constant(vector, [0.0] * LANES))
+        # The alignment is that of one cell, 4 bytes: a row may begin anywhere.
+        array = cgutils.create_struct_proxy(signature.args[0])(context, builder, cells)
+        pointer = builder.bitcast(builder.gep(array.data, [first]), vector.as_pointer())
+        nearer = call_intrinsic('maxnum', builder.load(pointer, align=4), value)
+        builder.store(nearer, pointer, align=4)
+        return context.get_dummy_value()
+
+    return types.void(cells, first, *[types.float32] * 5), generate

@@ -35,7 +35,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import camera_of, in_cone, OMNIDIRECTIONAL
 from ocp_ros.geometry.packed_bits import find_blocks_in_view, POINTS_PER_BLOCK, WORDS_PER_BLOCK
-from ocp_ros.geometry.vector_rows import LANES, put_nearer
+from ocp_ros.geometry.shadow_maps import LANES, put_nearer
 from ocp_ros.util.kernels import njit
 
 f32, i32, u32, u64 = np.float32, np.int32, np.uint32, np.uint64

@@ -31,6 +31,7 @@ independent errors as large as those observed.
 from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.util.annealing import between
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -195,8 +196,8 @@ def aligned_poses(surfaces: Surfaces, patches: Patches, poses: Poses, stage: Ali
     for number in range(stage.max_steps):
         # The limits change geometrically and reach their last values after 70 % of the steps.
         progress = min(number / max(0.7 * stage.max_steps, 1.0), 1.0)
-        max_distance, kernel_width = (first * (last / first) ** progress for first, last in (
-            stage.max_distances, stage.kernel_widths))
+        max_distance = between(*stage.max_distances, progress)
+        kernel_width = between(*stage.kernel_widths, progress)
         matches = matches_of(surfaces, patches, poses, max_distance)
         weights = weights_of(matches, patches.deviation, kernel_width)
         steps = best_steps(matches, weights)

@@ -31,8 +31,8 @@ from pathlib import Path
 import re
 
 import numpy as np
+from ocp_ros.rooms.scene_source import load_cached
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.scenes.scene_cache import load_cached
 
 TRAINING = (
     1000, 1002, 1004, 1008, 1012, 1014, 1016, 1017, 1022, 1023, 1025, 1026, 1028, 1029, 1032,

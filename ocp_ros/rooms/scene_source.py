@@ -12,24 +12,32 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Make scenes from a file or the generator."""
+"""Make scenes from a file, with a cache in the cache folder of the user, or by the generator."""
 
 from dataclasses import dataclass
 import hashlib
+import io
+from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
+import numpy as np
+from ocp_ros import __version__
 from ocp_ros.rooms.generator import generate_room
-from ocp_ros.scenes.scene import Scene, SceneError, turned
-from ocp_ros.scenes.scene_cache import load_cached
+from ocp_ros.scenes.scene import Mesh, Scene, SceneError, turned
 from ocp_ros.scenes.scene_files import load_scene
-from ocp_ros.scenes.source_frame import BY_FILE, UP_CHOICES
-from ocp_ros.util.files import sha256_of_file
+from ocp_ros.scenes.source_frame import BY_FILE, SourceFrame, UP_CHOICES
+from ocp_ros.util.files import cache_folder, sha256_of_file, write_atomically
 from ocp_ros.util.settings import MAX_ROOM_POINTS, MAX_SEED, MIN_ROOM_POINTS, setting
 
 #: The names of the options of reading a scan, in commands, parameters and placement files.
 READING = ('scale', 'up', 'drop_nonfinite', 'all_rooms')
 #: The default number of points of a room in which placements are evaluated.
 ROOM_POINTS = 60_000
+#: The least size in bytes of a file whose scene is cached: smaller files are read as fast.
+MIN_CACHED_BYTES = 4_000_000
+#: The version of the cache format; raise it when reading a file gives another result.
+CACHE_VERSION = 3
 
 
 @dataclass(frozen=True)
@@ -119,3 +127,60 @@ def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
 def sha256_of(scene: Scene) -> str:
     """Return the SHA-256 of a room's points, as 64 hexadecimal digits."""
     return hashlib.sha256(scene.points.tobytes()).hexdigest()
+
+
+def load_cached(path: str | Path, **options) -> Scene:
+    """
+    Read a room from a file, or from the cache if the file was read before.
+
+    The result is that of :func:`~ocp_ros.scenes.scene_files.load_scene`. The file is read again if
+    the file, the options or the version of the package have changed. Warnings are shown only when
+    the file is read; the notes of the scene contain them.
+
+    :param options: the options of ``load_scene``.
+    :raises SceneError: if the file or an option cannot be used.
+    """
+    path = Path(path)
+    try:
+        file_state = path.stat()
+    except OSError:
+        return load_scene(path, **options)
+    if file_state.st_size < MIN_CACHED_BYTES or (folder := cache_folder()) is None:
+        return load_scene(path, **options)
+    identity = [__version__, CACHE_VERSION, path.absolute(), file_state.st_size,
+                file_state.st_mtime_ns, sorted(options.items())]
+    digest = hashlib.sha256(str(identity).encode()).hexdigest()
+    cached_file = folder / 'scans' / f'{digest[:24]}.npz'
+    try:
+        with cached_file.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
+            source = SourceFrame(float(arrays['scale']), arrays['rotation'], arrays['shift'])
+            mesh = None if 'vertices' not in arrays else Mesh(
+                arrays['vertices'], arrays['triangles'], bool(arrays['exact']))
+            return Scene(arrays['points'], str(arrays['name']), arrays.get('normals'), mesh,
+                         source, notes=tuple(map(str, arrays['notes'])),
+                         remarks=tuple(map(str, arrays['remarks'])))
+    except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
+        # The cached file is missing or incomplete.
+        scene = load_scene(path, **options)
+    _write_to_cache(cached_file, scene)
+    return scene
+
+
+def _write_to_cache(path: Path, scene: Scene) -> None:
+    """Write a scene to the cache atomically; ignore errors such as a full disk."""
+    # The fields of ``source`` are scale, rotation and shift.
+    arrays = {'points': scene.points, 'name': np.array(scene.name),
+              'notes': np.array(scene.notes, dtype=str),
+              'remarks': np.array(scene.remarks, dtype=str), **vars(scene.source)}
+    if scene.normals is not None:
+        arrays['normals'] = scene.normals
+    if scene.mesh is not None:
+        arrays |= {'vertices': scene.mesh.vertices, 'triangles': scene.mesh.triangles,
+                   'exact': np.array(scene.mesh.exact)}
+    try:
+        content = io.BytesIO()
+        np.savez(content, **arrays)
+        path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        write_atomically(path, content.getvalue(), private=True)
+    except OSError:
+        pass

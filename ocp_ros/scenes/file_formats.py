@@ -18,11 +18,16 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.scenes.laser_files import las_unit, read_e57_points, read_las_points
+from ocp_ros.scenes.cloud_files import (
+    has_faces,
+    las_unit,
+    read_e57_points,
+    read_las_points,
+    read_pcd_fields,
+    read_ply_fields,
+)
 from ocp_ros.scenes.measured_room import read_measured_room, solids_in
 from ocp_ros.scenes.meshes import MESHES, read_mesh
-from ocp_ros.scenes.pcd_files import read_pcd_fields
-from ocp_ros.scenes.ply_files import has_faces, read_ply_fields
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.text_tables import read_points, read_ptx_points
 from ocp_ros.util.terminal_text import printable

@@ -25,11 +25,10 @@ import numpy as np
 from ocp_ros.cli.benchmark_command import protocol_of
 from ocp_ros.cli.main import build_parser
 from ocp_ros.compare.protocol import PRESETS, rooms_in, rooms_of_s3dis
+from ocp_ros.rooms import scene_source
 from ocp_ros.rooms.room_sets import chosen_rooms, FRESH, rooms_of_area, TEST, TRAINING, VALIDATION
-from ocp_ros.rooms.scene_source import make_room
-from ocp_ros.scenes import scene_cache
+from ocp_ros.rooms.scene_source import load_cached, make_room
 from ocp_ros.scenes.scene import Scene, SceneError
-from ocp_ros.scenes.scene_cache import load_cached
 from ocp_ros.scenes.scene_files import load_scene, save_scene
 from ocp_ros.training import training_rooms
 from ocp_ros.training.train import trials_of
@@ -198,7 +197,7 @@ def s3dis(tmp_path_factory):
 @pytest.fixture
 def empty_cache(tmp_path, monkeypatch):
     monkeypatch.setenv('OCP_ROS_CACHE', str(tmp_path / 'cache'))
-    monkeypatch.setattr(scene_cache, 'MIN_CACHED_BYTES', 0)
+    monkeypatch.setattr(scene_source, 'MIN_CACHED_BYTES', 0)
 
 
 def stems(paths):
@@ -237,11 +236,11 @@ def test_the_folder_is_named_by_the_environment(s3dis, empty_cache, monkeypatch)
 def test_what_was_read_once_is_not_read_again(s3dis, empty_cache, monkeypatch):
     path = s3dis / 'Area_6' / 'office_2' / 'office_2.txt'
     first = load_cached(path, max_points=1000)
-    monkeypatch.setattr(scene_cache, 'load_scene', None)
+    monkeypatch.setattr(scene_source, 'load_scene', None)
     again = load_cached(path, max_points=1000)
     np.testing.assert_array_equal(first.points, again.points)
     assert again.name == 'Area_6_office_2' and again.normals is None
-    monkeypatch.setattr(scene_cache, 'load_scene', load_scene)
+    monkeypatch.setattr(scene_source, 'load_scene', load_scene)
     # Other options, another file, or a cache that broke off are read anew.
     assert len(load_cached(path, max_points=500)) < len(first)
     for kept in (cache_folder() / 'scans').iterdir():
