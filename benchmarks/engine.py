@@ -271,7 +271,7 @@ def speed(points: int = 25000) -> dict[str, float]:
 
     def one_moved(number: int) -> float:
         moved = [simulator.look(placements[number % 300, 0]), *views[1:]]
-        return simulator.judge(moved).depth_error
+        return simulator.evaluate_views(moved).depth_error
 
     with ThreadPoolExecutor(2) as pool:
         both = median_seconds(lambda: list(pool.map(steps, range(2))))

@@ -47,11 +47,11 @@ def difficulty(scene: Scene) -> float:
     simulator, rng = Simulator(scene, config), np.random.default_rng(0)
     space = space_of(simulator)
 
-    def judge(positions: np.ndarray) -> tuple[float, float]:
+    def evaluate(positions: np.ndarray) -> tuple[float, float]:
         found = simulator.evaluate(space.placement(positions))
         return found.depth_error, found.space_coverage
 
-    score = Scorer(judge, Budget(evaluations=64 + SEARCHED))
+    score = Scorer(evaluate, Budget(evaluations=64 + SEARCHED))
     drawn = score([space.random(rng) for _ in range(64)])
     best = solve(PLANNERS['differential_evolution'].make(space, rng, SEARCHED), score, SEARCHED)
     return best.error / float(drawn.error.mean())

@@ -22,7 +22,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from ocp_ros.report.assessment import Assessment, judge
+from ocp_ros.report.assessment import assess, Assessment
 from ocp_ros.report.rig_planning import CAMERAS, Counting, MOUNT, PlannedRig, PlanTask
 from ocp_ros.report.terminal import as_text, show_score
 from ocp_ros.rig.placement_file import (
@@ -172,7 +172,7 @@ def plan(room: RoomLike, rig: RigLike | None = None, *, cameras: int | str | Non
     scene, record = _read_room(room, points, reading)
     # The constructor runs the search.
     planned = PlannedRig(scene, full_rig, task, *task.budgets(), progress)
-    assessment = planned.judged(planned.placement(record, 'ocp_ros.plan'))
+    assessment = planned.assessment_of(planned.placement(record, 'ocp_ros.plan'))
     search = assessment.found['search']
     # None if the number of cameras was given.
     counted = assessment.found.get('count')
@@ -210,7 +210,7 @@ def score(room: RoomLike, placement: str | PathLike[str] | Mapping[str, Any] | P
     max_points = points if points is not None else record.get('points', ROOM_POINTS)
     scene, new_record = _read_room(room, max_points, {**stored_reading, **reading})
     return ScoreResult(**_result_fields(
-        judge(scene, full_placement, new_record, 'ocp_ros.score')))
+        assess(scene, full_placement, new_record, 'ocp_ros.score')))
 
 
 def _result_fields(assessment: Assessment) -> dict[str, Any]:

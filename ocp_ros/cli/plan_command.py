@@ -110,7 +110,7 @@ def run(arguments: argparse.Namespace) -> Found:
         planned = PlannedRig(scene, rig, task, budget, proof_seconds, progress)
     placement = planned.placement(room, command_of(arguments.argv))
     with _keep_placement(folder, placement) as unfinished:
-        assessed = planned.judged(placement, arguments.frame)
+        assessed = planned.assessment_of(placement, arguments.frame)
         # After Ctrl-C no report is drawn.
         outputs = write_files(unfinished, assessed, arguments.frame_prefix, brief=budget.stopped)
         return {**assessed.found, **outputs}

@@ -46,14 +46,14 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Evaluate a placement, write its files if ``--out`` is given, and return the findings."""
-    from ocp_ros.report.assessment import judge
+    from ocp_ros.report.assessment import assess
     from ocp_ros.report.exports import MARK, write_files, WRITTEN
     from ocp_ros.util.files import file_set, folder_to_write
     if arguments.out:
         claim_folder(arguments, arguments.out, WRITTEN, MARK)
     scene, placement, room = room_and_placement(arguments)
     folder = arguments.out and folder_to_write(arguments.out)
-    assessed = judge(scene, placement, room, command_of(arguments.argv), arguments.frame)
+    assessed = assess(scene, placement, room, command_of(arguments.argv), arguments.frame)
     if folder is None:
         return assessed.found
     with file_set(folder, WRITTEN, MARK) as unfinished:

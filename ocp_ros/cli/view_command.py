@@ -49,7 +49,7 @@ def add_arguments(commands: Commands) -> None:
 
 def run(arguments: argparse.Namespace) -> Found:
     """Write the page, and open it with ``--open``."""
-    from ocp_ros.report.assessment import judge
+    from ocp_ros.report.assessment import assess
     from ocp_ros.report.viewer import write_view
     claim_file(arguments, arguments.out, 'a page')
     if arguments.rig and not arguments.placement:
@@ -60,7 +60,7 @@ def run(arguments: argparse.Namespace) -> Found:
         write_view(arguments.out, scene)
     else:
         scene, placement, room = room_and_placement(arguments)
-        write_view(arguments.out, scene, judge(scene, placement, room,
+        write_view(arguments.out, scene, assess(scene, placement, room,
                                                command_of(arguments.argv)))
     if arguments.open and not webbrowser.open(arguments.out.resolve().as_uri()):
         print(f'no browser was found; open {printable(str(arguments.out))} in one',

@@ -53,7 +53,7 @@ def error_and_coverage(problem: Problem, placement: np.ndarray) -> tuple[float, 
 
     :param placement: (K, 3) or (K, 6), metres, map frame, and radians.
     """
-    evaluation = problem.judge(problem.look(placement))
+    evaluation = problem.evaluate_views(problem.look(placement))
     return problem.error(evaluation), evaluation.space_coverage
 
 

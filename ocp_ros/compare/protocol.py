@@ -107,7 +107,7 @@ class Protocol:
     :ivar rooms: seeds of generated rooms and paths of scans, as text.
     :ivar rotations: degrees about the vertical axis.
     :ivar planners: names of planners, offline and online.
-    :ivar budgets: evaluations of offline planners; online planners have the episode's time steps.
+    :ivar budgets: evaluations of offline planners; online planners have the episode's turns.
     :ivar seeds: number of runs of each planner and budget.
     :ivar scale: metres per unit of the scans; 0 for the unit in each file.
     :ivar up: the direction of the scans that points up, ``'auto'`` or ``'file'``.
@@ -164,7 +164,7 @@ class Protocol:
             return [(1, seed) for seed in range(RANDOM_PLACEMENTS)]
         if planner == RAY_SEARCH:
             return [(self.truth_budget, 0)]
-        # Online planners have time steps instead of evaluations.
+        # Online planners have turns instead of evaluations.
         budgets = (0,) if planner in planner_names(OBSERVED) else self.budgets
         return list(product(budgets, range(self.seeds)))
 
@@ -231,7 +231,7 @@ def _run_planner(protocol: Protocol, problem: Problem, name: str) -> Iterator[Ro
     planner = RIG_SEARCH if name == RAY_SEARCH else name
     for budget, seed in protocol.runs(name):
         start_time = time.process_time()
-        # A time step of an online planner is an evaluation; its budget in the protocol is 0.
+        # A turn of an online planner is an evaluation; its budget in the protocol is 0.
         evaluations = budget or problem.simulator.config.episode.turns
         result = plan(problem, Budget(evaluations=evaluations), planner, seed=seed,
                       model=protocol.model, clock=time.process_time)
@@ -255,7 +255,7 @@ def _draw_placements(problem: Problem) -> Iterator[Row]:
     # If not all cameras fit, every draw would be empty.
     pool.check_fit(problem.objective)
     # No placement of these poses has a smaller error than cameras at all of them.
-    lower_bound = problem.error(problem.judge(pool.union_views(problem.rig)))
+    lower_bound = problem.error(problem.evaluate_views(pool.union_views(problem.rig)))
     while True:
         placement = np.array([site.pose for site in pool.random_sites(problem.rig, rng)])
         # An empty placement, for which the spacing left too few candidates, is drawn again.

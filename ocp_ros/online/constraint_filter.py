@@ -16,7 +16,7 @@
 Move targets to feasible positions: check the constraints of a rig file on the observed cloud.
 
 Each camera goes to the feasible position that is nearest to its target and within reach in one
-time step. A camera without such a position stays where it is.
+turn. A camera without such a position stays where it is.
 """
 
 from dataclasses import replace
@@ -57,9 +57,9 @@ class FilteredTargets(NamedTuple):
 
 class StepConstraints:
     """
-    Correct the moves of a time step so that they satisfy the constraints on the observed cloud.
+    Correct the moves of a turn so that they satisfy the constraints on the observed cloud.
 
-    :param limits: limits of the rig in one time step.
+    :param limits: limits of the rig in one turn.
     :param rig: the rig with its constraints; None for cameras that move freely on a plane.
     :ivar filter: applies the constraints of the rig file; None without rig file.
     """
@@ -69,7 +69,7 @@ class StepConstraints:
         self.filter = None if rig is None else ConstraintFilter(rig, limits.wall_margin)
 
     def set_limits(self, limits: EpisodeLimits) -> None:
-        """Replace the limits of a time step."""
+        """Replace the limits of a turn."""
         self._limits = limits
         if self.filter is not None:
             self.filter.wall_margin = limits.wall_margin
@@ -193,7 +193,7 @@ class ConstraintFilter:
         If this fails, the next call computes the region.
 
         :param cloud: (N, 3) float32, metres: the observed cloud.
-        :param positions: (K, 3) metres, of the K movable cameras at the next time step.
+        :param positions: (K, 3) metres, of the K movable cameras at the next turn.
         """
         self._update_region(cloud, positions)
         self._is_prepared = self._region is not None
@@ -207,7 +207,7 @@ class ConstraintFilter:
         :param cloud: (N, 3) float32, metres: the observed cloud.
         :param positions: (K, 3) metres, current positions of the K movable cameras.
         :param targets: (K, 3) metres, desired positions of these cameras.
-        :param max_step: farthest a camera moves in one time step, metres.
+        :param max_step: farthest a camera moves in one turn, metres.
         :param fixed: (F, 3) metres, positions of the F fixed cameras; None for those in the rig
             file.
         :param state: current state of the cameras. With it, a camera without observed floor

@@ -15,7 +15,7 @@
 """
 Choose the headings of cameras with a frustum: yaw and pitch, scored on the observed cloud.
 
-Each camera has a goal heading and rotates towards it in each time step. The search takes one
+Each camera has a goal heading and rotates towards it in each turn. The search takes one
 camera after the other at its target position. It minimises the depth error of the observed cloud
 from all cameras together, less a bonus for unseen air. The bonus decreases to 0 during the
 episode, as in the choice of positions. So cameras that face a wall rotate away from it first.
@@ -57,7 +57,7 @@ class Goal(NamedTuple):
 
 class HeadingPlanner:
     """
-    Choose the headings of cameras at each time step of an episode.
+    Choose the headings of cameras at each turn of an episode.
 
     :param models: camera models of the K movable cameras, then of the F fixed ones.
     :param movable: K, the number of movable cameras.
@@ -91,7 +91,7 @@ class HeadingPlanner:
                                      air_radius=AIR_RADIUS_M)
         #: (K + F, 3) yaw, pitch, roll in radians: the goal headings of all cameras.
         self._goal_headings: np.ndarray | None = None
-        #: The time step for which goals were computed in advance.
+        #: The turn for which goals were computed in advance.
         self._computed_turn: int | None = None
 
     def __call__(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray,
@@ -102,9 +102,9 @@ class HeadingPlanner:
         :param cloud: (N, 3) float32, metres, map frame: the observed cloud.
         :param rig_state: current state of the cameras.
         :param targets: (K + F, 3) metres: target positions.
-        :param max_turn: largest rotation of a camera in a time step, radians.
-        :param turn: time steps taken so far.
-        :param turns: time steps of the whole episode.
+        :param max_turn: largest rotation of a camera in a turn, radians.
+        :param turn: turns taken so far.
+        :param turns: turns of the whole episode.
         :returns: (K + F, 3) yaw, pitch, roll in radians. A pitch that started outside the limits
             may still be outside them.
         """
@@ -117,9 +117,9 @@ class HeadingPlanner:
     def think(self, cloud: np.ndarray, rig_state: RigState, targets: np.ndarray, max_turn: float,
               turn: int, turns: int, interrupted: Callable[[], bool] = never_interrupted) -> None:
         """
-        Compute and store the goal headings of a time step, also in advance.
+        Compute and store the goal headings of a turn, also in advance.
 
-        :param rig_state: the cameras at that time step; see :meth:`__call__` for all else.
+        :param rig_state: the cameras at that turn; see :meth:`__call__` for all else.
         :param interrupted: called for each camera; returns whether to stop and use the best goals
             found so far.
         """
@@ -153,7 +153,7 @@ class HeadingPlanner:
         search.set_bonus(exploration_bonus(turn / turns), self.aimed, self._directions)
         candidates = {camera: self._candidates(search.goals[camera].heading, headings[camera],
                                                max_angle) for camera in self.aimed}
-        # Two passes over all cameras; in each time step another camera is the first one.
+        # Two passes over all cameras; in each turn another camera is the first one.
         for _ in range(2):
             for camera in np.roll(self.aimed, turn):
                 if interrupted():

@@ -20,15 +20,15 @@ unseen cells of the air that a plan covers. The bonus decreases to 0 at about ha
 from then on the objective is the depth error alone.
 
 The planner chooses among candidates on a grid, by simulated annealing on unions of packed bits.
-The views of the candidates are computed once for several time steps. One-camera exchanges without
-annealing end in worse plans. In the last time steps the better one of the plan and of the best
+The views of the candidates are computed once for several turns. One-camera exchanges without
+annealing end in worse plans. In the last turns the better one of the plan and of the best
 places of the episode is annealed once more among all candidates and then in small steps, on a
 finer model and among positions that the cameras can still reach: a plan that is good on a coarsely
 thinned cloud is often worse in the room.
 
-In an episode of many time steps the next plan is computed while the cameras move; see
+In an episode of many turns the next plan is computed while the cameras move; see
 :class:`~ocp_ros.online.online_planner.PipelinedPlanner`. There the annealing on the finer model is
-done in parts, one in each time step.
+done in parts, one in each turn.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -59,17 +59,17 @@ class LookaheadTuning:
     :ivar max_positions: largest number of candidate positions.
     :ivar candidate_model: largest number of points, and number of depth-map rows, of the model on
         which candidates are compared.
-    :ivar candidate_turns: time steps for which a pipelined episode reuses candidates; their views
-        are computed in the first of these time steps.
+    :ivar candidate_turns: turns for which a pipelined episode reuses candidates; their views
+        are computed in the first of these turns.
     :ivar refining_share: share of the episode after which plans are refined; earlier the observed
         cloud is too small.
     :ivar refining_model: the same sizes, of the finer model for the refinement.
-    :ivar refining_turns: smallest number of time steps for which that model is reused.
-    :ivar survey_turns: time steps before the refinement at which a pipelined episode creates that
+    :ivar refining_turns: smallest number of turns for which that model is reused.
+    :ivar survey_turns: turns before the refinement at which a pipelined episode creates that
         model and anneals the plan on it among all candidates (the survey).
-    :ivar proposals: proposals of a time step of refinement.
+    :ivar proposals: proposals of a turn of refinement.
     :ivar pipelined_proposals: the same, in a pipelined episode.
-    :ivar model_turn_proposals: the same, in a time step that also creates a model.
+    :ivar model_turn_proposals: the same, in a turn that also creates a model.
     :ivar parallel_proposals: proposals whose views are computed in parallel, as a group.
     :ivar groups_per_camera: consecutive groups for one camera; the views of the others are merged
         once for these.
@@ -122,11 +122,11 @@ class Lookahead(PipelinedPlanner):
         #: The remaining parts of the survey, see :meth:`_survey`.
         self._remaining_survey: Iterator[object] = iter(())
         self._is_surveyed = False
-        #: Time step in which the last refining model or the last candidates were created.
+        #: Turn in which the last refining model or the last candidates were created.
         self._model_turn = 0
 
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
-        """Compute the plan for a time step; see :meth:`PipelinedPlanner._think`."""
+        """Compute the plan for a turn; see :meth:`PipelinedPlanner._think`."""
         pipelined = self._ahead(turns)
         if self._finishes(turn, turns):
             # The refinement begins as soon as the last part of the survey is done.
@@ -136,7 +136,7 @@ class Lookahead(PipelinedPlanner):
         if (self._candidates is None or not pipelined
                 or turn - self._model_turn >= TUNING.candidate_turns):
             self._create_candidates(cloud, positions, turn, turns)
-        # In a pipelined episode, the greedy choice suffices for the first time step.
+        # In a pipelined episode, the greedy choice suffices for the first turn.
         if not (pipelined and self._waits_for_plan(turns, len(positions))):
             (self._choice,) = self._candidates.anneal(self._choice, self.rng)
         self._set_plan(positions)
@@ -148,7 +148,7 @@ class Lookahead(PipelinedPlanner):
 
     def _finishes(self, turn: int, turns: int) -> bool:
         """Return whether the exploration is over in a turn."""
-        # In a pipelined episode, the survey begins some time steps earlier: True counts as 1.
+        # In a pipelined episode, the survey begins some turns earlier: True counts as 1.
         return (turn >= TUNING.refining_share * turns
                 - TUNING.survey_turns * self._ahead(turns))
 
@@ -229,7 +229,7 @@ class Lookahead(PipelinedPlanner):
 
     def _do_survey(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> bool:
         """
-        Do a part of the survey, or all of it if the time step waits for its plan.
+        Do a part of the survey, or all of it if the turn waits for its plan.
 
         :returns: whether the survey is complete.
         """
@@ -334,10 +334,10 @@ class Refinement:
         plan = tuple(self._planned_camera(
             camera, position, None if headings is None else headings[camera])
             for camera, position in enumerate(positions))
-        # The start plan is judged before the first proposals. Its error is the same whichever
+        # The start plan is rated before the first proposals. Its error is the same whichever
         # camera is the moving one.
         self._move_next(plan, 0)
-        best = annealed(plan, self._judge, self._propose, self._temperatures(shares), self.rng)
+        best = annealed(plan, self._error_of, self._propose, self._temperatures(shares), self.rng)
         return (np.array([camera.position[:2] for camera in best]),
                 None if headings is None else np.array([camera.heading for camera in best]))
 
@@ -355,7 +355,7 @@ class Refinement:
         self._error_with = self.model.depth_error.given(
             self.model.together(others + self._fixed_views).seen)
 
-    def _judge(self, plan: Plan, max_error: float) -> float:
+    def _error_of(self, plan: Plan, max_error: float) -> float:
         """Return the depth error of a plan, metres; above the limit, any value above it."""
         error = self._error_with(plan[self._camera].view.seen, max_error)
         self._best_error = min(self._best_error, error)

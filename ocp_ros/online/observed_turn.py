@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""The partial map at a time step, on which moves of one camera after the other are tried."""
+"""The partial map at a turn, on which moves of one camera after the other are tried."""
 
 from functools import cached_property
 
@@ -97,7 +97,7 @@ class ObservedTurn:
 
 class ObservedTurns:
     """
-    Create an :class:`ObservedTurn` at each time step of an episode.
+    Create an :class:`ObservedTurn` at each turn of an episode.
 
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
@@ -127,8 +127,8 @@ class ObservedTurns:
 
         :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
         :param positions: (K, 3) metres: current positions of the K movable cameras.
-        :param turn: time steps taken so far.
-        :param turns: time steps of the whole episode.
+        :param turn: turns taken so far.
+        :param turns: turns of the whole episode.
         :raises SceneError: if the points are too few or too flat to be a room.
         """
         record_views(self._history, positions, self.rig_state)

@@ -33,7 +33,7 @@ from ocp_ros.scenes.scene import SceneError
 from ocp_ros.simulation.simulation_config import EpisodeConfig
 from scipy.optimize import linear_sum_assignment
 
-#: In episodes of at least this number of time steps, plans are computed while the cameras move, on
+#: In episodes of at least this number of turns, plans are computed while the cameras move, on
 #: the cloud before the move. In a shorter episode the older cloud would make plans too bad.
 MIN_PIPELINED_TURNS = 20
 
@@ -79,15 +79,15 @@ class Online(ABC):
     A planner whose only input is the observed cloud.
 
     :param rng: the only source of random numbers.
-    :param max_step: farthest a camera moves in one time step, metres.
+    :param max_step: farthest a camera moves in one turn, metres.
     :param max_range: effective range of the omnidirectional cameras, metres.
     :param wall_margin: cameras stay this far inside the observed bounding box, metres.
     :param clearance: cameras stay this far from all observed points, metres.
     :ivar targets: (K, 2) metres, final positions of K movable cameras in the plan; None before
-        the first time step and for planners without such a plan.
+        the first turn and for planners without such a plan.
     :ivar headings: (K, 3) radians, headings in the plan; None if a plan has positions alone.
     :ivar interrupted: a function that :meth:`plan_ahead` calls. It returns whether to stop and use
-        the best plan so far, because the next time step waits for the plan.
+        the best plan so far, because the next turn waits for the plan.
     :ivar rig_state: camera models and headings; None if all cameras are omnidirectional.
     """
 
@@ -103,7 +103,7 @@ class Online(ABC):
         self.rig_state: RigState | None = None
 
     def set_rig_state(self, rig_state: RigState | None) -> None:
-        """Set the state of the rig before a time step; None for omnidirectional cameras."""
+        """Set the state of the rig before a turn; None for omnidirectional cameras."""
         self.rig_state = rig_state
 
     @property
@@ -121,8 +121,8 @@ class Online(ABC):
 
         :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
         :param positions: (K, 3) metres: current positions of the cameras.
-        :param turn: time steps taken so far.
-        :param turns: time steps of the whole episode.
+        :param turn: turns taken so far.
+        :param turns: turns of the whole episode.
         :returns: (K, 2) metres, horizontal moves, none longer than ``max_step``.
         """
 
@@ -165,12 +165,12 @@ class Online(ABC):
 
 class PlannedTurn(NamedTuple):
     """
-    A time step whose plan is still to be computed.
+    A turn whose plan is still to be computed.
 
     :ivar cloud: (M, 3) float32, metres: the observed cloud.
-    :ivar positions: (K, 3) metres, expected positions of the cameras at that time step.
-    :ivar turn: time steps taken before that time step.
-    :ivar turns: time steps of the whole episode.
+    :ivar positions: (K, 3) metres, expected positions of the cameras at that turn.
+    :ivar turn: turns taken before that turn.
+    :ivar turns: turns of the whole episode.
     :ivar rig_state: state of the rig to plan with; None for omnidirectional cameras. A
         :class:`PipelinedPlanner` stores the state before the move, because it does not know the
         headings after the move.
@@ -185,10 +185,10 @@ class PlannedTurn(NamedTuple):
 
 class PipelinedPlanner(Online):
     """
-    A planner that computes its plan while the cameras move, in an episode of many time steps.
+    A planner that computes its plan while the cameras move, in an episode of many turns.
 
-    Such a plan uses the cloud before the move, and the next time step does not wait for it. The
-    first time step has no plan in advance, so it waits for its plan.
+    Such a plan uses the cloud before the move, and the next turn does not wait for it. The
+    first turn has no plan in advance, so it waits for its plan.
 
     :ivar memory: the cells of the air that the cameras have covered.
     """
@@ -198,13 +198,13 @@ class PipelinedPlanner(Online):
         self.memory = LookHistory()
         #: Feasible region at the time of the last plan.
         self._space: FreePlane | None = None
-        #: The time step whose plan is computed while the cameras move.
+        #: The turn whose plan is computed while the cameras move.
         self._next_turn: PlannedTurn | None = None
 
     @abstractmethod
     def _think(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> None:
         """
-        Compute the plan for a time step; see :meth:`Online.move`.
+        Compute the plan for a turn; see :meth:`Online.move`.
 
         :raises SceneError: if the points are too few or too flat to be a room.
         """
@@ -216,11 +216,11 @@ class PipelinedPlanner(Online):
         return self._space.on_way(positions[:, :2], self.targets, self.max_step)
 
     def _ahead(self, turns: int) -> bool:
-        """Return whether an episode of ``turns`` time steps plans while the cameras move."""
+        """Return whether an episode of ``turns`` turns plans while the cameras move."""
         return turns >= MIN_PIPELINED_TURNS
 
     def _waits_for_plan(self, turns: int, cameras: int) -> bool:
-        """Return whether the present time step waits for a plan on the newest cloud."""
+        """Return whether the present turn waits for a plan on the newest cloud."""
         return not (self._ahead(turns) and self._has_plan(cameras))
 
     def _has_plan(self, cameras: int) -> bool:
@@ -229,7 +229,7 @@ class PipelinedPlanner(Online):
 
     def move(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> np.ndarray:
         """Choose the next moves; see :meth:`Online.move`."""
-        # Compute the plan for this time step here if no caller did so while the cameras moved.
+        # Compute the plan for this turn here if no caller did so while the cameras moved.
         self.plan_ahead()
         self._record(positions)
         try:
@@ -249,7 +249,7 @@ class PipelinedPlanner(Online):
         record_views(self.memory, positions, self.rig_state)
 
     def plan_ahead(self) -> None:
-        """Compute the plan of the stored time step, if any; see :meth:`Online.plan_ahead`."""
+        """Compute the plan of the stored turn, if any; see :meth:`Online.plan_ahead`."""
         if self._next_turn is None:
             return
         cloud, positions, turn, turns, rig_state = self._next_turn

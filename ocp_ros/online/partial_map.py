@@ -265,11 +265,11 @@ class LookHistory:
         #: Numbers of the covered cells, ascending, for the last edge.
         self._covered = np.empty(0, dtype=np.int64)
         self._edge = CELL_M
-        #: Poses and frusta of the cameras at time steps whose views are not in ``_covered`` yet.
+        #: Poses and frusta of the cameras at turns whose views are not in ``_covered`` yet.
         self._visited: list[tuple[np.ndarray, Sequence[Frustum | None] | None]] = []
 
     def visit(self, cameras: np.ndarray, lenses: Sequence[Frustum | None] | None = None) -> None:
-        """Record the cameras at a time step; parameters as in :meth:`PartialMap.covered_cells`."""
+        """Record the cameras at a turn; parameters as in :meth:`PartialMap.covered_cells`."""
         self._visited.append((cameras.copy(), lenses))
 
     def unseen(self, model: PartialMap) -> np.ndarray:
@@ -298,7 +298,7 @@ def exploration_bonus(elapsed_share: float) -> float:
     """
     Return the bonus for covering all unseen cells: 2 at the start, 0 after 55 % of the episode.
 
-    :param elapsed_share: time steps taken so far, divided by the time steps of the episode.
+    :param elapsed_share: turns taken so far, divided by the turns of the episode.
     :returns: in multiples of the depth error without any visible point.
     """
     return 2.0 * max(1.0 - elapsed_share / 0.55, 0.0)
@@ -309,7 +309,7 @@ def cell_weight(model: PartialMap, unseen: np.ndarray, turn: int, turns: int) ->
     Return the bonus for covering one of a model's unseen cells.
 
     :param unseen: packed bits of these cells.
-    :param turn: time steps taken so far, of ``turns`` time steps.
+    :param turn: turns taken so far, of ``turns`` turns.
     :returns: metres of depth error.
     """
     return (exploration_bonus(turn / turns) * model.depth_error.worst

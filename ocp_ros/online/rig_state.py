@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""State of a rig at a time step, and its command."""
+"""State of a rig at a turn, and its command."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -29,7 +29,7 @@ AIR_RADIUS_M = 2.0
 
 class RigState(NamedTuple):
     """
-    Poses and models of the cameras of a rig at a time step: K movable cameras, then F fixed ones.
+    Poses and models of the cameras of a rig at a turn: K movable cameras, then F fixed ones.
 
     :ivar placement: (K + F, 6) x, y, z in metres, map frame, yaw, pitch, roll in radians.
     :ivar models: K + F camera models.
@@ -140,11 +140,11 @@ def view_from(model: PartialMap, rig_state: RigState | None, camera: int,
 
 def record_views(memory: LookHistory, positions: np.ndarray, rig_state: RigState | None) -> None:
     """
-    Record the poses of all cameras at a time step, fixed cameras included.
+    Record the poses of all cameras at a turn, fixed cameras included.
 
     :param memory: the record, changed here.
     :param positions: (K, 3) metres, of the K movable cameras; used only without ``rig_state``.
-    :param rig_state: state of the rig at that time step; None for omnidirectional cameras.
+    :param rig_state: state of the rig at that turn; None for omnidirectional cameras.
     """
     if rig_state is None:
         memory.visit(positions)

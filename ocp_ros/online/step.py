@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-One time step of an online planner: observe, plan, apply constraints, choose headings.
+One turn of an online planner: observe, plan, apply constraints, choose headings.
 
 ``policy_node``, ``ocp plan`` with an online planner and the benchmark all use this step. The last
 two play simulated episodes: they repeat the step.
@@ -40,7 +40,7 @@ class OnlineStep:
     Choose the next command for a rig from the observed cloud.
 
     :param planner: chooses the moves.
-    :param limits: limits of the rig in one time step.
+    :param limits: limits of the rig in one turn.
     :param rig: the rig with its constraints; None without constraints.
     :param report: called with a message after an error; the cameras then keep their poses. None to
         raise the error.
@@ -57,7 +57,7 @@ class OnlineStep:
         self.rig = rig = None if rig is None or rig.free else rig
         self.constraints = StepConstraints(limits, rig)
         self.aim = HeadingPlanner.of(rig, limits.wall_margin)
-        #: The time step to prepare while the cameras move.
+        #: The turn to prepare while the cameras move.
         self._next_turn: PlannedTurn | None = None
 
     def change(self, planner: Online, limits: EpisodeLimits) -> None:
@@ -77,12 +77,12 @@ class OnlineStep:
 
     def __call__(self, cloud: np.ndarray, state: RigState, turn: int, turns: int) -> Command:
         """
-        Return the command for the next time step.
+        Return the command for the next turn.
 
         :param cloud: (M, 3) float32, metres, map frame: the observed cloud.
         :param state: current state of the cameras.
-        :param turn: time steps taken so far.
-        :param turns: time steps of the whole episode.
+        :param turn: turns taken so far.
+        :param turns: turns of the whole episode.
         """
         # No effect if the caller did this while the cameras moved.
         self.plan_ahead()
@@ -116,10 +116,10 @@ class OnlineStep:
         """
         Compute plan, feasible region and headings of the next step while the cameras move.
 
-        The call is optional: without it, the next time step computes the same results.
+        The call is optional: without it, the next turn computes the same results.
 
         :param interrupted: called often; returns whether to stop and use the best results so far,
-            because the next time step waits for them.
+            because the next turn waits for them.
         """
         self.planner.interrupted = interrupted
         with self._report_errors('planner', 'where they are'):
@@ -177,10 +177,10 @@ def state_of(episode: Episode) -> RigState:
 @dataclass(frozen=True)
 class Outcome:
     """
-    Result of the rollout of an episode with K movable cameras; T time steps were taken.
+    Result of the rollout of an episode with K movable cameras; T turns were taken.
 
     :ivar trajectory: (T + 1, K, 3) metres: positions of the cameras, the start first.
-    :ivar depth_error: (T + 1,) metres, of the start and of the placement after each time step.
+    :ivar depth_error: (T + 1,) metres, of the start and of the placement after each turn.
     :ivar seconds: (T,) duration of the computation of each command.
     """
 
@@ -195,8 +195,8 @@ def play(online: Online, episode: Episode, should_stop: Callable[[int], bool] = 
     Run an episode to its end; the cameras of a rig file satisfy all constraints of the file.
 
     :param online: the planner that moves the cameras; it is reset first.
-    :param episode: an episode before its first time step.
-    :param should_stop: gets the number of time steps taken, and returns whether to end the
+    :param episode: an episode before its first turn.
+    :param should_stop: gets the number of turns taken, and returns whether to end the
         episode early.
     :param clock: returns the current time, seconds.
     """

@@ -233,14 +233,14 @@ def features_of_air(position: np.ndarray, centres: np.ndarray, is_unseen: np.nda
 
 class EncodedTurn:
     """
-    The network's inputs at one time step, camera by camera.
+    The network's inputs at one turn, camera by camera.
 
     :param encoder: has the sizes of the network, the limits of the rig and its state.
     :param cloud: (M, 3) float32, metres, map frame: M observed points.
     :param observed: partial map with the cameras' views; None if the cloud is too small for a map.
     :param positions: (K, 3) metres, map frame: current positions of the K cameras.
-    :param turn: time steps taken so far.
-    :param turns: time steps of the whole episode.
+    :param turn: turns taken so far.
+    :param turns: turns of the whole episode.
     :ivar positions: (K, 3) metres: as above; cameras that have chosen are at their new positions.
     """
 
@@ -304,7 +304,7 @@ class EncodedTurn:
 
 class Encoder:
     """
-    Encode the observation of a time step for one camera after the other.
+    Encode the observation of a turn for one camera after the other.
 
     The inputs of a camera are those of :func:`encode`, and ``others`` (``MAX_OTHERS``,
     ``OF_OTHERS``), ``turn`` (``OF_TURN``,), ``heading`` (1, 3), the direction in which the camera
@@ -313,10 +313,10 @@ class Encoder:
 
     :param config: sizes of the network.
     :param max_range: effective range of the omnidirectional cameras, metres.
-    :param max_step: longest move of a camera in one time step, metres.
+    :param max_step: longest move of a camera in one turn, metres.
     :param wall_margin: smallest distance of cameras from the observed bounding box, metres.
     :param clearance: smallest distance of cameras from all observed points, metres.
-    :ivar partial_maps: creates the partial map of each time step; it shows which cameras see each
+    :ivar partial_maps: creates the partial map of each turn; it shows which cameras see each
         point.
     """
 
@@ -329,12 +329,12 @@ class Encoder:
 
     def turn(self, cloud: np.ndarray, positions: np.ndarray, turn: int, turns: int) -> EncodedTurn:
         """
-        Record a time step, and return its inputs camera by camera.
+        Record a turn, and return its inputs camera by camera.
 
         :param cloud: (M, 3) float32, metres, map frame: M observed points.
         :param positions: (K, 3) metres, map frame: current positions of the K cameras.
-        :param turn: time steps taken so far.
-        :param turns: time steps of the whole episode.
+        :param turn: turns taken so far.
+        :param turns: turns of the whole episode.
         """
         observed = None
         with suppress(SceneError):  # The cloud is too small for a partial map.

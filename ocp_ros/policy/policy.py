@@ -52,8 +52,8 @@ class Policy:
 
         :param cloud: (N, 3) float32, metres, map frame: N observed points.
         :param camera_positions: (K, 3), metres, map frame, of the K cameras.
-        :param turn: time steps taken so far.
-        :param turns: time steps of the whole episode.
+        :param turn: turns taken so far.
+        :param turns: turns of the whole episode.
         :param rng: generator to draw the moves at random; None for the most probable moves.
         :returns: (K, 2) float32, in units of the longest step.
         :raises ConfigurationError: if the weights are for another number of cameras.

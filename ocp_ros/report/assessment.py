@@ -164,7 +164,7 @@ class Assessment:
         return rotation
 
 
-def judge(scene: Scene, placement: Placement, room: dict[str, Any], command: str,
+def assess(scene: Scene, placement: Placement, room: dict[str, Any], command: str,
           frame: str | None = None) -> Assessment:
     """
     Evaluate a placement in a room.

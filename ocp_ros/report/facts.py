@@ -262,7 +262,7 @@ def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:
         return
     search = findings['search']
     loss, random, bound = search['loss'], search['random'], search['everywhere']['loss']
-    # Planners from observed points evaluate time steps, which are called turns in ROS.
+    # Online planners evaluate turns.
     kind = 'turns' if search['planner'] in planner_names(OBSERVED) else 'placements'
     yield (f'{search["planner"]}: {search["evaluations"]:,} {kind} in {search["seconds"]:.1f} s'
            + ('; stopped by Ctrl-C' if search['stopped'] else ''))

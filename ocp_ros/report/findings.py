@@ -82,7 +82,7 @@ def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
     :param objective: the engine in the room, and the rig.
     :param views: views of the placed cameras.
     """
-    return {**rig_scores(objective, views, objective.judge(views)),
+    return {**rig_scores(objective, views, objective.evaluate_views(views)),
             **camera_scores(objective, views)}
 
 
@@ -175,7 +175,7 @@ def improvements(problem: Problem, poses: np.ndarray, views: Sequence[View]) -> 
         pose, None if no candidate is feasible.
     """
     objective, simulator, rig = problem.objective, problem.simulator, problem.rig
-    evaluation = objective.judge(views)
+    evaluation = objective.evaluate_views(views)
     # One camera of each model: the first one, by its number in the rig.
     numbers = [rig.models.index(model) for model in rig.placed_models]
     # All models together have at most 480 candidates.

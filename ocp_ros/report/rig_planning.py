@@ -148,7 +148,7 @@ class PlannedRig:
         return placement_of(self.best.rig, self.best.answer.poses, room=room, engine=self.engine,
                             created=created_by(command, self.best.planner))
 
-    def judged(self, placement: Placement, frame: str | None = None) -> Assessment:
+    def assessment_of(self, placement: Placement, frame: str | None = None) -> Assessment:
         """
         Evaluate the placement.
 

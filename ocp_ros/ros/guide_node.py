@@ -128,7 +128,7 @@ class GuideNode(ManagedNode):
         self._command_stamp = stamp
 
     def _on_instructions(self, message: String) -> None:
-        """Show what the next time step is expected to bring."""
+        """Show what the next turn is expected to bring."""
         # The sentence of ExpectedGain begins with this word. If it is missing, nothing is shown.
         self.page.expectation = next((line for line in message.data.splitlines()
                                       if line.startswith('expected')), '')

@@ -339,7 +339,7 @@ def check_regions(objective: Objective, pool: CandidatePool) -> None:
     :raises ConfigurationError: if they do not, and the views of all drawn poses were computed.
     """
     rig = objective.rig
-    shares = objective.judge(pool.union_views(rig)).regions
+    shares = objective.evaluate_views(pool.union_views(rig)).regions
     for k, (region, share) in enumerate(zip(rig.regions, shares)):
         if pool.complete and share < region.must_see:
             raise rig.document.error(

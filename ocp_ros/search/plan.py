@@ -49,7 +49,7 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,
 
     :param problem: the rig in the room.
     :param budget: of the search. Without evaluations, a planner with input ``SCORES`` estimates
-        their number from the time. For an online planner an evaluation is a time step: the planner
+        their number from the time. For an online planner an evaluation is a turn: the planner
         takes as many as the budget and the episode allow, or fewer if the budget is stopped.
     :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
     :param pool: candidates of all models; None to create them, and to check that they see the
@@ -57,9 +57,9 @@ def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,
     :param seed: random seed.
     :param start: a placement; the result is not worse. Empty for none.
     :param progress: called several times a second with input ``SCAN``, otherwise after each
-        placement or time step.
+        placement or turn.
     :param model: weights of trained online planners: path or name.
-    :param clock: returns the current time, seconds, for the time steps of an online planner.
+    :param clock: returns the current time, seconds, for the turns of an online planner.
     :raises ConfigurationError: if there is no placement.
     """
     input_kind, make = PLANNERS[planner]
@@ -84,7 +84,7 @@ def _place_by_scores(make: Callable, problem: Problem, pool: CandidatePool, budg
     """Find a placement of a rig by a planner with input ``SCORES``; see :func:`plan`."""
     decoder = Decoder(problem, pool)
     expected = budget.evaluations or _estimate_evaluations(decoder, budget, seed)
-    scorer = Scorer(decoder.judge, budget, progress)
+    scorer = Scorer(decoder.score, budget, progress)
     planner = make(problem.region.space, np.random.default_rng([seed, 0]), expected)
     # Without evaluations, the scorer ends the search when the time is used up.
     solution = solve(planner, scorer, budget.evaluations or sys.maxsize)
@@ -96,7 +96,7 @@ def _place_by_scores(make: Callable, problem: Problem, pool: CandidatePool, budg
 def _estimate_evaluations(decoder: Decoder, budget: Budget, seed: int) -> int:
     """Estimate how many placements can be scored in the remaining time, by scoring one to four."""
     rng = np.random.default_rng([seed, 1])
-    scorer = Scorer(decoder.judge, budget)
+    scorer = Scorer(decoder.score, budget)
     start_time = time.monotonic()
     scorer([decoder.region.space.random(rng) for _ in range(4)])
     # The scorer scores the first placement even if no time is left.
@@ -111,7 +111,7 @@ def _place_by_episode(make: Callable, problem: Problem, pool: CandidatePool, bud
     """
     Find a placement by an online planner; see :func:`plan`.
 
-    The episode is simulated: each time step adds the visible points to the observed cloud, and
+    The episode is simulated: each turn adds the visible points to the observed cloud, and
     constraints and headings are applied as in ``policy_node``. The cameras are then mounted at
     their last poses, or near them if these are infeasible.
     """

@@ -102,16 +102,16 @@ class Scorer:
     """
     Score placements until the budget is used up.
 
-    :param judge: returns the error and the space coverage, cubic metres, of positions (n, 2).
+    :param evaluate: returns the error and the space coverage, cubic metres, of positions (n, 2).
     :param budget: limit of the search. Once it is used up, no more placements are scored. The
         very first placement is always scored.
     :param progress: called after each placement.
     :ivar evaluations: number of scored placements.
     """
 
-    def __init__(self, judge: Callable[[np.ndarray], tuple[float, float]], budget: Budget,
+    def __init__(self, evaluate: Callable[[np.ndarray], tuple[float, float]], budget: Budget,
                  progress: Progress | None = None) -> None:
-        self._judge = judge
+        self._evaluate = evaluate
         self._budget = budget
         self._progress = progress
         self._least_error = np.inf
@@ -133,7 +133,7 @@ class Scorer:
         for positions in placements:
             if self.evaluations and self.used_share >= 1.0:
                 break
-            scores.append(self._judge(positions))
+            scores.append(self._evaluate(positions))
             self.evaluations += 1
             self._least_error = min(self._least_error, scores[-1][0])
             if self._progress is not None:

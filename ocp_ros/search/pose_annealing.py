@@ -141,7 +141,7 @@ class RigSearch:
         self.evaluations = 0
         self.least_loss = np.inf
 
-    def judge(self, sites: Sequence[MountedCamera]) -> float:
+    def loss_of(self, sites: Sequence[MountedCamera]) -> float:
         """Return the loss of a placement, and update the smallest loss."""
         loss = self.problem.objective.loss(views_of(sites))
         self.least_loss = min(self.least_loss, loss)
@@ -173,8 +173,8 @@ class AnnealingSearch(RigSearch):
     def run(self) -> Sites:
         """Return the best placement."""
         first = self.start or self.place_greedily()
-        # The exchanges do not update the smallest loss, so the first placement is judged here.
-        self.judge(first)
+        # The exchanges do not update the smallest loss, so the first placement is rated here.
+        self.loss_of(first)
         unit = max(self.coarse_objective.loss(views_of(first)), TUNING.min_loss)
         # Exchanges, scored with smaller depth maps.
         best = annealed(first, lambda sites, _: self.coarse_objective.loss(views_of(sites)),
@@ -186,7 +186,7 @@ class AnnealingSearch(RigSearch):
         if self.start and objective.loss(views_of(first)) < objective.loss(views_of(best)):
             best = first
         # Small moves, scored with the full depth maps.
-        return annealed(best, lambda sites, _: self.judge(sites), self._change_camera,
+        return annealed(best, lambda sites, _: self.loss_of(sites), self._change_camera,
                         self._temperatures(unit, TUNING.move_temperatures,
                                            TUNING.exchange_budget_share, 1.0), self.rng)
 
@@ -323,7 +323,7 @@ def anneal(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
     report = progress and (lambda: progress(min(search.used_share() for search in searches),
                                             min(search.least_loss for search in searches)))
     placements = run_threads([search.run for search in searches], budget, report)
-    losses = [search.judge(sites) for search, sites in zip(searches, placements)]
+    losses = [search.loss_of(sites) for search, sites in zip(searches, placements)]
     best = int(np.argmin(losses))
     return SearchResult(placements[best], losses[best], tuple(losses),
                         sum(search.evaluations for search in searches))

@@ -103,14 +103,14 @@ class Decoder:
             sites.append(site)
         return tuple(sites)
 
-    def judge(self, positions: np.ndarray) -> tuple[float, float]:
+    def score(self, positions: np.ndarray) -> tuple[float, float]:
         """
         Return the objective value and the space coverage, cubic metres, of positions (n, 2).
 
         The objective value is depth error / depth error without any visible point, plus the costs
         of regions; the cameras are mounted at feasible poses near the positions.
         """
-        evaluation = self.objective.judge(views_of(self(positions)))
+        evaluation = self.objective.evaluate_views(views_of(self(positions)))
         return evaluation.loss, evaluation.space_coverage
 
     def completed_sites(self, sites: Sequence[MountedCamera]) -> Sites:

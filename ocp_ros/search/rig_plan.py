@@ -165,9 +165,9 @@ class RigPlanner:
         losses = [objective.loss([site.view for site in sites]) for sites in drawn if sites]
         return RigPlan(
             rig, answer, objective.evaluate(answer.poses),
-            objective.judge(self.pool.union_views(rig)), objective.simulator.depth_error.worst,
-            np.array(losses), len(self.pool), self.budget.elapsed, self.planner,
-            answer.certificate, answer.uncertain)
+            objective.evaluate_views(self.pool.union_views(rig)),
+            objective.simulator.depth_error.worst, np.array(losses), len(self.pool),
+            self.budget.elapsed, self.planner, answer.certificate, answer.uncertain)
 
     def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
         """

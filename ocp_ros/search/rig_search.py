@@ -212,11 +212,11 @@ class ColumnGenerationSearch(RigSearch):
                 self.evaluations += 1
                 yield first_loss * between(*TUNING.temperatures, progress)
 
-        best = annealed(sites, lambda sites, _: self.judge(sites), lambda sites: move_camera(
+        best = annealed(sites, lambda sites, _: self.loss_of(sites), lambda sites: move_camera(
             self.problem, sites, between(first_step_m, TUNING.last_deviation, progress),
             between(0.5 * first_step_m, TUNING.last_deviation, progress), rng),
             temperatures(), rng)
-        return RatedPlacement(self.judge(best), best)
+        return RatedPlacement(self.loss_of(best), best)
 
     def _repeat_near(self, relaxation: ColumnGeneration, results: list[RatedPlacement],
                      distance_m: float, should_stop: Callable[[], bool]) -> list[RatedPlacement]:

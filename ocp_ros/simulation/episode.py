@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""One episode: a rig moves through a scene in time steps, and all points seen are accumulated."""
+"""One episode: a rig moves through a scene in turns, and all points seen are accumulated."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from ocp_ros.simulation.simulator import View
 @dataclass(frozen=True)
 class Turn:
     """
-    The state after a time step (turn).
+    The state after a turn.
 
     :ivar step: the number of turns since the episode began.
     :ivar positions: (K, 3) float64, metres, map frame.
@@ -60,7 +60,7 @@ class Episode:
     :ivar simulator: the engine.
     :ivar scene: the room.
     :ivar observed: the points seen since the episode began.
-    :ivar turn: the state after the last time step.
+    :ivar turn: the state after the last turn.
     :ivar views: the current view of each camera that is to be placed.
     :ivar value: what rewards are computed from; see :meth:`value_of`.
     """
@@ -89,7 +89,7 @@ class Episode:
 
     def move(self, moves: np.ndarray, headings: np.ndarray | None = None) -> Turn:
         """
-        Move the cameras in one time step (turn), and evaluate the new placement.
+        Move the cameras in one turn, and evaluate the new placement.
 
         :param moves: (K, 2) metres on the plane, or (K, 3), where a plane ignores the height;
             moves longer than ``max_step`` are shortened.
@@ -134,7 +134,7 @@ class Episode:
         :param views: the view of each camera that is to be placed.
         :param observed: the points seen since the episode began.
         """
-        result = self.problem.judge(views)
+        result = self.problem.evaluate_views(views)
         return Value(result.space_coverage, self.problem.error(result),
                      len(observed) / len(self.scene))
 
@@ -156,7 +156,7 @@ class Episode:
         :returns: the new state without its reward, which :meth:`move` adds.
         """
         self.views = self.problem.look(poses)
-        result = self.problem.judge(self.views)
+        result = self.problem.evaluate_views(self.views)
         self.observed |= result.seen
         self.value = Value(result.space_coverage, self.problem.error(result),
                            len(self.observed) / len(self.scene))

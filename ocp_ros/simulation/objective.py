@@ -168,7 +168,7 @@ class Objective:
         """
         return self.simulator.look_from_all(poses, range(len(poses)))
 
-    def judge(self, views: Sequence[View]) -> RigEvaluation:
+    def evaluate_views(self, views: Sequence[View]) -> RigEvaluation:
         """
         Evaluate cameras, given their views.
 
@@ -187,7 +187,7 @@ class Objective:
             Subset(seen, self._order), link_cost <= SHARE_TOLERANCE)
 
     def loss(self, views: Sequence[View]) -> float:
-        """Return the loss of views without the rest of the evaluation; see :meth:`judge`."""
+        """Return the loss of :meth:`evaluate_views`, without the rest of the evaluation."""
         all_views = self._with_fixed(views)
         return self._loss_of(self._seen(all_views), all_views)[0] + self._link_cost(views)
 
@@ -198,7 +198,7 @@ class Objective:
         n is the largest number of cameras that the rig or a region of air requires. Placements
         with fewer than n cameras may all have the same loss; this mean distinguishes them.
 
-        :param views: as for :meth:`judge`.
+        :param views: as for :meth:`evaluate_views`.
         """
         all_views = self._with_fixed(views)
         seen = self._seen_by_count(all_views)
@@ -232,7 +232,7 @@ class Objective:
         """
         Compute the shares of points that pairs of cameras see, if the rig requires links.
 
-        :param views: as for :meth:`judge`.
+        :param views: as for :meth:`evaluate_views`.
         :returns: the covisibility of these cameras and those in place; None if the rig does not
             require links between cameras, or if a view has several positions.
         """
@@ -248,13 +248,13 @@ class Objective:
 
     def evaluate(self, poses: np.ndarray) -> RigEvaluation:
         """Evaluate poses (K, 6), metres, map frame, and radians."""
-        return self.judge(self.look(poses))
+        return self.evaluate_views(self.look(poses))
 
     def overlap(self, views: Sequence[View]) -> list[int]:
         """
         Count the points by the number of cameras that see them.
 
-        :param views: as for :meth:`judge`.
+        :param views: as for :meth:`evaluate_views`.
         :returns: the numbers of points seen by 0, 1, 2 and by 3 or more cameras.
         """
         seen = [view.seen for view in self._with_fixed(views)]
@@ -267,7 +267,7 @@ class Objective:
         """
         Compute the contribution of each camera in addition to the others.
 
-        :param views: as for :meth:`judge`.
+        :param views: as for :meth:`evaluate_views`.
         :returns: the contribution of each view, then of each camera in place.
         """
         error_of = self.simulator.depth_error
@@ -288,7 +288,7 @@ class Objective:
         """
         Return the depth errors after adding one of M further cameras at a time.
 
-        :param views: as for :meth:`judge`.
+        :param views: as for :meth:`evaluate_views`.
         :param more: the views of the further cameras.
         :returns: (M,) metres.
         """

@@ -178,7 +178,7 @@ class Problem:
         that can reach no feasible position stays where it is.
 
         :param poses: (K, 6) metres, map frame, and radians: the poses before the move.
-        :param targets: (K, 6), no farther than a time step reaches.
+        :param targets: (K, 6), no farther than a turn reaches.
         :returns: (K, 6), and whether any target was not allowed.
         """
         any_refused = False
@@ -213,9 +213,9 @@ class Problem:
         """Compute the view of each camera to be placed, given poses (K, 6), metres and radians."""
         return self.objective.look(poses)
 
-    def judge(self, views: list[View]) -> RigEvaluation:
+    def evaluate_views(self, views: list[View]) -> RigEvaluation:
         """Evaluate cameras, given their views; the cameras in place are added."""
-        return self.objective.judge(views)
+        return self.objective.evaluate_views(views)
 
     def error(self, evaluation: RigEvaluation) -> float:
         """
@@ -286,7 +286,7 @@ class PlaneProblem(Problem):
         Return the poses that K cameras reach: their targets, moved into the bounding box.
 
         :param poses: (K, 6), a parameter of :class:`Problem`, without effect on a plane.
-        :param targets: (K, 6) metres, map frame, and radians, no farther than a time step reaches.
+        :param targets: (K, 6) metres, map frame, and radians, no farther than a turn reaches.
         :returns: (K, 6), and whether any target was outside.
         """
         reached = targets.copy()

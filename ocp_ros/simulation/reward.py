@@ -13,7 +13,7 @@
 # limitations under the License.
 
 """
-Rewards of one time step (turn).
+Rewards of one turn.
 
 ``paper``: section III-C of arXiv 2110.11106, a weighted sum of the gain of coverage and the
 reduction of depth error, or a penalty, raised to the third power. The power has a flaw: a camera

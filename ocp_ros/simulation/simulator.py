@@ -243,7 +243,7 @@ class Simulator:
         in_any = bits.any(axis=1)
         return indices[in_any], bits[in_any]
 
-    def judge(self, views: Sequence[View]) -> Evaluation:
+    def evaluate_views(self, views: Sequence[View]) -> Evaluation:
         """
         Evaluate cameras, given their views; after the move of one camera, only its view is new.
 
@@ -268,7 +268,7 @@ class Simulator:
             raise ConfigurationError(
                 f'placement: found {len(placement)} cameras; expected at most '
                 f'{len(self._lenses)}, one for each camera of the rig')
-        return self.judge(self.look_from_all(placement, range(len(placement))))
+        return self.evaluate_views(self.look_from_all(placement, range(len(placement))))
 
     @staticmethod
     def _checked_poses(poses: Any, name: str, dimensions: int) -> np.ndarray:

@@ -19,7 +19,7 @@ from pathlib import Path
 import re
 
 import numpy as np
-from ocp_ros.report.assessment import judge
+from ocp_ros.report.assessment import assess
 from ocp_ros.report.exports import export, MARK, reports, WRITTEN
 from ocp_ros.rig.placement_file import load_placement, Placement, save_placement
 from ocp_ros.rig.rig_file import load_rig, Rig
@@ -113,7 +113,7 @@ class Folder:
         :param command: the command line, for the record in the placement file.
         :returns: the names of the files.
         """
-        assessment = judge(scene, placement, placement.room, command)
+        assessment = assess(scene, placement, placement.room, command)
         folder = folder_to_write(self.claim_path(name, ''))
         # The files appear together in the folder, once all of them are written.
         with file_set(folder, WRITTEN, MARK) as unfinished:

@@ -46,7 +46,7 @@ class GuidePage:
     :ivar points: (N, 3) float32, some points of the observed cloud, metres, map frame.
     :ivar poses: measured poses of the cameras.
     :ivar targets: pose to which each camera shall go.
-    :ivar expectation: sentence on what the next time step is expected to bring; may be empty.
+    :ivar expectation: sentence on what the next turn is expected to bring; may be empty.
     :ivar status: sentence on the progress towards a final placement; may be empty.
     """
 

@@ -133,7 +133,7 @@ class Evaluation:
     @cached_property
     def rig_evaluation(self) -> RigEvaluation:
         """Return the objective value and its parts."""
-        return self.objective.judge(self.views)
+        return self.objective.evaluate_views(self.views)
 
     @cached_property
     def camera_counts(self) -> np.ndarray:

@@ -129,7 +129,7 @@ class Run:
             'interactions': self.interactions, 'updates': self.updates, 'seconds': self.seconds,
             **losses, **figures})
 
-    def judge(self, checkpoint: Checkpoint) -> dict[str, float]:
+    def tested(self, checkpoint: Checkpoint) -> dict[str, float]:
         """Return the results of weights in the validation rooms; see :func:`evaluate`."""
         return evaluate(self.pool, trials_of(self.config, 'validation'), checkpoint.to_bytes())
 
@@ -140,7 +140,7 @@ class Run:
         :returns: the error ratio.
         """
         checkpoint = self.checkpoint()
-        result = self.judge(checkpoint)
+        result = self.tested(checkpoint)
         for name, value in result.items():
             self.model.logger.record(f'validation/{name}', value)
         # The line of progress is written last: if it exists, the files above exist too.
@@ -193,7 +193,7 @@ class Run:
                 'the file, and the run goes on from its last state') from error
         # A killed process may not have written the ratio of its weights: evaluate them.
         self.best = (ratios[best.updates] if best.updates in ratios
-                     else self.judge(best)['ratio'])
+                     else self.tested(best)['ratio'])
 
     def save(self) -> None:
         """Write the files that are needed to resume."""

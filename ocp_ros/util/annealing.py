@@ -27,7 +27,7 @@ def between(first: float, last: float, share: float | np.ndarray) -> float | np.
     return first * (last / first) ** share
 
 
-def annealed(state: State, judge: Callable[[State, float], float],
+def annealed(state: State, objective: Callable[[State, float], float],
              propose: Callable[[State], Iterable[State]], temperatures: Iterable[float],
              rng: np.random.Generator) -> State:
     """
@@ -38,8 +38,8 @@ def annealed(state: State, judge: Callable[[State, float], float],
     of a trial need not be computed to the end once it exceeds this limit.
 
     :param state: the start state.
-    :param judge: returns the objective of a state; less is better. Its second argument is a limit:
-        for a larger objective, any value above the limit may be returned.
+    :param objective: returns the objective of a state; less is better. Its second argument is a
+        limit: for a larger objective, any value above the limit may be returned.
     :param propose: returns random states near the given state, possibly none; they are tried one
         after the other. A state and its neighbour propose each other with equal probability
         (symmetric).
@@ -48,11 +48,11 @@ def annealed(state: State, judge: Callable[[State, float], float],
     :returns: the best state found, which may be the start.
     """
     best = state
-    value = best_value = judge(state, np.inf)
+    value = best_value = objective(state, np.inf)
     for temperature in temperatures:
         for trial in propose(state):
             max_value = value + temperature * rng.exponential()
-            trial_value = judge(trial, max_value)
+            trial_value = objective(trial, max_value)
             if trial_value <= max_value:
                 state, value = trial, trial_value
                 if value < best_value:

@@ -70,7 +70,7 @@ def test_json_says_what_the_engine_says(files, capsys):
                       [3.0, 1.0, 1.9, 135, 25, 0]])
     poses[:, 3:] = np.deg2rad(poses[:, 3:])
     views = objective.look(poses)
-    worth, scores = objective.judge(views), found['scores']
+    worth, scores = objective.evaluate_views(views), found['scores']
     assert scores['depth_error'] == worth.depth_error and scores['loss'] == worth.loss
     assert scores['space_coverage'] == worth.space_coverage
     assert scores['seen'] == len(worth.seen) / len(scene)

@@ -169,7 +169,8 @@ def test_a_camera_in_any_of_several_rooms_takes_from_the_error():
     everywhere = np.array([[x, y, 1.9] for x in (2.0, 6.0) for y in (2.0, 6.0)])
     for place in everywhere:
         assert simulator.evaluate(place[None]).depth_error < 0.9 * worst
-    assert simulator.judge([simulator.look(pose) for pose in everywhere]).depth_error < 0.1 * worst
+    views = [simulator.look(pose) for pose in everywhere]
+    assert simulator.evaluate_views(views).depth_error < 0.1 * worst
 
 
 def changes(scene, other, moved, kind):

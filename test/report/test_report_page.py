@@ -27,7 +27,7 @@ from matplotlib.image import imread
 from matplotlib.text import Text
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.report.assessment import judge
+from ocp_ros.report.assessment import assess
 from ocp_ros.report.drawing import assessment_pictures, report_page, saved_pictures
 from ocp_ros.report.drawing.plan_drawing import move_apart
 from ocp_ros.report.drawing.room_drawing import room_of
@@ -55,7 +55,7 @@ def rooms():
 
 def judged_in(room, rig, poses):
     """Judge a placement in a room at little cost."""
-    return judge(room[0], placement_of(rig, poses, engine=ENGINE), room[1], 'ocp score 1 p.yaml')
+    return assess(room[0], placement_of(rig, poses, engine=ENGINE), room[1], 'ocp score 1 p.yaml')
 
 
 def texts_of(figure):
@@ -135,7 +135,7 @@ def test_the_page_says_what_was_found_and_explains_zones_but_names_no_folder(roo
                  fixed=[{'position': [1, 1, 1.9], 'sensor': 'realsense_d455'}],
                  regions=[{'name': 'table', 'box': [low, high], 'weight': 2.0},
                           {'name': 'door', 'box': [low, high], 'must_see': 0.1}])
-    judged = judge(scene, placement_of(rig, middle_of(scene), engine=ENGINE), room,
+    judged = assess(scene, placement_of(rig, middle_of(scene), engine=ENGINE), room,
                    'ocp score /home/me/a.ply --rig=sub/rig.yaml')
     kinds = {'keep-out zone', 'weighted region', 'must-see region'}
     for drawn in (assessment_pictures.floor_plan_of(judged),

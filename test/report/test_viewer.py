@@ -24,7 +24,7 @@ from conftest import HUNG
 import numpy as np
 from ocp_ros.geometry.cameras import in_view, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.report.assessment import judge
+from ocp_ros.report.assessment import assess
 from ocp_ros.report.drawing.plan_drawing import edges, reach
 from ocp_ros.report.viewer import groups_of, layers_of, paints_of, SHOWN, write_view
 from ocp_ros.rig.placement_file import placement_of
@@ -38,7 +38,7 @@ def judged_with(points, **more):
     scene, room = room_named('8', points)
     poses = np.zeros((2, 6))
     poses[:, :3] = scene.bounds.mean(axis=0) + [[1.0, 0.0, 0.3], [-1.0, 0.0, 0.3]]
-    return judge(scene, placement_of(rig_of(2, 'd455', **more), poses,
+    return assess(scene, placement_of(rig_of(2, 'd455', **more), poses,
                                      engine=EngineConfig('fast', 32, 0.5)), room, 'ocp score')
 
 

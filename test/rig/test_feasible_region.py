@@ -390,8 +390,9 @@ def test_the_loss_counts_what_is_missing(room):
     for _ in range(20):
         views = problem.objective.look(poses[rng.choice(len(poses), 2, replace=False)])
         lacking = problem.objective.covisibility(views).missing
-        judged = problem.objective.judge(views)
-        assert judged.loss == pytest.approx(free.objective.judge(views).loss + 10.0 * lacking)
+        judged = problem.objective.evaluate_views(views)
+        alone = free.objective.evaluate_views(views)
+        assert judged.loss == pytest.approx(alone.loss + 10.0 * lacking)
         assert problem.objective.loss(views) == pytest.approx(judged.loss)
         assert judged.connected == (lacking == 0.0)
         missing.append(lacking)

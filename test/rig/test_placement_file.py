@@ -28,7 +28,7 @@ from conftest import box_room, l_shaped, made_room, panel, refused_in_one_senten
 import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.report.assessment import judge
+from ocp_ros.report.assessment import assess
 from ocp_ros.report.camera_words import instructions_for
 from ocp_ros.report.exports import csv_of, installer_page, launch_of, rviz_of, xacro_of
 from ocp_ros.report.facts import metres
@@ -275,7 +275,7 @@ def told(room, placed, floor):
 def page_of(room, placement, **found):
     """Return the installer's page of a placement, and what is found in it."""
     engine = EngineConfig(preset='fast', error_rows=32)
-    assessed = judge(room, replace(placement, engine=engine), {'sha256': ''}, 'ocp score x')
+    assessed = assess(room, replace(placement, engine=engine), {'sha256': ''}, 'ocp score x')
     assessed.found.update(found)
     return installer_page(assessed, 'plan.png'), assessed.found
 

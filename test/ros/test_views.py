@@ -63,7 +63,7 @@ def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe):
     assert (coverage.fields[3].name, error.fields[3].name) == ('count', 'error')
     np.testing.assert_array_equal(msg_to_cloud(coverage), sim.simulator.scene.points)
     expected = sum(
-        sim.simulator.judge([sim.simulator.look(row, k)]).visible.astype(int)
+        sim.simulator.evaluate_views([sim.simulator.look(row, k)]).visible.astype(int)
         for k, row in enumerate(np.hstack([turn.positions, turn.headings])))
     np.testing.assert_array_equal(counts, expected)
     assert counts.max() > 1 and (lost > 0.0).all()

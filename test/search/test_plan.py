@@ -211,7 +211,7 @@ def test_cameras_that_see_alike_share_what_was_seen_from_a_place(furnished, monk
     monkeypatch.setattr(simulator, 'look', lambda pose, camera: looks.append(camera) or look(
         pose, camera))
     places = np.array([[1.0, 1.5], [2.7, 3.1], [5.0, 2.0]])
-    losses = [decode.judge(places[order])[0] for order in ([0, 1, 2], [1, 0, 2])]
+    losses = [decode.score(places[order])[0] for order in ([0, 1, 2], [1, 0, 2])]
     assert losses[0] == losses[1] and looks == [0, 0, 2]
 
 
@@ -219,7 +219,7 @@ def test_planners_are_told_the_loss_and_the_coverage(furnished):
     rig = rig_of(2, 'd455', regions=[{'name': 'corner', 'box': [[0, 0, -0.1], [2, 2, 1]]}])
     decode = decoder_of(furnished, rig)
     placements = [np.array([[1.0, 1.0], [5.0, 3.0]]), np.array([[1.0, 1.0]]), np.empty((0, 2))]
-    scores = Scorer(decode.judge, Budget(evaluations=3))(placements)
+    scores = Scorer(decode.score, Budget(evaluations=3))(placements)
     worth = decode.objective.evaluate(np.array([site.pose for site in decode(placements[0])]))
     assert scores.error[0] == worth.loss
     assert scores.error[0] < scores.error[1] < scores.error[2] == 2.0

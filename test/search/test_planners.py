@@ -183,13 +183,13 @@ def test_a_planner_that_breaks_the_rules_is_found_out(name, asked):
 def test_scores_end_with_the_budget_but_the_first_placement_is_always_scored():
     shares, ticks = [], iter(range(0, 100, 4))
 
-    def judge(positions):
+    def evaluate(positions):
         return float(len(positions)), 2.0
 
     placements = [np.zeros((count, 2)) for count in (3, 1, 2)]
-    score = Scorer(judge, Budget(evaluations=2), lambda *known: shares.append(known))
+    score = Scorer(evaluate, Budget(evaluations=2), lambda *known: shares.append(known))
     scores = score(placements)
     assert scores.error.tolist() == [3.0, 1.0] and scores.space_coverage.tolist() == [2.0, 2.0]
     assert shares == [(0.5, 3.0), (1.0, 1.0)] and len(score(placements).error) == 0
-    late = Scorer(judge, Budget(seconds=1.0, clock=lambda: next(ticks)))
+    late = Scorer(evaluate, Budget(seconds=1.0, clock=lambda: next(ticks)))
     assert late(placements).error.tolist() == [3.0]

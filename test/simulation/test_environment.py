@@ -192,7 +192,7 @@ def test_one_camera_more_never_sees_less(simulator, seed):
     assert more.seen >= fewer.seen
     assert more.space_coverage >= fewer.space_coverage
     assert more.depth_error <= fewer.depth_error + 1e-5
-    judged = simulator.judge([simulator.look(position) for position in positions])
+    judged = simulator.evaluate_views([simulator.look(position) for position in positions])
     assert np.array_equal(judged.seen.bits, more.seen.bits) and judged[1:] == more[1:]
 
 
@@ -361,7 +361,7 @@ def test_overlap_what_each_camera_adds_and_what_one_more_would(room, least):
     counts = flags.sum(axis=0)
     shown = np.bincount(np.minimum(counts, 3), minlength=4)
     assert objective.overlap(views) == shown.tolist()
-    error = objective.judge(views).depth_error
+    error = objective.evaluate_views(views).depth_error
     for k, contribution in zip(range(4), objective.contributions(views), strict=True):
         assert contribution.only == np.mean(flags[k] & (counts == 1))
         without = np.delete(flags, k, axis=0).sum(axis=0) >= least
@@ -370,13 +370,13 @@ def test_overlap_what_each_camera_adds_and_what_one_more_would(room, least):
         assert contribution.depth_error >= 0.0
     errors = objective.with_one_more(views[:2], views)
     np.testing.assert_allclose(
-        errors, [objective.judge([*views[:2], view]).depth_error for view in views])
-    assert errors.max() <= objective.judge(views[:2]).depth_error
+        errors, [objective.evaluate_views([*views[:2], view]).depth_error for view in views])
+    assert errors.max() <= objective.evaluate_views(views[:2]).depth_error
 
 
 def test_nobody_sees_nothing(room):
     objective = Problem.of(room, rig_of(2, 'd455', seen_by=2), SMALL).objective
-    worth = objective.judge([])
+    worth = objective.evaluate_views([])
     assert worth.depth_error == objective.simulator.depth_error.worst and worth.loss == 1.0
     assert len(worth.seen) == 0 and worth.space_coverage == 0.0
     assert objective.overlap([]) == [len(room), 0, 0, 0] and objective.contributions([]) == []

@@ -119,7 +119,7 @@ def test_rewards_count_what_regions_ask_for(room, settings):
     volume, worst = episode.simulator.volume, episode.simulator.depth_error.worst
 
     def worth():
-        result = episode.problem.judge(episode.problem.look(poses_of(episode)))
+        result = episode.problem.evaluate_views(episode.problem.look(poses_of(episode)))
         assert 1.5 * result.depth_error < result.loss * worst
         return potential(result.space_coverage, result.loss * worst, volume, worst)
 

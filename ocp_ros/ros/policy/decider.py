@@ -87,7 +87,7 @@ class Decider:
     :param log: log of the node.
     :ivar rig: the rig of the rig file; None without a rig file.
     :ivar explorer: the part of the planner that runs the policy; None without a policy.
-    :ivar step: computes the time steps.
+    :ivar step: computes the turns.
     :ivar stay_warnings: a sentence for each camera that stays since it has no feasible pose.
     :raises ConfigurationError: if the rig file cannot be used.
     """
