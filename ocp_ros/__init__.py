@@ -34,8 +34,7 @@ _HOMES = {
     'Simulator': 'simulation.simulator', 'SimulationConfig': 'simulation.simulation_config',
     'CameraPlacementEnv': 'simulation.environment', 'environment_of': 'simulation.environment',
     'Planner': 'search.planner', 'Online': 'online.online_planner',
-    'register_planner': 'search.registry',
-    'UserError': 'util.settings'}
+    'register_planner': 'search.registry', 'UserError': 'util.settings'}
 __all__ = ['__version__', *_HOMES]  # noqa: PLE0604
 
 
