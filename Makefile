@@ -72,7 +72,7 @@ soak: $(READY)  ## play, kill nodes and send malformed messages: make soak [MINU
 endings: $(READY)  ## end nodes in all usual ways and count crashes: make endings [ENDINGS=500]
 	$(RUN) -m benchmarks.drills.endings --out "$(OUT)/endings" $(RECORDED) $(if $(ENDINGS),--endings $(ENDINGS))
 
-benchmark: $(READY)  ## compare all planners in all test rooms: an hour on two idle cores; continues an interrupted run
+benchmark: $(READY)  ## compare all planners in all test rooms: twenty minutes on two idle cores; continues an interrupted run
 	$(RUN) -m ocp_ros.cli.main benchmark --preset full --seeds 1 --out "$(OUT)/benchmark"
 	$(RUN) -m benchmarks.benchmark_report "$(OUT)/benchmark" --record benchmark
 

@@ -30,14 +30,15 @@ NUMBER = r'(?<![\w.])-?\d[\d,]*(?:\.\d+)?(?:e-?\d+)?'
 #: Tables: page, how the line with the columns begins, the name of each row in the file, and where
 #: the number of each column is: FILE/KEY/KEY for one row, and its keys.
 TABLES = [
-    (README, '| with a scan', 'differential_evolution tdsa cma_es greedy_coverage',
-     'benchmark/planners/{row}/10000/{key}', 'regret seconds'),
+    (README, '| with a scan', 'rig_search differential_evolution tdsa bpso greedy_coverage',
+     'benchmark/planners/{row}/1000/{key}', 'regret seconds'),
     (RESULTS, '| method', 'fine fast paper hidden_point_removal', 'engine/{key}',
      'f1/{row}.15000 f1/{row}.40000 f1/{row}.100000 ms/{row}.40000'),
     (RESULTS, '| planner | regret',
-     'differential_evolution bpso tdsa cma_es greedy_swap annealing random greedy_coverage',
+     'differential_evolution rig_search bee_colony greedy_swap tdsa cma_es '
+     'bpso regular_grid random greedy_coverage',
      'benchmark/planners/{row}/{key}',
-     '1000/regret 10000/regret 10000/promise_over_delivered 10000/seconds'),
+     '100/regret 1000/regret 1000/promise_over_delivered 1000/seconds'),
     (RESULTS, '| four cameras', '4_5x2 4_8x2 4_30x0.5',
      'agent/comparisons/four/summary/settings/{row}/{key}',
      'lookahead/ratio lookahead/interval/0 lookahead/interval/1 random/ratio random/interval/0 '
@@ -80,6 +81,9 @@ SENTENCES = [
     (RESULTS, 'evaluates {} placements of four cameras per second', 'engine/{key}',
      'evaluations_per_s'),
     (RESULTS, 'method plays {} interactions', 'engine/{key}', 'literal_interactions_per_s'),
+    (RESULTS, 'its mean optimality gap is {}. Of planners without a scan, `lookahead` has a regret '
+     'of {} and `learned` of {} after 30 turns', 'benchmark/planners/{key}',
+     'rig_search/1000/gap lookahead/0/regret learned/0/regret'),
     (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. `lookahead` without a scan delivers {} m',
      'benchmark_four_d455/planners/{key}',
      'rig_search/300/sum rig_search/300/seconds tdsa/300/sum tdsa/300/seconds lookahead/0/sum'),
