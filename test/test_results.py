@@ -81,8 +81,8 @@ SENTENCES = [
     (RESULTS, 'evaluates {} placements of four cameras per second', 'engine/{key}',
      'evaluations_per_s'),
     (RESULTS, 'method plays {} interactions', 'engine/{key}', 'literal_interactions_per_s'),
-    (RESULTS, 'its mean optimality gap is {}. Of planners without a scan, `lookahead` has a regret '
-     'of {} and `learned` of {} after 30 turns', 'benchmark/planners/{key}',
+    (RESULTS, 'its mean optimality gap is {}. Of planners without a scan, `lookahead` has a '
+     'regret of {} and `learned` of {} after 30 turns', 'benchmark/planners/{key}',
      'rig_search/1000/gap lookahead/0/regret learned/0/regret'),
     (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. `lookahead` without a scan delivers {} m',
      'benchmark_four_d455/planners/{key}',

@@ -174,13 +174,12 @@ class CandidatePool:
         """Return the candidates of a model."""
         return self._candidates[model]
 
-    def dense_grid(self, problem: Problem, model: CameraModel, should_stop: Callable[[], bool]
-                   ) -> PoseGrid:
-        """Return the dense grid of a model; the first call computes its views."""
+    def dense_grid(self, problem: Problem, model: CameraModel) -> PoseGrid:
+        """Return the dense grid of a model, with the places that searches have added so far."""
         if model not in self._grids:
             self._grids[model] = PoseGrid.of(
                 problem.region, problem.simulator, model, problem.rig.models.index(model),
-                self._max_grid_poses, should_stop)
+                self._max_grid_poses)
         return self._grids[model]
 
     def spaced_rows(self, rig: Rig, sites: Sequence[MountedCamera]) -> np.ndarray:

@@ -24,11 +24,17 @@ with input ``SCAN`` are not available.
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
+import logging
 import sys
+from threading import Timer
 import time
 
 import numpy as np
+from ocp_ros.geometry.engine_config import PROMISING
 from ocp_ros.online.step import play
+from ocp_ros.rig.rig_file import rig_of
+from ocp_ros.rooms.generator import generate_room
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import CandidatePool, check_regions, MountedCamera, pool_of
 from ocp_ros.search.planner import Scorer, solve
@@ -37,7 +43,31 @@ from ocp_ros.search.pose_decoder import Decoder
 from ocp_ros.search.registry import OBSERVED, PLANNERS, RIG_SEARCH, SCAN
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import Problem
+from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.util.resources import DEFAULT_MODEL
+
+_log = logging.getLogger(__name__)
+
+
+@cache
+def load_kernels() -> None:
+    """
+    Load the compiled kernels of a search, so that this takes none of its time.
+
+    The first call of a process plans in a tiny room; without cached kernels it compiles them.
+    """
+    notice = Timer(2.0, _log.warning, (
+        'compiling the kernels, once for this computer: about 30 s; the time of the search begins '
+        'after this',))
+    notice.daemon = True
+    notice.start()
+    try:
+        rig = rig_of(2, 'd455', mount={'on': 'plane', 'height': 1.9}, spacing=0.1)
+        problem = Problem.of(generate_room(0, 600), rig, SimulationConfig(engine=PROMISING))
+        for planner in (RIG_SEARCH, 'random'):
+            plan(problem, Budget(evaluations=4), planner)
+    finally:
+        notice.cancel()
 
 
 def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,

@@ -22,6 +22,7 @@ from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.placement_file import as_written
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.threads import mapped
+from scipy.spatial import cKDTree
 
 #: Approximate largest number of poses; if there would be more, places are farther apart.
 MAX_GRID_POSES = 40_000
@@ -39,8 +40,6 @@ class PoseGrid:
     :param camera: index of a camera of this model in the rig; by it the engine finds the model.
     :ivar places: (P, 3) metres, map frame.
     :ivar headings: P arrays (H, 3): yaw, pitch and roll in radians.
-    :ivar step: largest distance of a feasible position from the nearest place, metres; 0 if
-        unknown.
     """
 
     def __init__(self, simulator: Simulator, camera: int = 0) -> None:
@@ -48,40 +47,66 @@ class PoseGrid:
         self._camera = camera
         self.places = np.empty((0, 3))
         self.headings: list[np.ndarray] = []
-        self.step = 0.0
+        #: Places and headings of the whole grid, of which the first ones were added.
+        self._all_places = np.empty((0, 3))
+        self._all_headings = np.empty((0, 0, 3))
+        self._added = 0
+        self._least_step = 0.0
         #: For each place the visible points, and their headings as bits; see ``look_around``.
         self._visible: list[tuple[np.ndarray, np.ndarray]] = []
 
     @classmethod
     def of(cls, region: FeasibleRegion, simulator: Simulator, model: CameraModel, camera: int,
-           max_poses: int = MAX_GRID_POSES, should_stop: Callable[[], bool] = lambda: False
-           ) -> 'PoseGrid':
+           max_poses: int = MAX_GRID_POSES) -> 'PoseGrid':
         """
-        Create a grid over the feasible region of a mount.
+        Create a grid over the feasible region of a mount; :meth:`grow` adds its places.
 
         :param region: feasible region of the rig's cameras.
         :param simulator: the engine.
         :param model: the camera model.
         :param camera: index of a camera of this model in the rig.
         :param max_poses: largest number of poses.
-        :param should_stop: returns whether to stop; the grid then has fewer places.
         :raises ConfigurationError: if the camera has no feasible pose.
         """
         grid = cls(simulator, camera)
         # All poses take at most 1 GB: a pose takes about a tenth of a byte per point of the scene.
         max_poses = min(max_poses, 10 * 1_000_000_000 // len(simulator.scene))
         distance_m = 0.3
-        places, headings, grid.step = region.pose_grid(model, distance_m, max_poses)
+        places, headings, grid._least_step = region.pose_grid(model, distance_m, max_poses)
         # In random order, the first n places are spread over the room for any n.
         order = np.random.default_rng(0).permutation(len(places))
-        # The time is checked before each batch of places but the first: a grid has some poses.
-        batch_size = 16
-        for first in range(0, len(places), batch_size):
-            if first and should_stop():
-                break
-            batch = order[first:first + batch_size]
-            grid.add_poses(places[batch], headings[batch])
+        grid._all_places, grid._all_headings = places[order], headings[order]
         return grid
+
+    def grow(self, place_count: int | None = None,
+             should_stop: Callable[[], bool] = lambda: False) -> None:
+        """
+        Add the next places of the grid.
+
+        :param place_count: number of places of the grid at the end; None for all of them.
+        :param should_stop: returns whether to stop earlier.
+        """
+        batch_size = 16
+        last = len(self._all_places) if place_count is None else min(
+            place_count, len(self._all_places))
+        # The time is checked before each batch but the first: a grid has some poses.
+        while self._added < last and not (self._added and should_stop()):
+            batch = slice(self._added, min(self._added + batch_size, last))
+            self.add_poses(self._all_places[batch], self._all_headings[batch])
+            self._added = batch.stop
+
+    @property
+    def complete(self) -> bool:
+        """Return whether all places of the grid were added."""
+        return self._added == len(self._all_places)
+
+    @property
+    def step(self) -> float:
+        """Return the largest distance of a feasible position from the nearest place, metres."""
+        if self.complete or not self._added:
+            return self._least_step
+        nearest, _ = cKDTree(self._all_places[:self._added]).query(self._all_places)
+        return self._least_step + float(nearest.max())
 
     def __len__(self) -> int:
         """Return the number of poses."""

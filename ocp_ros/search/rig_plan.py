@@ -23,12 +23,11 @@ from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import check_regions, pool_of
-from ocp_ros.search.plan import plan
+from ocp_ros.search.plan import load_kernels, plan
 from ocp_ros.search.pose_annealing import SearchResult
 from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
-from ocp_ros.search.proof.column_generation import ColumnGeneration
 from ocp_ros.search.registry import check_planner, RIG_SEARCH
-from ocp_ros.search.rig_search import prove_gap, relaxation_of
+from ocp_ros.search.rig_search import GrowingProof, prove_gap
 from ocp_ros.simulation.objective import RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -102,7 +101,8 @@ class RigPlanner:
     :param scene: the room.
     :param rig: a rig; the planned rigs may differ from it in the number of cameras alone.
     :param engine: settings of the engine.
-    :param budget: of a search; that of the first search includes the candidates.
+    :param budget: of a search; that of the first search includes the candidates. It starts anew
+        when the kernels are loaded.
     :param seed: random seed.
     :param progress: called several times a second.
     :param planner: one of :func:`~ocp_ros.search.registry.planner_names`.
@@ -115,16 +115,17 @@ class RigPlanner:
                  progress: Progress | None = None, planner: str = RIG_SEARCH,
                  model: str = DEFAULT_MODEL) -> None:
         check_planner(planner)
+        load_kernels()
         self.planner = planner
         self.model = model
         self.scene = scene
         self.engine = engine
-        self.budget = budget
+        self.budget = budget.restarted()
         self.seed = seed
         self._progress = progress
         self._problems: dict[Rig, Problem] = {}
         problem = self.problem(rig)
-        self.pool = pool_of(problem, budget)
+        self.pool = pool_of(problem, self.budget)
         check_regions(problem.objective, self.pool)
 
     def problem(self, rig: Rig) -> Problem:
@@ -182,13 +183,12 @@ class RigPlanner:
         if (reason := unprovable_reason(problem.objective)) is not None:
             return replace(plan, uncertain=reason)
 
-        def make_relaxation() -> ColumnGeneration:
-            # Half of the time is for the views of the grid.
-            return relaxation_of(problem, self.pool, budget.deadline_check(0.5))
+        def make_proof() -> GrowingProof:
+            return GrowingProof(problem, self.pool, budget, 0.5)
 
         # The best loss on the grid is not known, so the loss of the plan is given for it.
         loss = plan.evaluation.loss
-        certificate, reason = prove_gap(problem, make_relaxation, loss, loss, budget)
+        certificate, reason = prove_gap(make_proof, loss, loss)
         return replace(plan, certificate=certificate, uncertain=reason,
                        seconds=plan.seconds + budget.elapsed)
 

@@ -49,6 +49,12 @@ class RigSearchTuning:
     :ivar refined_time_share: share of the time at which the first refinement ends.
     :ivar repeated_time_share: share of the time at which the repetitions end; the rest is for the
         proof.
+    :ivar min_evaluations: number of evaluations that are made whatever time they take.
+    :ivar first_places: places of the first grid of a search with a limit of time; its bound is
+        raised whatever time it takes.
+    :ivar grid_growth: number of places of a grid / that of the grid before it.
+    :ivar small_gap: with a larger relative difference of loss and bound, a bound that more time
+        would raise is replaced by the last one that is final.
     :ivar first_choices: number of choices that are refined first.
     :ivar repeated_choices: number of choices that are refined in each repetition.
     :ivar moves: number of moves of a choice.
@@ -69,6 +75,10 @@ class RigSearchTuning:
     grid_time_share: float = 0.4
     refined_time_share: float = 0.6
     repeated_time_share: float = 0.8
+    min_evaluations: int = 200
+    first_places: int = 64
+    grid_growth: int = 8
+    small_gap: float = 0.02
     first_choices: int = 8
     repeated_choices: int = 4
     moves: int = 700
@@ -133,17 +143,17 @@ class ColumnGenerationSearch(RigSearch):
         best placements join the grid, with decreasing distances, and the best choices of them are
         refined again; at last the bound is raised on all poses for the certificate.
         """
-        # Choose on the grid. The views of its poses may take half of the time of this step.
+        # Choose on the grid.
         grid_deadline = self.budget.deadline_check(TUNING.grid_time_share)
-        relaxation = relaxation_of(self.problem, self.pool, self.budget.deadline_check(
-            0.5 * TUNING.grid_time_share))
-        relaxation.raise_bound(grid_deadline)
+        proof = GrowingProof(self.problem, self.pool, self.budget, TUNING.grid_time_share)
+        proof.raise_bound(TUNING.grid_time_share)
+        relaxation = proof.relaxation
         choices = relaxation.find_choices(self._first_choices, self.rng, grid_deadline)
         # Refine the choices off the grid.
         starts = [self._sites_of(relaxation, choice) for choice in choices]
         first_results = results = self._refine_all(
             [*starts, self.start] if self.start else starts, TUNING.distances_m[0],
-            self._first_moves, self.budget.deadline_check(TUNING.refined_time_share))
+            self._first_moves, self._refined_enough)
         loss_on_grid = min((choice.loss for choice in choices), default=np.inf)
         # Repeat both with poses near the results.
         deadline = self.budget.deadline_check(TUNING.repeated_time_share)
@@ -161,7 +171,13 @@ class ColumnGenerationSearch(RigSearch):
         # start from its first results, so the final loss replaces the first one.
         losses = (best.loss, *(result.loss for result in first_results[1:]))
         return SearchResult(best.sites, best.loss, losses, self.evaluations, *prove_gap(
-            self.problem, lambda: relaxation, best.loss, loss_on_grid, self.budget))
+            lambda: proof, best.loss, loss_on_grid))
+
+    def _refined_enough(self) -> bool:
+        """Return whether to end the first refinement; a busy machine does not end it at once."""
+        return self.budget.stopped or (
+            self.evaluations >= TUNING.min_evaluations
+            and self.budget.used_share(0, None) >= TUNING.refined_time_share)
 
     def _rate_placement(self, sites: Sequence[MountedCamera]) -> RatedPlacement:
         """Return a placement with its loss."""
@@ -262,52 +278,115 @@ class ColumnGenerationSearch(RigSearch):
         return Column(grid_number, first_place, 0)
 
 
-def relaxation_of(problem: Problem, pool: CandidatePool, should_stop: Callable[[], bool]
-                  ) -> ColumnGeneration:
+class ProvedBound(NamedTuple):
     """
-    Return the relaxed choice of a rig's poses on dense grids, solved by column generation.
+    A lower bound that more time does not raise.
+
+    :ivar bound: of the loss of every choice of poses of the grids.
+    :ivar poses: number of these poses.
+    :ivar step: see :class:`~ocp_ros.search.proof.certificate.Certificate`.
+    :ivar near: see :class:`~ocp_ros.search.proof.certificate.Certificate`.
+    """
+
+    bound: float
+    poses: int
+    step: float
+    near: bool
+
+
+class GrowingProof:
+    """
+    The relaxed choice of a rig's poses on dense grids, which grow while there is time.
+
+    With a limit of time, the grids grow when the bound of the present ones is final, so that there
+    is a final bound at any time. The first grids and their bound do not depend on the time.
 
     :param problem: the rig in the room.
-    :param pool: computes the grids, or has computed them already.
-    :param should_stop: returns whether to stop the computation of a grid, which is then smaller.
-    """
-    models = problem.rig.placed_models
-    # The search adds poses to these grids; those of the pool must not change. A shallow copy is
-    # enough, as ``add_poses`` replaces the arrays and lists of a grid.
-    grids = [copy(pool.dense_grid(problem, model, should_stop)) for model in models]
-    counts = [sum(camera.model == model for camera in problem.rig.cameras) for model in models]
-    return ColumnGeneration(LossTrees.of(problem.objective), grids, counts, problem.rig.spacing,
-                            len(problem.simulator.scene))
-
-
-def prove_gap(problem: Problem, make_relaxation: Callable[[], ColumnGeneration], loss: float,
-              loss_on_grid: float, budget: Budget) -> tuple[Certificate | None, str]:
-    """
-    Prove the optimality gap of a placement with respect to all placements on the grids.
-
-    :param problem: the rig in the room.
-    :param make_relaxation: returns the column generation; if it raises an error, the proof has
-        failed.
-    :param loss: of the placement.
-    :param loss_on_grid: of the best choice on the grids, before poses were added.
+    :param pool: has the grids, and keeps the views of their poses.
     :param budget: of the search and the proof.
-    :returns: a certificate and an empty text, or None and the reason why there is none.
+    :param share: share of the time in which the grids grow.
+    :ivar relaxation: column generation on the present grids.
     """
-    try:
-        relaxation = make_relaxation()
-        relaxation.raise_bound(budget.deadline_check(1.0))
+
+    def __init__(self, problem: Problem, pool: CandidatePool, budget: Budget, share: float
+                 ) -> None:
+        self._problem = problem
+        self._budget = budget
+        self._last_final: ProvedBound | None = None
+        self._has_bound = False
+        models = problem.rig.placed_models
+        self._grids = grids = [pool.dense_grid(problem, model) for model in models]
+        counts = [sum(camera.model == model for camera in problem.rig.cameras) for model in models]
+        place_count = None if budget.seconds is None else TUNING.first_places
+        for grid in grids:
+            grid.grow(place_count, self._is_stopped)
+        # The search adds poses to these grids; those of the pool must not change. A shallow copy
+        # is enough, as ``add_poses`` replaces the arrays and lists of a grid.
+        self.relaxation = ColumnGeneration(
+            LossTrees.of(problem.objective), list(map(copy, grids)), counts, problem.rig.spacing,
+            len(problem.simulator.scene))
+        deadline = budget.deadline_check(share)
+        while not (all(grid.complete for grid in grids) or deadline()):
+            self.raise_bound(share)
+            place_count *= TUNING.grid_growth
+            for grid in grids:
+                grid.grow(place_count, deadline)
+            if not deadline():
+                self.relaxation.grids = list(map(copy, grids))
+
+    def _is_stopped(self) -> bool:
+        """Return whether the user has ended the search."""
+        return self._budget.stopped
+
+    def raise_bound(self, share: float) -> None:
+        """Raise the bound on the present grids, until a share of the time is used."""
+        relaxation = self.relaxation
+        relaxation.raise_bound(self._budget.deadline_check(share) if self._has_bound
+                               else self._is_stopped)
+        self._has_bound = True
+        if relaxation.closed:
+            self._last_final = self._present_bound()
+
+    def _present_bound(self) -> ProvedBound:
+        """Return the bound on the present grids."""
+        near = len(self.relaxation) > sum(map(len, self._grids))
+        return ProvedBound(self.relaxation.bound, len(self.relaxation), self.relaxation.step, near)
+
+    def certificate(self, loss: float, loss_on_grid: float) -> tuple[Certificate | None, str]:
+        """Return the certificate of a placement; see :func:`prove_gap`."""
+        self.raise_bound(1.0)
+        final, proved = self._last_final, self._present_bound()
+        # If there was no time to raise the bound on all poses, that of the grids before says more.
+        if final is not None and proved.bound < (1.0 - TUNING.small_gap) * min(loss, final.bound):
+            proved = final
         # A bound of 0 proves something only for a loss of 0.
-        if relaxation.bound <= 0.0 < loss:
+        if proved.bound <= 0.0 < loss:
             return None, ('the bound is 0, for these poses together miss almost nothing'
-                          if relaxation.closed else 'there was no time to prove one')
-        bound = max(relaxation.bound - relaxation.trees.rounding, 0.0)
+                          if final else 'there was no time to prove one')
+        # Without poses near the cameras, no choice of the grids may be as good as the placement.
+        bound = min(max(proved.bound - self.relaxation.trees.rounding, 0.0), loss)
+        problem = self._problem
         directional = any(not model.omnidirectional for model in problem.rig.placed_models)
         # Degrees between the yaws of the grid.
         heading_step = round(float(np.rad2deg(DENSE[0])), 1) if directional else 0.0
         return Certificate(
-            len(relaxation), max(grid.step for grid in relaxation.grids), heading_step,
-            problem.simulator.config.engine.error_rows, loss, bound, relaxation.closed,
-            loss_on_grid, budget.elapsed), ''
+            proved.poses, proved.step, proved.near, heading_step,
+            problem.simulator.config.engine.error_rows, loss, bound,
+            proved is final or self.relaxation.closed, loss_on_grid, self._budget.elapsed), ''
+
+
+def prove_gap(make_proof: Callable[[], GrowingProof], loss: float, loss_on_grid: float
+              ) -> tuple[Certificate | None, str]:
+    """
+    Prove the optimality gap of a placement with respect to all placements on the grids.
+
+    :param make_proof: returns the proof; if it raises an error, the proof has failed.
+    :param loss: of the placement.
+    :param loss_on_grid: of the best choice on the grids, before poses were added.
+    :returns: a certificate and an empty text, or None and the reason why there is none.
+    """
+    try:
+        return make_proof().certificate(loss, loss_on_grid)
     except Exception as error:  # The placement is valid without the proof, so keep it.
         _log.exception('the proof failed')
         return None, f'its proof failed ({type(error).__name__}: {error})'

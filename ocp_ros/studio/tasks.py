@@ -26,7 +26,7 @@ from ocp_ros.rig.placement_file import ANGLES
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import check_regions, MountedCamera, pool_of
-from ocp_ros.search.plan import plan
+from ocp_ros.search.plan import load_kernels, plan
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.search.registry import RIG_SEARCH
 from ocp_ros.simulation.problem import Problem
@@ -107,7 +107,9 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
     def work(task: Task) -> Iterator[Progress]:
         unlocked = [k for k, name in enumerate(state.names) if name not in state.locked]
         problem = studio.problem_of(_rig_of_unlocked(state, unlocked))
-        pool = pool_of(problem, task.budget)
+        load_kernels()
+        budget = task.budget.restarted()
+        pool = pool_of(problem, budget)
         check_regions(problem.objective, pool)
         best_sites = _start_sites(studio, problem, state, unlocked) if from_here else ()
         certificate: Certificate | None = None
@@ -121,7 +123,7 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
                 task.report(Progress(done_share + time_share * min(share, 1.0),
                                      f'searching: objective value {loss:.4f}'
                                      if np.isfinite(loss) else ''))
-            result = plan(problem, task.budget.restarted(time_share * task.budget.seconds),
+            result = plan(problem, budget.restarted(time_share * budget.seconds),
                           RIG_SEARCH, pool, seed, best_sites, report)
             best_sites = result.sites
             done_share += time_share

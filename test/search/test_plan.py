@@ -253,6 +253,19 @@ def test_seconds_end_a_search_that_counts_nothing(furnished, few_candidates):
     assert 20.0 <= budget.elapsed < 30.0 and plan.answer.evaluations > 5
 
 
+def test_the_time_of_a_search_begins_when_the_kernels_are_loaded(furnished, few_candidates,
+                                                                 monkeypatch):
+    now, rig = [0.0], rig_of(2, 'omnidirectional')
+
+    def load():
+        now[0] += 3600.0
+
+    monkeypatch.setattr('ocp_ros.search.rig_plan.load_kernels', load)
+    budget = Budget(seconds=60.0, evaluations=5, clock=lambda: now[0])
+    plan = RigPlanner(furnished, rig, FAST, budget, planner='random').plan(rig)
+    assert plan.answer.evaluations == 5 and plan.seconds == 0.0
+
+
 def test_the_clock_cuts_no_episode_short(furnished, few_candidates):
     # Reading kernels and laying out candidates may have taken all the time.
     hours, rig = itertools.count(), rig_of(2, 'omnidirectional')

@@ -30,22 +30,25 @@ class Certificate:
 
     :ivar candidates: number of poses of the grid.
     :ivar step: largest distance of a feasible place from the grid, metres.
+    :ivar near: whether the grid has closer poses near the cameras of the placement.
     :ivar turn: degrees between the headings at a place; 0 if each place has one heading.
     :ivar rows: number of rows of the depth maps.
     :ivar found: loss of the placement.
     :ivar bound: lower bound of the loss of every placement on the grid.
-    :ivar closed: whether the bound is the best of this relaxation, so more time does not raise it.
+    :ivar final: whether the bound is the best of this relaxation: more time does not raise it, and
+        a remaining gap is one of the method.
     :ivar on_grid: loss of the best placement on the grid before poses were added near it.
     :ivar seconds: duration of the proof, including the search if both share one budget.
     """
 
     candidates: int
     step: float
+    near: bool
     turn: float
     rows: int
     found: float
     bound: float
-    closed: bool
+    final: bool
     on_grid: float
     seconds: float
 

@@ -134,6 +134,11 @@ class ColumnGeneration:
         """Return the number of poses of all grids."""
         return sum(map(len, self.grids))
 
+    @property
+    def step(self) -> float:
+        """Return the largest distance of a feasible position from the places of its grid."""
+        return max(grid.step for grid in self.grids)
+
     def pose(self, column: Column) -> np.ndarray:
         """Return a pose: (6,) metres, map frame, and radians."""
         return self.grids[column.grid].pose(column.place, column.heading)
