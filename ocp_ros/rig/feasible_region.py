@@ -147,7 +147,7 @@ class FeasibleRegion:
         count = min(max_count, len(poses))
         return poses[np.arange(count) * len(poses) // count]
 
-    def pose_grid(self, model: CameraModel, step: float, max_count: int
+    def pose_grid(self, model: CameraModel, step: float, max_count: int, min_places: int = 1
                   ) -> tuple[np.ndarray, np.ndarray, float]:
         """
         Return a dense grid of feasible poses.
@@ -156,12 +156,14 @@ class FeasibleRegion:
         :param step: metres between positions; half of it for cameras with a single heading.
         :param max_count: the largest number of poses; positions are farther apart if there would
             be more.
+        :param min_places: number of positions for which ``max_count`` may be exceeded.
         :returns: P positions (P, 3), metres, map frame; their H headings (P, H, 3), radians; and
             the largest distance of a feasible position from the nearest returned one, metres.
         :raises ConfigurationError: if there is no place where the camera may hang.
         """
         relative_headings = headings_of(self.rig, model, *DENSE)
         min_distance = step if len(relative_headings) > 1 else 0.5 * step
+        max_count = max(max_count, min_places * len(relative_headings))
         return self._spread_poses(model, relative_headings, max_count, min_distance)
 
     def _spread_poses(self, model: CameraModel, relative_headings: np.ndarray, max_count: int,

@@ -177,9 +177,11 @@ class CandidatePool:
     def dense_grid(self, problem: Problem, model: CameraModel) -> PoseGrid:
         """Return the dense grid of a model, with the places that searches have added so far."""
         if model not in self._grids:
+            # With few places, the spacing may leave too few for all cameras.
+            min_places = 4 * len(problem.rig.cameras)
             self._grids[model] = PoseGrid.of(
                 problem.region, problem.simulator, model, problem.rig.models.index(model),
-                self._max_grid_poses)
+                self._max_grid_poses, min_places)
         return self._grids[model]
 
     def spaced_rows(self, rig: Rig, sites: Sequence[MountedCamera]) -> np.ndarray:

@@ -57,7 +57,7 @@ class PoseGrid:
 
     @classmethod
     def of(cls, region: FeasibleRegion, simulator: Simulator, model: CameraModel, camera: int,
-           max_poses: int = MAX_GRID_POSES) -> 'PoseGrid':
+           max_poses: int = MAX_GRID_POSES, min_places: int = 1) -> 'PoseGrid':
         """
         Create a grid over the feasible region of a mount; :meth:`grow` adds its places.
 
@@ -65,14 +65,16 @@ class PoseGrid:
         :param simulator: the engine.
         :param model: the camera model.
         :param camera: index of a camera of this model in the rig.
-        :param max_poses: largest number of poses.
+        :param max_poses: largest number of poses, unless there would be fewer than ``min_places``.
+        :param min_places: number of places.
         :raises ConfigurationError: if the camera has no feasible pose.
         """
         grid = cls(simulator, camera)
         # All poses take at most 1 GB: a pose takes about a tenth of a byte per point of the scene.
         max_poses = min(max_poses, 10 * 1_000_000_000 // len(simulator.scene))
         distance_m = 0.3
-        places, headings, grid._least_step = region.pose_grid(model, distance_m, max_poses)
+        places, headings, grid._least_step = region.pose_grid(
+            model, distance_m, max_poses, min_places)
         # In random order, the first n places are spread over the room for any n.
         order = np.random.default_rng(0).permutation(len(places))
         grid._all_places, grid._all_headings = places[order], headings[order]

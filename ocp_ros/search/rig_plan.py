@@ -22,7 +22,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.rig.rig_file import Rig
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import check_regions, pool_of
+from ocp_ros.search.candidate_pool import check_regions, pool_of, views_of
 from ocp_ros.search.plan import load_kernels, plan
 from ocp_ros.search.pose_annealing import SearchResult
 from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
@@ -163,7 +163,13 @@ class RigPlanner:
         # Other random numbers than those of the search.
         rng = np.random.default_rng([self.seed, random_count])
         drawn = [self.pool.random_sites(rig, rng) for _ in range(random_count)]
-        losses = [objective.loss([site.view for site in sites]) for sites in drawn if sites]
+        losses = [objective.loss(views_of(sites)) for sites in drawn if sites]
+        if losses and min(losses) < answer.loss:
+            # Few evaluations of many cameras may find less than chance does.
+            best = [sites for sites in drawn if sites][int(np.argmin(losses))]
+            proof = answer.certificate
+            answer = replace(answer, sites=best, loss=min(losses), certificate=proof and replace(
+                proof, found=min(losses), bound=min(proof.bound, *losses)))
         return RigPlan(
             rig, answer, objective.evaluate(answer.poses),
             objective.evaluate_views(self.pool.union_views(rig)),

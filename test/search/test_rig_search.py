@@ -27,6 +27,7 @@ from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point
+from ocp_ros.search.rig_plan import RigPlanner
 from ocp_ros.search.rig_search import search
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -211,6 +212,15 @@ def test_a_grid_that_grows_says_what_was_proved_on_the_last_one():
     assert all(certificate.final for certificate in known)
     # More poses cannot have a larger bound, and the answer is one of those that are known.
     assert known[1].bound <= known[0].bound + 1e-9 and known[1].found <= known[0].found * 1.01
+
+
+def test_many_cameras_and_few_evaluations_are_far_better_than_chance():
+    scene, rig = made_room(11, 3000), rig_of(10, 'd455', mount={'on': 'ceiling'})
+    plan = RigPlanner(scene, rig, FAST.engine, Budget(evaluations=60)).plan(rig)
+    assert plan.answer.evaluations > 0 and plan.evaluation.loss < 0.7 * plan.random.min()
+    # A planner that finds less than chance gives the best of what was drawn.
+    drawn = RigPlanner(scene, rig, FAST.engine, Budget(evaluations=1), planner='random').plan(rig)
+    assert drawn.evaluation.loss == drawn.answer.loss <= drawn.random.min()
 
 
 def test_off_the_grid_it_is_better_than_on_it():

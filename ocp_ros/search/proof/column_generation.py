@@ -119,6 +119,8 @@ class ColumnGeneration:
         self.counts = np.array(counts)
         self.spacing = spacing
         self._point_count = points
+        #: Columns of the greedy choice, which are always kept; None before the first program.
+        self._greedy: list[Column] | None = None
         #: For each active cut, the unserved nodes of its choice: (T,) bool.
         self._cut_nodes: list[np.ndarray] = []
         rng = np.random.default_rng(0)
@@ -171,6 +173,9 @@ class ColumnGeneration:
         # No loss is below 0.
         self.bound = 0.0
         self.closed = False
+        if self._greedy is None:
+            self._greedy = self._choose_greedily(should_stop)
+            self.add_columns(self._greedy)
         places = [np.arange(len(grid.places)) for grid in self.grids] if places is None else places
         for number in range(TUNING.max_programs):
             # Solve the linear program of the columns.
@@ -197,6 +202,35 @@ class ColumnGeneration:
             if self.closed or should_stop():
                 return
             self._set_columns([*self._kept_columns(column_gains, chosen_gains), *new_columns])
+
+    def _choose_greedily(self, should_stop: Callable[[], bool]) -> list[Column]:
+        """Choose one pose after the other, each of the largest gain; [] if too few fit."""
+        chosen: list[Column] = []
+        missing = self.counts.copy()
+        places = [np.arange(len(grid.places)) for grid in self.grids]
+        while missing.any():
+            seen_by = poses_by_point([self.grids[grid].visible_points(place, heading)
+                                      for grid, place, heading in chosen], self._point_count)
+            unserved = self.trees.unserved_nodes(seen_by, np.ones(len(chosen)))
+            gains = self._pose_gains(self.trees.weights * unserved, places, should_stop)
+            if gains is None:
+                return []
+            positions = np.array([self.pose(column)[:3] for column in chosen]).reshape(-1, 3)
+            best: tuple[float, Column] | None = None
+            for number in np.flatnonzero(missing):
+                distances = cdist(self.grids[number].places, positions)
+                for place in np.flatnonzero((distances >= self.spacing).all(axis=1)).tolist():
+                    heading = int(np.argmax(gains[number][place]))
+                    gain = float(gains[number][place][heading])
+                    column = Column(int(number), place, heading)
+                    # With a spacing of 0, cameras may share a place, but not a pose.
+                    if column not in chosen and (best is None or gain > best[0]):
+                        best = gain, column
+            if best is None:
+                return []
+            chosen.append(best[1])
+            missing[best[1].grid] -= 1
+        return chosen
 
     def _largest_gain(self, gains: dict[int, np.ndarray], count: int) -> float:
         """Return the largest total gain of ``count`` poses, given the gains (H,) at each place."""
@@ -316,15 +350,16 @@ class ColumnGeneration:
         for grid, count in enumerate(self.counts):
             rows = np.flatnonzero(self._grid_numbers == grid)
             kept[rows[np.argsort(-column_gains[rows], kind='stable')[:2 * count]]] = True
+        kept |= [column in self._greedy for column in self._columns]
         return [column for column, keep in zip(self._columns, kept) if keep]
 
     def find_choices(self, count: int, rng: np.random.Generator, should_stop: Callable[[], bool]
                      ) -> list[Choice]:
         """
-        Round the shares of the program to choices, and improve them by exchanges of one pose.
+        Return the greedy choice and rounded shares of the program, improved by exchanges.
 
-        After the first choice, every second attempt excludes the poses near a place of the best
-        choice.
+        An exchange replaces one pose. After the first choice, every second attempt to round
+        excludes the poses near a place of the best choice.
 
         :param count: largest number of different choices.
         :param rng: the shares are multiplied by random numbers, except at the first attempt.
@@ -333,6 +368,10 @@ class ColumnGeneration:
         """
         losses: dict[tuple[int, ...], float] = {}
         allowed = np.ones(len(self._shares), dtype=bool)
+        if self._greedy:
+            chosen = [self._columns.index(column) for column in self._greedy]
+            loss = self._exchange_poses(chosen, allowed, should_stop)
+            losses[tuple(sorted(chosen))] = loss
         for attempt in range(2 * count):
             shares = self._shares * (rng.exponential(size=len(self._shares)) if attempt else 1.0)
             if losses:
@@ -347,10 +386,10 @@ class ColumnGeneration:
             # This replaces poses in ``chosen``.
             loss = self._exchange_poses(chosen, allowed, should_stop)
             losses[tuple(sorted(chosen))] = loss
-            if len(losses) == count or should_stop():
+            if len(losses) > count or should_stop():
                 break
         return sorted(Choice(loss, tuple(self._columns[k] for k in rows))
-                      for rows, loss in losses.items())
+                      for rows, loss in losses.items())[:count]
 
     def _round_shares(self, shares: np.ndarray, allowed: np.ndarray) -> list[int] | None:
         """Choose allowed columns, (n,) bool, with the largest shares (n,); None if too few fit."""
