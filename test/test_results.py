@@ -84,9 +84,10 @@ SENTENCES = [
     (RESULTS, 'its mean optimality gap is {}. Of planners without a scan, `lookahead` has a '
      'regret of {} and `learned` of {} after 30 turns', 'benchmark/planners/{key}',
      'rig_search/1000/gap lookahead/0/regret learned/0/regret'),
-    (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. `lookahead` without a scan delivers {} m',
-     'benchmark_four_d455/planners/{key}',
-     'rig_search/300/sum rig_search/300/seconds tdsa/300/sum tdsa/300/seconds lookahead/0/sum'),
+    (RESULTS, '{} m in {} s, `tdsa` {} m in {} s. Without a scan `learned` delivers {} m and '
+     '`lookahead` {} m', 'benchmark_four_d455/planners/{key}',
+     'rig_search/300/sum rig_search/300/seconds tdsa/300/sum tdsa/300/seconds learned/0/sum '
+     'lookahead/0/sum'),
     (RESULTS, '{} ms (median) and {} ms (99th percentile). With four D455 it takes {} and {} ms',
      'nodes/value/learned/{key}',
      'points_25000_ms/0 points_25000_ms/1 rig_of_four_d455_ms/0 rig_of_four_d455_ms/1'),
