@@ -33,6 +33,9 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+#: Largest share of isolated points that are left out of a scan.
+MAX_ISOLATED_SHARE = 0.05
+
 
 def isolated_points(points: np.ndarray) -> np.ndarray:
     """
@@ -42,7 +45,7 @@ def isolated_points(points: np.ndarray) -> np.ndarray:
     nearest points are far away and lie on no plane.
 
     :param points: (N, 3) float32, metres.
-    :returns: (N,) bool; all False if more than 5 % would be isolated.
+    :returns: (N,) bool; a share of more than ``MAX_ISOLATED_SHARE`` is a property of the scanner.
     """
     is_kept = np.ones(len(points), dtype=bool)
     neighbours = 12
@@ -70,9 +73,7 @@ def isolated_points(points: np.ndarray) -> np.ndarray:
         is_isolated[candidates] = ~on_line & (is_isolated[candidates] | off_plane)
         # ``is_isolated`` is a mask of the kept points; it is converted to indices of all points.
         is_kept[np.flatnonzero(is_kept)[is_isolated]] = False
-    is_removed = ~is_kept
-    # A larger share of isolated points is a property of the scanner.
-    return is_removed if is_removed.mean() <= 0.05 else np.zeros(len(points), dtype=bool)
+    return ~is_kept
 
 
 def stray_points(points: np.ndarray) -> np.ndarray:

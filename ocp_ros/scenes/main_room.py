@@ -30,6 +30,8 @@ from ocp_ros.scenes.scene import MIN_POINTS, Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+#: Metres: edge of the voxels in which points for the plan are merged.
+PLAN_VOXEL_M = 0.04
 #: Metres: gaps in a floor up to this width are closed.
 MAX_FLOOR_GAP_M = 0.4
 #: Metres: half the least width of a room.
@@ -45,7 +47,7 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     :returns: the same scene if there are no other rooms, or they cannot be separated. A scan of
         many rooms stays whole and gets a remark.
     """
-    thin_points = voxel_downsample(points, 0.04)
+    thin_points = voxel_downsample(points, PLAN_VOXEL_M)
     # The corner of the plan, at the height of the floor. The empty margin around the points is for
     # closing gaps in the floor, which fails at the edge of the plan.
     corner = np.append(thin_points[:, :2].min(axis=0) - 2.0 * MAX_FLOOR_GAP_M,

@@ -30,10 +30,15 @@ from ocp_ros.geometry.clouds import (
     voxel_downsample,
     voxel_size_for,
 )
-from ocp_ros.scenes.false_points import isolated_points, stray_points, without_mirror_images
+from ocp_ros.scenes.false_points import (
+    isolated_points,
+    MAX_ISOLATED_SHARE,
+    stray_points,
+    without_mirror_images,
+)
 from ocp_ros.scenes.file_formats import Declared, declared_by, MEASURED, READERS
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
-from ocp_ros.scenes.main_room import main_room
+from ocp_ros.scenes.main_room import main_room, PLAN_VOXEL_M
 from ocp_ros.scenes.measured_room import CORNERS, room_between
 from ocp_ros.scenes.meshes import MESH_SAMPLES, sample_faces
 from ocp_ros.scenes.scene import check_numbers, check_points, Mesh, MIN_POINTS, Scene, SceneError
@@ -52,6 +57,7 @@ from ocp_ros.util.files import write_atomically
 from ocp_ros.util.settings import UserError
 from ocp_ros.util.terminal_text import printable
 from plyfile import PlyData, PlyElement
+from scipy.spatial import cKDTree
 
 #: The number of sample points on a mesh, to find its size, axes and stray parts.
 COARSE_SAMPLES = 60_000
@@ -207,11 +213,13 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
                     f'({"merged in voxels" if voxel_size else "--points"})',)
         normals = None
     # Leave out isolated points if the others are still a room. Then leave out mirror images.
-    if (is_isolated := isolated_points(merged)).any() and _is_room(merged[~is_isolated], name):
+    is_isolated = isolated_points(merged)
+    surfaces = merged[~is_isolated]
+    if 0.0 < is_isolated.mean() <= MAX_ISOLATED_SHARE and _is_room(surfaces, name):
         count = int(np.count_nonzero(is_isolated))
         remarks += (f'{count:,} isolated point{"s" * (count > 1)} left out',)
         _log.warning('%s: %s', printable(name), remarks[-1])
-        merged = merged[~is_isolated]
+        merged = surfaces
         normals = None if normals is None else normals[~is_isolated]
     scene = without_mirror_images(Scene(
         merged, scene_name, normals, mesh, source, tuple(notes), remarks))
@@ -221,7 +229,18 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
         points = scene.points
     # Leave out what lies outside of the room.
     scene = without_outside(scene)
-    return _warn_of_notes(scene if all_rooms else main_room(scene, points), name)
+    # Isolated points must not count as walls, however many there are.
+    return _warn_of_notes(scene if all_rooms else main_room(
+        scene, points if is_isolated.all() else _near_surfaces(points, surfaces)), name)
+
+
+def _near_surfaces(points: np.ndarray, surfaces: np.ndarray) -> np.ndarray:
+    """Return the points (N, 3) with a point of ``surfaces`` (M, 3) near them, both metres."""
+    tree = cKDTree(surfaces)
+    distances, _ = tree.query(surfaces[::max(len(surfaces) // 2000, 1)], k=2)
+    radius = max(0.1, 2.0 * float(np.median(distances[:, 1])))
+    thin_points = voxel_downsample(points, PLAN_VOXEL_M)
+    return thin_points[np.isfinite(tree.query(thin_points, distance_upper_bound=radius)[0])]
 
 
 def _warn_of_notes(scene: Scene, name: str) -> Scene:
