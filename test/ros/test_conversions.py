@@ -52,6 +52,7 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
+    RawCloud,
     shortened,
     stamp_to_ns,
 )
@@ -59,6 +60,7 @@ from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.ros.sim_node import SimNode
 from ocp_ros.ros.trainer_node import TrainerNode
 import pytest
+from rclpy.serialization import serialize_message
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
 
@@ -312,3 +314,14 @@ def test_a_command_out_of_bounds_is_noticed(fuzzer):
                           ([-0.1, 0.5, 0.5], None), ([2.1, 0.5, 0.5], outside)):
         with pytest.raises(FuzzError, match='command: found'):
             fuzzer.check(np.array([wrong]), box, 'command', before)
+
+
+def test_a_cloud_as_it_was_received_has_a_stamp_and_is_read_later():
+    cloud = cloud_to_msg(np.eye(3, dtype=np.float32), Header(
+        stamp=Time(sec=12, nanosec=345), frame_id='map'))
+    raw = RawCloud.of(serialize_message(cloud))
+    assert raw.stamp == 12_000_000_345 and raw.message() == cloud
+    with pytest.raises(MessageError, match='3 bytes'):
+        RawCloud.of(raw.data[:3])
+    with pytest.raises(MessageError, match='cannot be read'):
+        RawCloud.of(raw.data[:20]).message()

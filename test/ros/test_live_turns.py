@@ -46,7 +46,9 @@ from ocp_ros.scenes.scene_files import save_scene
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.qos import ReliabilityPolicy
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 from std_srvs.srv import SetBool, Trigger
@@ -312,6 +314,27 @@ def test_a_person_moves_cameras_seldom_and_far_unless_told_otherwise(
     config = policy.config
     assert (config.turns, config.max_step, config.max_turn) == (turns, max_step, max_turn)
     assert policy.get_parameter('turns').value == turns
+
+
+def reliabilities(node):
+    """Return the reliability of all subscriptions of the clouds."""
+    found = node.get_subscriptions_info_by_topic('/points')
+    return {subscription.qos_profile.reliability for subscription in found}
+
+
+def test_clouds_are_received_reliably_where_all_drivers_offer_it(graph):
+    policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points')
+    graph.until(lambda: reliabilities(policy) == {ReliabilityPolicy.BEST_EFFORT})
+    driver = graph.add(partial(Node, 'driver'))
+    driver.create_publisher(PointCloud2, 'points', qos.LOOP)
+    graph.until(lambda: reliabilities(policy) == {ReliabilityPolicy.RELIABLE})
+    # A driver with best effort, which appears later, is heard too.
+    driver.create_publisher(PointCloud2, 'points', qos.SENSOR)
+    graph.until(lambda: reliabilities(policy) == {ReliabilityPolicy.BEST_EFFORT})
+    graph.remove(policy)
+    policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points', **{
+        'qos_overrides./points.subscription.reliability': 'reliable'})
+    graph.until(lambda: reliabilities(policy) == {ReliabilityPolicy.RELIABLE})
 
 
 def test_noise_of_poses_neither_stops_turns_nor_moves_what_was_decided(live):

@@ -17,12 +17,15 @@
 from array import array
 from collections.abc import Mapping
 import math
+import struct
+from typing import NamedTuple
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
 import numpy as np
 from ocp_ros.geometry.cameras import Pose as CameraPose
 from ocp_ros.util.settings import MAX_CAMERAS
+from rclpy.serialization import deserialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import PointCloud2, PointField
 from std_msgs.msg import Float64MultiArray, Header, MultiArrayDimension, UInt8MultiArray
@@ -95,6 +98,44 @@ def value_cloud(points: np.ndarray, name: str, values: np.ndarray, header: Heade
     message.row_step = records.nbytes
     message.data = array('B', records.tobytes())
     return message
+
+
+class RawCloud(NamedTuple):
+    """
+    A cloud as it was received, not deserialised: most clouds are replaced before they are used.
+
+    :ivar stamp: of its header, nanoseconds.
+    :ivar data: the message in CDR.
+    """
+
+    stamp: int
+    data: bytes
+
+    @classmethod
+    def of(cls, data: bytes) -> 'RawCloud':
+        """
+        Read the stamp, with which the header begins, after four bytes on the encoding.
+
+        :raises MessageError: if the data are shorter.
+        """
+        if len(data) < 12:
+            raise MessageError(f'cloud: found {len(data)} bytes; expected a message with a stamp')
+        # An odd second byte stands for the order of bytes that begins with the lowest.
+        order = '<' if data[1] & 1 else '>'
+        seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
+        return cls(seconds * NS_PER_S + nanoseconds, data)
+
+    def message(self) -> PointCloud2:
+        """
+        Deserialise the message.
+
+        :raises MessageError: if it is no cloud.
+        """
+        try:
+            return deserialize_message(self.data, PointCloud2)
+        except Exception as error:  # rclpy raises errors of several types.
+            raise MessageError(f'cloud: found {len(self.data)} bytes that cannot be read '
+                               f'({error}); expected a sensor_msgs/msg/PointCloud2') from error
 
 
 def msg_to_cloud(message: PointCloud2) -> np.ndarray:

@@ -15,8 +15,8 @@
 """
 Turns of real cameras: clouds arrive at any time, and a rig or a person carries out commands.
 
-Of each topic only the newest cloud is stored, unread, and each turn reads one of each topic. So
-the executor is busy with one cloud or one answer at a time, however fast the cameras are.
+Of each topic only the newest cloud is stored, as it was received, and each turn reads one of each
+topic. So the executor is busy with one cloud or one answer at a time, however fast cameras are.
 """
 
 from collections import Counter
@@ -38,6 +38,7 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
+    RawCloud,
     rotation_of,
     stamp_to_ns,
 )
@@ -52,7 +53,7 @@ from ocp_ros.ros.interface.frames import (
     transform_cloud,
     Transforms,
 )
-from ocp_ros.ros.interface.qos import LOOP, POSES, SENSOR
+from ocp_ros.ros.interface.qos import LOOP, POSES, SensorSubscription
 from ocp_ros.ros.policy.instructions import Instructor
 from ocp_ros.ros.policy.turn_source import TurnSource
 from ocp_ros.ros.policy.turns import Turns, WaitLimits
@@ -87,7 +88,7 @@ class LiveTurns(TurnSource):
         self._transforms = Transforms(node)
         self._frames = CameraFrames(node, config.publish_tf, self._transforms.has_transform)
         #: The newest cloud of each topic, unread.
-        self._newest_clouds: dict[str, PointCloud2] = {}
+        self._newest_clouds: dict[str, RawCloud] = {}
         #: Targets of the last command: positions of the K cameras, (K, 3) metres, and rotations,
         #: (3, 3), of the cameras that the command rotates.
         self._targets = np.empty((0, 3))
@@ -97,8 +98,15 @@ class LiveTurns(TurnSource):
         self.reset()
         self._observation_publisher = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, POSES)
-        for topic, name in self._full_topic_names(config.live_topics).items():
-            node.create_subscription(PointCloud2, name, partial(self._on_cloud, topic), SENSOR)
+        subscriptions = [
+            SensorSubscription(node, PointCloud2, name, partial(self._on_cloud, topic))
+            for topic, name in self._full_topic_names(config.live_topics).items()]
+
+        def match_publishers() -> None:
+            for subscription in subscriptions:
+                subscription.match()
+
+        create_steady_timer(node, 1.0, match_publishers)
         # A turn can become due without a message: this is checked ten times a second.
         create_steady_timer(node, 0.1, self._play_turn)
         self._resend_timer = create_steady_timer(node, RESEND_S, self._resend)
@@ -139,7 +147,7 @@ class LiveTurns(TurnSource):
         #: topic brought a cloud.
         self._decided_turns = 0
         self._turns_with_cloud = Counter[str]()
-        self._turns: Turns[PointCloud2] = Turns(
+        self._turns: Turns[RawCloud] = Turns(
             self._node.config.live_topics, self._wait_limits())
         #: The value of ``_turns.stamp_jumps`` when the transforms were last dropped.
         self._seen_jumps = 0
@@ -162,10 +170,15 @@ class LiveTurns(TurnSource):
                                      f'{fused_topic}, which is where the fused cloud goes')
         return full_names
 
-    def _on_cloud(self, topic: str, message: PointCloud2) -> None:
+    def _on_cloud(self, topic: str, data: bytes) -> None:
         """Store a cloud, and play the turn if it is due."""
-        self._newest_clouds[topic] = message
-        self._turns.on_cloud(topic, stamp_to_ns(message.header.stamp), message)
+        try:
+            cloud = RawCloud.of(data)
+        except MessageError as error:
+            self._node.refuse(error)
+            return
+        self._newest_clouds[topic] = cloud
+        self._turns.on_cloud(topic, cloud.stamp, cloud)
         self._play_turn()
 
     def _on_poses(self, message: PoseArray) -> None:
@@ -203,12 +216,12 @@ class LiveTurns(TurnSource):
         # Topics whose cloud was put back in this call: it is taken again in a later call.
         waiting_topics: list[str] = []
         while (topic_and_cloud := self._turns.take_cloud(waiting_topics)) is not None:
-            topic, message = topic_and_cloud
+            topic, cloud = topic_and_cloud
             try:
-                self._fuse_cloud(message)
+                self._fuse_cloud(cloud)
             except LateTransformError as error:
                 # Transforms come on another topic than poses, and may still arrive.
-                if self._turns.put_back(topic, stamp_to_ns(message.header.stamp), message):
+                if self._turns.put_back(topic, cloud.stamp, cloud):
                     waiting_topics.append(topic)
                 else:
                     self._turns.refuse_cloud(topic)
@@ -230,10 +243,11 @@ class LiveTurns(TurnSource):
                 '(geometry_msgs/msg/PoseArray); publish it, see docs/tasks/live_cameras.md; '
                 'waiting', throttle_duration_sec=10.0)
 
-    def _fuse_cloud(self, message: PointCloud2) -> None:
+    def _fuse_cloud(self, cloud: RawCloud) -> None:
         """Add a cloud to the fused cloud, unless the placement is final."""
         if self._is_final:
             return
+        message = cloud.message()
         # ``mean_poses`` are all positions and all rotations: each pose gets one of both. When a
         # cloud is taken, the cameras stand: ``standing_begin`` is not None.
         rig = self._rig._replace(poses=list(map(Pose, *self._turns.mean_poses)),
@@ -387,7 +401,7 @@ class LiveTurns(TurnSource):
         clouds = {}
         for number, topic in enumerate(self._node.config.live_topics):
             if topic in self._newest_clouds:
-                message = self._newest_clouds[topic]
+                message = self._newest_clouds[topic].message()
                 match = CAMERA_FRAME.fullmatch(message.header.frame_id.lstrip('/'))
                 camera = int(match[1]) if match else number
                 if camera < len(self._rig.poses):
