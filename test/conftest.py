@@ -14,7 +14,7 @@
 
 """Fixtures for real nodes on real DDS in one process, without launch files."""
 
-from contextlib import contextmanager, ExitStack
+from contextlib import contextmanager, ExitStack, suppress
 from dataclasses import replace
 import faulthandler
 from functools import cache
@@ -286,6 +286,8 @@ class Probe:
         self.graph = graph
         self.node = graph.add(lambda **kwargs: rclpy.node.Node('probe', **kwargs))
         self.received = {}
+        #: Number of requests without an answer.
+        self.lost_answers = 0
 
     def listen(self, kind, topic, qos):
         """Record what arrives on a topic."""
@@ -304,12 +306,16 @@ class Probe:
         return self.received[topic][-1]
 
     def call(self, kind, name, **fields):
-        """Call a service and return its answer."""
+        """Call a service and return its answer; if that gets lost, ask again."""
         client = self.node.create_client(kind, name)
         self.graph.until(client.service_is_ready)
-        answer = client.call_async(kind.Request(**fields))
-        self.graph.until(answer.done)
-        return answer.result()
+        for _ in range(int(HUNG / 15.0)):
+            answer = client.call_async(kind.Request(**fields))
+            with suppress(AssertionError):
+                self.graph.until(answer.done, timeout=15.0)
+                return answer.result()
+            self.lost_answers += 1
+        raise AssertionError(f'{name} has not answered')
 
     def start_policy(self, **parameters):
         """Start a policy_node whose turns this node sends, and whose commands it hears."""

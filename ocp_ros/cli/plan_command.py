@@ -145,6 +145,7 @@ def _keep_placement(folder: Path, placement: 'Placement') -> Iterator[Path]:
     from ocp_ros.report.exports import MARK, PLACEMENT_FILES, WRITTEN
     from ocp_ros.rig.placement_file import save_placement
     from ocp_ros.util.files import file_set
+    is_saved = False
     try:
         with file_set(folder, WRITTEN, MARK) as unfinished:
             # At the end, also by Ctrl-C, the files are moved into the folder. If the
@@ -152,15 +153,17 @@ def _keep_placement(folder: Path, placement: 'Placement') -> Iterator[Path]:
             with suppress(OSError):
                 for name in PLACEMENT_FILES:
                     save_placement(unfinished / name, placement)
+                    is_saved = True
             yield unfinished
     except KeyboardInterrupt:
-        print(f'ocp: stopped; the placement is in {printable(str(folder / PLACEMENT_FILES[0]))}',
-              file=sys.stderr)
+        if is_saved:
+            path = printable(str(folder / PLACEMENT_FILES[0]))
+            print(f'ocp: stopped; the placement is in {path}', file=sys.stderr)
         raise
 
 
 def rig_asked(arguments: argparse.Namespace) -> 'Rig':
-    """Return the rig; with ``--cameras auto``, planning replaces its number of cameras later."""
+    """Return the rig; with ``--count auto``, planning replaces its number of cameras later."""
     from ocp_ros.report.rig_planning import CAMERAS, MOUNT
     from ocp_ros.rig.rig_file import load_rig, rig_of, with_count
     number = arguments.count  # 0 for ``auto``, None without the option.

@@ -228,7 +228,7 @@ def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
 
 def _run_planner(protocol: Protocol, problem: Problem, name: str) -> Iterator[Row]:
     """Plan with every budget and seed; for ``RAY_SEARCH``, use the default planner."""
-    load_kernels()
+    load_kernels(name in planner_names(OBSERVED))
     planner = RIG_SEARCH if name == RAY_SEARCH else name
     for budget, seed in protocol.runs(name):
         start_time = time.process_time()

@@ -137,6 +137,8 @@ class CandidatePool:
         self._added_views: dict[CameraModel, list[View]] = defaultdict(list)
         self._grids: dict[CameraModel, PoseGrid] = {}
         self._max_grid_poses = max_grid_poses
+        #: By model, the number of places that its grid was asked to have.
+        self._min_places: dict[CameraModel, int] = defaultdict(int)
         models = problem.rig.placed_models
         self.complete = True
         for model in models:
@@ -176,9 +178,11 @@ class CandidatePool:
 
     def dense_grid(self, problem: Problem, model: CameraModel) -> PoseGrid:
         """Return the dense grid of a model, with the places that searches have added so far."""
-        if model not in self._grids:
-            # With few places, the spacing may leave too few for all cameras.
-            min_places = 4 * len(problem.rig.cameras)
+        # With few places, the spacing may leave too few for all cameras.
+        min_places = 4 * len(problem.rig.cameras)
+        if min_places > self._min_places[model] and (
+                model not in self._grids or self._grids[model].place_count < min_places):
+            self._min_places[model] = min_places
             self._grids[model] = PoseGrid.of(
                 problem.region, problem.simulator, model, problem.rig.models.index(model),
                 self._max_grid_poses, min_places)

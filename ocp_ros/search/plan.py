@@ -50,11 +50,13 @@ _log = logging.getLogger(__name__)
 
 
 @cache
-def load_kernels() -> None:
+def load_kernels(online: bool = False) -> None:
     """
     Load the compiled kernels of a search, so that this takes none of its time.
 
     The first call of a process plans in a tiny room; without cached kernels it compiles them.
+
+    :param online: whether those of online planners are loaded too.
     """
     notice = Timer(2.0, _log.warning, (
         'compiling the kernels, once for this computer: about 30 s; the time of the search begins '
@@ -64,7 +66,7 @@ def load_kernels() -> None:
     try:
         rig = rig_of(2, 'd455', mount={'on': 'plane', 'height': 1.9}, spacing=0.1)
         problem = Problem.of(generate_room(0, 600), rig, SimulationConfig(engine=PROMISING))
-        for planner in (RIG_SEARCH, 'random'):
+        for planner in (RIG_SEARCH, 'random', *(('lookahead',) if online else ())):
             plan(problem, Budget(evaluations=4), planner)
     finally:
         notice.cancel()

@@ -15,6 +15,7 @@
 """Poses of a camera on a grid of positions and headings, and the visible points of each pose."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
@@ -96,6 +97,20 @@ class PoseGrid:
             batch = slice(self._added, min(self._added + batch_size, last))
             self.add_poses(self._all_places[batch], self._all_headings[batch])
             self._added = batch.stop
+
+    def part(self, place_count: int | None) -> 'PoseGrid':
+        """Return a grid of the first places that were added; its arrays may be replaced."""
+        part = copy(self)
+        part._added = self._added if place_count is None else min(place_count, self._added)
+        part.places = self.places[:part._added]
+        part.headings = self.headings[:part._added]
+        part._visible = self._visible[:part._added]
+        return part
+
+    @property
+    def place_count(self) -> int:
+        """Return the number of places of the whole grid."""
+        return len(self._all_places)
 
     @property
     def complete(self) -> bool:

@@ -26,7 +26,7 @@ from ocp_ros.search.candidate_pool import check_regions, pool_of, views_of
 from ocp_ros.search.plan import load_kernels, plan
 from ocp_ros.search.pose_annealing import SearchResult
 from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
-from ocp_ros.search.registry import check_planner, RIG_SEARCH
+from ocp_ros.search.registry import check_planner, OBSERVED, PLANNERS, RIG_SEARCH
 from ocp_ros.search.rig_search import GrowingProof, prove_gap
 from ocp_ros.simulation.objective import RigEvaluation
 from ocp_ros.simulation.problem import Problem
@@ -115,7 +115,7 @@ class RigPlanner:
                  progress: Progress | None = None, planner: str = RIG_SEARCH,
                  model: str = DEFAULT_MODEL) -> None:
         check_planner(planner)
-        load_kernels()
+        load_kernels(PLANNERS[planner].input_kind == OBSERVED)
         self.planner = planner
         self.model = model
         self.scene = scene
@@ -164,11 +164,12 @@ class RigPlanner:
         rng = np.random.default_rng([self.seed, random_count])
         drawn = [self.pool.random_sites(rig, rng) for _ in range(random_count)]
         losses = [objective.loss(views_of(sites)) for sites in drawn if sites]
-        if losses and min(losses) < answer.loss:
+        if self.planner == RIG_SEARCH and losses and min(losses) < answer.loss:
             # Few evaluations of many cameras may find less than chance does.
             best = [sites for sites in drawn if sites][int(np.argmin(losses))]
             proof = answer.certificate
-            answer = replace(answer, sites=best, loss=min(losses), certificate=proof and replace(
+            answer = replace(answer, sites=best, loss=min(losses), losses=(
+                min(losses), *answer.losses), certificate=proof and replace(
                 proof, found=min(losses), bound=min(proof.bound, *losses)))
         return RigPlan(
             rig, answer, objective.evaluate(answer.poses),

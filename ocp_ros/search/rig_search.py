@@ -22,7 +22,6 @@ all poses are computed for the certificate.
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from copy import copy
 from dataclasses import dataclass
 import logging
 from typing import NamedTuple
@@ -32,6 +31,7 @@ from ocp_ros.rig.feasible_region import DENSE
 from ocp_ros.search.budget import Budget, Progress
 from ocp_ros.search.candidate_pool import CandidatePool, MountedCamera, Sites, views_of
 from ocp_ros.search.pose_annealing import anneal, move_camera, RigSearch, run_threads, SearchResult
+from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
 from ocp_ros.search.proof.column_generation import Choice, Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
@@ -154,7 +154,6 @@ class ColumnGenerationSearch(RigSearch):
         first_results = results = self._refine_all(
             [*starts, self.start] if self.start else starts, TUNING.distances_m[0],
             self._first_moves, self._refined_enough)
-        loss_on_grid = min((choice.loss for choice in choices), default=np.inf)
         # Repeat both with poses near the results.
         deadline = self.budget.deadline_check(TUNING.repeated_time_share)
         for distance_m in TUNING.distances_m:
@@ -169,6 +168,7 @@ class ColumnGenerationSearch(RigSearch):
         # The losses of all searches, for the report: one for each refined choice, and two for a
         # given placement, refined and as given. ``first_results`` is sorted and the repetitions
         # start from its first results, so the final loss replaces the first one.
+        loss_on_grid = min((choice.loss for choice in choices), default=best.loss)
         losses = (best.loss, *(result.loss for result in first_results[1:]))
         return SearchResult(best.sites, best.loss, losses, self.evaluations, *prove_gap(
             lambda: proof, best.loss, loss_on_grid))
@@ -315,24 +315,35 @@ class GrowingProof:
         self._last_final: ProvedBound | None = None
         self._has_bound = False
         models = problem.rig.placed_models
-        self._grids = grids = [pool.dense_grid(problem, model) for model in models]
+        self._pool_grids = [pool.dense_grid(problem, model) for model in models]
         counts = [sum(camera.model == model for camera in problem.rig.cameras) for model in models]
         place_count = None if budget.seconds is None else TUNING.first_places
-        for grid in grids:
-            grid.grow(place_count, self._is_stopped)
-        # The search adds poses to these grids; those of the pool must not change. A shallow copy
-        # is enough, as ``add_poses`` replaces the arrays and lists of a grid.
         self.relaxation = ColumnGeneration(
-            LossTrees.of(problem.objective), list(map(copy, grids)), counts, problem.rig.spacing,
-            len(problem.simulator.scene))
+            LossTrees.of(problem.objective), self._grown_grids(place_count, self._is_stopped),
+            counts, problem.rig.spacing, len(problem.simulator.scene))
+        #: Number of poses of the grids, without those that the search adds.
+        self._grid_poses = len(self.relaxation)
         deadline = budget.deadline_check(share)
-        while not (all(grid.complete for grid in grids) or deadline()):
+        while not (self._is_complete or deadline()):
             self.raise_bound(share)
             place_count *= TUNING.grid_growth
-            for grid in grids:
-                grid.grow(place_count, deadline)
+            grids = self._grown_grids(place_count, deadline)
             if not deadline():
-                self.relaxation.grids = list(map(copy, grids))
+                self.relaxation.grids = grids
+                self._grid_poses = len(self.relaxation)
+
+    def _grown_grids(self, place_count: int | None, should_stop: Callable[[], bool]
+                     ) -> list[PoseGrid]:
+        """Return the first places of the grids of the pool, which keep the views of all."""
+        for grid in self._pool_grids:
+            grid.grow(place_count, should_stop)
+        # The search adds poses to these grids; those of the pool must not change.
+        return [grid.part(place_count) for grid in self._pool_grids]
+
+    @property
+    def _is_complete(self) -> bool:
+        """Return whether the present grids have all places."""
+        return all(grid.complete for grid in self.relaxation.grids)
 
     def _is_stopped(self) -> bool:
         """Return whether the user has ended the search."""
@@ -349,7 +360,7 @@ class GrowingProof:
 
     def _present_bound(self) -> ProvedBound:
         """Return the bound on the present grids."""
-        near = len(self.relaxation) > sum(map(len, self._grids))
+        near = len(self.relaxation) > self._grid_poses
         return ProvedBound(self.relaxation.bound, len(self.relaxation), self.relaxation.step, near)
 
     def certificate(self, loss: float, loss_on_grid: float) -> tuple[Certificate | None, str]:
@@ -362,7 +373,7 @@ class GrowingProof:
         # A bound of 0 proves something only for a loss of 0.
         if proved.bound <= 0.0 < loss:
             return None, ('the bound is 0, for these poses together miss almost nothing'
-                          if final else 'there was no time to prove one')
+                          if self.relaxation.closed else 'there was no time to prove one')
         # Without poses near the cameras, no choice of the grids may be as good as the placement.
         bound = min(max(proved.bound - self.relaxation.trees.rounding, 0.0), loss)
         problem = self._problem
@@ -372,7 +383,8 @@ class GrowingProof:
         return Certificate(
             proved.poses, proved.step, proved.near, heading_step,
             problem.simulator.config.engine.error_rows, loss, bound,
-            proved is final or self.relaxation.closed, loss_on_grid, self._budget.elapsed), ''
+            self._is_complete and self.relaxation.closed, loss_on_grid,
+            self._budget.elapsed), ''
 
 
 def prove_gap(make_proof: Callable[[], GrowingProof], loss: float, loss_on_grid: float

@@ -107,6 +107,7 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
     def work(task: Task) -> Iterator[Progress]:
         unlocked = [k for k, name in enumerate(state.names) if name not in state.locked]
         problem = studio.problem_of(_rig_of_unlocked(state, unlocked))
+        yield Progress(0.0, 'loading the search')
         load_kernels()
         budget = task.budget.restarted()
         pool = pool_of(problem, budget)

@@ -19,6 +19,7 @@ from contextlib import contextmanager, suppress
 import errno
 import fcntl
 import hashlib
+import logging
 import math
 import os
 from pathlib import Path
@@ -28,6 +29,9 @@ import tempfile
 from typing import BinaryIO
 
 from ocp_ros.util.settings import ConfigurationError
+from ocp_ros.util.terminal_text import printable
+
+_log = logging.getLogger(__name__)
 
 #: The folder of a complete set that will replace the previous one.
 COMPLETE_FOLDER = '.ocp_complete'
@@ -177,9 +181,7 @@ def file_set(folder: Path, names: Collection[str], mark: str) -> Iterator[Path]:
     unfinished = folder / UNFINISHED_FOLDER
     handle = os.open(folder, os.O_RDONLY)
     try:
-        # Some disks do not support locks.
-        with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
+        _lock(handle, folder)
         _swap_in(folder, names, mark)
         _remove(unfinished)
         unfinished.mkdir(mode=0o700)
@@ -192,6 +194,18 @@ def file_set(folder: Path, names: Collection[str], mark: str) -> Iterator[Path]:
             _remove(unfinished)
     finally:
         os.close(handle)
+
+
+def _lock(handle: int, folder: Path) -> None:
+    """Lock a folder, given its open handle; wait for another process that writes a set to it."""
+    # Some disks do not support locks.
+    with suppress(OSError):
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            _log.warning('%s: found another process that writes to it; waiting for its end',
+                         printable(str(folder)))
+            fcntl.flock(handle, fcntl.LOCK_EX)
 
 
 def _swap_in(folder: Path, names: Collection[str], mark: str) -> None:

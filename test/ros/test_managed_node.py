@@ -145,8 +145,12 @@ def manager(graph, probe):
     probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
 
     def change(name, transition):
-        return probe.call(ChangeState, f'{name}/change_state',
-                          transition=Transition(id=transition)).success
+        lost = probe.lost_answers
+        answer = probe.call(ChangeState, f'{name}/change_state',
+                            transition=Transition(id=transition))
+        # If the answer got lost, the second one refuses what is done already.
+        return answer.success or (probe.lost_answers > lost
+                                  and probe.state(name) in ('active', 'inactive', 'unconfigured'))
 
     probe.change = change
     probe.state = lambda name: probe.call(GetState, f'{name}/get_state').current_state.label

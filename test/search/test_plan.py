@@ -257,7 +257,7 @@ def test_the_time_of_a_search_begins_when_the_kernels_are_loaded(furnished, few_
                                                                  monkeypatch):
     now, rig = [0.0], rig_of(2, 'omnidirectional')
 
-    def load():
+    def load(online):
         now[0] += 3600.0
 
     monkeypatch.setattr('ocp_ros.search.rig_plan.load_kernels', load)

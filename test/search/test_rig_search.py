@@ -189,7 +189,7 @@ def test_a_busy_machine_gets_a_proof_and_some_evaluations_and_then_time_counts(s
     budget = Budget(seconds, clock=lambda: float(next(looks)))
     answer = search(problem, pool, budget, 0)
     assert problem.region.broken(answer.poses) == []
-    assert answer.evaluations >= 200 and answer.certificate.final
+    assert answer.evaluations >= 200 and np.isfinite(answer.certificate.moved)
     assert 0.0 < answer.certificate.bound <= answer.loss
     # After these, each place, program and move looks at the clock once more and ends.
     assert next(looks) < seconds + 500.0
@@ -209,7 +209,7 @@ def test_a_grid_that_grows_says_what_was_proved_on_the_last_one():
     budgets = [Budget(seconds, clock=lambda: float(next(looks))) for seconds in (1.0, 4000.0)]
     known = [search(problem, pool, budget.restarted(), 0).certificate for budget in budgets]
     assert known[0].candidates < known[1].candidates and known[0].step > known[1].step
-    assert all(certificate.final for certificate in known)
+    assert not known[0].final
     # More poses cannot have a larger bound, and the answer is one of those that are known.
     assert known[1].bound <= known[0].bound + 1e-9 and known[1].found <= known[0].found * 1.01
 
@@ -221,6 +221,20 @@ def test_many_cameras_and_few_evaluations_are_far_better_than_chance():
     # A planner that finds less than chance gives the best of what was drawn.
     drawn = RigPlanner(scene, rig, FAST.engine, Budget(evaluations=1), planner='random').plan(rig)
     assert drawn.evaluation.loss == drawn.answer.loss <= drawn.random.min()
+
+
+def test_a_pool_that_a_search_has_grown_begins_anew_and_serves_more_cameras():
+    scene, clocks = made_room(8, 2000), count(1)
+    few, many = (Problem.of(scene, rig_of(cameras, 'd455'), FAST) for cameras in (1, 8))
+    pool = CandidatePool(few, 60, max_grid_poses=500)
+    search(few, pool, Budget(evaluations=20), 0)
+    answer = search(many, pool, Budget(evaluations=20), 0)
+    assert answer.evaluations > 0 and pool.dense_grid(many, many.models[0]).place_count >= 32
+    # With hardly any time, the proof is that of the first places again.
+    pool, late = CandidatePool(few, 60), Budget(1.0, clock=lambda: float(next(clocks)))
+    known = [search(few, pool, budget, 0).certificate.candidates
+             for budget in (Budget(evaluations=20), late)]
+    assert known[1] == 64 * 120 < known[0]
 
 
 def test_off_the_grid_it_is_better_than_on_it():

@@ -35,8 +35,8 @@ class Certificate:
     :ivar rows: number of rows of the depth maps.
     :ivar found: loss of the placement.
     :ivar bound: lower bound of the loss of every placement on the grid.
-    :ivar final: whether the bound is the best of this relaxation: more time does not raise it, and
-        a remaining gap is one of the method.
+    :ivar final: whether the proof is complete: more time neither raises the bound nor refines the
+        grid, and a remaining gap is one of the method.
     :ivar on_grid: loss of the best placement on the grid before poses were added near it.
     :ivar seconds: duration of the proof, including the search if both share one budget.
     """

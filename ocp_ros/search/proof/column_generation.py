@@ -199,7 +199,8 @@ class ColumnGeneration:
             max_gap = TUNING.closed_gap * max(optimum, TUNING.min_loss)
             # The optimum of the first program is too inexact for the gap.
             self.closed = not new_columns or bool(number and optimum - self.bound <= max_gap)
-            if self.closed or should_stop():
+            # After the last program, its shares are needed for choices.
+            if self.closed or should_stop() or number == TUNING.max_programs - 1:
                 return
             self._set_columns([*self._kept_columns(column_gains, chosen_gains), *new_columns])
 
