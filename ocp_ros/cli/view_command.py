@@ -61,7 +61,7 @@ def run(arguments: argparse.Namespace) -> Found:
     else:
         scene, placement, room = room_and_placement(arguments)
         write_view(arguments.out, scene, assess(scene, placement, room,
-                                               command_of(arguments.argv)))
+                                                command_of(arguments.argv)))
     if arguments.open and not webbrowser.open(arguments.out.resolve().as_uri()):
         print(f'no browser was found; open {printable(str(arguments.out))} in one',
               file=sys.stderr)

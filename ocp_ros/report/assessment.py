@@ -165,7 +165,7 @@ class Assessment:
 
 
 def assess(scene: Scene, placement: Placement, room: dict[str, Any], command: str,
-          frame: str | None = None) -> Assessment:
+           frame: str | None = None) -> Assessment:
     """
     Evaluate a placement in a room.
 

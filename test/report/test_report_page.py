@@ -136,7 +136,7 @@ def test_the_page_says_what_was_found_and_explains_zones_but_names_no_folder(roo
                  regions=[{'name': 'table', 'box': [low, high], 'weight': 2.0},
                           {'name': 'door', 'box': [low, high], 'must_see': 0.1}])
     judged = assess(scene, placement_of(rig, middle_of(scene), engine=ENGINE), room,
-                   'ocp score /home/me/a.ply --rig=sub/rig.yaml')
+                    'ocp score /home/me/a.ply --rig=sub/rig.yaml')
     kinds = {'keep-out zone', 'weighted region', 'must-see region'}
     for drawn in (assessment_pictures.floor_plan_of(judged),
                   next(report_page.figures_of_pages(judged))):

@@ -39,7 +39,7 @@ def judged_with(points, **more):
     poses = np.zeros((2, 6))
     poses[:, :3] = scene.bounds.mean(axis=0) + [[1.0, 0.0, 0.3], [-1.0, 0.0, 0.3]]
     return assess(scene, placement_of(rig_of(2, 'd455', **more), poses,
-                                     engine=EngineConfig('fast', 32, 0.5)), room, 'ocp score')
+                                      engine=EngineConfig('fast', 32, 0.5)), room, 'ocp score')
 
 
 @pytest.fixture(scope='module')
