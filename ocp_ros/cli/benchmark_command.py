@@ -41,7 +41,7 @@ def add_arguments(commands: Commands) -> None:
         COMPARE, 'benchmark', 'compare planners under equal budgets',
         'ocp benchmark --rooms my_scans --planners learned,tdsa --budgets 1000 --seeds 5')
     command.add_argument('--preset', choices=('smoke', 'full'), default='smoke',
-                         help='smoke: two rooms, under two minutes; full: ten rooms, up to 1,000 '
+                         help='smoke: two rooms, about two minutes; full: ten rooms, up to 1,000 '
                          'evaluations')
     rooms = command.add_mutually_exclusive_group()
     rooms.add_argument('--set', choices=('fresh', 'test', 'training', 'validation'),

@@ -202,7 +202,7 @@ class BenchmarkTask:
 
 #: Protocols by name.
 PRESETS = {'full': Protocol(),
-           'smoke': Protocol(rooms=tuple(map(str, TEST[:2])), budgets=(100, 400), seeds=2)}
+           'smoke': Protocol(rooms=tuple(map(str, TEST[:2])), budgets=(100, 400), seeds=1)}
 
 
 def run_task(protocol: Protocol, task: BenchmarkTask) -> list[dict[str, Any]]:
