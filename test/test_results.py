@@ -107,7 +107,7 @@ SENTENCES = [
      'bpso_1000/interval/0 bpso_1000/interval/1'),
     (RESULTS, 'is {} times that of `lookahead` (95 % interval {} to {})',
      'agent/pooled/lookahead/{key}', 'ratio interval/0 interval/1'),
-    (MODELS, 'those after {} of the 600,000 interactions', 'agent/model/{key}', 'interactions'),
+    (MODELS, 'those after {} of the 300,000 interactions', 'agent/model/{key}', 'interactions'),
     (MODELS, 'augmented samples has {} after {} interactions',
      'ladder/rows/augmented_180000_1/{key}', 'ratio interactions'),
     (ROBUSTNESS, '{} malformed messages among {} valid', 'drills/fuzz/value/{key}',
