@@ -25,6 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.search.budget import Budget, Progress
+from ocp_ros.util.settings import ConfigurationError
 
 
 class Scores(NamedTuple):
@@ -151,8 +152,8 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
     :param score: returns the scores of placements, positions (n, 2) of n cameras each; if it
         returns fewer scores than placements, the search ends with these.
     :param evaluations: largest number of placements to score.
-    :raises ValueError: if a planner places cameras outside its space or too many cameras, or no
-        placement was scored.
+    :raises ConfigurationError: if a planner places cameras outside its space or too many cameras,
+        or no placement was scored.
     """
     count = 0
     best_rank: tuple[float, ...] = (np.inf, 0, 0.0)
@@ -176,8 +177,9 @@ def solve(planner: Planner, score: Callable[[Sequence[np.ndarray]], Scores], eva
             break
         planner.tell(scores)
     if best is None:
-        raise ValueError(f'{type(planner).__name__}: found no placement in {count} evaluations; '
-                         'expected at least one; give it a budget of 1 or more')
+        raise ConfigurationError(
+            f'{type(planner).__name__}: found no placement in {count} evaluations; expected at '
+            'least one; give it a budget of 1 or more')
     return Solution(*best, count)
 
 
@@ -185,7 +187,7 @@ def _check_positions(planner: Planner, positions: np.ndarray) -> None:
     """Reject positions (n, 2) outside the planner's feasible region, and too many cameras."""
     space = planner.space
     if len(positions) > space.cameras or not space.contains(positions).all():
-        raise ValueError(
+        raise ConfigurationError(
             f'{type(planner).__name__}: found the positions {positions.tolist()}; expected at '
             f'most {space.cameras}, from {space.low.tolist()} to {space.high.tolist()}, over the '
-            'floor')
+            'floor; let it yield what self.space.inside() returns')

@@ -23,6 +23,7 @@ from ocp_ros.search.budget import Budget
 from ocp_ros.search.planner import Planner, Scorer, Scores, solve
 from ocp_ros.search.population import BinaryParticleSwarm, match_positions
 from ocp_ros.search.registry import planner_names, PLANNERS, SCORES
+from ocp_ros.util.settings import ConfigurationError
 import pytest
 from scipy import stats
 
@@ -176,7 +177,7 @@ def test_folding_keeps_a_step_symmetric_and_inside():
     ('Outside', [[np.array([[100.0, 0.0]])]]), ('Silent', [])])
 def test_a_planner_that_breaks_the_rules_is_found_out(name, asked):
     planner = type(name, (Planner,), {'search': lambda _: (one for one in asked)})
-    with pytest.raises(ValueError, match=f'{name}: found'):
+    with pytest.raises(ConfigurationError, match=f'{name}: found'):
         solve(planner(SPACE, np.random.default_rng(0), 5), toy, 5)
 
 
