@@ -49,12 +49,11 @@ from ocp_ros.util.resources import DEFAULT_MODEL
 _log = logging.getLogger(__name__)
 
 
-@cache
 def load_kernels(online: bool = False) -> None:
     """
     Load the compiled kernels of a search, so that this takes none of its time.
 
-    The first call of a process plans in a tiny room; without cached kernels it compiles them.
+    Each planner plans once in a process in a tiny room; without cached kernels it compiles them.
 
     :param online: whether those of online planners are loaded too.
     """
@@ -64,12 +63,18 @@ def load_kernels(online: bool = False) -> None:
     notice.daemon = True
     notice.start()
     try:
-        rig = rig_of(2, 'd455', mount={'on': 'plane', 'height': 1.9}, spacing=0.1)
-        problem = Problem.of(generate_room(0, 600), rig, SimulationConfig(engine=PROMISING))
         for planner in (RIG_SEARCH, 'random', *(('lookahead',) if online else ())):
-            plan(problem, Budget(evaluations=4), planner)
+            _plan_in_a_tiny_room(planner)
     finally:
         notice.cancel()
+
+
+@cache
+def _plan_in_a_tiny_room(planner: str) -> None:
+    """Run a planner once, which loads its kernels."""
+    rig = rig_of(2, 'd455', mount={'on': 'plane', 'height': 1.9}, spacing=0.1)
+    problem = Problem.of(generate_room(0, 600), rig, SimulationConfig(engine=PROMISING))
+    plan(problem, Budget(evaluations=4), planner)
 
 
 def plan(problem: Problem, budget: Budget, planner: str = RIG_SEARCH,

@@ -280,7 +280,7 @@ class ColumnGenerationSearch(RigSearch):
 
 class ProvedBound(NamedTuple):
     """
-    A lower bound that more time does not raise.
+    A lower bound, and the grids that it holds for.
 
     :ivar bound: of the loss of every choice of poses of the grids.
     :ivar poses: number of these poses.

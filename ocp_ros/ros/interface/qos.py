@@ -105,8 +105,8 @@ class SensorSubscription:
                           for publisher in publishers)
         if is_reliable != self._is_reliable:
             self._is_reliable = is_reliable
+            kind = 'reliable' if is_reliable else 'best effort'
             self._node.get_logger().info(
-                f'{self._topic}: found publishers with {"reliable" if is_reliable else "best"} '
-                f'{"delivery" if is_reliable else "effort"}; receiving the same way')
+                f'{self._topic}: found publishers with {kind}; receiving the same way')
             self._replaced = self._subscription
             self._subscription = self._create(RELIABLE_SENSOR if is_reliable else SENSOR)
