@@ -98,7 +98,7 @@ def planned(scene: Scene, angle: float = 0.0) -> tuple[np.ndarray, float]:
     """
     found = PlannedRig(scene, RIG, PlanTask(evaluations=EVALUATIONS), Budget(None, EVALUATIONS))
     poses = np.array(found.best.answer.poses)
-    promise = found.planner.problem(RIG).simulator.evaluate(poses).depth_error
+    promise = found.best.validated.placement
     poses[:, :3] = poses[:, :3] @ rotation_matrix(np.deg2rad(angle))
     poses[:, 3] -= np.deg2rad(angle)
     return poses, promise

@@ -81,8 +81,8 @@ def planned(scene: Scene, rig_name: str) -> dict:
     # Where nearly all can be seen, no bound is above 0.
     proof = {'gap': 1.0, 'moved': 0.0, 'priced': 0} if known is None else {
         'gap': known.gap, 'moved': known.moved, 'priced': known.candidates}
-    return {'poses': plan.answer.poses.tolist(), 'promised': plan.evaluation.depth_error,
-            'worst': plan.worst, 'seconds': seconds, **proof,
+    return {'poses': plan.answer.poses.tolist(), 'promised': plan.validated.placement,
+            'worst': plan.validated.nothing, 'seconds': seconds, **proof,
             'climbed': 1.0 - problem.objective.loss(views_of(climbed)) / plan.answer.loss,
             'online': online.answer.poses.tolist()}
 
@@ -111,7 +111,7 @@ def halved(scene: Scene, rig_name: str, seed: int) -> dict:
     poses = plan.answer.poses
     delivered = np.mean([judge.evaluate(np.hstack([places, poses[:, 3:]])).depth_error
                          for places in mounted(poses[:, :3], MOUNTED)])
-    return {'promised': plan.evaluation.depth_error, 'worst': plan.worst,
+    return {'promised': plan.validated.placement, 'worst': plan.validated.nothing,
             'delivered': float(delivered)}
 
 

@@ -98,8 +98,8 @@ def planned(scene: Scene, case: Case) -> dict:
     rig, budget = rig_named(case.rig), Budget(evaluations=EVALUATIONS)
     planner = RigPlanner(scene, rig, PROMISING, budget)
     plan = planner.plan(rig)
-    return {'poses': plan.answer.poses.tolist(), 'promised': plan.evaluation.depth_error,
-            'worst': plan.worst}
+    return {'poses': plan.answer.poses.tolist(), 'promised': plan.validated.placement,
+            'worst': plan.validated.nothing}
 
 
 def row_of(seed: int, case: Case, known: dict | None) -> dict:

@@ -276,7 +276,9 @@ def quality_lines(findings: Mapping[str, Any]) -> Iterator[str]:
         # By rounding, the bound may be a little above the objective value.
         yield (f'{percent(min(bound / loss, 1.0))} of the objective value is not visible from any '
                'candidate')
-    yield search['certificate']['sentence']
+    yield (f'{search["certificate"]["sentence"]} This is about the viewpoints of the search: the '
+           f'depth error is {metres(findings["scores"]["depth_error"])} there and '
+           f'{metres(findings["scores"]["validation_error"])} on 64 others.')
 
 
 def count_sentence(count: Mapping[str, Any]) -> str:

@@ -56,7 +56,8 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     scene = problem.objective.simulator.scene
     missing = missing_surfaces(scene)
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **improvement,
-            'expected': expected(scores['depth_error'], scores['depth_error_of_nothing'], missing),
+            'expected': expected(scores['validation_error'], scores['depth_error_of_nothing'],
+                                 missing),
             'notes': [*room_notes(scene), *missing_surface_notes(missing), *scene.notes,
                       *_share_notes(improvement['missed'])],
             'remarks': list(scene.remarks)}
@@ -101,6 +102,7 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
     points = len(simulator.scene)
     return {
         'loss': evaluation.loss, 'depth_error': evaluation.depth_error,
+        'validation_error': objective.validation.evaluate_views(views).depth_error,
         'depth_error_of_nothing': simulator.depth_error.worst,
         'space_coverage': evaluation.space_coverage, 'volume': simulator.volume,
         'seen_by': rig.seen_by, 'seen': len(evaluation.seen) / points, 'points': points,

@@ -16,6 +16,7 @@
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
@@ -45,7 +46,7 @@ class RigPlan:
     :ivar evaluation: of the placement by the objective.
     :ivar union_bound: evaluation if each camera has the union of the views of all its candidates
         and of the placements found so far; no choice among these poses is better.
-    :ivar worst: the depth error without any visible point, metres.
+    :ivar validated: depth errors on the validation viewpoints, metres.
     :ivar random: (R,) losses of random feasible placements; empty if hardly any is feasible.
     :ivar candidates: number of candidates.
     :ivar seconds: duration of the search and the proof.
@@ -58,7 +59,7 @@ class RigPlan:
     answer: SearchResult
     evaluation: RigEvaluation
     union_bound: RigEvaluation
-    worst: float
+    validated: 'ValidatedErrors'
     random: np.ndarray
     candidates: int
     seconds: float
@@ -74,10 +75,10 @@ class RigPlan:
         :returns: visible points ``seen``, covered space ``coverage`` and reduction of the depth
             ``error``, each as a share of the value of :attr:`union_bound`; 1 if that value is 0.
         """
-        result, bound = self.evaluation, self.union_bound
+        result, bound, errors = self.evaluation, self.union_bound, self.validated
         pairs = {'seen': (len(result.seen), len(bound.seen)),
                  'coverage': (result.space_coverage, bound.space_coverage),
-                 'error': (self.worst - result.depth_error, self.worst - bound.depth_error)}
+                 'error': (errors.nothing - errors.placement, errors.nothing - errors.union)}
         return {name: float(value / largest) if largest > 0.0 else 1.0
                 for name, (value, largest) in pairs.items()}
 
@@ -88,10 +89,19 @@ class RigPlan:
         :param by: name of one of the :attr:`shares`.
         :param target: from 0 to 1.
         """
-        rounding = 1e-9
+        # Another set of viewpoints would change a share by about this.
+        tolerance = 0.005
         met = all(share >= region.must_see
                   for region, share in zip(self.rig.regions, self.evaluation.regions))
-        return met and self.evaluation.connected and self.shares[by] >= target - rounding
+        return met and self.evaluation.connected and self.shares[by] >= target - tolerance
+
+
+class ValidatedErrors(NamedTuple):
+    """Depth errors of a placement, of the union bound, and without any visible point, metres."""
+
+    placement: float
+    union: float
+    nothing: float
 
 
 class RigPlanner:
@@ -171,11 +181,14 @@ class RigPlanner:
             answer = replace(answer, sites=best, loss=min(losses), losses=(
                 min(losses), *answer.losses), certificate=proof and replace(
                 proof, found=min(losses), bound=min(proof.bound, *losses)))
+        union, validation = self.pool.union_views(rig), objective.validation
+        errors = ValidatedErrors(validation.evaluate(answer.poses).depth_error,
+                                 validation.evaluate_views(union).depth_error,
+                                 validation.simulator.depth_error.worst)
         return RigPlan(
-            rig, answer, objective.evaluate(answer.poses),
-            objective.evaluate_views(self.pool.union_views(rig)),
-            objective.simulator.depth_error.worst, np.array(losses), len(self.pool),
-            self.budget.elapsed, self.planner, answer.certificate, answer.uncertain)
+            rig, answer, objective.evaluate(answer.poses), objective.evaluate_views(union), errors,
+            np.array(losses), len(self.pool), self.budget.elapsed, self.planner,
+            answer.certificate, answer.uncertain)
 
     def certified(self, plan: RigPlan, budget: Budget) -> RigPlan:
         """

@@ -15,6 +15,7 @@
 """The objective of a placement: the depth error, and the requirements of the rig's regions."""
 
 from collections.abc import Iterator, Sequence
+from copy import copy
 from functools import cached_property
 from typing import NamedTuple
 
@@ -107,6 +108,13 @@ class Objective:
         # ``numbers >= 0`` is True for each cell, and empty if the region has no cells.
         self._check_inside(region, numbers >= 0)
         return numbers
+
+    @cached_property
+    def validation(self) -> 'Objective':
+        """Return the same objective on the validation viewpoints."""
+        other = copy(self)
+        other.simulator = self.simulator.with_validation()
+        return other
 
     @cached_property
     def _air(self) -> Air:

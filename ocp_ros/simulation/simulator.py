@@ -17,6 +17,7 @@
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
+from functools import cache, partial
 import logging
 from typing import Any, NamedTuple
 
@@ -33,6 +34,7 @@ from ocp_ros.geometry.cameras import (
 )
 from ocp_ros.geometry.coverage import coverable_cell, coverage_grid, space_coverage
 from ocp_ros.geometry.depth_error import DepthError
+from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, Subset, unpack
 from ocp_ros.geometry.visibility import CubeVisibility, MESH, PRESETS, SurfelVisibility
 from ocp_ros.scenes.scene import Scene, SceneError
@@ -92,6 +94,13 @@ def clipped(visibility: SurfelVisibility | RayVisibility, around: View, poses: n
             for pose in poses]
 
 
+def _make_error(scene: Scene, order: np.ndarray, engine: EngineConfig, viewpoints: str
+                ) -> DepthError:
+    """Build the function that computes the depth error of seen points in an order."""
+    return DepthError(scene.points[order], scene.spacing[order], scene.diameter,
+                      viewpoints_of(scene, viewpoints), engine.error_rows, engine.error_folds)
+
+
 class Simulator:
     """
     Evaluate placements in one scene; threads may share it, and the kernels release the GIL.
@@ -127,7 +136,10 @@ class Simulator:
                          'of %g m; going on with %g m', scene.name, *scene.size, asked_cell, cell)
         self.grid, self.cell_volume = coverage_grid(scene.bounds, cell)
         self.visibility = self._make_visibility()
-        self.depth_error = self._make_error()
+        make_error = partial(_make_error, scene, self.visibility.order, config.engine)
+        self.depth_error = make_error(config.engine.viewpoints)
+        #: Built once, and shared with the simulators of other rigs in this scene.
+        self._validation_error = cache(partial(make_error, 'validation'))
 
     def _set_models(self, models: Sequence[CameraModel]) -> None:
         """Set the camera models, and for each the index of the first equal model."""
@@ -162,12 +174,11 @@ class Simulator:
         return SurfelVisibility(scene.points, scene.normals_or_estimate, scene.pitch, self.grid,
                                 PRESETS[preset])
 
-    def _make_error(self) -> DepthError:
-        """Build the function that computes the depth error of seen points."""
-        scene, order, engine = self.scene, self.visibility.order, self.config.engine
-        return DepthError(scene.points[order], scene.spacing[order], scene.diameter,
-                          viewpoints_of(scene, engine.viewpoints), engine.error_rows,
-                          engine.error_folds)
+    def with_validation(self) -> 'Simulator':
+        """Return the same simulator with the depth error on the validation viewpoints."""
+        other = copy(self)
+        other.depth_error = self._validation_error()
+        return other
 
     @property
     def volume(self) -> float:

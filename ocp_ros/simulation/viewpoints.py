@@ -18,6 +18,9 @@ Viewpoints of the depth error: positions spread over a room's air, or the paper'
 The paper, arXiv 2110.11106, integrates over all positions of a room (eq. 3). A few viewpoints
 approximate the integral best if they are spread evenly over the air. Then the error of a placement
 does not change when the scan is rotated, moved or mirrored.
+
+A search fits its placement to its viewpoints, so the error there is lower than elsewhere. Other
+viewpoints, for validation, tell what the placement is worth.
 """
 
 from weakref import WeakKeyDictionary
@@ -31,8 +34,8 @@ from ocp_ros.rig.structure import Air, MIN_BALL_M, STEEP
 from ocp_ros.scenes.scene import Scene, turned
 from scipy.spatial import distance
 
-#: The number of viewpoints in the air, a power of two.
-VIEWPOINTS = 16
+#: The numbers of viewpoints in the air and of validation viewpoints, powers of two.
+VIEWPOINTS, VALIDATION_VIEWPOINTS = 16, 64
 
 #: The viewpoints of each scene so far, by kind.
 _cache: WeakKeyDictionary[Scene, dict[str, np.ndarray]] = WeakKeyDictionary()
@@ -42,13 +45,15 @@ def viewpoints_of(scene: Scene, kind: str = 'air') -> np.ndarray:
     """
     Return the V viewpoints of the depth error in a room; they are cached with the scene.
 
-    :param kind: ``'air'``: 16 positions in the air; ``'paper'``: the five of the paper, in the
-        rectangle along the walls.
+    :param kind: ``'air'``: 16 positions in the air; ``'validation'``: 64 others; ``'paper'``: the
+        five of the paper, in the rectangle along the walls.
     :returns: (V, 3) float64, metres, map frame.
     """
     viewpoints = _cache.setdefault(scene, {})
     if kind not in viewpoints:
-        viewpoints[kind] = air_viewpoints(scene) if kind == 'air' else paper_viewpoints(scene)
+        make = {'air': air_viewpoints, 'validation': validation_viewpoints,
+                'paper': paper_viewpoints}[kind]
+        viewpoints[kind] = make(scene)
     return viewpoints[kind]
 
 
@@ -56,28 +61,63 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
     """
     Return the centres (V, 3), metres, of 16 equal parts of the air at half height.
 
-    The air is halved again and again, each time across its direction of largest variance. Its
-    cells are aligned with the walls, and ties are broken by coordinates along the walls. So the
-    result does not depend on random numbers or on the axes of the scan. If there is too little air
-    at half height, all heights are used. If the whole room has fewer than 16 cells of air, the
-    paper's five viewpoints are returned.
+    If there is too little air at half height, all heights are used. If the whole room has fewer
+    than 16 cells of air, the paper's five viewpoints are returned.
     """
-    angle = wall_direction(scene)
-    aligned = turned(scene, -np.rad2deg(angle))
-    height = float(scene.bounds[:, 2].mean())
-    air = Air(aligned, FreePlane.of(aligned.points, height, cameras=1, margin=0.0,
-                                    clearance=0.0), centred=True)
-    cells = air.cells(height)
+    air = AirCells(scene)
+    cells = air.at_half_height
     if len(cells) < VIEWPOINTS:
-        cells = air.cells()
+        cells = air.all
     if len(cells) < VIEWPOINTS:
         return paper_viewpoints(scene)
-    # Each axis points to the end of the room with more points, so that a mirrored room gets
-    # mirrored viewpoints. The rotation leads back to the map frame.
-    centre = aligned.bounds.mean(axis=0)
-    signs = np.where(aligned.points.mean(axis=0) < centre, -1.0, 1.0)
-    long_axis = int(aligned.size[1] > aligned.size[0])
-    return _part_centres(cells, (cells - centre) * signs, long_axis) @ rotation_matrix(angle).T
+    return _part_centres(cells, air.parts(cells, VIEWPOINTS)) @ air.map_from_walls
+
+
+def validation_viewpoints(scene: Scene) -> np.ndarray:
+    """
+    Return 64 positions (V, 3), metres: one drawn in each of 64 equal parts of the air.
+
+    They are at any height. If the room has fewer than 64 cells of air, all of them are returned,
+    or the paper's five viewpoints if there is none.
+    """
+    air = AirCells(scene)
+    if len(air.all) == 0:
+        return paper_viewpoints(scene)
+    if len(air.all) < VALIDATION_VIEWPOINTS:
+        return air.all @ air.map_from_walls
+    rng = np.random.default_rng(0)
+    drawn = [rng.choice(part) for part in air.parts(air.all, VALIDATION_VIEWPOINTS)]
+    return air.all[drawn] @ air.map_from_walls
+
+
+class AirCells:
+    """
+    The cells of a room's air, in coordinates along its walls.
+
+    Equal parts of them do not depend on random numbers or on the axes of the scan.
+
+    :ivar at_half_height: (M, 3) metres, the cells of one layer.
+    :ivar all: (A, 3) metres, the cells of all heights.
+    :ivar map_from_walls: (3, 3), for ``positions @ map_from_walls``.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        angle = wall_direction(scene)
+        aligned = turned(scene, -np.rad2deg(angle))
+        height = float(scene.bounds[:, 2].mean())
+        air = Air(aligned, FreePlane.of(aligned.points, height, cameras=1, margin=0.0,
+                                        clearance=0.0), centred=True)
+        self.at_half_height, self.all = air.cells(height), air.cells()
+        self.map_from_walls = rotation_matrix(angle).T
+        # Each axis points to the end of the room with more points, so that a mirrored room gets
+        # mirrored viewpoints.
+        self._centre = aligned.bounds.mean(axis=0)
+        self._signs = np.where(aligned.points.mean(axis=0) < self._centre, -1.0, 1.0)
+        self._long_axis = int(aligned.size[1] > aligned.size[0])
+
+    def parts(self, cells: np.ndarray, count: int) -> list[np.ndarray]:
+        """Divide cells (M, 3) into equal parts; see :func:`_equal_parts`."""
+        return _equal_parts((cells - self._centre) * self._signs, self._long_axis, count)
 
 
 def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -103,24 +143,25 @@ def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     sides = corners[1:3] - corners[0]
     lengths = np.linalg.norm(sides, axis=1)
     along_sides = cells @ (sides / lengths[:, None]).T
-    centres = _part_centres(cells, along_sides, long_axis=int(np.argmax(lengths)))
+    centres = _part_centres(cells, _equal_parts(along_sides, int(np.argmax(lengths)), VIEWPOINTS))
     return np.column_stack([centres, np.full(VIEWPOINTS, height)])
 
 
-def _part_centres(cells: np.ndarray, keys: np.ndarray, long_axis: int) -> np.ndarray:
+def _equal_parts(keys: np.ndarray, long_axis: int, count: int) -> list[np.ndarray]:
     """
-    Divide cells into 16 equal parts and return the cell nearest to the mean of each part.
+    Divide cells into equal parts: in halves, again and again, across the largest variance.
 
-    :param cells: (M, D) metres, the positions of M >= 16 cells in D dimensions.
-    :param keys: (M, D) metres, the cells' coordinates along the axes of the room; cells are sorted
-        by them.
+    Ties are broken by the coordinates.
+
+    :param keys: (M, D) metres, the coordinates of M cells along the axes of the room.
     :param long_axis: the axis, 0 or 1, along which the room is longer.
-    :returns: (16, D) metres.
+    :param count: the number of parts, a power of two, at most M.
+    :returns: the indices of the cells of each part.
     """
-    parts = [np.arange(len(cells))]
+    parts = [np.arange(len(keys))]
     # Rounding errors must not decide between equal coordinates.
     sort_keys = keys.round(6)
-    while len(parts) < VIEWPOINTS:
+    while len(parts) < count:
         halves = []
         for part in parts:
             variances = keys[part].var(axis=0)
@@ -133,6 +174,11 @@ def _part_centres(cells: np.ndarray, keys: np.ndarray, long_axis: int) -> np.nda
             part = part[np.lexsort(sort_keys[part].T[axes[::-1]])]
             halves += [part[:len(part) // 2], part[len(part) // 2:]]
         parts = halves
+    return parts
+
+
+def _part_centres(cells: np.ndarray, parts: list[np.ndarray]) -> np.ndarray:
+    """Return the cell (D,) nearest to the mean of each part of cells (M, D), metres."""
     means = [cells[part].mean(axis=0) for part in parts]
     return cells[np.argmin(distance.cdist(means, cells), axis=1)]
 

@@ -172,7 +172,7 @@ class Evaluation:
     def expected_error(self) -> dict[str, float]:
         """Return the depth error to expect in the real room, and its interval, metres."""
         simulator = self.problem.simulator
-        return expected(self.rig_evaluation.depth_error, simulator.depth_error.worst,
+        return expected(self.rig_scores['validation_error'], simulator.depth_error.worst,
                         missing_surfaces(simulator.scene))
 
     def points_seen_by(self, camera: int) -> np.ndarray:

@@ -341,7 +341,8 @@ def test_ctrl_c_while_drawing_leaves_the_placement(files, capsys, monkeypatch):
 
     monkeypatch.setattr('ocp_ros.report.assessment.evaluate_placement', stop)
     assert main(['plan', 'room.ply', '--cameras', '2', '--evaluations', '20']) == 130
-    assert capsys.readouterr().err == (
+    # On a busy machine, lines of progress come before.
+    assert capsys.readouterr().err.endswith(
         'ocp: stopped; the placement is in out/plan/placement.yaml\n')
     for suffix in ('yaml', 'json'):
         assert load_placement(files / f'out/plan/placement.{suffix}').poses.shape == (2, 6)

@@ -183,7 +183,7 @@ def changes(scene, other, moved, kind):
             for places in placements]
 
 
-@pytest.mark.parametrize(('seed', 'kind'), [(501, 'air'), (8, 'paper')])
+@pytest.mark.parametrize(('seed', 'kind'), [(501, 'air'), (8, 'paper'), (501, 'validation')])
 def test_the_error_is_that_of_the_room_however_it_was_scanned(seed, kind):
     scene = made_room(seed, 12_000)
     found = []
