@@ -36,13 +36,15 @@ ARGUMENTS = (
     ('use_sim_time', 'sim_node', 'use_sim_time', bool, 'true: time comes from /clock'),
     ('use_sim_time', 'policy_node', 'use_sim_time', bool, ''),
 )
+#: Transforms of a namespace stay in it: /tf and /tf_static of its nodes, and of RViz.
+TF_IN_NAMESPACE = [('/tf', 'tf'), ('/tf_static', 'tf_static')]
 
 
 def make_nodes(context: LaunchContext) -> list[Node]:
     """Return a simulated rig and a policy; launch arguments override their parameter files."""
     config = Path(get_package_share_directory('ocp_ros')) / 'config'
     return [Node(package='ocp_ros', executable=executable, output='screen',
-                 namespace=LaunchConfiguration('namespace'),
+                 namespace=LaunchConfiguration('namespace'), remappings=TF_IN_NAMESPACE,
                  parameters=[str(config / file), {
                      parameter: ParameterValue(LaunchConfiguration(name), value_type=value_type)
                      for name, node, parameter, value_type, _ in ARGUMENTS
@@ -61,6 +63,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('rviz', default_value='false', description='start RViz as well'),
         # RViz comes first: if it is not installed, nothing has been started that would go on.
         Node(package='rviz2', executable='rviz2', arguments=['-d', str(config / 'ocp.rviz')],
+             namespace=LaunchConfiguration('namespace'), remappings=TF_IN_NAMESPACE,
              condition=IfCondition(LaunchConfiguration('rviz'))),
         OpaqueFunction(function=make_nodes),
     ])

@@ -35,6 +35,8 @@ ARGUMENTS = (
     ('max_range', 'max_range', float, 'effective range of the cameras without a rig file, metres'),
     ('use_sim_time', 'use_sim_time', bool, 'true: time comes from /clock, such as that of a bag'),
 )
+#: Transforms of a namespace stay in it: /tf and /tf_static of its nodes, and of RViz.
+TF_IN_NAMESPACE = [('/tf', 'tf'), ('/tf_static', 'tf_static')]
 
 
 def make_policy_node(context: LaunchContext) -> list[Node]:
@@ -43,7 +45,7 @@ def make_policy_node(context: LaunchContext) -> list[Node]:
                   for name, parameter, value_type, _ in ARGUMENTS
                   if LaunchConfiguration(name).perform(context)}
     return [Node(package='ocp_ros', executable='policy_node', output='screen',
-                 namespace=LaunchConfiguration('namespace'),
+                 namespace=LaunchConfiguration('namespace'), remappings=TF_IN_NAMESPACE,
                  parameters=[LaunchConfiguration('params_file'), parameters])]
 
 
@@ -60,6 +62,7 @@ def generate_launch_description() -> LaunchDescription:
         DeclareLaunchArgument('rviz', default_value='false', description='start RViz as well'),
         # RViz comes first: if it is not installed, nothing has been started that would go on.
         Node(package='rviz2', executable='rviz2', arguments=['-d', str(config / 'ocp.rviz')],
+             namespace=LaunchConfiguration('namespace'), remappings=TF_IN_NAMESPACE,
              condition=IfCondition(LaunchConfiguration('rviz'))),
         OpaqueFunction(function=make_policy_node),
     ])

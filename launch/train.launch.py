@@ -33,7 +33,8 @@ def make_pairs(context: LaunchContext) -> list[Node]:
         for name, parameters in (('sim_node', {'scene.seed': seed + number, 'seed': number}),
                                  ('policy_node', {'seed': number})):
             nodes.append(Node(package='ocp_ros', executable=name, namespace=f'env_{number}',
-                              output='screen', parameters=[config, parameters]))
+                              output='screen', parameters=[config, parameters],
+                              remappings=[('/tf', 'tf'), ('/tf_static', 'tf_static')]))
     return nodes
 
 

@@ -181,8 +181,9 @@ def test_a_launch_file_starts_its_nodes(name, given, nodes, monkeypatch):
 # not installed, as with ROS from PyPI: classes have the names and the arguments of the real ones.
 DeclareLaunchArgument = namedtuple('DeclareLaunchArgument', 'name default_value description')
 LaunchDescription = namedtuple('LaunchDescription', 'entities')
-Node = namedtuple('Node', 'package executable output namespace parameters arguments condition',
-                  defaults=('log', None, (), (), None))
+Node = namedtuple(
+    'Node', 'package executable output namespace parameters arguments condition remappings',
+    defaults=('log', None, (), (), None, ()))
 OpaqueFunction = namedtuple('OpaqueFunction', 'function')
 ParameterValue = namedtuple('ParameterValue', 'value value_type')
 
@@ -232,6 +233,10 @@ def launched(monkeypatch):
                 given.setdefault(entity.name, entity.default_value)
                 continue
             nodes = entity.function(context) if isinstance(entity, OpaqueFunction) else [entity]
+            # Transforms stay in a namespace, for what shows them too.
+            assert all(dict(node.remappings) == {'/tf': 'tf', '/tf_static': 'tf_static'}
+                       and node.namespace is not None
+                       for node in nodes if node.executable != 'trainer_node')
             found += [(node.executable, evaluated(node.namespace),
                        [evaluated(entry) for entry in node.parameters])
                       for node in nodes if node.condition is None or evaluated(node.condition)]

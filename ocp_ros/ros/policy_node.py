@@ -134,7 +134,8 @@ class PolicyNode(ManagedNode):
             self, topics.COVERAGE_CLOUD, topics.ERROR_CLOUD, self._observed_maps)
         self._rig_view = None
         if self.config.live_topics:
-            self._rig_view = RigView(self, topics.RIG_MARKERS, self.decider.models)
+            self._rig_view = RigView(self, topics.RIG_MARKERS, self.decider.models,
+                                     self.source.frame_prefix)
 
     def activate(self) -> None:
         """Command the cameras as soon as no other node commands them."""

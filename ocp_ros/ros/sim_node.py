@@ -41,7 +41,7 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.frames import CameraFrames, publish_tf
+from ocp_ros.ros.interface.frames import CameraFrames, find_frame_prefix, frame_prefix, publish_tf
 from ocp_ros.ros.interface.qos import LATCHED, LOOP
 from ocp_ros.ros.interface.views import CloudView, RigView
 from ocp_ros.ros.runtime.managed_node import (
@@ -76,6 +76,7 @@ class SimNodeConfig(SimulationConfig):
                                    'sent again, seconds', 0.02, 60.0, running=True)
     frame_id: str = setting('map', 'frame of every message')
     publish_tf: bool = publish_tf()
+    frame_prefix: str = frame_prefix()
     autostart: bool = autostart()
 
 
@@ -129,8 +130,9 @@ class SimNode(ManagedNode):
         self._coverage_publisher = self.create_publisher(Float64, topics.SPACE_COVERAGE, LOOP)
         self._error_publisher = self.create_publisher(Float64, topics.DEPTH_ERROR, LOOP)
         self._scene_publisher = self.create_publisher(PointCloud2, topics.SCENE, LATCHED)
-        self._frames = CameraFrames(self, self.config.publish_tf)
-        self._rig_view = RigView(self, topics.MARKERS, self.problem.models)
+        prefix = find_frame_prefix(self, self.config.frame_prefix)
+        self._frames = CameraFrames(self, self.config.publish_tf, prefix)
+        self._rig_view = RigView(self, topics.MARKERS, self.problem.models, prefix)
         self._cloud_view = CloudView(self, topics.TRUE_COVERAGE_CLOUD, topics.TRUE_ERROR_CLOUD,
                                      lambda: maps_of(self.simulator, self._camera_poses()))
 

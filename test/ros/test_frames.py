@@ -64,6 +64,15 @@ def test_a_cloud_of_a_camera_is_placed_by_its_pose(no_tf2, frame, row, expected)
     np.testing.assert_allclose(seen_from, [POSES['1' in frame].position])
 
 
+@pytest.mark.parametrize('frame', ['rig_a/camera_0', '/rig_a/camera_0', 'camera_0'])
+def test_a_rig_knows_the_frames_of_its_cameras_among_those_of_other_rigs(no_tf2, frame):
+    rig = RIG._replace(prefix='rig_a/')
+    found, _ = transform_cloud(points([1, 0, 0]), frame, rig, no_tf2)
+    np.testing.assert_allclose(found, [[1, 3, 1.9]], atol=1e-6)
+    with pytest.raises(MessageError, match='rig_b/camera_0'):
+        transform_cloud(points([1, 0, 0]), 'rig_b/camera_0', rig, no_tf2)
+
+
 @pytest.mark.parametrize('frame', ['camera_2', 'camera_00002', 'camera_-1', 'camera_0_depth', '',
                                    'odom', 'camera_' + '9' * 5000])
 def test_a_frame_that_nobody_knows_is_refused_with_what_to_do(no_tf2, frame):

@@ -14,6 +14,7 @@
 
 """What RViz and Foxglove are shown, and frames on /tf; nothing is made without a subscriber."""
 
+from functools import partial
 import json
 
 from benchmarks.drills.live_rig import BODY, episode_in, Rig
@@ -71,6 +72,14 @@ def test_the_simulation_shows_what_the_cameras_truly_see_and_miss(graph, probe):
     assert coverage.header == error.header and coverage.header.frame_id == 'map'
     assert info.header == Header(stamp=coverage.header.stamp, frame_id='camera_1_optical')
     assert (info.width, info.height) == (1280, 720)
+
+
+@pytest.mark.parametrize(('given', 'prefix'), [({}, 'rig_a/'), ({'frame_prefix': 'b_'}, 'b_')])
+def test_frames_of_two_rigs_have_different_names(graph, probe, given, prefix):
+    graph.add(partial(SimNode, namespace='rig_a'), rig__sensors='realsense_d455', **SMALL, **given)
+    topic = f'rig_a/{topics.camera_info_topic(1)}'
+    probe.listen(CameraInfo, topic, qos.LATCHED)
+    assert probe.last(topic).header.frame_id == f'{prefix}camera_1_optical'
 
 
 def test_nothing_is_made_that_nobody_sees(graph, probe):
@@ -162,7 +171,8 @@ def test_rviz_shows_every_topic_that_can_be_shown():
     assert manager['Global Options']['Fixed Frame'] == 'map'
     latched = {topics.SCENE, topics.MARKERS, topics.RIG_MARKERS, topics.PLACEMENT, *CLOUDS,
                *TRUE_CLOUDS}
-    found = {display['Topic']['Value'].lstrip('/'): (
+    # Relative names, so that RViz in a namespace shows the topics of this namespace.
+    found = {display['Topic']['Value']: (
         display['Class'].split('/')[1], display['Topic']['Durability Policy'],
         display['Topic']['Reliability Policy'])
         for display in manager['Displays'] if 'Topic' in display}

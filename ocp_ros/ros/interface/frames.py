@@ -33,9 +33,10 @@ from rclpy.node import Node
 from rclpy.time import Time
 from std_msgs.msg import Header
 
-#: Names of camera frames, with the number of the camera among the poses (four digits are enough
-#: for every rig). The groups of a match are this number, and ``_optical`` or None. Body frames
-#: have x forward, y left, z up; optical frames have z forward, x right, y down (REP-103).
+#: Names of camera frames after their prefix, with the number of the camera among the poses (four
+#: digits are enough for every rig). The groups of a match are this number, and ``_optical`` or
+#: None. Body frames have x forward, y left, z up; optical frames have z forward, x right, y down
+#: (REP-103).
 CAMERA_FRAME = re.compile(r'camera_([0-9]{1,4})(_optical)?')
 
 
@@ -51,16 +52,23 @@ class LiveRig(NamedTuple):
     :ivar poses: one pose per camera.
     :ivar standing_since_ns: stamp since which the cameras have been standing there, nanoseconds;
         0 if it is unknown: then no transform counts as late.
+    :ivar prefix: prefix of the names of its camera frames.
     """
 
     frame: str
     poses: list[Pose]
     standing_since_ns: int = 0
+    prefix: str = ''
 
     @property
     def positions(self) -> np.ndarray:
         """Return the positions of the cameras: (K, 3) float64, metres."""
         return np.array([pose.position for pose in self.poses])
+
+    def match_frame(self, frame: str) -> re.Match | None:
+        """Match a frame as that of a camera of this rig, also without the prefix."""
+        match = CAMERA_FRAME.fullmatch(frame.lstrip('/').removeprefix(self.prefix))
+        return match if match and int(match[1]) < len(self.poses) else None
 
 
 class CameraClouds(NamedTuple):
@@ -142,6 +150,18 @@ def publish_tf() -> Any:
                          '/tf_static, where tf2_msgs is installed')
 
 
+def frame_prefix() -> Any:
+    """Declare the setting ``frame_prefix`` of nodes that publish camera poses."""
+    return setting('auto', 'prefix of the frames camera_<i>, so that the frames of each rig have '
+                           'their own names; auto: the namespace of the node and a slash')
+
+
+def find_frame_prefix(node: Node, frame_prefix: str) -> str:
+    """Return the prefix of camera frames, from the setting of a node."""
+    namespace = node.get_namespace().strip('/')
+    return frame_prefix if frame_prefix != 'auto' else namespace and f'{namespace}/'
+
+
 class CameraFrames:
     """
     Publish the frames of cameras on tf; publish nothing if tf2_msgs is not installed.
@@ -152,11 +172,12 @@ class CameraFrames:
 
     :param node: gets the publishers.
     :param enabled: the parameter ``publish_tf``.
+    :param prefix: prefix of the names of the frames.
     :param is_published: is called with a frame and its parent; returns whether another node
         publishes this frame already.
     """
 
-    def __init__(self, node: Node, enabled: bool,
+    def __init__(self, node: Node, enabled: bool, prefix: str,
                  is_published: Callable[[str, str], bool] = lambda frame, parent: False) -> None:
         #: Type of the messages; None: publish nothing.
         self._message_type = None
@@ -168,6 +189,7 @@ class CameraFrames:
             return
         self._message_type = TFMessage
         self._is_published = is_published
+        self._prefix = prefix
         self._log = node.get_logger()
         self._tf_publisher = node.create_publisher(TFMessage, '/tf', LOOP)
         self._static_publisher = node.create_publisher(TFMessage, '/tf_static', LATCHED)
@@ -190,7 +212,7 @@ class CameraFrames:
         if len(poses) != self._camera_count:
             self._publish_static_frames(header, len(poses))
         self._tf_publisher.publish(self._message_type(transforms=[
-            transform_to_msg(header, f'camera_{camera}', poses[camera])
+            transform_to_msg(header, f'{self._prefix}camera_{camera}', poses[camera])
             for camera in sorted(self._own_cameras)]))
 
     def _publish_static_frames(self, header: Header, camera_count: int) -> None:
@@ -199,16 +221,16 @@ class CameraFrames:
         # ``is_published`` also finds frames that this node has published: these are not foreign.
         foreign_cameras = {camera for camera in range(camera_count)
                            if camera not in self._own_cameras
-                           and self._is_published(f'camera_{camera}', parent)}
+                           and self._is_published(f'{self._prefix}camera_{camera}', parent)}
         if foreign_cameras:
             self._log.info(f'publish_tf: another node publishes {len(foreign_cameras)} of the '
                            f'{camera_count} frames camera_<i>; these are left to it')
         self._camera_count = camera_count
         self._own_cameras = frozenset(range(camera_count)) - foreign_cameras
         self._static_publisher.publish(self._message_type(transforms=[
-            transform_to_msg(Header(stamp=header.stamp, frame_id=f'camera_{camera}'),
-                             f'camera_{camera}_{name}', Pose(np.zeros(3), rotation))
-            for camera in sorted(self._own_cameras)
+            transform_to_msg(Header(stamp=header.stamp, frame_id=body),
+                             f'{body}_{name}', Pose(np.zeros(3), rotation))
+            for body in (f'{self._prefix}camera_{camera}' for camera in sorted(self._own_cameras))
             for name, rotation in (('link', np.eye(3)), ('optical', OPTICAL_TO_BODY))]))
 
 
@@ -245,8 +267,8 @@ def transform_cloud(points: np.ndarray, frame: str, rig: LiveRig, transforms: Tr
     if frame == rig.frame.lstrip('/'):
         return points, rig.positions
     camera_positions = rig.positions
-    match = CAMERA_FRAME.fullmatch(frame)
-    if match is None or int(match[1]) >= len(rig.poses):
+    match = rig.match_frame(frame)
+    if match is None:
         pose = transforms.look_up_pose(frame, rig)
         if np.linalg.norm(rig.positions - pose.position, axis=1).min() <= 0.3:
             camera_positions = pose.position[None]

@@ -58,10 +58,13 @@ class RigView:
     :param topic: topic of the markers.
     :param models: one camera model per camera, or the single model of all cameras if it is
         omnidirectional.
+    :param frame_prefix: prefix of the names of the camera frames.
     """
 
-    def __init__(self, node: Node, topic: str, models: Sequence[CameraModel]) -> None:
+    def __init__(self, node: Node, topic: str, models: Sequence[CameraModel],
+                 frame_prefix: str = '') -> None:
         self.models = models
+        self._frame_prefix = frame_prefix
         self._header = Header()
         self._poses: list[Pose] = []
         #: Positions of the K cameras, (K, 3) metres, at each time at which any has moved.
@@ -106,7 +109,7 @@ class RigView:
         if not self._poses:
             return None
         return camera_info(model, Header(stamp=self._header.stamp,
-                                         frame_id=f'camera_{camera}_optical'))
+                                         frame_id=f'{self._frame_prefix}camera_{camera}_optical'))
 
 
 class CloudView:

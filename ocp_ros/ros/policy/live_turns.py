@@ -43,9 +43,9 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.frames import (
-    CAMERA_FRAME,
     CameraClouds,
     CameraFrames,
+    find_frame_prefix,
     LateTransformError,
     LiveRig,
     points_in_body_frame,
@@ -86,7 +86,10 @@ class LiveTurns(TurnSource):
         config = node.config
         self._fused_cloud = FusedCloud(config.voxel_size, MAX_FUSED_POINTS)
         self._transforms = Transforms(node)
-        self._frames = CameraFrames(node, config.publish_tf, self._transforms.has_transform)
+        #: Prefix of the names of the camera frames.
+        self.frame_prefix = find_frame_prefix(node, config.frame_prefix)
+        self._frames = CameraFrames(
+            node, config.publish_tf, self.frame_prefix, self._transforms.has_transform)
         #: The newest cloud of each topic, unread.
         self._newest_clouds: dict[str, RawCloud] = {}
         #: Targets of the last command: positions of the K cameras, (K, 3) metres, and rotations,
@@ -184,7 +187,8 @@ class LiveTurns(TurnSource):
     def _on_poses(self, message: PoseArray) -> None:
         """Store the camera poses, and play the turn if it is due."""
         try:
-            rig = LiveRig(message.header.frame_id, msg_to_poses(message))
+            rig = LiveRig(
+                message.header.frame_id, msg_to_poses(message), prefix=self.frame_prefix)
             self._check_same_rig(rig)
             if not stamp_to_ns(message.header.stamp):
                 raise MessageError('poses: found the stamp 0; expected when the cameras were '
@@ -402,7 +406,7 @@ class LiveTurns(TurnSource):
         for number, topic in enumerate(self._node.config.live_topics):
             if topic in self._newest_clouds:
                 message = self._newest_clouds[topic].message()
-                match = CAMERA_FRAME.fullmatch(message.header.frame_id.lstrip('/'))
+                match = self._rig.match_frame(message.header.frame_id)
                 camera = int(match[1]) if match else number
                 if camera < len(self._rig.poses):
                     points, _ = transform_cloud(msg_to_cloud(message), message.header.frame_id,

@@ -16,7 +16,7 @@
 
 from dataclasses import dataclass
 
-from ocp_ros.ros.interface.frames import publish_tf
+from ocp_ros.ros.interface.frames import frame_prefix, publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
 from ocp_ros.simulation.simulation_config import EpisodeLimits
 from ocp_ros.util.resources import DEFAULT_MODEL
@@ -71,6 +71,7 @@ class PolicyNodeConfig(EpisodeLimits):
     turn_seconds: float = setting(0.0, 'live: shortest duration of a turn, seconds; it limits the '
                                   'speed to max_step / turn_seconds', 0.0, 3600.0, running=True)
     publish_tf: bool = publish_tf()
+    frame_prefix: str = frame_prefix()
     autostart: bool = autostart()
     manual: bool = setting(False, 'live: a person moves the cameras as `instructions` says, '
                            'without time limit; the defaults are then 5 turns of at most 2 m '
