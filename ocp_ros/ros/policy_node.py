@@ -41,6 +41,7 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
+from ocp_ros.ros.interface.frames import find_frame_prefix
 from ocp_ros.ros.interface.qos import LATCHED
 from ocp_ros.ros.interface.views import CloudView, observed_maps, RigView
 from ocp_ros.ros.policy.convergence import Convergence
@@ -80,6 +81,8 @@ class PolicyNode(ManagedNode):
     the search may still move later.
     """
 
+    late_topics = (topics.CAMERA_COMMANDS,)
+
     def __init__(self, **kwargs) -> None:
         # Set before the constructor of the base class, which may configure the node.
         self._calibrator: Calibrator | None = None
@@ -96,8 +99,8 @@ class PolicyNode(ManagedNode):
         self._counts = {'turns_answered': 0, 'refused_messages': 0, 'weights_swapped': 0,
                         'weights_refused': 0}
         self._episode = 0
-        self.convergence = Convergence(self)
         self.commander = Commander(self)
+        self.convergence = Convergence(self)
         self._experiences = None
         if self.config.explore:
             from ocp_ros.ros.policy.experiences import Experiences
@@ -135,7 +138,7 @@ class PolicyNode(ManagedNode):
         self._rig_view = None
         if self.config.live_topics:
             self._rig_view = RigView(self, topics.RIG_MARKERS, self.decider.models,
-                                     self.source.frame_prefix)
+                                     find_frame_prefix(self, self.config.frame_prefix))
 
     def activate(self) -> None:
         """Command the cameras as soon as no other node commands them."""
@@ -271,6 +274,7 @@ class PolicyNode(ManagedNode):
             movable_targets = msg_to_positions(answer)[:self.decider.count_movable(poses)]
             self._experiences.publish(
                 stamp_to_ns(poses.header.stamp), convergence.step, movable_targets)
+        self.warn('turn', '')
         self._counts['turns_answered'] += 1
         convergence.step += 1
         self._show_turn(cloud, poses)
@@ -311,26 +315,26 @@ class PolicyNode(ManagedNode):
         self.get_logger().info(
             f'weights swapped: {running.updates} -> {checkpoint.updates} updates')
 
-    def refuse(self, error: ValueError) -> None:
-        """Count a message that cannot be used, and log why."""
+    def refuse(self, error: ValueError, source: str = 'turn') -> None:
+        """Count a message that cannot be used, and warn why, until its source sends others."""
         self._counts['refused_messages'] += 1
-        self.get_logger().warning(
-            f'message refused: {shortened(error)}', throttle_duration_sec=1.0)
+        self.warn(source, f'message refused: {shortened(error)}')
 
     def _status(self) -> Status:
         """Return the status of the planner for diagnostics."""
         message = 'placement is final' if self.convergence.is_final else 'answering turns'
         missing_data = self.convergence.missing_data
-        # One warning is shown, the first of: another node commands, the turns, cameras that stay,
-        # drift, a final placement with gaps.
-        warning, source_values = self.source.status()
+        source_values = self.source.status()
         drift_warning, drift_values = self._calibrator.status() if self._calibrator else ('', {})
-        warning = warning or '; '.join(self.decider.stay_warnings) or drift_warning
-        if not self.active or self._paused:
+        # What is shown is the first of: another node commands, what the log warns of, cameras that
+        # stay, drift, a final placement with gaps.
+        is_running = self.active and not self._paused
+        warning = (is_running and self.commander.conflict_warning()) or '; '.join(
+            [*self.warnings.values()] or self.decider.stay_warnings) or drift_warning
+        if not is_running:
             message = 'paused' if self.active else 'inactive'
-        else:
-            warning = self.commander.conflict_warning() or warning or (
-                missing_data and f'placement is final, with gaps: {missing_data}')
+        elif missing_data:
+            warning = warning or f'placement is final, with gaps: {missing_data}'
         checkpoint = None if self.policy is None else self.policy.checkpoint
         level = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         return level, warning or message, {

@@ -229,9 +229,9 @@ class SimNode(ManagedNode):
                                    f'expected {self.config.frame_id!r}')
         except MessageError as error:
             self._counts['refused_commands'] += 1
-            self.get_logger().warning(
-                f'command refused: {shortened(error)}', throttle_duration_sec=1.0)
+            self.warn('command', f'command refused: {shortened(error)}')
             return
+        self.warn('command', '')
         self._turn_answered = True
         # The last turn of an episode needs an answer, but no camera moves any more.
         if self.episode.turn.truncated:
@@ -275,7 +275,8 @@ class SimNode(ManagedNode):
         message = 'episode over' if turn.truncated else 'waiting for commands'
         if not self.active:
             message = 'inactive'
-        warning = warn_of_crowd(self, topics.OBSERVATION, ONE_SIMULATION)
+        warn_of_crowd(self, topics.OBSERVATION, ONE_SIMULATION)
+        warning = '; '.join(self.warnings.values())
         level = DiagnosticStatus.WARN if warning else DiagnosticStatus.OK
         return level, warning or message, {
             'episode': self._episodes, 'step': turn.step, **self._counts}

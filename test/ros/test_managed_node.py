@@ -52,12 +52,16 @@ def held(node):
     return level == DiagnosticStatus.WARN and 'this one holds' in words
 
 
-def test_the_second_policy_holds_and_takes_over_when_the_first_ends(graph, capfd):
+def test_the_second_policy_holds_and_takes_over_when_the_first_ends(graph, probe, capfd):
+    probe.listen(String, topics.PLACEMENT_STATUS, qos.LATCHED)
     sim = graph.add(SimNode, **SIM)
     first = graph.add(PolicyNode, planner='lookahead')
     graph.until(lambda: counted(first, 'turns_answered') >= 1)
+    probe.received[topics.PLACEMENT_STATUS].clear()
     second = graph.add(PolicyNode, planner='lookahead')
     graph.until(lambda: held(second))
+    # It says nothing of a placement that is not its own.
+    assert not any('turn 0' in text.data for text in probe.received[topics.PLACEMENT_STATUS])
     assert '/camera_commands: /policy_node;' in status(second)[1]
     assert status(first)[0] == DiagnosticStatus.OK
     answered = counted(first, 'turns_answered')
@@ -322,7 +326,8 @@ def test_what_cannot_be_changed_is_refused_with_a_reason(graph, change):
     # Some go together, and then it is all or none.
     assert change(policy, together=True, min_range=5.0, max_range=8.0) == ''
     assert (policy.config.min_range, policy.config.max_range) == (5.0, 8.0)
-    assert 'read once' in change(policy, together=True, turns=7, seed=5)
+    answer = change(policy, together=True, turns=7, seed=5)
+    assert all(word in answer for word in ('read once', 'cleanup', 'configure'))
     assert policy.config.turns == policy.get_parameter('turns').value == 30
 
 
@@ -439,6 +444,14 @@ def test_quality_of_service_follows_parameters_also_when_configured_again(graph)
     for trigger in ('deactivate', 'cleanup', 'configure', 'activate'):
         getattr(policy, f'trigger_{trigger}')()
     assert depth() == 3
+    assert status(policy)[0] == DiagnosticStatus.OK
+
+
+def test_an_override_of_a_topic_that_no_node_has_is_a_warning(graph):
+    policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points', **{
+        'qos_overrides./pionts.subscription.depth': 3})
+    level, message, _ = status(policy)
+    assert level == DiagnosticStatus.WARN and '/pionts' in message and '/points' in message
 
 
 def test_a_parameter_that_does_not_exist_is_refused(graph):

@@ -89,7 +89,7 @@ class Convergence:
             self._save(self._node.config.placement_file, poses)
 
     def publish_status(self) -> str:
-        """Publish the status text if it has changed; return it."""
+        """Return the status text; publish it if it has changed and no other node commands."""
         if self.is_final:
             text = f'after {self._final_step} turns: {self._final_reason}'
             text = (f'final, with gaps, {text}; {self.missing_data}' if self.missing_data else
@@ -97,7 +97,7 @@ class Convergence:
         else:
             text = (f'not final: turn {self.step} of {self._node.config.turns}, longest move '
                     f'{self.longest_move:.3f} m')
-        if text != self._published_text:
+        if text != self._published_text and not self._node.commander.must_wait:
             self._published_text = text
             self._status_publisher.publish(String(data=text))
         return text

@@ -86,10 +86,9 @@ class LiveTurns(TurnSource):
         config = node.config
         self._fused_cloud = FusedCloud(config.voxel_size, MAX_FUSED_POINTS)
         self._transforms = Transforms(node)
-        #: Prefix of the names of the camera frames.
-        self.frame_prefix = find_frame_prefix(node, config.frame_prefix)
+        self._frame_prefix = find_frame_prefix(node, config.frame_prefix)
         self._frames = CameraFrames(
-            node, config.publish_tf, self.frame_prefix, self._transforms.has_transform)
+            node, config.publish_tf, self._frame_prefix, self._transforms.has_transform)
         #: The newest cloud of each topic, unread.
         self._newest_clouds: dict[str, RawCloud] = {}
         #: Targets of the last command: positions of the K cameras, (K, 3) metres, and rotations,
@@ -178,7 +177,7 @@ class LiveTurns(TurnSource):
         try:
             cloud = RawCloud.of(data)
         except MessageError as error:
-            self._node.refuse(error)
+            self._node.refuse(error, topic)
             return
         self._newest_clouds[topic] = cloud
         self._turns.on_cloud(topic, cloud.stamp, cloud)
@@ -188,14 +187,15 @@ class LiveTurns(TurnSource):
         """Store the camera poses, and play the turn if it is due."""
         try:
             rig = LiveRig(
-                message.header.frame_id, msg_to_poses(message), prefix=self.frame_prefix)
+                message.header.frame_id, msg_to_poses(message), prefix=self._frame_prefix)
             self._check_same_rig(rig)
             if not stamp_to_ns(message.header.stamp):
                 raise MessageError('poses: found the stamp 0; expected when the cameras were '
                                    'there, by the clock of the clouds')
         except MessageError as error:
-            self._node.refuse(error)
+            self._node.refuse(error, topics.CAMERA_POSES)
             return
+        self._node.warn(topics.CAMERA_POSES, '')
         if self._turns.on_poses(stamp_to_ns(message.header.stamp), rig.positions,
                                 [pose.rotation for pose in rig.poses]):
             self._poses_message = message
@@ -223,29 +223,22 @@ class LiveTurns(TurnSource):
             topic, cloud = topic_and_cloud
             try:
                 self._fuse_cloud(cloud)
+                self._node.warn(topic, '')
             except LateTransformError as error:
                 # Transforms come on another topic than poses, and may still arrive.
                 if self._turns.put_back(topic, cloud.stamp, cloud):
                     waiting_topics.append(topic)
                 else:
                     self._turns.refuse_cloud(topic)
-                    self._node.refuse(error)
+                    self._node.refuse(error, topic)
             except ValueError as error:
                 self._turns.refuse_cloud(topic)
-                self._node.refuse(error)
-        # Answer the turn, or log what it waits for.
-        if self._turns.is_due() and not self._node.must_wait:
-            self._answer_turn()
-        elif self._turns.lacks_clouds and not self._node.must_wait:
-            self._node.get_logger().warning(
-                f'{self._silence_text()}; expected a cloud since the cameras stand, by the clock '
-                'of the poses; waiting', throttle_duration_sec=5.0)
-        elif self._turns.poses_missing and self._command is None and not self._node.must_wait:
-            name = self._node.resolve_topic_name(topics.CAMERA_POSES)
-            self._node.get_logger().warning(
-                f'poses: found nothing on {name}; expected where the cameras are '
-                '(geometry_msgs/msg/PoseArray); publish it, see docs/tasks/live_cameras.md; '
-                'waiting', throttle_duration_sec=10.0)
+                self._node.refuse(error, topic)
+        is_due = self._turns.is_due()
+        if not self._node.must_wait:
+            self._update_warnings()
+            if is_due:
+                self._answer_turn()
 
     def _fuse_cloud(self, cloud: RawCloud) -> None:
         """Add a cloud to the fused cloud, unless the placement is final."""
@@ -263,7 +256,6 @@ class LiveTurns(TurnSource):
 
     def _answer_turn(self) -> None:
         """Ask for the command of this turn, send it, and begin to wait for the cameras."""
-        self._log_missing()
         # The turn gets the stamp of its newest cloud; a turn that is due has used one at least.
         stamp = ns_to_stamp(max(self._turns.used_stamps.values()))
         header = Header(stamp=stamp, frame_id=self._rig.frame)
@@ -369,26 +361,40 @@ class LiveTurns(TurnSource):
             if self._turns.positions is not None:
                 self._instruct()
 
-    def _log_missing(self) -> None:
-        """Log which data this turn lacks."""
-        log, config = self._node.get_logger(), self._node.config
-        if self._turns.silent_topics():
-            log.warning(f'{self._silence_text()}; expected a cloud since the cameras stand; going '
-                        'on without', throttle_duration_sec=1.0)
-        if self._turns.overdue and self._turns.no_command_sent:
-            log.warning('cameras: found them moving, or their poses noisy, ever since this node '
-                        'began; expected them to stand still before the first turn; going on '
-                        'from the mean of their poses', throttle_duration_sec=1.0)
-        elif self._turns.overdue:
-            log.warning('cameras: found that they have not arrived after '
-                        f'{config.arrival_timeout:.1f} s; expected them within '
-                        f'{config.arrival_distance} m of the commanded positions; the next '
-                        'turn begins at their present positions', throttle_duration_sec=1.0)
-
-    def _silence_text(self) -> str:
-        """Return in words which topics are silent, and why."""
-        return 'no clouds: ' + ', '.join(
-            f'{topic} ({reason})' for topic, reason in self._turns.silent_topics().items())
+    def _update_warnings(self) -> None:
+        """Warn of what keeps the turns waiting, and end the warnings of what does not any more."""
+        turns, warn = self._turns, self._node.warn
+        source = turns.jumped_source()
+        warn('jump', source and f'stamps of {source} went back: found two clocks, or one that was '
+             'set; expected one for poses and clouds')
+        leads = turns.clock_leads()
+        clocks = ', '.join(
+            f'{"leads" if seconds > 0.0 else "follows"} that of {topic} by {abs(seconds):.1f} s'
+            for topic, seconds in leads.items())
+        warn('clocks', clocks and f"found that the poses' clock {clocks}; expected one clock for "
+             'poses and clouds; synchronise the clocks of their machines')
+        silent = ', '.join(f'{topic} ({reason})' for topic, reason in turns.silent_topics().items()
+                           if topic not in leads)
+        reaction = 'waiting' if turns.lacks_clouds else 'going on without'
+        warn('silence', silent and f'no clouds: {silent}; expected a cloud since the cameras '
+             f'stand; {reaction}')
+        if turns.poses_missing and (self._instructor is None or self._command is None):
+            name = self._node.resolve_topic_name(topics.CAMERA_POSES)
+            warn('cameras', f'poses: found nothing on {name}; expected where the cameras are '
+                 '(geometry_msgs/msg/PoseArray); publish it, see docs/tasks/live_cameras.md; '
+                 'waiting')
+        elif turns.overdue and turns.no_command_sent:
+            warn('cameras', 'cameras: found them moving, or their poses noisy, ever since this '
+                 'node began; expected them to stand still before the first turn; going on from '
+                 'the mean of their poses')
+        elif turns.overdue:
+            config = self._node.config
+            warn('cameras', 'cameras: found that they have not arrived after '
+                 f'{config.arrival_timeout:.1f} s; expected them within '
+                 f'{config.arrival_distance} m of the commanded positions; the next '
+                 'turn begins at their present positions')
+        elif turns.cameras_stand:
+            warn('cameras', '')
 
     def latest_clouds(self) -> CameraClouds:
         """
@@ -414,22 +420,11 @@ class LiveTurns(TurnSource):
                     clouds[camera] = points_in_body_frame(points, self._rig.poses[camera])
         return CameraClouds(self._rig, clouds)
 
-    def status(self) -> tuple[str, dict[str, object]]:
-        """Return a warning (empty if there is none) and values to show, for diagnostics."""
-        silent_topics = self._turns.silent_topics()
-        warning = ''
-        if self._turns.poses_missing and (self._instructor is None or self._command is None):
-            warning = f'nothing on {topics.CAMERA_POSES}'
-        elif self._turns.jumped_source():
-            warning = (f'stamps of {self._turns.jumped_source()} go back: found two clocks, or '
-                       'one that was set')
-        elif silent_topics:
-            warning = self._silence_text()
-        elif self._turns.overdue:
-            warning = 'the cameras do not stand still' if self._turns.no_command_sent else \
-                'the cameras do not arrive'
-        return warning, {
-            'silent_topics': ','.join(silent_topics), 'late_turns': self._turns.overdue_turns,
+    def status(self) -> dict[str, object]:
+        """Return values to show in the diagnostics."""
+        return {
+            'silent_topics': ','.join(self._turns.silent_topics()),
+            'late_turns': self._turns.overdue_turns,
             'turns_with_clouds': ', '.join(
                 f'{topic} {self._turns_with_cloud[topic]}/{self._decided_turns}'
                 for topic in self._node.config.live_topics),

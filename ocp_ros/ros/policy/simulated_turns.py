@@ -146,7 +146,7 @@ class SimulatedTurns(TurnSource):
         self._may_wait = False
         self.answer_if_ready()
 
-    def status(self) -> tuple[str, dict[str, object]]:
-        """Return a warning if there are several simulations; no values."""
-        return warn_of_crowd(
-            self._node, topics.OBSERVATION, ONE_SIMULATION), {}
+    def status(self) -> dict[str, object]:
+        """Warn if there are several simulations; return no values."""
+        warn_of_crowd(self._node, topics.OBSERVATION, ONE_SIMULATION)
+        return {}

@@ -112,10 +112,11 @@ class Commander:
             self._publisher = self._node.create_publisher(PoseArray, self._topic, LOOP)
             self._use_time = max(self._use_time, time.monotonic() + PUBLISHER_AGE_S)
         elif not self.must_wait:
+            self._node.convergence.publish_status()
             self._node.source.answer_if_ready()
 
     def conflict_warning(self) -> str:
-        """Log and return a warning if other nodes command too; else return an empty text."""
+        """Warn if other nodes command too, and return the warning; else return an empty text."""
         if self._publisher is None:
             return warn_of_crowd(
                 self._node, self._topic, 'one policy, so this one holds', max_publishers=0)
@@ -147,6 +148,6 @@ class TurnSource:
     def apply_config(self) -> None:
         """Continue with the node's new parameters."""
 
-    def status(self) -> tuple[str, dict[str, object]]:
-        """Return a warning (empty if there is none) and values to show, for diagnostics."""
-        return '', {}
+    def status(self) -> dict[str, object]:
+        """Update the warnings of the node, and return values to show in its diagnostics."""
+        return {}

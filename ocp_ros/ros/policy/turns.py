@@ -23,8 +23,9 @@ standing camera is the mean of its poses, and a single pose that is off does not
 camera has left.
 """
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Callable, Collection, Mapping, Sequence
+from functools import partial
 import math
 import time
 from typing import Generic, NamedTuple, TypeVar
@@ -140,8 +141,9 @@ class Turns(Generic[T]):
         #: The newest poses, and the stamp since which they show the standing cameras.
         self._recent_poses: deque[_Poses] = deque(maxlen=100)
         self._mean_begin_ns = 0
-        #: By how much the stamps of a topic's clouds are later than those of poses, nanoseconds.
-        self._cloud_leads: dict[str, int] = {}
+        #: By how much the stamps of a topic's newest clouds are later than those of poses,
+        #: nanoseconds.
+        self._cloud_leads = defaultdict[str, deque[int]](partial(deque, [0], maxlen=5))
         #: Time at which the newest poses came.
         self._pose_time = clock()
         #: Source whose stamps went back last, and the time of that.
@@ -275,7 +277,7 @@ class Turns(Generic[T]):
             # Poses measured now would have the stamp of the newest poses plus their age. This
             # estimate is used up to an age of half a second.
             if POSES in self._newest_stamps and pose_age <= 0.5:
-                self._cloud_leads[topic] = stamp - self._pose_stamp - int(pose_age * 1e9)
+                self._cloud_leads[topic].append(stamp - self._pose_stamp - int(pose_age * 1e9))
 
     def _accept_stamp(self, source: str, stamp: int) -> bool:
         """Store a stamp, also after a clock was set back; return False for one that is late."""
@@ -320,7 +322,7 @@ class Turns(Generic[T]):
                         topic not in (*self.used_stamps, *excluded_topics)) and (
                         self._unread_clouds[topic][0] >= self.standing_begin.stamp) and (
                         # Stamps too far ahead of those of the poses are of another clock.
-                        self._cloud_leads.get(topic, 0) <= MAX_LEAD_NS):
+                        self._cloud_leads[topic][-1] <= MAX_LEAD_NS):
                     self.used_stamps[topic], cloud = self._unread_clouds.pop(topic)
                     self._silent_topics.discard(topic)
                     return topic, cloud
@@ -407,12 +409,16 @@ class Turns(Generic[T]):
         """Return in words what a silent topic has sent last."""
         if topic not in self._newest_stamps:
             return 'nothing came'
-        if self._cloud_leads.get(topic, 0) > MAX_LEAD_NS:
-            return f'stamps {self._cloud_leads[topic] * 1e-9:.1f} s after the poses'
         lag_ns = 0
         if self.standing_begin is not None:
             lag_ns = self.standing_begin.stamp - self._newest_stamps[topic]
         return f'stamps {lag_ns * 1e-9:.1f} s before the poses' if lag_ns > 0 else 'nothing usable'
+
+    def clock_leads(self) -> dict[str, float]:
+        """Return by how many seconds the poses' clock leads, by topics with another clock."""
+        # A single cloud may have waited while the node was busy.
+        return {topic: -1e-9 * leads[-1] for topic, leads in self._cloud_leads.items()
+                if len(leads) == leads.maxlen and min(map(abs, leads)) > MAX_LEAD_NS}
 
     def jumped_source(self) -> str:
         """Return the source whose stamps went back less than ``JUMP_REPORT_S`` ago; else ''."""

@@ -23,13 +23,14 @@ node cannot be configured, it logs why and can be configured again.
 
 from collections.abc import Callable, Mapping
 from copy import copy
+import re
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.ros.runtime.parameters import declare, read_config, watch_parameters
 from ocp_ros.scenes.scene import SceneError
-from ocp_ros.util.settings import ConfigurationError, setting
+from ocp_ros.util.settings import check_known, ConfigurationError, setting
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -57,24 +58,23 @@ def create_steady_timer(node: Node, period_s: float, callback: Callable[[], None
     return node.create_timer(period_s, callback, clock=Clock(clock_type=ClockType.STEADY_TIME))
 
 
-def warn_of_crowd(node: Node, topic: str, expected: str, max_publishers: int = 1) -> str:
+def warn_of_crowd(node: 'ManagedNode', topic: str, expected: str, max_publishers: int = 1) -> str:
     """
-    Log and return a warning if more nodes publish on a topic than expected.
+    Warn if more nodes publish on a topic than expected.
 
-    :param node: reads the ROS graph, and logs.
+    :param node: reads the ROS graph, and warns.
     :param topic: relative or full name.
     :param expected: which publishers are expected, in words for the warning.
     :param max_publishers: number of publishers that is expected at most.
     :returns: the warning; empty if there are not too many publishers.
     """
     publishers = node.get_publishers_info_by_topic(node.resolve_topic_name(topic))
-    if len(publishers) <= max_publishers:
-        return ''
     names = sorted(f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in publishers)
-    warning = (f'found publishers of {topic}: {", ".join(names)}; expected {expected}; end the '
-               'others, or give each its own namespace (a node that was killed is found for up to '
-               '20 s more)')
-    node.get_logger().warning(warning, throttle_duration_sec=10.0)
+    warning = '' if len(publishers) <= max_publishers else (
+        f'found publishers of {topic}: {", ".join(names)}; expected {expected}; end the '
+        'others, or give each its own namespace (a node that was killed is found for up to '
+        '20 s more)')
+    node.warn(f'publishers of {topic}', warning)
     return warning
 
 
@@ -92,6 +92,8 @@ def publish_diagnostics(node: Node, make_status: Callable[[], Status]) -> None:
         array.header.stamp = node.get_clock().now().to_msg()
         array.status = [DiagnosticStatus(
             level=level, name=node.get_fully_qualified_name(), message=message,
+            # The nodes of a namespace work with one rig.
+            hardware_id=node.get_namespace().strip('/') or 'rig',
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()])]
         publisher.publish(array)
 
@@ -125,13 +127,18 @@ class ManagedNode(LifecycleNode):
     :ivar config: parameters in effect.
     :ivar configured: whether the node is configured.
     :ivar active: whether the node is active and may send messages.
+    :ivar warnings: texts of the present warnings, by what they are about.
     :raises ConfigurationError: for parameters that are invalid.
     """
+
+    #: Topics that the node creates only after its configuration.
+    late_topics: tuple[str, ...] = ()
 
     def __init__(self, name: str, config_type: type,
                  flag_defaults: dict[str, dict[str, Any]] | None = None, **kwargs) -> None:
         super().__init__(name, **kwargs)
         self.configured = self.active = False
+        self.warnings: dict[str, str] = {}
         #: ROS entities that existed before the configuration, by kind: the clean-up keeps them.
         self._kept_entities: dict[str, set] = {}
         self._step_error: Exception | None = None
@@ -155,6 +162,21 @@ class ManagedNode(LifecycleNode):
         """Create a subscription; parameters may override its quality of service."""
         profile = _allow_overrides(topic, qos_profile, settings)
         return super().create_subscription(msg_type, topic, callback, profile, **settings)
+
+    def warn(self, about: str, text: str) -> None:
+        """
+        Log a warning once, and store it for the diagnostics until it ends.
+
+        :param about: what the warning is about; there is one warning about each thing at a time.
+        :param text: the warning, logged if more than its numbers is new; empty: it has ended.
+        """
+        # Numbers within names, such as those of topics, stay.
+        words, last_words = (re.sub(r'(?<![\w/])-?\d[\d.]*', '', each)
+                             for each in (text, self.warnings.pop(about, '')))
+        if text:
+            self.warnings[about] = text
+            if words != last_words:
+                self.get_logger().warning(text)
 
     def configure(self) -> None:
         """Prepare with the parameters; entities created here are destroyed at clean-up."""
@@ -187,7 +209,20 @@ class ManagedNode(LifecycleNode):
         self.config = read_config(self, type(self.config))
         self._kept_entities = self._entities()
         self.configured = self._try_step(self.configure, self._release_node)
+        if self.configured:
+            self._warn_of_overrides()
         return SUCCESS if self.configured else FAILURE
+
+    def _warn_of_overrides(self) -> None:
+        """Warn of the first override of a quality of service that no topic has."""
+        group = 'qos_overrides'
+        late_topics = [f'{group}.{self.resolve_topic_name(topic)}.' for topic in self.late_topics]
+        overrides = [name for name in self._parameter_overrides if name.startswith(f'{group}.')
+                     and not name.startswith(tuple(late_topics))]
+        try:
+            check_known(overrides, self.list_parameters([group], 0).names, self.get_name())
+        except ConfigurationError as error:
+            self.warn(group, str(error))
 
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Activate the node, or log why that fails."""
@@ -245,6 +280,7 @@ class ManagedNode(LifecycleNode):
     def _release_node(self) -> None:
         """Release everything, and destroy all entities created since the configuration."""
         self.configured = False
+        self.warnings.clear()
         self.release()
         for kind, entities in self._entities().items():
             # There is no record before the first configuration.

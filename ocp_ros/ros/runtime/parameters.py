@@ -108,9 +108,12 @@ def _check_changes(node: Node, config_type: type, parameters: list[Parameter]
             old_value = node.get_parameter(name).value
             # Settings with ``running`` may change while the node runs.
             if value != old_value and not (settings[name].metadata['running'] or unconfigured):
+                remedy = ('to change it, let ros2 lifecycle set deactivate and cleanup the node, '
+                          'set it, then let it configure and activate the node'
+                          ) if hasattr(node, 'configured') else 'start the node again to change it'
                 raise ConfigurationError(
                     f'{node.get_name()}: {name}: found {value!r}, but it is read once, at the '
-                    f'start; expected {old_value!r}; start the node again to change it')
+                    f'start; expected {old_value!r}; {remedy}')
         read_config(node, config_type, changes)
     except ConfigurationError as error:
         return SetParametersResult(successful=False, reason=str(error))
