@@ -50,7 +50,8 @@ setup(
     install_requires=[
         'setuptools', 'numpy>=1.26', 'numba', 'scipy', 'torch', 'safetensors', 'gymnasium', 'cma',
         'highspy', 'stable-baselines3', 'tensorboard', 'open3d', 'plyfile', 'laspy[lazrs]',
-        'pye57', 'matplotlib', 'plotly', 'rich', 'rosbags', 'pyyaml', 'jsonschema'],
+        'pye57', 'matplotlib', 'plotly', 'rich', 'rosbags', 'pyyaml', 'jsonschema',
+        'pillow'],
     extras_require={'test': ['pytest', 'pytest-timeout', 'hypothesis'], 'ray': ['ray'],
                     'studio': ['viser==1.1.1']},
     entry_points={

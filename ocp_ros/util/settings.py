@@ -46,7 +46,7 @@ class ConfigurationError(UserError):
 
 
 def setting(default: Any, description: str, low: float | None = None, high: float | None = None,
-            choices: tuple[str, ...] = (), running: bool = False) -> Any:
+            choices: tuple[str, ...] = (), running: bool = False, names: bool = False) -> Any:
     """
     Declare a field of a configuration dataclass.
 
@@ -56,9 +56,11 @@ def setting(default: Any, description: str, low: float | None = None, high: floa
     :param high: largest value allowed.
     :param choices: the values allowed, for text.
     :param running: whether a running node can change it.
+    :param names: whether it is a text of names with commas between, which may be given to a node
+        as a list too.
     """
     metadata = {'description': description, 'low': low, 'high': high, 'choices': choices,
-                'running': running}
+                'running': running, 'names': names}
     return field(default=default, metadata=metadata)
 
 

@@ -52,7 +52,7 @@ from ocp_ros.ros.interface.conversions import (
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
-    RawCloud,
+    RawMessage,
     shortened,
     stamp_to_ns,
 )
@@ -319,9 +319,9 @@ def test_a_command_out_of_bounds_is_noticed(fuzzer):
 def test_a_cloud_as_it_was_received_has_a_stamp_and_is_read_later():
     cloud = cloud_to_msg(np.eye(3, dtype=np.float32), Header(
         stamp=Time(sec=12, nanosec=345), frame_id='map'))
-    raw = RawCloud.of(serialize_message(cloud))
+    raw = RawMessage.of(PointCloud2, serialize_message(cloud))
     assert raw.stamp == 12_000_000_345 and raw.message() == cloud
     with pytest.raises(MessageError, match='3 bytes'):
-        RawCloud.of(raw.data[:3])
+        RawMessage.of(PointCloud2, raw.data[:3])
     with pytest.raises(MessageError, match='cannot be read'):
-        RawCloud.of(raw.data[:20]).message()
+        RawMessage.of(PointCloud2, raw.data[:20]).message()

@@ -18,7 +18,7 @@ from array import array
 from collections.abc import Mapping
 import math
 import struct
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from builtin_interfaces.msg import Time
 from geometry_msgs.msg import Point, Pose, PoseArray, Quaternion
@@ -100,19 +100,21 @@ def value_cloud(points: np.ndarray, name: str, values: np.ndarray, header: Heade
     return message
 
 
-class RawCloud(NamedTuple):
+class RawMessage(NamedTuple):
     """
-    A cloud as it was received, not deserialised: most clouds are replaced before they are used.
+    A message as it was received, not deserialised: most clouds are replaced before they are used.
 
+    :ivar message_type: type of the message, which begins with a header.
     :ivar stamp: of its header, nanoseconds.
     :ivar data: the message in CDR.
     """
 
+    message_type: type
     stamp: int
     data: bytes
 
     @classmethod
-    def of(cls, data: bytes) -> 'RawCloud':
+    def of(cls, message_type: type, data: bytes) -> 'RawMessage':
         """
         Read the stamp, with which the header begins, after four bytes on the encoding.
 
@@ -123,19 +125,19 @@ class RawCloud(NamedTuple):
         # An odd second byte stands for the order of bytes that begins with the lowest.
         order = '<' if data[1] & 1 else '>'
         seconds, nanoseconds = struct.unpack_from(f'{order}iI', data, 4)
-        return cls(seconds * NS_PER_S + nanoseconds, data)
+        return cls(message_type, seconds * NS_PER_S + nanoseconds, data)
 
-    def message(self) -> PointCloud2:
+    def message(self) -> Any:
         """
         Deserialise the message.
 
-        :raises MessageError: if it is no cloud.
+        :raises MessageError: if it is not of its type.
         """
         try:
-            return deserialize_message(self.data, PointCloud2)
+            return deserialize_message(self.data, self.message_type)
         except Exception as error:  # rclpy raises errors of several types.
             raise MessageError(f'cloud: found {len(self.data)} bytes that cannot be read '
-                               f'({error}); expected a sensor_msgs/msg/PointCloud2') from error
+                               f'({error}); expected a {self.message_type.__name__}') from error
 
 
 def msg_to_cloud(message: PointCloud2) -> np.ndarray:

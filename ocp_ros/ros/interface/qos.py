@@ -14,9 +14,10 @@
 
 """Quality of service profiles of all topics, for publishers, subscriptions and tests."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
+from typing import TYPE_CHECKING
 
-from rclpy.node import Node
 from rclpy.qos import (
     DurabilityPolicy,
     HistoryPolicy,
@@ -27,6 +28,9 @@ from rclpy.qos import (
 )
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from rclpy.subscription import Subscription
+
+if TYPE_CHECKING:
+    from ocp_ros.ros.runtime.managed_node import ManagedNode
 
 
 def _make_profile(reliability: ReliabilityPolicy, durability: DurabilityPolicy, depth: int
@@ -58,55 +62,72 @@ RELIABLE_SENSOR = _make_profile(ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOL
 
 class SensorSubscription:
     """
-    A subscription of sensor data that is reliable if all publishers are.
+    A subscription of sensor data that has the type of the publishers, and is reliable if they are.
 
     A large message consists of many packets, of which a receive buffer of the usual size loses
     some. A reliable subscription asks for these again, but it receives nothing from publishers
     with best effort. Call :meth:`match` at intervals: publishers may come and go.
 
     :param node: gets the subscription.
-    :param message_type: the type of its messages.
+    :param message_types: the types that can be received, by their names; the first one is received
+        until there is a publisher.
     :param topic: full name of the topic.
-    :param callback: is called with the bytes of each message, not deserialised.
+    :param callback: is called with the type and the bytes of each message, not deserialised.
     """
 
-    def __init__(self, node: Node, message_type: type, topic: str,
-                 callback: Callable[[bytes], None]) -> None:
+    def __init__(self, node: 'ManagedNode', message_types: Mapping[str, type], topic: str,
+                 callback: Callable[[type, bytes], None]) -> None:
         self._node = node
-        self._message_type = message_type
+        self._message_types = message_types
         self._topic = topic
         self._callback = callback
-        self._is_reliable = False
+        #: Name of the present message type, and whether the subscription is reliable.
+        self._kind, self._is_reliable = '', False
+        self._subscription: Subscription | None = None
         #: The subscription before the last change: until the next check, both receive.
         self._replaced: Subscription | None = None
         override = f'qos_overrides.{topic}.subscription.reliability'
         #: Whether the user has set the reliability; then it stays.
         self._is_fixed = override in node._parameter_overrides
-        self._subscription = self._create(SENSOR)
+        self.match()
 
-    def _create(self, profile: QoSProfile) -> Subscription:
+    def _create(self) -> Subscription:
         """Create the subscription."""
+        message_type = self._message_types[self._kind]
         kinds = [QoSPolicyKind.HISTORY, QoSPolicyKind.DEPTH]
         if self._is_fixed:
             kinds.append(QoSPolicyKind.RELIABILITY)
         return self._node.create_subscription(
-            self._message_type, self._topic, self._callback, profile, raw=True,
+            message_type, self._topic, partial(self._callback, message_type),
+            RELIABLE_SENSOR if self._is_reliable else SENSOR, raw=True,
             qos_overriding_options=QoSOverridingOptions(kinds))
 
     def match(self) -> None:
-        """Change the reliability if the present publishers ask for that."""
+        """Change the type and the reliability if the present publishers ask for that."""
         if self._replaced is not None:
             self._node.destroy_subscription(self._replaced)
             self._replaced = None
         publishers = self._node.get_publishers_info_by_topic(self._topic)
-        if self._is_fixed or not publishers:
+        if not publishers and self._subscription is not None:
             return
-        is_reliable = all(publisher.qos_profile.reliability == ReliabilityPolicy.RELIABLE
-                          for publisher in publishers)
-        if is_reliable != self._is_reliable:
-            self._is_reliable = is_reliable
-            kind = 'reliable' if is_reliable else 'best effort'
+        found = {publisher.topic_type for publisher in publishers} or {next(
+            iter(self._message_types))}
+        kind = next((kind for kind in self._message_types if kind in found), '')
+        self._node.warn(f'type of {self._topic}', '' if kind else (
+            f'{self._topic}: found {", ".join(found)}; expected one of '
+            f'{", ".join(self._message_types)}; name another topic'))
+        offered = {publisher.qos_profile.reliability for publisher in publishers}
+        is_reliable = not self._is_fixed and offered == {ReliabilityPolicy.RELIABLE}
+        if not kind or (kind, is_reliable) == (self._kind, self._is_reliable):
+            return
+        if publishers:
+            reliability = 'reliable' if is_reliable else 'best effort'
             self._node.get_logger().info(
-                f'{self._topic}: found publishers with {kind}; receiving the same way')
+                f'{self._topic}: found {kind} with {reliability}; receiving the same way')
+        if kind == self._kind:
             self._replaced = self._subscription
-            self._subscription = self._create(RELIABLE_SENSOR if is_reliable else SENSOR)
+        elif self._subscription is not None:
+            # Subscriptions of two types cannot exist at the same time.
+            self._node.destroy_subscription(self._subscription)
+        self._kind, self._is_reliable = kind, is_reliable
+        self._subscription = self._create()

@@ -64,6 +64,7 @@ class RigView:
     def __init__(self, node: Node, topic: str, models: Sequence[CameraModel],
                  frame_prefix: str = '') -> None:
         self.models = models
+        self._node = node
         self._frame_prefix = frame_prefix
         self._header = Header()
         self._poses: list[Pose] = []
@@ -105,8 +106,8 @@ class RigView:
         return rig_markers(np.array(self._trajectories), self._poses, self.models, self._header)
 
     def _camera_info_message(self, camera: int, model: CameraModel) -> CameraInfo | None:
-        """Return the CameraInfo of a camera; None before the first turn."""
-        if not self._poses:
+        """Return the CameraInfo of a camera; None before the first turn, or if a driver has it."""
+        if not self._poses or self._node.count_publishers(topics.camera_info_topic(camera)) > 1:
             return None
         return camera_info(model, Header(stamp=self._header.stamp,
                                          frame_id=f'{self._frame_prefix}camera_{camera}_optical'))

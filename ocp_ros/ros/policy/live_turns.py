@@ -33,15 +33,15 @@ from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     cloud_to_msg,
     MessageError,
-    msg_to_cloud,
     msg_to_poses,
     msg_to_positions,
     ns_to_stamp,
     positions_to_msg,
-    RawCloud,
+    RawMessage,
     rotation_of,
     stamp_to_ns,
 )
+from ocp_ros.ros.interface.depth_images import camera_info_of, POINT_SOURCES, read_points
 from ocp_ros.ros.interface.frames import (
     CameraClouds,
     CameraFrames,
@@ -60,7 +60,7 @@ from ocp_ros.ros.policy.turns import Turns, WaitLimits
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.util.settings import ConfigurationError
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, PointCloud2
 from std_msgs.msg import Header
 
 if TYPE_CHECKING:
@@ -90,7 +90,7 @@ class LiveTurns(TurnSource):
         self._frames = CameraFrames(
             node, config.publish_tf, self._frame_prefix, self._transforms.has_transform)
         #: The newest cloud of each topic, unread.
-        self._newest_clouds: dict[str, RawCloud] = {}
+        self._newest_clouds: dict[str, RawMessage] = {}
         #: Targets of the last command: positions of the K cameras, (K, 3) metres, and rotations,
         #: (3, 3), of the cameras that the command rotates.
         self._targets = np.empty((0, 3))
@@ -100,9 +100,12 @@ class LiveTurns(TurnSource):
         self.reset()
         self._observation_publisher = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
         node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, POSES)
+        #: CameraInfo of the topics of depth images; None before the first one.
+        self._camera_infos: dict[str, CameraInfo | None] = {}
+        self._full_names = self._full_topic_names(config.live_topics)
         subscriptions = [
-            SensorSubscription(node, PointCloud2, name, partial(self._on_cloud, topic))
-            for topic, name in self._full_topic_names(config.live_topics).items()]
+            SensorSubscription(node, POINT_SOURCES, name, partial(self._on_cloud, topic))
+            for topic, name in self._full_names.items()]
 
         def match_publishers() -> None:
             for subscription in subscriptions:
@@ -149,7 +152,7 @@ class LiveTurns(TurnSource):
         #: topic brought a cloud.
         self._decided_turns = 0
         self._turns_with_cloud = Counter[str]()
-        self._turns: Turns[RawCloud] = Turns(
+        self._turns: Turns[RawMessage] = Turns(
             self._node.config.live_topics, self._wait_limits())
         #: The value of ``_turns.stamp_jumps`` when the transforms were last dropped.
         self._seen_jumps = 0
@@ -172,10 +175,15 @@ class LiveTurns(TurnSource):
                                      f'{fused_topic}, which is where the fused cloud goes')
         return full_names
 
-    def _on_cloud(self, topic: str, data: bytes) -> None:
-        """Store a cloud, and play the turn if it is due."""
+    def _on_cloud(self, topic: str, message_type: type, data: bytes) -> None:
+        """Store a cloud or a depth image, and play the turn if it is due."""
+        if message_type is not PointCloud2 and topic not in self._camera_infos:
+            self._camera_infos[topic] = None
+            self._node.create_subscription(
+                CameraInfo, camera_info_of(self._full_names[topic]),
+                partial(self._camera_infos.__setitem__, topic), POSES)
         try:
-            cloud = RawCloud.of(data)
+            cloud = RawMessage.of(message_type, data)
         except MessageError as error:
             self._node.refuse(error, topic)
             return
@@ -222,7 +230,7 @@ class LiveTurns(TurnSource):
         while (topic_and_cloud := self._turns.take_cloud(waiting_topics)) is not None:
             topic, cloud = topic_and_cloud
             try:
-                self._fuse_cloud(cloud)
+                self._fuse_cloud(topic, cloud)
                 self._node.warn(topic, '')
             except LateTransformError as error:
                 # Transforms come on another topic than poses, and may still arrive.
@@ -240,17 +248,16 @@ class LiveTurns(TurnSource):
             if is_due:
                 self._answer_turn()
 
-    def _fuse_cloud(self, cloud: RawCloud) -> None:
-        """Add a cloud to the fused cloud, unless the placement is final."""
+    def _fuse_cloud(self, topic: str, cloud: RawMessage) -> None:
+        """Add a cloud of a topic to the fused cloud, unless the placement is final."""
         if self._is_final:
             return
-        message = cloud.message()
         # ``mean_poses`` are all positions and all rotations: each pose gets one of both. When a
         # cloud is taken, the cameras stand: ``standing_begin`` is not None.
         rig = self._rig._replace(poses=list(map(Pose, *self._turns.mean_poses)),
                                  standing_since_ns=self._turns.standing_begin.stamp)
         points, camera_positions = transform_cloud(
-            msg_to_cloud(message), message.header.frame_id, rig, self._transforms)
+            *read_points(cloud, self._camera_infos.get(topic)), rig, self._transforms)
         self._fused_cloud.add(points_in_range(
             points, camera_positions, *self._node.decider.ranges))
 
@@ -411,12 +418,12 @@ class LiveTurns(TurnSource):
         clouds = {}
         for number, topic in enumerate(self._node.config.live_topics):
             if topic in self._newest_clouds:
-                message = self._newest_clouds[topic].message()
-                match = self._rig.match_frame(message.header.frame_id)
+                points, frame = read_points(
+                    self._newest_clouds[topic], self._camera_infos.get(topic))
+                match = self._rig.match_frame(frame)
                 camera = int(match[1]) if match else number
                 if camera < len(self._rig.poses):
-                    points, _ = transform_cloud(msg_to_cloud(message), message.header.frame_id,
-                                                self._rig, self._transforms)
+                    points, _ = transform_cloud(points, frame, self._rig, self._transforms)
                     clouds[camera] = points_in_body_frame(points, self._rig.poses[camera])
         return CameraClouds(self._rig, clouds)
 

@@ -57,7 +57,8 @@ class PolicyNodeConfig(EpisodeLimits):
         0.0, 'live: time between two checks of a final placement against the scan, seconds; '
         '0: never', 0.0, 86400.0, running=True)
     cloud_topics: str = setting(
-        '', 'live: topics of the clouds, separated by commas; empty: work with a simulation')
+        '', 'live: topics of the clouds or depth images, a list or separated by commas; empty: '
+        'work with a simulation', names=True)
     voxel_size: float = setting(
         0.05, 'live: edge of the voxels of the fused cloud, metres', 0.001, 1.0)
     arrival_distance: float = setting(0.05, 'live: a camera within this distance of its target '

@@ -54,15 +54,15 @@ def declare(node: Node, config_type: type[T],
         override = node._parameter_overrides.get(flag)
         if override is not None and override.value is True:
             defaults |= other_defaults
-    values = {name: node.declare_parameter(name, defaults[name], _descriptor_of(field)).value
-              for name, field in settings.items()}
+    for name, field in settings.items():
+        node.declare_parameter(name, defaults[name], _descriptor_of(field))
     # rclpy would ignore unknown parameters without a warning. Those with the prefix
     # qos_overrides change the quality of service of topics.
     unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)
                and not name.startswith('qos_overrides.')]
     check_known(unknown, settings, f'{node.get_name()} parameters')
     node.add_on_set_parameters_callback(partial(_check_changes, node, config_type))
-    return from_flat(config_type, values, node.get_name())
+    return read_config(node, config_type)
 
 
 def watch_parameters(node: Node, apply_config: Callable[[T], None]) -> None:
@@ -91,8 +91,13 @@ def read_config(node: Node, config_type: type[T], changes: dict[str, Any] | None
 
     :param changes: other values of some parameters, by dotted name.
     """
-    values = {name: node.get_parameter(name).value for name in leaves(config_type)}
-    return from_flat(config_type, values | (changes or {}), node.get_name())
+    settings = leaves(config_type)
+    values = {name: node.get_parameter(name).value for name in settings} | (changes or {})
+    for name, value in values.items():
+        # A list of names is stored as a text.
+        if settings[name].metadata['names'] and isinstance(value, (list, tuple)):
+            values[name] = ','.join(map(str, value))
+    return from_flat(config_type, values, node.get_name())
 
 
 def _check_changes(node: Node, config_type: type, parameters: list[Parameter]
@@ -128,7 +133,8 @@ def _descriptor_of(field: Field) -> ParameterDescriptor:
         # Not declared read-only: rclpy would refuse a change without saying what to do.
         constraints.append('read once, at the start')
     descriptor = ParameterDescriptor(description=field.metadata['description'],
-                                     additional_constraints='; '.join(constraints))
+                                     additional_constraints='; '.join(constraints),
+                                     dynamic_typing=field.metadata['names'])
     if low is not None and field.type is int:
         descriptor.integer_range = [IntegerRange(from_value=low, to_value=high, step=1)]
     elif low is not None:
