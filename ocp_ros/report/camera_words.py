@@ -132,7 +132,7 @@ def lens_text(model: CameraModel) -> str:
 def coordinates_text(placed: Placed, frame: SourceFrame) -> str:
     """Return the position of a camera in a frame as text, to the millimetre."""
     # Three decimals of a metre; a unit ten times smaller needs one decimal less.
-    decimals = max(0, 3 + round(np.log10(frame.scale)))
+    decimals = max(0, 3 + round(np.log10(frame.scales.max())))
     # Adding 0 turns -0.0 into 0.0.
     return ', '.join(f'{value + 0.0:.{decimals}f}' for value in np.round(
         frame.to_source(placed.position), decimals))

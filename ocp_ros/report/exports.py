@@ -14,7 +14,7 @@
 
 """Export of a placement: files for installers, spreadsheets and ROS 2."""
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 import csv
 from dataclasses import replace
 from html import escape
@@ -110,7 +110,7 @@ def export(folder: Path, assessed: Assessment, prefix: str = '') -> Iterator[Pat
         placement = placement_in_scan_axes(placement, source)
         link = link_between(SCAN_FRAME, FRAME, source.rotation.T, source.rotation.T @ source.shift)
     links = [] if source.is_map else [link]
-    texts = {'cameras.csv': csv_of(placement, assessed.data_frame.scale, prefix),
+    texts = {'cameras.csv': csv_of(placement, assessed.data_frame.scales, prefix),
              'cameras.launch.py': launch_of(placement, links, prefix),
              'cameras.urdf.xacro': xacro_of(placement, links, prefix),
              'cameras.rviz': rviz_of(placement),
@@ -170,7 +170,7 @@ def placement_in_scan_axes(placement: Placement, source: SourceFrame) -> Placeme
     for placed in placement.cameras:
         angles = heading_of(source.rotation.T @ rotation_matrix(*np.deg2rad(placed.angles)))
         cameras.append(placed._replace(
-            position=tuple((source.scale * source.to_source(placed.position)).tolist()),
+            position=tuple((source.scales * source.to_source(placed.position)).tolist()),
             angles=tuple(np.round(np.rad2deg(angles), 6).tolist())))
     return replace(placement, cameras=tuple(cameras), frame=SCAN_FRAME)
 
@@ -180,12 +180,13 @@ def body_frame(number: int) -> str:
     return f'camera_{number}'
 
 
-def csv_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
+def csv_of(placement: Placement, scales: Iterable[float] = (1.0, 1.0, 1.0),
+           prefix: str = '') -> str:
     """
     Return the cameras as CSV, one row for each camera; angles are in degrees.
 
     :param placement: poses of the cameras.
-    :param scale: metres per unit of the written positions.
+    :param scales: metres per unit of the written x, y and z.
     :param prefix: prefix of frame names.
     """
     file = io.StringIO()
@@ -197,7 +198,7 @@ def csv_of(placement: Placement, scale: float = 1.0, prefix: str = '') -> str:
             'number': number, 'name': placed.camera.name, 'frame': placement.frame,
             'link': prefix + body_frame(number - 1), 'mount': placed.mount,
             **numbers_of(placed.camera),
-            **dict(zip('xyz', (value / scale for value in placed.position))),
+            **dict(zip('xyz', np.divide(placed.position, scales).tolist())),
             **dict(zip(('yaw', 'pitch', 'roll'), placed.angles))})
     return file.getvalue()
 

@@ -166,7 +166,7 @@ def page_facts_of(assessed: Assessment) -> PageFacts:
         # If the scan has the coordinates of the map, readers know the frame as that of the scan.
         frame=f'metres in the frame of the {"scan" if scene.source.is_map else "map"}'
         if frame.is_map else 'in the axes and units of the scan' + (
-            '' if frame.scale == 1.0 else f', {frame.scale:g} m each'),
+            '' if frame.scale == 1.0 else f', {frame.unit}'),
         walls=', '.join(wall.description for wall in assessed.walls))
 
 

@@ -49,8 +49,9 @@ def facts_of(scene: Scene) -> dict[str, Any]:
         'bounds': scene.bounds.tolist(), 'size': scene.size.tolist(), 'floor': floor,
         'ceiling': float(np.median(ceiling[:, 2])) if len(ceiling) else None,
         'floor_area': space.area, 'openings': openings_of(scene, Air(scene, space)),
-        'source': {'metres_per_unit': source.scale, 'up': source.up,
-                   'shift': source.shift.tolist(), 'source_from_map': source.matrix.tolist()},
+        'source': {'metres_per_unit': source.scale or source.scales.tolist(),
+                   'unit': source.unit, 'up': source.up, 'shift': source.shift.tolist(),
+                   'source_from_map': source.matrix.tolist()},
         'notes': [*room_notes(scene), *scene.notes],
         'remarks': list(scene.remarks)}
 
@@ -96,12 +97,9 @@ def room_rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the name and the value in words of each fact in data of :func:`facts_of`."""
     # A smaller share would be written as 0 %.
     min_open_share = 0.005
-    units = {1.0: 'metres', 0.001: 'millimetres', 0.01: 'centimetres', 0.0254: 'inches',
-             0.3048: 'feet'}
     low, high = facts['bounds']
     floor, ceiling, openings, source = (
         facts[key] for key in ('floor', 'ceiling', 'openings', 'source'))
-    unit = units.get(source['metres_per_unit'], f'{source["metres_per_unit"]:g} m')
     open_sides = ', '.join(f'{side} {100.0 * openings[side]:.0f} %' for side in SIDES
                            if openings.get(side, 0.0) >= min_open_share)
     return [
@@ -117,6 +115,6 @@ def room_rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
          f'{100.0 * openings["all"]:.0f} % of the view from inside meets no surface '
          f'({open_sides or "no side is open"})'),
         # The shift is subtracted from the coordinates of the file.
-        ('file', f'unit: {unit}; up: {source["up"]}' + (
+        ('file', f'unit: {source["unit"]}; up: {source["up"]}' + (
             f'; moved by {", ".join(f"{-value:.0f}" for value in source["shift"])} m'
             if any(source['shift']) else ''))]

@@ -37,7 +37,7 @@ ROOM_POINTS = 60_000
 #: The least size in bytes of a file whose scene is cached: smaller files are read as fast.
 MIN_CACHED_BYTES = 4_000_000
 #: The version of the cache format; raise it when reading a file gives another result.
-CACHE_VERSION = 3
+CACHE_VERSION = 4
 
 
 @dataclass(frozen=True)
@@ -119,6 +119,9 @@ def room_named(name: str, points: int = ROOM_POINTS, **reading: Any
         return scene, {'seed': int(name), 'points': points, 'sha256': sha256_of(scene)}
     entry = {'file': name, 'sha256': sha256_of_file(name), 'points': points, **reading,
              'scale': scene.source.scale, 'up': scene.source.up}
+    if scene.source.scale is None:
+        # The axes have different units, which the file declares.
+        del entry['scale']
     if not scene.source.is_map:
         entry['source_from_map'] = scene.source.matrix.tolist()
     return scene, entry
@@ -153,7 +156,7 @@ def load_cached(path: str | Path, **options) -> Scene:
     cached_file = folder / 'scans' / f'{digest[:24]}.npz'
     try:
         with cached_file.open('rb') as file, np.load(file, allow_pickle=False) as arrays:
-            source = SourceFrame(float(arrays['scale']), arrays['rotation'], arrays['shift'])
+            source = SourceFrame(arrays['scales'], arrays['rotation'], arrays['shift'])
             mesh = None if 'vertices' not in arrays else Mesh(
                 arrays['vertices'], arrays['triangles'], bool(arrays['exact']))
             return Scene(arrays['points'], str(arrays['name']), arrays.get('normals'), mesh,
@@ -168,7 +171,7 @@ def load_cached(path: str | Path, **options) -> Scene:
 
 def _write_to_cache(path: Path, scene: Scene) -> None:
     """Write a scene to the cache atomically; ignore errors such as a full disk."""
-    # The fields of ``source`` are scale, rotation and shift.
+    # The fields of ``source`` are scales, rotation and shift.
     arrays = {'points': scene.points, 'name': np.array(scene.name),
               'notes': np.array(scene.notes, dtype=str),
               'remarks': np.array(scene.remarks, dtype=str), **vars(scene.source)}

@@ -20,12 +20,11 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.scenes.cloud_files import (
     has_faces,
-    las_unit,
     read_e57_points,
-    read_las_points,
     read_pcd_fields,
     read_ply_fields,
 )
+from ocp_ros.scenes.las_files import las_units, read_las_points
 from ocp_ros.scenes.measured_room import read_measured_room, solids_in
 from ocp_ros.scenes.meshes import MESHES, read_mesh
 from ocp_ros.scenes.scene import SceneError
@@ -99,13 +98,13 @@ class Declared(NamedTuple):
     """
     The unit, the axes and the solids that a file declares.
 
-    :ivar metres: metres per unit of the file.
+    :ivar metres: metres per unit of the file, for each of its axes x, y and z.
     :ivar up: the axis direction of the file that points up.
     :ivar remark: a description of the declared unit or axis, if it is not metres or z.
     :ivar solids: (S, 2, 3) two opposite corners of each solid box; None if the file declares none.
     """
 
-    metres: float = 1.0
+    metres: tuple[float, float, float] = (1.0, 1.0, 1.0)
     up: str = 'z'
     remark: str = ''
     solids: np.ndarray | None = None
@@ -119,8 +118,10 @@ def declared_by(path: Path) -> Declared:
     if suffix in MEASURED:
         return Declared(solids=solids_in(path))
     if suffix in ('.las', '.laz'):
-        name, metres = las_unit(path)
-        return Declared(metres, remark=f'unit: {printable(name)}, as the file says')
+        plan, height = las_units(path)
+        names = plan.name if plan == height else f'{plan.name} in plan, {height.name} in height'
+        return Declared((plan.metres, plan.metres, height.metres),
+                        remark=f'unit: {printable(names)}, as the file says')
     return Declared()
 
 

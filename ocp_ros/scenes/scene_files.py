@@ -156,15 +156,16 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
         rows, triangle_corners, notes = _points_between_corners(rows[:, :3], name)
     # Use the unit and the up direction that the file declares, if the options leave them open.
     remarks: tuple[str, ...] = ()
-    if (scale == 0.0 and declared.metres != 1.0) or (up == BY_FILE and declared.up != 'z'):
+    if (scale == 0.0 and set(declared.metres) != {1.0}) or (
+            up == BY_FILE and declared.up != 'z'):
         remarks = (declared.remark,)
-    scale = scale or declared.metres
+    scales = np.full(3, scale) if scale else np.array(declared.metres)
     up = declared.up if up == BY_FILE else up
     # Convert to metres; numbers that overflow are refused like inf. Leave out stray points.
     if drop_nonfinite:
         rows = _without_nonfinite(rows, name)
     with np.errstate(over='ignore'):
-        rows[:, :3] *= scale
+        rows[:, :3] *= scales
     check_numbers(rows[:, :3], name)
     rows, stray_remarks = _without_strays(rows, name)
     remarks += stray_remarks
@@ -178,7 +179,7 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     notes += _notes_of_size(points, up)
     rotation = map_from_file(up)
     points, shift = _move_near_origin(points @ rotation.T, name)
-    source = SourceFrame(scale, rotation, shift)
+    source = SourceFrame(scales, rotation, shift)
     points, normals = _without_duplicates(points.astype(np.float32),
                                           _unit_normals(rows[:, 3:], rotation), name)
     # The z axis may be vertical only by default. If the points suggest another axis, a note says

@@ -107,16 +107,30 @@ def likely_up(points: np.ndarray) -> str:
 @dataclass(frozen=True, eq=False)
 class SourceFrame:
     """
-    The transform from file to map coordinates: ``map = scale * rotation @ file - shift``.
+    The transform from file to map coordinates: ``map = rotation @ (scales * file) - shift``.
 
-    :ivar scale: metres per unit of the file.
+    :ivar scales: (3,) metres per unit of each axis of the file.
     :ivar rotation: (3, 3), from the axes of the file to those of the map, z up.
     :ivar shift: (3,) metres, subtracted after scaling and rotation.
     """
 
-    scale: float = 1.0
+    scales: np.ndarray = field(default_factory=lambda: np.ones(3))
     rotation: np.ndarray = field(default_factory=lambda: np.eye(3))
     shift: np.ndarray = field(default_factory=lambda: np.zeros(3))
+
+    @property
+    def scale(self) -> float | None:
+        """Return the metres per unit of the file; None if its axes have different units."""
+        return float(self.scales[0]) if np.ptp(self.scales) == 0.0 else None
+
+    @property
+    def unit(self) -> str:
+        """Return the unit of the file in words, or the units of its axes if they differ."""
+        units = {1.0: 'metres', 0.001: 'millimetres', 0.01: 'centimetres', 0.0254: 'inches',
+                 0.3048: 'feet', 0.30480061: 'US survey feet'}
+        names = [units.get(round(scale, 9), f'{scale:g} m') for scale in self.scales.tolist()]
+        return names[0] if self.scale is not None else ', '.join(
+            f'{axis} in {name}' for axis, name in zip('xyz', names))
 
     @property
     def is_map(self) -> bool:
@@ -128,8 +142,8 @@ class SourceFrame:
     def matrix(self) -> np.ndarray:
         """Return the transform of homogeneous coordinates from the map to the file: (4, 4)."""
         matrix = np.eye(4)
-        matrix[:3, :3] = self.rotation.T / self.scale
-        matrix[:3, 3] = self.rotation.T @ self.shift / self.scale
+        matrix[:3, :3] = self.rotation.T / self.scales[:, None]
+        matrix[:3, 3] = self.rotation.T @ self.shift / self.scales
         return matrix
 
     @property
@@ -140,13 +154,13 @@ class SourceFrame:
 
     def to_source(self, positions: np.ndarray) -> np.ndarray:
         """Return positions (..., 3) in the map, metres, as positions in the frame of the file."""
-        return (np.asarray(positions, dtype=np.float64) + self.shift) @ self.rotation / self.scale
+        return (np.asarray(positions, dtype=np.float64) + self.shift) @ self.rotation / self.scales
 
     def to_map(self, positions: np.ndarray) -> np.ndarray:
         """Return positions (..., 3) in the frame of the file as positions in the map, metres."""
         positions = np.asarray(positions, dtype=np.float64)
-        return self.scale * (positions @ self.rotation.T) - self.shift
+        return (self.scales * positions) @ self.rotation.T - self.shift
 
     def rotated(self, rotation: np.ndarray) -> 'SourceFrame':
         """Return the transform after a rotation (3, 3) of the map about its origin."""
-        return SourceFrame(self.scale, rotation @ self.rotation, rotation @ self.shift)
+        return SourceFrame(self.scales, rotation @ self.rotation, rotation @ self.shift)

@@ -285,6 +285,44 @@ def test_las_says_what_is_noise_and_what_its_unit_is(tmp_path):
     assert load_scene(path, scale=foot).remarks == ()
 
 
+#: The unit of heights in feet, as text.
+HEIGHT_IN_FEET = 'VERT_CS["h",VERT_DATUM["d",2005],UNIT["US survey foot",0.3048006],AXIS["up",UP]]'
+
+
+def geo_keys(*keys):
+    """Return a record of GeoTIFF keys, each with its number in it."""
+    rows = [(1, 1, 0, len(keys)), *((key, 0, 1, value) for key, value in keys)]
+    return 34735, np.array(rows, dtype='<u2').tobytes()
+
+
+@pytest.mark.parametrize(('record', 'plan_m', 'height_m', 'words'), [
+    (geo_keys((3076, 9001), (4099, 9003)), 1.0, 0.3048, 'metre in plan, US survey foot in height'),
+    (geo_keys((3076, 9002), (4099, 9001)), 0.3048, 1.0, 'foot in plan, metre in height'),
+    (geo_keys((3072, 2263), (4096, 5703)), 0.3048, 1.0, 'foot in plan, metre in height'),
+    (geo_keys((3072, 26918), (4096, 6360)), 1.0, 0.3048, 'metre in plan, foot in height'),
+    (geo_keys((3072, 6539)), 0.3048, 0.3048, 'unit: foot,'),
+    ((2112, f'COMPD_CS["c",PROJCS["p",GEOGCS["g",UNIT["degree",0.0174]],UNIT["metre",1]],'
+      f'{HEIGHT_IN_FEET}]'.encode()), 1.0, 0.3048, 'metre in plan, US survey foot in height'),
+    ((2112, b'COMPOUNDCRS["c",PROJCRS["p",ANGLEUNIT["degree",0.0174],CS[Cartesian,2],'
+      b'LENGTHUNIT["foot",0.3048]],VERTCRS["h",CS[vertical,1],LENGTHUNIT["metre",1]]]'),
+     0.3048, 1.0, 'foot in plan, metre in height')])
+def test_las_may_measure_heights_in_another_unit_than_the_plan(
+        tmp_path, record, plan_m, height_m, words):
+    laspy, path = pytest.importorskip('laspy'), tmp_path / 'room.las'
+    corner = np.array([300_000.0, 60_000.0, 0.0])
+    source = ROOM / [plan_m, plan_m, height_m] + corner
+    files.write_las(path, source, offsets=corner)
+    content = laspy.read(path)
+    content.header.vlrs.append(laspy.VLR('LASF_Projection', record[0], '', record[1]))
+    content.write(path)
+    scene = load_scene(path)
+    np.testing.assert_allclose(scene.size, np.ptp(ROOM, axis=0), rtol=1e-4)
+    assert any(words in remark for remark in scene.remarks)
+    np.testing.assert_allclose(scene.source.to_source(scene.points), source, atol=0.01)
+    np.testing.assert_allclose(
+        scene.source.to_map(scene.source.to_source(scene.points)), scene.points, atol=1e-6)
+
+
 def test_vertices_without_faces_are_points(tmp_path):
     path = tmp_path / 'room.obj'
     path.write_text(''.join('v {:.7f} {:.7f} {:.7f}\n'.format(*point) for point in ROOM.tolist()))
