@@ -15,6 +15,7 @@
 """File formats of rooms and their readers, by file name suffix."""
 
 from pathlib import Path
+import re
 from typing import NamedTuple
 
 import numpy as np
@@ -24,7 +25,7 @@ from ocp_ros.scenes.cloud_files import (
     read_pcd_fields,
     read_ply_fields,
 )
-from ocp_ros.scenes.las_files import las_units, read_las_points
+from ocp_ros.scenes.las_files import FOOT, las_units, LengthUnit, METRE, read_las_points
 from ocp_ros.scenes.measured_room import read_measured_room, solids_in
 from ocp_ros.scenes.meshes import MESHES, read_mesh
 from ocp_ros.scenes.scene import SceneError
@@ -34,6 +35,22 @@ from ocp_ros.util.terminal_text import printable
 #: Suffixes of measured rooms. Other kinds of files have these suffixes too, so
 #: :func:`~ocp_ros.scenes.scene_files.scans_in` leaves them out.
 MEASURED = ('.yaml', '.yml')
+TEXTS = ('.asc', '.csv', '.pts', '.txt', '.xyz')
+#: Units of length by a pattern of their names in comments.
+COMMENT_UNITS = {
+    'mm|millimet(?:er|re)s?': LengthUnit('millimetre', 0.001),
+    'cm|centimet(?:er|re)s?': LengthUnit('centimetre', 0.01),
+    'dm|decimet(?:er|re)s?': LengthUnit('decimetre', 0.1), 'm|met(?:er|re)s?': METRE,
+    'in|inch(?:es)?': LengthUnit('inch', 0.0254), 'ft|foot|feet': FOOT,
+    'yd|yards?': LengthUnit('yard', 0.9144)}
+#: A comment about the unit, such as ``# File units = inches`` or ``comment 1 unit = 10 mm``, or
+#: the name of a column with its unit, such as ``x [mm]``.
+COMMENT_ON_UNIT = re.compile(
+    r'^[^\S\n]*(?:(?:#|//|comment\b).*?\b(?:units?|dimensions|coordinates)\b[^\w\n]*'
+    r'(?:(?:of|length|are|is|in)[^\w\n]+)*(?P<number>\d*\.?\d+\s*)?|(?://\s*)?"?x[^\S\n]*[\[(])'
+    f'(?P<unit>{"|".join(COMMENT_UNITS)})\\b', re.IGNORECASE | re.MULTILINE)
+#: Columns of a PLY file of Gaussian splats, as those of Kerbl et al. 2023.
+SPLAT_COLUMNS = (b' f_dc_0', b' opacity', b' scale_0')
 
 
 def _rows_from_fields(fields: dict[str, np.ndarray], name: str) -> np.ndarray:
@@ -102,12 +119,14 @@ class Declared(NamedTuple):
     :ivar up: the axis direction of the file that points up.
     :ivar remark: a description of the declared unit or axis, if it is not metres or z.
     :ivar solids: (S, 2, 3) two opposite corners of each solid box; None if the file declares none.
+    :ivar note: a problem with the unit, if the file has one.
     """
 
     metres: tuple[float, float, float] = (1.0, 1.0, 1.0)
     up: str = 'z'
     remark: str = ''
     solids: np.ndarray | None = None
+    note: str = ''
 
 
 def declared_by(path: Path) -> Declared:
@@ -118,17 +137,34 @@ def declared_by(path: Path) -> Declared:
     if suffix in MEASURED:
         return Declared(solids=solids_in(path))
     if suffix in ('.las', '.laz'):
-        plan, height = las_units(path)
-        names = plan.name if plan == height else f'{plan.name} in plan, {height.name} in height'
-        return Declared((plan.metres, plan.metres, height.metres),
-                        remark=f'unit: {printable(names)}, as the file says')
+        return _declared_units(*las_units(path))
+    if suffix in ('.obj', '.off', '.ply', *TEXTS):
+        with path.open('rb') as file:
+            head = file.read(1 << 14)
+        if suffix == '.ply' and all(column in head for column in SPLAT_COLUMNS):
+            return Declared(note='found a file of splats, which has no scale; expected metres; '
+                                 'measure one length, and divide it by the length in the file '
+                                 '(--scale)')
+        if found := COMMENT_ON_UNIT.search(head.decode('latin-1')):
+            unit = next(unit for pattern, unit in COMMENT_UNITS.items()
+                        if re.fullmatch(pattern, found['unit'], re.IGNORECASE))
+            factor = float(found['number'] or 1.0)
+            return _declared_units(*2 * [unit if factor == 1.0 else LengthUnit(
+                f'{factor:g} {unit.name}', factor * unit.metres)])
     return Declared()
+
+
+def _declared_units(plan: LengthUnit, height: LengthUnit) -> Declared:
+    """Return the declaration of the units of x and y, and of z."""
+    names = plan.name if plan == height else f'{plan.name} in plan, {height.name} in height'
+    return Declared((plan.metres, plan.metres, height.metres),
+                    remark=f'unit: {printable(names)}, as the file says')
 
 
 #: The reader of each suffix. A reader returns float64 points (N, 3), points and normals (N, 6), or
 #: triangle corners (T, 9), in the unit and the axes of the file.
 READERS = {'.las': read_las_points, '.laz': read_las_points, '.npy': _read_npy, '.pcd': _read_pcd,
            '.ply': _read_ply, '.ptx': read_ptx_points, '.e57': read_e57_points,
-           **dict.fromkeys(('.asc', '.csv', '.pts', '.txt', '.xyz'), read_points),
+           **dict.fromkeys(TEXTS, read_points),
            **dict.fromkeys(MESHES, read_mesh),
            **dict.fromkeys(MEASURED, read_measured_room)}

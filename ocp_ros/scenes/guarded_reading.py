@@ -25,20 +25,20 @@ functions below return what was imported before.
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from importlib import import_module
-import json
 import os
 from pathlib import Path
 import sys
 from types import SimpleNamespace
-from urllib.parse import unquote
 
 import numpy as np
+from ocp_ros.scenes import gltf_files
 from ocp_ros.util.guarded_process import confine, GuardedProcess, limit, ReadingCost
 
 #: The limits of each kind of file: bytes of memory, more bytes of memory per byte of the file, and
 #: seconds.
 READING_COSTS = {
-    'e57': ReadingCost(600_000_000, 20, 10), 'las': ReadingCost(600_000_000, 3, 10),
+    'e57': ReadingCost(600_000_000, 20, 10), 'gltf': ReadingCost(600_000_000, 40, 10),
+    'las': ReadingCost(600_000_000, 3, 10),
     'mesh': ReadingCost(700_000_000, 40, 20), 'ply': ReadingCost(400_000_000, 40, 10)}
 #: The number of bytes of points that are processed at once.
 BLOCK_BYTES = 1 << 25
@@ -102,6 +102,20 @@ def mesh_rows(path: str) -> Iterator[np.ndarray]:
     vertices, triangles = _read_triangles(open3d.io, path)
     if len(triangles) and not 0 <= triangles.min() <= triangles.max() < len(vertices):
         raise ValueError('faces with vertices that are not there')
+    yield from _corner_blocks(vertices, triangles)
+
+
+def gltf_rows(path: str) -> Iterator[np.ndarray]:
+    """Yield the corners (T, 9) of triangles of a glTF file, in metres, y up."""
+    vertices, triangles, step = gltf_files.read_triangles(path)
+    if not len(triangles):
+        raise ValueError('no faces')
+    _check_rounding(vertices, step)
+    yield from _corner_blocks(vertices, triangles)
+
+
+def _corner_blocks(vertices: np.ndarray, triangles: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the corners (T, 9) of triangles in blocks."""
     # A triangle is 9 numbers of 8 bytes.
     block_rows = BLOCK_BYTES // 72
     for start in range(0, len(triangles), block_rows):
@@ -124,20 +138,19 @@ def _read_triangles(open3d_io, path: str) -> tuple[np.ndarray, np.ndarray]:
     vertices = np.concatenate([vertices for vertices, _ in parts])
     # Open3D's reader of .off files rounds to float32 too; only the one of .ply files does not.
     if not path.lower().endswith('.ply'):
-        _check_rounding(vertices)
+        finite = vertices[np.isfinite(vertices)]
+        _check_rounding(vertices, np.spacing(np.float32(abs(finite).max(initial=0.0))))
     return vertices, np.concatenate([
         offset + triangles for offset, (_, triangles) in zip(offsets, parts)])
 
 
-def _check_rounding(vertices: np.ndarray) -> None:
-    """Refuse vertices (V, 3) that are so far from the origin that float32 has rounded them."""
+def _check_rounding(vertices: np.ndarray, step: float) -> None:
+    """Refuse vertices (V, 3) so far from the origin that float32 has rounded them to steps."""
     vertices = vertices[np.isfinite(vertices).all(axis=1)]
-    if len(vertices):
-        step = abs(vertices).max() * np.finfo(np.float32).eps
-        # Steps of more than 1 mm for an extent of 10 m are too coarse.
-        if step > 1e-4 * np.ptp(vertices, axis=0).max():
-            raise ValueError('a mesh so far from the origin that its reader rounds it: move it '
-                             'near the origin, or save it as .ply')
+    # Steps of more than 1 mm for an extent of 10 m are too coarse.
+    if len(vertices) and step > 1e-4 * np.ptp(vertices, axis=0).max():
+        raise ValueError('a mesh so far from the origin that its reader rounds it: move it '
+                         'near the origin, or save it as .ply')
 
 
 def ply_rows(path: str, *columns: str) -> Iterator[np.ndarray]:
@@ -147,39 +160,10 @@ def ply_rows(path: str, *columns: str) -> Iterator[np.ndarray]:
     yield np.stack([vertices[name] for name in columns], axis=1)
 
 
-def buffer_files(path: str) -> list[str]:
-    """
-    Return the paths of the files that contain the buffers of a glTF file; [] for other formats.
-
-    :raises ValueError: if a buffer is outside of the folder or does not exist.
-    """
-    if not path.lower().endswith(('.gltf', '.glb')):
-        return []
-    document = Path(path).read_bytes()
-    # A GLB file begins with a header of 12 bytes, the length of the JSON in 4 bytes, its type in
-    # 4 bytes, and the JSON.
-    if document[:4] == b'glTF':
-        document = document[20:20 + int.from_bytes(document[12:16], 'little')]
-    folder = Path(path).resolve().parent
-    files = []
-    for buffer in json.loads(document).get('buffers', ()):
-        # Buffers without a URI or with a data URI are in the file itself.
-        uri = buffer.get('uri', 'data:')
-        if uri.startswith('data:'):
-            continue
-        # Some readers decode %20 as a blank, others do not, so both names are allowed.
-        candidates = [(folder / file).resolve() for file in (uri, unquote(uri))]
-        if not all(file.parent == folder for file in candidates):
-            raise ValueError(f'it names {uri[:60]!r}, which is not in its folder')
-        if not any(file.is_file() for file in candidates):
-            raise ValueError(f'it names {uri[:60]!r}, where there is no file')
-        files += [str(file) for file in candidates if file.is_file()]
-    return files
-
-
 #: The reader of each kind, and the packages that it imports before the process gives up its
 #: rights.
-READERS = {'e57': (e57_rows, 'pye57'), 'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
+READERS = {'e57': (e57_rows, 'pye57'), 'gltf': (gltf_rows,),
+           'las': (las_rows, 'laspy', 'lazrs', 'laszip'),
            'mesh': (mesh_rows, 'open3d'),
            'ply': (ply_rows, 'plyfile', 'encodings.ascii')}
 
@@ -203,7 +187,7 @@ def main(arguments: list[str]) -> int:
             for package in packages:
                 with suppress(ImportError):
                     import_module(package)
-            confine([path, *buffer_files(path)])
+            confine([path, *(gltf_files.buffer_files(path) if kind == 'gltf' else ())])
             for block in read_rows(path, *reader_arguments):
                 output.write(np.ascontiguousarray(block, dtype=np.float64))
         except MemoryError:

@@ -61,6 +61,9 @@ from scipy.spatial import cKDTree
 
 #: The number of sample points on a mesh, to find its size, axes and stray parts.
 COARSE_SAMPLES = 60_000
+#: Suffixes of models that are no meshes, or of programs for models.
+MODELS = ('.3dm', '.3ds', '.blend', '.dae', '.dwg', '.dxf', '.fbx', '.ifc', '.iges', '.igs',
+          '.rvt', '.skp', '.sldprt', '.step', '.stp', '.usd', '.usda', '.usdc', '.usdz')
 
 _log = logging.getLogger(__name__)
 
@@ -159,6 +162,8 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
     if (scale == 0.0 and set(declared.metres) != {1.0}) or (
             up == BY_FILE and declared.up != 'z'):
         remarks = (declared.remark,)
+    if scale == 0.0 and declared.note:
+        notes.append(declared.note)
     scales = np.full(3, scale) if scale else np.array(declared.metres)
     up = declared.up if up == BY_FILE else up
     # Convert to metres; numbers that overflow are refused like inf. Leave out stray points.
@@ -362,7 +367,8 @@ def check_file(path: Path) -> None:
                          f'file, {hint}')
     if path.suffix.lower() not in READERS:
         similar = difflib.get_close_matches(path.suffix.lower(), suffixes, n=1)
-        hint = (f'did you mean {similar[0]}?' if similar else
+        hint = ('export it as STL or glTF (.glb) from the program that made it'
+                if path.suffix.lower() in MODELS else f'did you mean {similar[0]}?' if similar else
                 'convert it, for example with CloudCompare')
         raise SceneError(f'{path.name}: found the suffix {path.suffix!r}; expected one of '
                          f'{" ".join(suffixes)}; {hint}')

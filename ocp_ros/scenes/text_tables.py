@@ -14,7 +14,8 @@
 
 """Text files of numbers, with errors that name the line."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from itertools import islice, product
 from pathlib import Path
 import re
 from typing import NamedTuple
@@ -23,6 +24,12 @@ import warnings
 import numpy as np
 from ocp_ros.scenes.scene import SceneError
 
+#: A number with a separator of thousands, such as ``3,659.7``, ``3.659,7`` or ``3'659``.
+THOUSANDS = re.compile(r"\d[,.]\d{3}[,.]\d|\d['\u2019]\d{3}(?!\d)")
+#: Names of the columns of coordinates in tables of surveyors.
+SURVEY_NAMES = (('e', 'east', 'easting', 'eastings', 'rechtswert'),
+                ('n', 'north', 'northing', 'northings', 'hochwert'),
+                ('z', 'h', 'elev', 'elevation', 'height', 'altitude'))
 #: NaN and inf as old programs for Windows write them, such as ``-1.#QNAN0``.
 WINDOWS_NONFINITE = re.compile(r'([+-]?)1\.#(QNAN|SNAN|IND|INF|NAN)0*')
 
@@ -35,6 +42,7 @@ class TableFormat(NamedTuple):
     :ivar decimal_comma: whether 1,5 is one and a half.
     :ivar skipped_lines: the number of lines before the numbers.
     :ivar columns: the indices of the columns to read.
+    :ivar has_names: whether a line names the columns.
     :ivar windows_nonfinite: whether NaN and inf are written as ``1.#QNAN`` and ``1.#INF``.
     :ivar count: the number of points that the file declares; None if it declares none.
     """
@@ -43,6 +51,7 @@ class TableFormat(NamedTuple):
     decimal_comma: bool = False
     skipped_lines: int = 0
     columns: Sequence[int] = (0, 1, 2)
+    has_names: bool = False
     windows_nonfinite: bool = False
     count: int | None = None
 
@@ -69,12 +78,14 @@ def read_points(path: Path) -> np.ndarray:
     """
     Read the points in a text file: (N, 3) float64, x, y and z.
 
-    The numbers are separated by blanks, commas or semicolons; with semicolons, decimals may have a
-    comma. The first line may name the columns, such as ``X,Y,Z,R,G,B``, ``x [m]`` or ``Points:0``;
-    otherwise the first three columns are read. The number of points may stand in a line before it.
+    The numbers are separated by blanks, commas or semicolons; unless commas separate them,
+    decimals may have a comma. The first line may name the columns, such as ``X,Y,Z,R,G,B``,
+    ``x [m]``, ``Points:0`` or ``P,N,E,Z,D``; otherwise the first three columns are read, and
+    refused if they are no coordinates. The number of points may stand in a line before it.
     """
     _check_lines(path)
     table_format = _detect_format(path)
+    _check_columns(path, table_format)
     points = read_table(path, table_format)
     if table_format.count not in (None, len(points)):
         raise SceneError(f'{path.name}: found {len(points):,} points; expected '
@@ -168,29 +179,35 @@ def _detect_format(path: Path) -> TableFormat:
                 text = text.partition('#')[0]
             if text := text.strip().removeprefix('//').strip():
                 first_lines.append((text, line_number))
-            if len(first_lines) == 3:
+            if len(first_lines) == 20:
                 break
     # A single number before or after the names is the number of points.
     declared = next((line for line in first_lines[:2] if line[0].isdecimal()), None)
     others = [line for line in first_lines if line != declared]
     if not others:
         return TableFormat()
-    table_format = _format_of_line(*others[0], others[1][0] if others[1:] else '', path.name)
+    table_format = _format_of_lines(others, path.name)
     return table_format if declared is None else table_format._replace(
         count=int(declared[0]), skipped_lines=max(declared[1], table_format.skipped_lines))
 
 
-def _format_of_line(first_line: str, line_number: int, next_line: str, name: str) -> TableFormat:
+def _format_of_lines(lines: Sequence[tuple[str, int]], name: str) -> TableFormat:
     """
     Return the format of a text file.
 
-    :param first_line: its first line with content: numbers or the names of columns.
-    :param line_number: the number of this line, from 1: the lines to skip if it has names.
-    :param next_line: the line after it: the first line with numbers if it has names.
+    :param lines: its first lines with content, and their numbers from 1; the first one may have
+        the names of columns.
     :param name: the name of the file, for the error.
-    :raises SceneError: if the line has names, but not those of x, y and z.
+    :raises SceneError: if the first line has names, but not those of x, y and z.
     """
-    separator = ';' if ';' in first_line else ',' if ',' in first_line else None
+    first_line, line_number = lines[0]
+    # Between blanks, commas belong to the numbers.
+    has_blanks = [bool(re.fullmatch(r'[-+]?\d[\d.,]*\d|\d', cell))
+                  for cell in first_line.split()[:3]] == [True] * 3
+    separator = ';' if ';' in first_line else (
+        ',' if ',' in first_line and not has_blanks else None)
+    has_decimal_comma = separator != ',' and any(
+        re.search(r'\d,\d', line) for line, _ in lines)
     # A unit may stand after the name of a column.
     names = [re.sub(r'\s*[\[(][^\])]*[\])]\s*$', '', cell.strip(' "\'\t').lower())
              for cell in first_line.split(separator)]
@@ -198,14 +215,108 @@ def _format_of_line(first_line: str, line_number: int, next_line: str, name: str
         # A unit after a blank, as in x [m], is not a column.
         names = [cell for cell in names if cell]
     if columns := _coordinate_columns(names):
-        return TableFormat(separator, _has_decimal_comma(separator, next_line), line_number,
-                           columns)
+        return TableFormat(separator, has_decimal_comma, line_number, columns, has_names=True)
     if len(names) >= 3 and all(cell[:1].isalpha() for cell in names):
         raise SceneError(
             f'{name}: found the names of columns {" ".join(names)[:80]!r} in line {line_number}, '
             'and not which of them are x, y and z; expected x, y and z among them; name the three '
             'columns of coordinates so')
-    return TableFormat(separator, _has_decimal_comma(separator, first_line), line_number - 1)
+    return TableFormat(separator, has_decimal_comma, line_number - 1)
+
+
+def _check_columns(path: Path, table_format: TableFormat) -> None:
+    """Refuse a text file whose numbers or first columns, by a sample, are no coordinates."""
+    pairs = [[table_format.split_cells(line) for line in lines] for lines in _sample_lines(path)]
+    pairs = [cells for cells in pairs if all(cells)]
+    count = min((len(cells) for pair in pairs for cells in pair), default=0)
+    # Later columns, and more than 30 characters, say nothing of coordinates.
+    cells = np.array([[[cell[:30] for cell in row[:min(count, 12)]] for row in pair]
+                      for pair in pairs], dtype=str)
+    # Whole thousands have no decimals, so they look like decimal commas.
+    if table_format.decimal_comma and count >= 3:
+        numbers = cells[..., table_format.columns].ravel().tolist()
+        with_comma = [number for number in numbers if ',' in number]
+        if all(re.fullmatch(r'[-+]?\d{1,3},\d{3}', number) for number in with_comma) and any(
+                re.fullmatch(r'[-+]?\d{3}', number) for number in numbers):
+            raise SceneError(f'{path.name}: found {with_comma[0]!r} beside numbers without commas, '
+                             'which looks like thousands; expected decimals; export it without '
+                             'separators of thousands')
+    # The columns of three numbers are x, y and z.
+    if table_format.has_names or count < 4:
+        return
+    found, names = _other_columns(cells, table_format)
+    if found:
+        header = (table_format.separator or ' ').join(names)
+        raise SceneError(
+            f'{path.name}: found {found}; expected x, y and z in the first three columns, or a '
+            f"first line that names the columns; insert one: sed -i '1i {header}' {path.name}, "
+            'with the names in their order')
+
+
+def _sample_lines(path: Path) -> Iterator[list[str]]:
+    """Yield pairs of successive whole lines of a text file, from all over it."""
+    pair_count = 200
+    file_bytes = path.stat().st_size
+    with path.open('rb') as file:
+        for start in range(0, file_bytes, max(file_bytes // pair_count, 1)):
+            file.seek(start)
+            # The seek may have ended within a line.
+            file.readline()
+            pair = [file.readline() for _ in range(2)]
+            if all(line.endswith(b'\n') for line in pair):
+                yield [line.decode('latin-1') for line in pair]
+
+
+def _other_columns(cells: np.ndarray, table_format: TableFormat) -> tuple[str, list[str]]:
+    """
+    Describe the first columns of a text file if they are no coordinates.
+
+    :param cells: (P, 2, C) text of C columns in P pairs of successive lines.
+    :returns: the description, '' if they may be coordinates; and names for the columns.
+    """
+    rows = np.array([[_number_or_nan(cell, table_format) for cell in row]
+                     for row in cells.reshape(-1, cells.shape[2]).tolist()])
+    is_whole = np.array([all(re.fullmatch(r'[-+]?\d+', cell) for cell in column)
+                         for column in cells.reshape(-1, cells.shape[2]).T.tolist()])
+    # The number of whole columns before the first one that is not.
+    whole_count = int(np.argmin(is_whole)) if not is_whole.all() else 0
+    coordinates = ['x', 'y', 'z']
+    if np.isnan(rows[:, 0]).all() and np.isfinite(rows[:, 1:4]).all():
+        return f'words such as {str(cells[0, 0, 0])!r} in the first column', ['name', *coordinates]
+    if is_whole[0] and (np.diff(rows[:, 0].reshape(-1, 2)) == 1.0).all():
+        return ('the number of the point in the first column (if northings come before eastings, '
+                'their names are n and e)'), ['id', *coordinates]
+    # No coordinate in metres or millimetres is as large as a time in seconds since 1970.
+    if rows[:, 0].min() > 1e8 and abs(rows[:, 1:4]).max() < 1e5:
+        return 'times in the first column', ['t', *coordinates]
+    first, next_ones = rows[:, :3], rows[:, 3:6]
+    if next_ones.shape[1] == 3:
+        colours = ['r', 'g', 'b', *coordinates]
+        is_byte = [bool(is_whole[start:start + 3].all() and (part >= 0).all()
+                        and (part <= 255).all()) for start, part in ((0, first), (3, next_ones))]
+        if is_byte == [True, False]:
+            return 'whole numbers of 0 to 255 in columns 1 to 3, like colours', colours
+        if (first.min() >= 0.0 and first.max() <= 1.0 and not is_whole[:6].any()
+                and abs(next_ones).max() > 1.5):
+            return 'numbers of 0 to 1 in columns 1 to 3, like colours', colours
+        if (abs(np.linalg.norm(first, axis=1) - 1.0) < 0.02).all():
+            return 'vectors of length 1 in columns 1 to 3, like normals', [
+                'nx', 'ny', 'nz', *coordinates]
+    following = rows[:, whole_count:whole_count + 3]
+    if (whole_count and following.shape[1] == 3 and abs(following).max() > 1.0
+            and not is_whole[whole_count:whole_count + 3].any()):
+        found = (f'whole numbers before decimals, in column{"s 1 to" * (whole_count > 1)} '
+                 f'{whole_count}, like intensities or rows of a grid')
+        return found, [*'abcdefghi'[:whole_count], *coordinates]
+    return '', []
+
+
+def _number_or_nan(cell: str, table_format: TableFormat) -> float:
+    """Return the number in a cell, NaN if it has none."""
+    try:
+        return table_format.parse_number(cell)
+    except ValueError:
+        return float('nan')
 
 
 def _coordinate_columns(names: Sequence[str]) -> list[int] | None:
@@ -214,44 +325,60 @@ def _coordinate_columns(names: Sequence[str]) -> list[int] | None:
 
     :returns: the indices of the columns x, y and z; or of three columns whose names differ only in
         these letters, such as ``pos_x``, ``pos_y`` and ``pos_z``; or of columns such as
-        ``points_xyz:0`` to ``points_xyz:2``; None if there are no such columns.
+        ``points_xyz:0`` to ``points_xyz:2``, or easting, northing and elevation; None if there are
+        no such columns.
     """
     known = list(names)
     # For each x in a name: the names with x, y and z at its position; short names come first.
-    triples = [[name[:position] + axis + name[position + 1:] for axis in 'xyz']
-               for name in sorted(known, key=len)
-               for position, letter in enumerate(name) if letter == 'x']
+    triples: list[Sequence[str]] = [
+        [name[:position] + axis + name[position + 1:] for axis in 'xyz']
+        for name in sorted(known, key=len) for position, letter in enumerate(name)
+        if letter == 'x']
     # For each name such as points_xyz:0: the names with 0, 1 and 2.
     triples += [[f'{name[:-1]}{number}' for number in range(3)] for name in known
                 if name.endswith(':0') and re.search('xyz|point|pos|coord', name)]
+    triples += product(*SURVEY_NAMES)
     return next(([known.index(name) for name in triple] for triple in triples
                  if all(name in known for name in triple)), None)
-
-
-def _has_decimal_comma(separator: str | None, line: str) -> bool:
-    """Return whether a line with semicolons between its numbers has decimal commas."""
-    return separator == ';' and bool(re.search(r'\d,\d', line))
 
 
 def _find_bad_line(path: Path, table_format: TableFormat) -> SceneError | None:
     """Return an error that names the first line without numbers; None if there is no such line."""
     with path.open(encoding='latin-1') as file:
         for line_number, line in enumerate(file, start=1):
-            values = table_format.split_cells(line)
-            try:
-                # Parsing raises an error for the first bad cell.
-                if line_number > table_format.skipped_lines and values:
-                    [table_format.parse_number(values[column]) for column in table_format.columns]
-            except (ValueError, IndexError):
+            if line_number <= table_format.skipped_lines or _is_good_line(line, table_format):
+                continue
+            # Commas and points that are no separators of cells.
+            numbers = line if table_format.separator != ',' else ' '.join(
+                re.findall('"[^"]*"', line))
+            others = sum(not _is_good_line(other, table_format) for other in islice(file, 10_000))
+            if THOUSANDS.search(numbers):
+                remedy = 'export it without separators of thousands'
+            elif table_format.count is not None:
                 # A declared number of points would be wrong after a line is deleted.
-                remedy = 'copy or export it again' if table_format.count is not None else (
-                    'name the columns x, y and z, or put # before words that are no names'
-                    if line_number == 1 else
-                    f'correct the line or delete it: sed -i {line_number}d {path.name}')
-                return SceneError(
-                    f'{path.name}: found {line.strip()[:60]!r} in line {line_number}; expected '
-                    f'numbers x y z separated by {table_format.separator_name}; {remedy}')
+                remedy = 'copy or export it again'
+            elif line_number == 1:
+                remedy = 'name the columns x, y and z, or put # before words that are no names'
+            elif others:
+                remedy = (f'{others:,} of the next lines are such too: export it again with x, y '
+                          'and z in each line')
+            else:
+                remedy = f'correct the line or delete it: sed -i {line_number}d {path.name}'
+            return SceneError(
+                f'{path.name}: found {line.strip()[:60]!r} in line {line_number}; expected '
+                f'numbers x y z separated by {table_format.separator_name}; {remedy}')
     return None
+
+
+def _is_good_line(line: str, table_format: TableFormat) -> bool:
+    """Return whether a line has numbers in the columns of coordinates, or no content."""
+    values = table_format.split_cells(line)
+    try:
+        # Parsing raises an error for the first bad cell.
+        return not values or bool(
+            [table_format.parse_number(values[column]) for column in table_format.columns])
+    except (ValueError, IndexError):
+        return False
 
 
 def _check_last_line(path: Path, table_format: TableFormat) -> None:

@@ -221,7 +221,8 @@ def test_files_for_people_are_in_the_frame_of_the_scan_and_files_for_programs_in
     there = placement.cameras[0].position
     assert row['frame'] == 'map' and [float(row[axis]) for axis in 'xyz'] == pytest.approx(there)
     told = ', '.join(f'{value:.0f}' for value in scene.source.to_source(there))
-    assert told in written('installer.md') and 'units of the scan, millimetres' in written('installer.md')
+    assert told in written('installer.md')
+    assert 'units of the scan, millimetres' in written('installer.md')
     assert told in written('report.html')
     matrix = np.array(placement.room['source_from_map'])
     np.testing.assert_allclose((matrix @ [*there, 1.0])[:3], scene.source.to_source(there))

@@ -14,6 +14,7 @@
 
 """Meshes and measures as rooms: their faces in every format, and the points on them."""
 
+from base64 import b64encode
 import json
 import logging
 
@@ -102,6 +103,35 @@ def test_gltf_is_y_up_by_its_standard_and_shows_what_a_scan_of_the_room_shows(tm
     distances, _ = cKDTree(scene.points).query(ROOM.points)
     assert np.quantile(distances, 0.99) < 0.04
     assert np.median(abs(scene.normals).max(axis=1)) > 0.999
+
+
+@pytest.mark.parametrize('normalized', [False, True])
+@pytest.mark.parametrize('kind', ['<i1', '<u1', '<i2', '<u2'])
+def test_quantized_gltf_is_read_and_packed_gltf_refused_by_name(tmp_path, kind, normalized):
+    path, mesh = tmp_path / 'room.gltf', Mesh(VERTICES.astype(np.float32), TRIANGLES)
+    highest = np.iinfo(kind).max
+    size = VERTICES.max()
+    node = {'mesh': 0, 'scale': [size if normalized else size / highest] * 3}
+    document, buffer = files.gltf_of(mesh, [node])
+    # Each vertex has four numbers, the last of them padding.
+    numbers = np.pad(np.round(VERTICES / size * highest), ((0, 0), (0, 1))).astype(kind).tobytes()
+    triangles = TRIANGLES.astype('<u4').tobytes()
+    document['accessors'][0] |= {
+        'componentType': 5120 + ['<i1', '<u1', '<i2', '<u2'].index(kind), 'normalized': normalized}
+    document['bufferViews'] = [
+        {'buffer': 0, 'byteOffset': 0, 'byteStride': 4 * np.dtype(kind).itemsize,
+         'byteLength': len(numbers)},
+        {'buffer': 0, 'byteOffset': len(numbers), 'byteLength': len(triangles)}]
+    document['buffers'][0]['uri'] = 'data:application/octet-stream;base64,' + b64encode(
+        numbers + triangles).decode()
+    document['extensionsRequired'] = ['KHR_texture_transform', 'KHR_mesh_quantization']
+    path.write_text(json.dumps(document))
+    np.testing.assert_allclose(read_mesh(path).reshape(-1, 3, 3), VERTICES[TRIANGLES],
+                               atol=0.6 * size / highest)
+    for extension in ('KHR_draco_mesh_compression', 'EXT_meshopt_compression'):
+        document['extensionsRequired'].append(extension)
+        path.write_text(json.dumps(document))
+        assert extension in refusal(path)
 
 
 @pytest.mark.parametrize('name', ['room.glb', 'room.gltf'])

@@ -93,6 +93,11 @@ FORMATS = {
     'named_and_counted.asc': partial(write_table, separator=' ', header='//X Y Z\n{}'),
     'counted_and_named.txt': partial(write_table, separator=';', header='{}\nR;Z;Y;X',
                                      axes='xzyx', decimal=','),
+    'decimals.txt': partial(write_table, separator=' ', decimal=','),
+    'tabs.asc': partial(write_table, separator='\t', axes='xyzxyz', decimal=','),
+    'surveyor.csv': partial(write_table, separator=',', header='P,N,E,Z,D', axes='xyxzz'),
+    'survey.csv': partial(write_table, separator=';', header='Point;Easting;Northing;Elevation',
+                          axes='zxyz', decimal=','),
     'two_scans.ptx': lambda path, points: path.write_text(
         ptx_of(points[:900]) + ptx_of(points[900:])),
 }
@@ -228,11 +233,23 @@ def test_nan_of_windows_is_nan(tmp_path):
     np.testing.assert_allclose(load_scene(path, drop_nonfinite=True).points, ROOM, atol=1e-4)
 
 
+COLOURS = np.random.default_rng(3).integers(0, 256, ROOM.shape)
+NUMBERS = np.arange(len(ROOM))[:, None]
+
+
+def write_columns(path, *columns, separator=' ', form='.7g'):
+    """Write a line of numbers for each row of the columns."""
+    path.write_text('\n'.join(
+        separator.join(f'{value:{form}}' for part in row for value in part.tolist())
+        for row in zip(*columns)) + '\n')
+
+
 #: Files that are refused: a function that writes each, and what the message names.
 REFUSED = {
     'none.ply': (lambda path: None, 'no such file'),
     'room.pdc': (lambda path: files.write_text(path, ROOM), 'did you mean .pcd'),
-    'room.dae': (lambda path: files.write_text(path, ROOM), 'CloudCompare'),
+    'room.step': (lambda path: files.write_text(path, ROOM), 'as STL or glTF'),
+    'room.rcp': (lambda path: files.write_text(path, ROOM), 'CloudCompare'),
     'room': (lambda path: files.write_text(path, ROOM), '.csv .e57 .glb'),
     'without coordinates.csv': (
         lambda path: write_table(path, ROOM, ',', 'range,azimuth,elevation'), 'azimuth'),
@@ -240,6 +257,25 @@ REFUSED = {
                         f'{len(ROOM) + 5:,}'),
     'broken off.xyz': (lambda path: path.write_text('1 2 3 4 5 6\n' * 200 + '1 2 3 4'),
                        '4 numbers'),
+    'colours.txt': (lambda path: write_columns(path, COLOURS, ROOM), 'colours'),
+    'light.txt': (lambda path: write_columns(path, COLOURS / 255.0, ROOM), 'colours'),
+    'millimetres.txt': (lambda path: write_columns(
+        path, COLOURS, (1000.0 * ROOM).astype(int)), 'colours'),
+    'counted.txt': (lambda path: write_columns(path, NUMBERS, ROOM), 'number of the point'),
+    'grid.csv': (lambda path: write_columns(
+        path, NUMBERS // 50, NUMBERS % 50, ROOM, separator=','), 'columns 1 to 2'),
+    'intensity.txt': (lambda path: write_columns(path, 9 * COLOURS[:, :1], COLOURS, ROOM),
+                      'columns 1 to 4'),
+    'normals first.txt': (lambda path: write_columns(
+        path, Scene(ROOM).normals_or_estimate, ROOM), 'normals'),
+    'times.csv': (lambda path: write_columns(path, 1.7e9 + NUMBERS / 7.0, ROOM, separator=','),
+                  'times'),
+    'thousands.csv': (lambda path: write_columns(
+        path, 1000.0 * ROOM, separator=';', form=',.3f'), 'thousands'),
+    'thousands.txt': (lambda path: write_columns(path, 1000.0 * ROOM, form=',.1f'), 'thousands'),
+    'whole thousands.txt': (lambda path: write_columns(path, 1000.0 * ROOM, form=',.0f'),
+                            'thousands'),
+    'ragged.txt': (lambda path: path.write_text('1 2 3 4\n1 2\n1 2 3\n' * 50), '49 of the next'),
     'comments alone.xyz': (lambda path: path.write_text('# only\n\n# comments\n'), 'no points'),
     'strips.ply': (lambda path: path.write_text(
         'ply\nformat ascii 1.0\nelement tristrips 1\nproperty int a\nend_header\n1\n'),
@@ -267,7 +303,8 @@ def test_files_that_are_no_scan_are_refused(tmp_path, name):
     write, words = REFUSED[name]
     write(tmp_path / name)
     message = refusal(tmp_path / name)
-    assert words in message and 'sed' not in message
+    assert words in message and 'delete' not in message
+    assert '--scale' not in message or '--scale' in words
 
 
 def test_las_says_what_is_noise_and_what_its_unit_is(tmp_path):
@@ -327,6 +364,29 @@ def test_vertices_without_faces_are_points(tmp_path):
     path = tmp_path / 'room.obj'
     path.write_text(''.join('v {:.7f} {:.7f} {:.7f}\n'.format(*point) for point in ROOM.tolist()))
     np.testing.assert_allclose(load_scene(path).points, ROOM, atol=1e-5)
+
+
+@pytest.mark.parametrize(('comment', 'metres'), [
+    ('# Exported by a program\n# File units = inches', 0.0254), ('# Units: Millimeters', 0.001),
+    ('# 1 unit = 1 cm', 0.01), ('#unit 0.5 ft', 0.1524), ('# all dimensions in mm.', 0.001),
+    ('# a unit of furniture, 3 m', 1.0)])
+@pytest.mark.parametrize(('name', 'line'), [('a.obj', 'v {:.6f} {:.6f} {:.6f}\n'),
+                                            ('a.xyz', '{:.6f} {:.6f} {:.6f}\n')])
+def test_a_unit_in_a_comment_is_the_unit_of_the_file(tmp_path, name, line, comment, metres):
+    path = tmp_path / name
+    path.write_text(f'{comment}\n' + ''.join(line.format(*row) for row in ROOM / metres))
+    scene = load_scene(path)
+    np.testing.assert_allclose(scene.size, np.ptp(ROOM, axis=0), atol=1e-4)
+    assert any('unit' in remark for remark in scene.remarks) == (metres != 1.0)
+    assert not load_scene(path, scale=metres).remarks
+
+
+def test_splats_are_warned_of_unless_their_scale_is_given(tmp_path):
+    path = tmp_path / 'splats.ply'
+    files.write_ply(path, ROOM, nx=0.0, ny=0.0, nz=0.0, f_dc_0=0.5, opacity=1.0, scale_0=-5.0)
+    with pytest.warns(SceneWarning, match='splats'):
+        load_scene(path)
+    assert load_scene(path, scale=1.0).notes == ()
 
 
 @pytest.mark.parametrize('options', [
