@@ -48,7 +48,7 @@ from ocp_ros.util.settings import (
     MAX_SEED,
     MIN_ROOM_POINTS,
 )
-from ocp_ros.util.yaml_files import check, Document
+from ocp_ros.util.yaml_files import document_of
 
 RoomLike: TypeAlias = str | PathLike[str] | int | Scene | ArrayLike
 RigLike: TypeAlias = str | PathLike[str] | Mapping[str, Any] | Rig
@@ -269,7 +269,7 @@ def _read_rig(rig: RigLike | None, cameras: int | str | None, sensor: str,
     if isinstance(rig, (str, PathLike)):
         rig = load_rig(fspath(rig))
     elif isinstance(rig, Mapping):
-        rig = rig_from(_checked_document('rig', rig, RIG))
+        rig = rig_from(document_of('rig', rig, RIG))
     elif not isinstance(rig, Rig):
         raise ConfigurationError(f'rig: found {type(rig).__name__}; expected the path of a rig '
                                  'file, its content as a mapping, or a rig; see '
@@ -286,7 +286,7 @@ def _read_placement(placement: Any, rig: Rig | None, sensor: str) -> Placement:
     if isinstance(placement, (str, PathLike)):
         return load_placement(fspath(placement), rig)
     if isinstance(placement, Mapping):
-        return placement_from(_checked_document('placement', placement, PLACEMENT), rig)
+        return placement_from(document_of('placement', placement, PLACEMENT), rig)
     if isinstance(placement, Placement):
         return placement if rig is None else placement_of(
             rig, _checked_poses(placement.poses, rig), room=placement.room,
@@ -312,13 +312,6 @@ def _checked_poses(poses: Any, rig: Rig | None) -> np.ndarray:
         raise ConfigurationError(f'placement: found {len(array)} poses; expected '
                                  f'{len(rig.cameras)}, one for each camera of the rig')
     return array
-
-
-def _checked_document(name: str, data: Mapping[str, Any], schema: dict[str, Any]) -> Document:
-    """Return the content of a file as a document, after a check against a schema."""
-    document = Document(name, dict(data))
-    check(document, schema)
-    return document
 
 
 def _counting(target: float, by: str, most: int) -> Counting:

@@ -33,6 +33,7 @@ from ocp_ros.search.registry import PLANNERS, register_planner
 from ocp_ros.simulation.simulation_config import EngineConfig, SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 import pytest
+import yaml
 
 #: A package as pip leaves it: one planner that works, one that cannot be imported.
 PLUGIN = """\
@@ -92,7 +93,11 @@ def test_rooms_and_rigs_come_in_many_forms(room_folder):
     scene, poses = load_scene('room.ply'), [[2.0, 2.0, 1.9], [4.0, 5.0, 1.9]]
     (room_folder / 'rig.yaml').write_text('cameras: [{sensor: kinect_v2, count: 2}]\n')
     rigs = [room_folder / 'rig.yaml', load_rig('rig.yaml'), rig_of(2, 'kinect_v2'),
-            {'cameras': [{'sensor': 'kinect_v2', 'count': 2}]}]
+            {'cameras': [{'sensor': 'kinect_v2', 'count': 2}]},
+            # YAML 1.1, which PyYAML reads, has on for true.
+            yaml.safe_load('{cameras: [{sensor: kinect_v2, count: 2}], mount: {on: plane}}'),
+            {'cameras': ({'sensor': 'kinect_v2', 'count': np.int64(2)},),
+             'mount': {'on': 'plane', 'height': np.float32(1.9)}}]
     losses = {ocp_ros.score(scene, poses, rig).loss for rig in rigs}
     losses |= {ocp_ros.score('room.ply', poses, 'rig.yaml').loss,
                ocp_ros.score(scene, poses, sensor='kinect_v2').loss}
@@ -185,6 +190,11 @@ WRONG = {
     'points: found': lambda _: ocp_ros.plan(7, points='x'),
     'rig: found': lambda engine: ocp_ros.plan(engine.scene, rig=5),
     'scal: found': lambda engine: ocp_ros.plan(engine.scene, scal=1),
+    'cameras[0].count: found datetime.date': lambda engine: ocp_ros.plan(
+        engine.scene, yaml.safe_load('cameras: [{sensor: kinect_v2, count: 2026-01-01}]')),
+    'found the key 3': lambda engine: ocp_ros.plan(engine.scene, {'mount': {3: 'plane'}}),
+    'keep_clear: found nan': lambda engine: ocp_ros.plan(
+        engine.scene, {'cameras': [{'sensor': 'kinect_v2'}], 'keep_clear': np.nan}),
     'progress: found': lambda engine: ocp_ros.plan(engine.scene, progress=3),
     'target: found': lambda engine: ocp_ros.plan(engine.scene, cameras='auto', target=2),
     'placement: found 1 poses': lambda engine: ocp_ros.score(

@@ -31,7 +31,7 @@ from ocp_ros.rig.schemas import MAX_NAME_LENGTH, MIN_FOV_DEG, MODEL, RIG
 from ocp_ros.rig.sensors import SENSORS
 from ocp_ros.rig.zones import Zone, zone_of, zones_of
 from ocp_ros.util.settings import ConfigurationError, MAX_CAMERAS
-from ocp_ros.util.yaml_files import check, describe, Document, nearest, read_document, Way
+from ocp_ros.util.yaml_files import describe, Document, document_of, nearest, read_document, Way
 
 #: The share of a region's points that has to be seen with ``must_see: true``: some points are
 #: noise, and some are occluded from everywhere.
@@ -280,9 +280,7 @@ def rig_of(cameras: int, sensor: str = OMNIDIRECTIONAL, **more: Any) -> Rig:
     :raises ConfigurationError: for an unknown or ambiguous sensor, or another bad value.
     """
     data = {'cameras': [{'sensor': sensor_named(sensor), 'count': cameras}], **more}
-    document = Document('rig', data)
-    check(document, RIG)
-    return rig_from(document)
+    return rig_from(document_of('rig', data, RIG))
 
 
 def with_count(rig: Rig, count: int) -> Rig:

@@ -238,7 +238,7 @@ def _check_columns(path: Path, table_format: TableFormat) -> None:
         with_comma = [number for number in numbers if ',' in number]
         if all(re.fullmatch(r'[-+]?\d{1,3},\d{3}', number) for number in with_comma) and any(
                 re.fullmatch(r'[-+]?\d{3}', number) for number in numbers):
-            raise SceneError(f'{path.name}: found {with_comma[0]!r} beside numbers without commas, '
+            raise SceneError(f'{path.name}: found {with_comma[0]!r} beside numbers without any, '
                              'which looks like thousands; expected decimals; export it without '
                              'separators of thousands')
     # The columns of three numbers are x, y and z.

@@ -19,12 +19,13 @@ Only those parts of YAML that JSON has are read: mappings, lists, texts, numbers
 null. ``on`` and ``no`` are texts, 010 is ten, and tags and aliases are refused.
 """
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime, timezone
 import difflib
 import errno
 import json
+from math import isfinite
 from os import PathLike
 from pathlib import Path
 import re
@@ -141,6 +142,43 @@ def read_document(path: str | Path, schema: dict[str, Any]) -> Document:
                                  f'{schema["description"]}; write it, or name another file')
     check(document, schema)
     return document
+
+
+def document_of(name: str, data: Mapping[Any, Any], schema: dict[str, Any]) -> Document:
+    """
+    Return data in memory as a document, as if it were read from a file.
+
+    :param name: the name of the document in messages.
+    :param data: plain data; tuples and arrays are lists. The keys ``on`` and ``off``, which YAML
+        1.1 reads as true and false, may be these.
+    :param schema: the schema of the data, JSON Schema 2020-12; see :func:`check`.
+    :raises ConfigurationError: if the data are invalid, in one sentence.
+    """
+    document = Document(name, _plain_value(Document(name, data), data, ()))
+    check(document, schema)
+    return document
+
+
+def _plain_value(document: Document, value: Any, key_path: Way) -> Any:
+    """Return a value as plain data; refuse what a file cannot contain."""
+    # NumPy is not imported for it.
+    if hasattr(value, 'tolist'):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)) and len(key_path) < 20:
+        return [_plain_value(document, item, (*key_path, k)) for k, item in enumerate(value)]
+    if isinstance(value, Mapping) and len(key_path) < 20:
+        words = {True: 'on', False: 'off'}
+        data = {words[key] if isinstance(key, bool) else key: item for key, item in value.items()}
+        for key in data:
+            if not isinstance(key, str):
+                raise document.error(key_path, f'the key {key!r:.40}', 'a word',
+                                     'write one, such as count: 3')
+        return {key: _plain_value(document, item, (*key_path, key)) for key, item in data.items()}
+    if value is None or isinstance(value, (str, int)) or (
+            isinstance(value, float) and isfinite(value)):
+        return value
+    raise document.error(key_path, f'{value!r:.40}',
+                         'a finite number, a text, a list or a mapping', 'write one of them')
 
 
 def read_plain(path: str | Path) -> Document:
