@@ -40,7 +40,7 @@ def facts_of(scene: Scene) -> dict[str, Any]:
         file; ``notes``: doubts, and ``remarks``: corrections of the scan.
     """
     floor, source = floor_height(scene), scene.source
-    ceiling = ceiling_of(scene).points
+    ceiling = ceiling_of(scene.surveyed).points
     # The positions over the floor, without margin and clearance. The height is that of the top of
     # the room, so that furniture counts as well as floor. The number of cameras does not matter.
     space = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0)

@@ -51,6 +51,7 @@ class _LevelPoints(NamedTuple):
 @lru_cache(maxsize=1)
 def missing_surfaces(scene: Scene) -> tuple[str, ...]:
     """Return which of ``ceiling`` and ``floor`` are missing in a scan; remember the last scan."""
+    scene = scene.surveyed
     return _missing_names(scene, _level_points(scene), ceiling_of(scene).points, _tilt_deg(scene))
 
 
@@ -73,6 +74,7 @@ def room_notes(scene: Scene) -> list[str]:
     :returns: sentences that say what was found, what was expected and what to do; none for a usual
         room.
     """
+    scene = scene.surveyed
     level, floor = _level_points(scene), floor_height(scene)
     # The highest points may be stray ones.
     top = float(np.percentile(scene.points[:, 2], 99.5))

@@ -145,6 +145,7 @@ def floor_height(scene: Scene) -> float:
     :returns: the median z of the points of this layer, metres, map frame; the lowest z of the room
         if no low point is level.
     """
+    scene = scene.surveyed
     z = scene.points[:, 2]
     level = np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
     low, high = np.percentile(z, [0.1, 99.9])

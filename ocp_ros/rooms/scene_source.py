@@ -14,7 +14,7 @@
 
 """Make scenes from a file, with a cache in the cache folder of the user, or by the generator."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 import hashlib
 import io
 from pathlib import Path
@@ -159,9 +159,11 @@ def load_cached(path: str | Path, **options) -> Scene:
             source = SourceFrame(arrays['scales'], arrays['rotation'], arrays['shift'])
             mesh = None if 'vertices' not in arrays else Mesh(
                 arrays['vertices'], arrays['triangles'], bool(arrays['exact']))
-            return Scene(arrays['points'], str(arrays['name']), arrays.get('normals'), mesh,
-                         source, notes=tuple(map(str, arrays['notes'])),
-                         remarks=tuple(map(str, arrays['remarks'])))
+            scene = Scene(arrays['points'], str(arrays['name']), arrays.get('normals'), mesh,
+                          source, notes=tuple(map(str, arrays['notes'])),
+                          remarks=tuple(map(str, arrays['remarks'])))
+            return scene if 'survey_points' not in arrays else replace(scene, survey=replace(
+                scene, points=arrays['survey_points'], normals=arrays.get('survey_normals')))
     except (OSError, ValueError, KeyError, TypeError, EOFError, BadZipFile):
         # The cached file is missing or incomplete.
         scene = load_scene(path, **options)
@@ -172,11 +174,13 @@ def load_cached(path: str | Path, **options) -> Scene:
 def _write_to_cache(path: Path, scene: Scene) -> None:
     """Write a scene to the cache atomically; ignore errors such as a full disk."""
     # The fields of ``source`` are scales, rotation and shift.
-    arrays = {'points': scene.points, 'name': np.array(scene.name),
-              'notes': np.array(scene.notes, dtype=str),
+    arrays = {'name': np.array(scene.name), 'notes': np.array(scene.notes, dtype=str),
               'remarks': np.array(scene.remarks, dtype=str), **vars(scene.source)}
-    if scene.normals is not None:
-        arrays['normals'] = scene.normals
+    for prefix, part in (('', scene), ('survey_', scene.survey)):
+        if part is not None:
+            arrays[f'{prefix}points'] = part.points
+            if part.normals is not None:
+                arrays[f'{prefix}normals'] = part.normals
     if scene.mesh is not None:
         arrays |= {'vertices': scene.mesh.vertices, 'triangles': scene.mesh.triangles,
                    'exact': np.array(scene.mesh.exact)}

@@ -74,6 +74,8 @@ class Scene:
     :ivar source: the frame of the file that the points were read from.
     :ivar notes: problems that reading the file found, one sentence each.
     :ivar remarks: corrections that reading the file made, one sentence each.
+    :ivar survey: the same room with the points that it was judged on, if they are others: an
+        answer about the scan does not depend on how far it is thinned.
     :raises SceneError: if the points are not a room (see :func:`check_points`).
     """
 
@@ -84,6 +86,7 @@ class Scene:
     source: SourceFrame = field(default_factory=SourceFrame, repr=False)
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    survey: 'Scene | None' = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         """Convert the points to float32 in C order and refuse points that are not a room."""
@@ -104,6 +107,11 @@ class Scene:
         """Return the room with only the points that ``is_kept`` (N,) bool marks."""
         return replace(self, points=self.points[is_kept],
                        normals=None if self.normals is None else self.normals[is_kept])
+
+    @property
+    def surveyed(self) -> 'Scene':
+        """Return the room with the points that it was judged on."""
+        return self if self.survey is None else self.survey
 
     @cached_property
     def bounds(self) -> np.ndarray:
@@ -166,7 +174,8 @@ def turned(scene: Scene, degrees: float) -> Scene:
         mesh = replace(mesh, vertices=(mesh.vertices @ rotation.T).astype(np.float32))
     normals = None if scene.normals is None else scene.normals @ rotation.T
     rotated = Scene(scene.points @ rotation.T, f'{scene.name}@{degrees:g}', normals, mesh,
-                    scene.source.rotated(rotation), scene.notes, scene.remarks)
+                    scene.source.rotated(rotation), scene.notes, scene.remarks,
+                    None if scene.survey is None else turned(scene.survey, degrees))
     # A rotation keeps distances, but distances of the rotated points would differ by rounding. So
     # the properties with distances are copied.
     rotated.__dict__.update((name, getattr(scene, name))

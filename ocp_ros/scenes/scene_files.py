@@ -27,6 +27,7 @@ from ocp_ros.geometry.clouds import (
     away_from,
     corners_of,
     MIN_VOXEL_M,
+    thinned_to,
     voxel_downsample,
     voxel_size_for,
 )
@@ -64,6 +65,8 @@ COARSE_SAMPLES = 60_000
 #: Suffixes of models that are no meshes, or of programs for models.
 MODELS = ('.3dm', '.3ds', '.blend', '.dae', '.dwg', '.dxf', '.fbx', '.ifc', '.iges', '.igs',
           '.rvt', '.skp', '.sldprt', '.step', '.stp', '.usd', '.usda', '.usdc', '.usdz')
+#: The number of points on which a scan is judged, however many of them are asked for.
+SURVEY_POINTS = 60_000
 
 _log = logging.getLogger(__name__)
 
@@ -198,11 +201,15 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
         mesh = _mesh_in_map(triangle_corners, source, corners_of(points))
         solids = None if declared.solids is None else source.to_map(declared.solids)
         max_samples = max_points or MESH_SAMPLES
-        inner = inner_surface(mesh, max_samples, voxel_size, name, solids)
+        inner = inner_surface(mesh, max(max_samples, SURVEY_POINTS), voxel_size, name, solids)
         if inner is not None:
             scene = Scene(inner.points, scene_name, inner.normals, mesh, source, tuple(notes),
                           remarks + inner.remarks)
-            return _warn_of_notes(scene if all_rooms else main_room(scene, inner.points), name)
+            whole = scene.only(_evenly(len(scene), SURVEY_POINTS))
+            survey = whole if all_rooms else main_room(whole, whole.points)
+            thinned = scene.only(_evenly(len(scene), max_samples))
+            return _warn_of_notes(survey if len(thinned) == len(whole) else
+                                  _room_of_survey(thinned, whole, survey), name)
         # Without enclosed air, samples of all faces go on like the points of a scan.
         remarks += ('no air is closed in: all faces count, from both sides',)
         # Points that are merged in voxels lie near the faces, not on them. With a voxel size,
@@ -214,30 +221,69 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
                            np.hsplit(sample_faces(mesh.corners, max_samples), 2))
     # Points of a scan, or of a mesh without enclosed air: merge them.
     merged = _merge_points(points, voxel_size, max_points, name)
+    scene = Scene(merged, scene_name, normals if merged is points else None, mesh, source)
     if len(merged) < len(points):
         remarks += (f'{len(merged):,} of {len(points):,} points kept '
                     f'({"merged in voxels" if voxel_size else "--points"})',)
-        normals = None
-    # Leave out isolated points if the others are still a room. Then leave out mirror images.
-    is_isolated = isolated_points(merged)
-    surfaces = merged[~is_isolated]
-    if 0.0 < is_isolated.mean() <= MAX_ISOLATED_SHARE and _is_room(surfaces, name):
+    scene = replace(scene, notes=tuple(notes), remarks=remarks)
+    # The scan is judged on a fixed number of points, so that no answer depends on ``max_points``.
+    if len(points) <= SURVEY_POINTS if merged is points else (
+            not voxel_size and max_points == SURVEY_POINTS):
+        return _warn_of_notes(_room_in(scene, points, all_rooms), name)
+    whole = replace(scene, points=thinned_to(points, SURVEY_POINTS), normals=None)
+    return _warn_of_notes(
+        _room_of_survey(scene, whole, _room_in(whole, points, all_rooms)), name)
+
+
+def _room_in(scene: Scene, points: np.ndarray, all_rooms: bool) -> Scene:
+    """
+    Return the room in a scan: without isolated points, mirror images, outsides and other rooms.
+
+    :param scene: the scan, thinned to the points that it is judged on.
+    :param points: (N, 3) metres, all its points.
+    :param all_rooms: whether other rooms are kept.
+    """
+    is_isolated = isolated_points(scene.points)
+    surfaces = scene.points[~is_isolated]
+    # Leave out isolated points if the others are still a room.
+    if 0.0 < is_isolated.mean() <= MAX_ISOLATED_SHARE and _is_room(surfaces, scene.name):
         count = int(np.count_nonzero(is_isolated))
-        remarks += (f'{count:,} isolated point{"s" * (count > 1)} left out',)
-        _log.warning('%s: %s', printable(name), remarks[-1])
-        merged = surfaces
-        normals = None if normals is None else normals[~is_isolated]
-    scene = without_mirror_images(Scene(
-        merged, scene_name, normals, mesh, source, tuple(notes), remarks))
-    if len(scene) < len(merged):
+        remark = f'{count:,} isolated point{"s" * (count > 1)} left out'
+        _log.warning('%s: %s', scene.name, remark)
+        scene = replace(scene.only(~is_isolated), remarks=(*scene.remarks, remark))
+    count = len(scene)
+    scene = without_mirror_images(scene)
+    if len(scene) < count:
         # ``main_room`` gets the points before merging. Some of them are behind the mirror and
         # must not count as another room, so it gets the remaining merged points instead.
         points = scene.points
     # Leave out what lies outside of the room.
     scene = without_outside(scene)
     # Isolated points must not count as walls, however many there are.
-    return _warn_of_notes(scene if all_rooms else main_room(
-        scene, points if is_isolated.all() else _near_surfaces(points, surfaces)), name)
+    return scene if all_rooms else main_room(
+        scene, points if is_isolated.all() else _near_surfaces(points, surfaces))
+
+
+def _room_of_survey(scene: Scene, whole: Scene, survey: Scene) -> Scene:
+    """
+    Return the part of a scan that was judged to be the room.
+
+    :param scene: the scan, thinned as asked for.
+    :param whole: the scan, thinned to the points that it was judged on.
+    :param survey: those of these points that are the room.
+    """
+    tree = cKDTree(whole.points)
+    is_room = np.zeros(len(whole), dtype=bool)
+    is_room[tree.query(survey.points)[1]] = True
+    if not is_room.all():
+        scene = scene.only(is_room[tree.query(scene.points)[1]])
+    return replace(scene, notes=survey.notes, remarks=survey.remarks, survey=survey)
+
+
+def _evenly(count: int, max_count: int) -> np.ndarray:
+    """Return the indices of at most ``max_count`` of ``count`` things, evenly spread."""
+    kept = min(count, max_count)
+    return np.arange(kept) * count // kept
 
 
 def _near_surfaces(points: np.ndarray, surfaces: np.ndarray) -> np.ndarray:
