@@ -65,8 +65,9 @@ class Answer(NamedTuple):
     facts: dict
 
     def says(self, pattern: str) -> bool:
-        """Return whether a note matches a pattern."""
-        return any(re.search(pattern, note) for note in self.facts['notes'])
+        """Return whether a note or remark matches a pattern."""
+        return any(re.search(pattern, said)
+                   for said in (*self.facts['notes'], *self.facts['remarks']))
 
 
 #: The functions of the kinds by name: from a generator of chance and a folder to a verdict.

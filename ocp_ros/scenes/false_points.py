@@ -153,8 +153,10 @@ def without_mirror_images(scene: Scene) -> Scene:
             for side in (distances, -distances))
         if count_behind > 0.6 * count_before:
             continue
-        # Floors and ceilings match their mirror images everywhere, so they are excluded.
-        tested = np.flatnonzero(is_behind & (np.abs(normals[:, 2]) < LEVEL))
+        # Floors, ceilings and walls that cross the plane match their mirror images everywhere, so
+        # they are excluded.
+        tested = np.flatnonzero(is_behind & (np.abs(normals[:, 2]) < LEVEL)
+                                & (np.abs(normals @ normal) > STEEP))
         tested = tested[np.random.default_rng(0).permutation(len(tested))[:4000]]
         if len(tested) < 50:
             continue

@@ -94,6 +94,119 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     return replace(scene.only(is_kept), notes=(*scene.notes, note))
 
 
+def without_views_outside(scene: Scene, points: np.ndarray) -> tuple[Scene, np.ndarray]:
+    """
+    Leave out what a scanner saw through the windows of a room, and add a note.
+
+    The room has a ceiling, and a part of the scan without one belongs to it only if the floor goes
+    on where the ceiling ends. Under a lintel or behind a sill it ends at a wall.
+
+    :param points: (N, 3) metres, the points of the file before merging.
+    :returns: the room and its points; both the same if most points have no ceiling, as in a yard.
+    """
+    places = _RoofedPlaces(scene)
+    is_outside = places.are_outside(scene.points)
+    count = np.count_nonzero(is_outside)
+    if count < 0.002 * len(scene) or len(scene) - count < MIN_POINTS:
+        return scene, points
+    is_kept = ~places.are_outside(points)
+    if is_kept.mean() < 0.3:
+        return scene, points
+    note = (f'found {count:,} points outside, seen through windows or doors; expected one room; '
+            'they are not planned for: --all-rooms includes them')
+    return replace(scene.only(~is_outside), notes=(*scene.notes, note)), points[is_kept]
+
+
+class _RoofedPlaces:
+    """
+    The places in the plan of a scan that have a ceiling, and those outside of them.
+
+    :param scene: the scan; its largest roofed part is the room.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        z = scene.points[:, 2]
+        self._edge = max(0.2, 2.0 * float(np.median(scene.pitch)))
+        self._low = scene.bounds[0, :2] - 2.0
+        # Beyond the points there are empty cells, in which cells may grow.
+        self._shape = tuple(np.floor((scene.size[:2] + 4.0) / self._edge).astype(int) + 1)
+        cells = self._cells(scene.points)
+        self._top, self._bottom = np.full(self._shape, -np.inf), np.full(self._shape, np.inf)
+        np.maximum.at(self._top, cells, z)
+        np.minimum.at(self._bottom, cells, z)
+        is_occupied = np.isfinite(self._top)
+        # A ceiling is the highest thing in its column; attics have steep ones. There is something
+        # lower below it, or beside it if furniture hides the floor.
+        is_lid = (np.abs(scene.normals_or_estimate[:, 2]) > 0.5) & (z > self._top[cells] - 0.1)
+        lids = _occupied_cells(np.column_stack(cells)[is_lid], self._shape)
+        lowest = ndimage.minimum_filter(self._bottom, size=5)
+        roofs = ndimage.binary_closing(lids & (self._top - lowest > 1.5), self._near(0.5))
+        roofs = ndimage.binary_fill_holes(roofs)
+        counts = np.bincount((cells[0] * self._shape[1] + cells[1]), minlength=roofs.size)
+        parts, _ = ndimage.label(roofs)
+        sizes = np.bincount(parts.ravel(), counts)
+        sizes[0] = 0
+        # Rooms up to a metre apart, with walls between, are in one building.
+        buildings, _ = ndimage.label(ndimage.binary_dilation(roofs, self._near(0.5)))
+        core = parts == sizes.argmax()
+        self._building = roofs & (buildings == buildings[core].max())
+        self._floor = float(np.percentile(self._bottom[core & is_occupied], 30.0)) if (
+            sizes.any()) else 0.0
+        self._outside = np.zeros(self._shape, dtype=bool)
+        if sizes.any():
+            self._find_outside(scene, cells, is_occupied, roofs)
+
+    def _find_outside(self, scene: Scene, cells: tuple[np.ndarray, ...], is_occupied: np.ndarray,
+                      roofs: np.ndarray) -> None:
+        """Find the cells that are outside, given those of the points."""
+        z = scene.points[:, 2]
+        # Walls reach up to half a metre out of the roofed cells.
+        self._wall = ndimage.binary_dilation(self._building, self._near(0.5))
+        is_beyond = is_occupied & ~self._wall
+        border = self._building & ~ndimage.binary_erosion(self._building)
+        ceiling = ndimage.maximum_filter(np.where(self._building, self._top, -np.inf), size=7)
+        is_upper = (z > ceiling[cells] - 0.5) & (z < ceiling[cells] - 0.12)
+        is_walled = ndimage.binary_dilation(
+            _occupied_cells(np.column_stack(cells)[is_upper], self._shape), self._near(0.5))
+        has_floor = is_beyond & (np.abs(self._bottom - self._floor) < 0.3)
+        parts, count = ndimage.label(ndimage.binary_dilation(is_beyond, self._near(0.5)))
+        floors = np.where(has_floor, parts, 0)
+        reach = self._near(0.8 + self._edge)
+        # The view reaches a metre below the floor or above the ceiling, or far without a roof; the
+        # other parts are those of a room whose ceiling was not scanned whole, or in a mirror.
+        is_far = is_beyond & ((self._bottom < self._floor - 1.0)
+                              | (self._top > self._top[self._building].max() + 1.0))
+        distance = self._edge * ndimage.distance_transform_edt(~self._building)
+        roof_counts, distant_counts, far_counts = (
+            np.bincount(parts[cells], minlength=count + 1)
+            for cells in (roofs & is_beyond, is_beyond & (distance > 6.0), is_far))
+        is_view = (far_counts >= 3) | ((distant_counts >= 3) & (roof_counts < distant_counts))
+        for number, box in enumerate(ndimage.find_objects(parts), start=1):
+            margin = len(reach)
+            window = tuple(slice(max(side.start - margin, 0), side.stop + margin) for side in box)
+            beside = border[window] & ndimage.binary_dilation(floors[window] == number, reach)
+            # The floor goes on under the open edge of a ceiling that was not scanned whole.
+            is_open = beside.any() and np.mean(~is_walled[window][beside]) > 0.5
+            if is_open or not is_view[number]:
+                parts[parts == number] = 0
+        self._outside = is_beyond & (parts > 0)
+
+    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return the cells of points (M, 3): their indices along x and y."""
+        cells = np.floor((points[:, :2] - self._low) / self._edge).astype(int)
+        return tuple(np.clip(cells, 0, np.array(self._shape) - 1).T)
+
+    def _near(self, distance: float) -> np.ndarray:
+        """Return the mask of a disc with a radius in metres."""
+        return _disc(max(distance / self._edge, 1.0))
+
+    def are_outside(self, points: np.ndarray) -> np.ndarray:
+        """Return which points (M, 3) are outside: (M,) bool."""
+        cells = self._cells(points)
+        is_low = (points[:, 2] < self._floor - 0.3) & ~self._building[cells]
+        return self._outside[cells] | (is_low & self._outside.any())
+
+
 def _room_finder(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarray]:
     """
     Return a function that finds the nearest room of each position.

@@ -39,7 +39,7 @@ from ocp_ros.scenes.false_points import (
 )
 from ocp_ros.scenes.file_formats import Declared, declared_by, MEASURED, READERS
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
-from ocp_ros.scenes.main_room import main_room, PLAN_VOXEL_M
+from ocp_ros.scenes.main_room import main_room, PLAN_VOXEL_M, without_views_outside
 from ocp_ros.scenes.measured_room import CORNERS, room_between
 from ocp_ros.scenes.meshes import MESH_SAMPLES, sample_faces
 from ocp_ros.scenes.scene import check_numbers, check_points, Mesh, MIN_POINTS, Scene, SceneError
@@ -251,6 +251,11 @@ def _room_in(scene: Scene, points: np.ndarray, all_rooms: bool) -> Scene:
         remark = f'{count:,} isolated point{"s" * (count > 1)} left out'
         _log.warning('%s: %s', scene.name, remark)
         scene = replace(scene.only(~is_isolated), remarks=(*scene.remarks, remark))
+    # Isolated points must not count as walls, however many there are.
+    if not is_isolated.all():
+        points = _near_surfaces(points, surfaces)
+    if not all_rooms:
+        scene, points = without_views_outside(scene, points)
     count = len(scene)
     scene = without_mirror_images(scene)
     if len(scene) < count:
@@ -259,9 +264,7 @@ def _room_in(scene: Scene, points: np.ndarray, all_rooms: bool) -> Scene:
         points = scene.points
     # Leave out what lies outside of the room.
     scene = without_outside(scene)
-    # Isolated points must not count as walls, however many there are.
-    return scene if all_rooms else main_room(
-        scene, points if is_isolated.all() else _near_surfaces(points, surfaces))
+    return scene if all_rooms else main_room(scene, points)
 
 
 def _room_of_survey(scene: Scene, whole: Scene, survey: Scene) -> Scene:
@@ -504,7 +507,7 @@ def _without_strays(rows: np.ndarray, name: str) -> tuple[np.ndarray, tuple[str,
         return rows, ()
     distances = away_from(points[is_stray], corners_of(points[~is_stray]))
     remark = (f'{len(distances):,} stray point{"s" * (len(distances) > 1)} left out, up to '
-              f'{distances.max():.3g} m outside of the rest')
+              f'{distances.max():.3g} m outside of the rest: reflections, or seen through windows')
     _log.warning('%s: %s', printable(name), remark)
     return rows[~is_stray], (remark,)
 

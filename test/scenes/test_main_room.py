@@ -238,6 +238,25 @@ def test_what_a_scanner_sees_of_a_corridor_through_a_door_is_left_out():
     assert 0.99 * len(own) < len(scene) < 1.01 * len(own)
 
 
+@pytest.mark.parametrize('below', [3.5, 0.1], ids=['a street', 'a lawn'])
+def test_what_a_scanner_sees_through_a_window_is_left_out_and_named(below):
+    room = rooms((0.0, 6.0, 2.7))
+    # In the frame of the crossing, the window is in the wall at x = 0.
+    is_window = (room[:, 0] < 0.1) & (abs(room[:, 1] - 2.0) < 1.5) & (abs(room[:, 2] - 1.5) < 0.6)
+    x, y = np.random.default_rng(0).uniform((-40, -30), (-0.3, 30), (20_000, 2)).T
+    ground = np.column_stack([x, y, 0.0 * x - below])
+    house = side((-25.0, -8.0, -below), (0, 16.0, 0), (0, 0, 10.0))[::20]
+    outside = np.concatenate([ground, house])
+    at = crossing(np.array([1.5, 2.0, 1.5]), outside, 0.0)
+    seen = outside[(abs(at[:, 1] - 2.0) < 1.5) & (abs(at[:, 2] - 1.5) < 0.6)]
+    assert len(seen) > 500
+    with pytest.warns(SceneWarning, match='windows.*--all-rooms'):
+        scene = scene_of(turned(np.concatenate([room[~is_window], seen]), 33.0))
+    found = turned(scene.points.astype(float), -33.0)
+    assert found[:, 0].min() > -0.3 and len(found) > 0.99 * np.count_nonzero(~is_window)
+    assert floor_height(scene) == pytest.approx(0.0, abs=0.02)
+
+
 def test_a_gate_and_a_door_in_a_thick_wall_lead_to_two_rooms():
     hall = rooms((0.0, 7.0, 2.7), (7.5, 12.5, 2.7), door=(2.1, 4.1), depth=8.1)
     doorway = (abs(hall[:, 0] - 7.25) < 0.28) & (abs(hall[:, 1] - 5.15) < 0.45) & (
