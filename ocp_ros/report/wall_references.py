@@ -25,7 +25,7 @@ from string import ascii_uppercase
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.rig.structure import standing_of, STEEP
+from ocp_ros.rig.structure import floor_height, standing_of, STEEP, WALL_SHARE
 from ocp_ros.scenes.scene import Scene
 
 #: Thickness of a sheet: the points of a wall, metres.
@@ -36,6 +36,8 @@ MIN_WALL_SHARE = 0.3
 MAX_DISTANCE_M = 15.0
 #: Half the width of the strip in which a reference wall is searched, metres.
 STRIP_M = 0.5
+#: Smallest width of a reference wall, to which a tape measure is held, metres.
+MIN_WIDTH_M = 0.25
 #: Smallest cosine between the normals of parts of the same wall.
 SAME_WALL_COSINE = 0.98
 
@@ -236,8 +238,11 @@ class WallReferences:
         self.sides = walls_around(scene)
         self.inner: list[InnerWall] = []
         self._standing_points = standing_of(scene)
+        self._floor = floor_height(scene)
+        # Each point stands for a square of this edge, metres.
+        self._pitch = float(np.median(scene.pitch))
         # A wall beside a camera has at least three points and an area of 0.15 square metres.
-        self._min_points = max(3, int(0.15 / float(np.median(scene.pitch)) ** 2))
+        self._min_points = max(3, int(0.15 / self._pitch ** 2))
         # This also collects the inner walls.
         self.distances = [self._near_walls(np.asarray(position)) for position in positions]
 
@@ -249,17 +254,14 @@ class WallReferences:
         of the walls in the directions of side A and of its opposite side.
         """
         contact = self._standing_points.at(position[None])
-        # ``walls`` has distances and outward directions along one direction, ``across`` those
-        # perpendicular to it.
-        if contact.on[0]:
-            # The normal points from the wall to the camera.
-            outward = -contact.normals[0, :2]
-            walls = [(float(contact.distances[0]), outward)]
-        else:
-            outward = self.sides[0].outward
-            walls = self._opposite_walls(position, outward)
-        across = self._opposite_walls(position, np.array([outward[1], -outward[0]]))
-        nearest = [min(group, key=itemgetter(0)) for group in (walls, across) if group]
+        # The normal points from the wall to the camera.
+        outward = -contact.normals[0, :2] if contact.on[0] else self.sides[0].outward
+        groups = [self._opposite_walls(position, direction)
+                  for direction in (outward, np.array([outward[1], -outward[0]]))]
+        nearest = [min(group, key=itemgetter(0)) for group in groups if group]
+        if contact.on[0] and nearest and nearest[0][0] <= contact.distances[0] + SHEET_M:
+            # The plane of the wall is known better than the sheet.
+            nearest[0] = float(contact.distances[0]), outward
         return [self._distance_to(position, *wall) for wall in sorted(nearest, key=itemgetter(0))]
 
     def _opposite_walls(self, position: np.ndarray, direction: np.ndarray
@@ -267,25 +269,21 @@ class WallReferences:
         """
         Return the distances to walls in a direction and its opposite, with these directions.
 
-        The wall at the camera's height is used, or a surface below that is nearer by more than
-        1 m, which a plumb line reaches. Without both, a surface at any height is used. A direction
-        without a surface is left out.
+        A wall reaches the camera's height. If there is none in both directions, a wall that
+        reaches most of this height is used, which a plumb line reaches.
 
         :param position: (3,) metres, map frame, of the camera.
         :param direction: (2,) unit vector.
         """
         # A level laser measures to points at most ``level_m`` above or below the camera.
-        level_m, plumb_gain_m = 0.3, 1.0
-        walls = []
-        for outward in (direction, -direction):
-            distance = self._wall_distance(position, outward, -level_m, level_m)
-            below = self._wall_distance(position, outward, -np.inf, level_m)
-            if distance is None and below is None:
-                distance = self._wall_distance(position, outward, -np.inf, np.inf)
-            elif below is not None and (distance is None or below < distance - plumb_gain_m):
-                distance = below
-            if distance is not None:
-                walls.append((distance, outward))
+        level_m = 0.3
+        plumb_m = (1.0 - WALL_SHARE) * (position[2] - self._floor)
+        for low in (-level_m, -plumb_m):
+            walls = [(distance, outward) for outward in (direction, -direction)
+                     if (distance := self._wall_distance(position, outward, low, level_m))
+                     is not None]
+            if walls:
+                break
         return walls
 
     def _distance_to(self, position: np.ndarray, metres: float, outward: np.ndarray) -> Distance:
@@ -326,8 +324,13 @@ class WallReferences:
         ends = np.searchsorted(depths, depths + SHEET_M, side='right')
         for first in np.flatnonzero(ends - np.arange(len(depths)) >= self._min_points):
             sheet = slice(first, ends[first])
-            if (offsets[sheet].min() <= end_tolerance_m
-                    and offsets[sheet].max() >= -end_tolerance_m):
+            # The parts of the sheet between holes: the first and the last offset of each.
+            sorted_offsets = np.sort(offsets[sheet])
+            breaks = np.flatnonzero(np.diff(sorted_offsets) > self._standing_points.gap)
+            starts = sorted_offsets[np.append(0, breaks + 1)]
+            stops = sorted_offsets[np.append(breaks, -1)]
+            if np.any((starts <= end_tolerance_m) & (stops >= -end_tolerance_m)
+                      & (stops - starts + self._pitch >= MIN_WIDTH_M)):
                 distance = float(np.median(depths[sheet]))
                 return distance if distance <= MAX_DISTANCE_M else None
         return None

@@ -28,6 +28,7 @@ from ocp_ros.rig.structure import (
     ceiling_of,
     Contact,
     floor_height,
+    hidden_walls,
     MAX_MOUNT_GAP_M,
     MountSurface,
     STAND_OFF,
@@ -90,7 +91,9 @@ class FeasibleRegion:
         self.space = floor_space(scene, rig, self.floor, self.top)
         self.air = Air(scene, self.space)
         self.surface = self._find_surface()
-        self._tree = cKDTree(scene.points)
+        # Cameras keep their clearance from walls that the scan shows only in part, too.
+        self._obstacles = np.concatenate([scene.points, hidden_walls(scene)])
+        self._tree = cKDTree(self._obstacles)
         # Cameras in place may be up to 1 m outside the bounding box of the room.
         for fixed in rig.fixed:
             position = fixed.pose[:3]
@@ -327,7 +330,7 @@ class FeasibleRegion:
         yield Check(FREE_SPACE, closed, lambda k: (
             'found a position inside furniture or behind it; expected one in free space; move it '
             'there'))
-        yield self._clearance_check(positions, contact, self.scene.points, self._tree)
+        yield self._clearance_check(positions, contact, self._obstacles, self._tree)
         yield from self._mount_checks(positions, contact)
         if self.rig.mount.footprint:
             yield self._footprint_check(positions)
@@ -390,8 +393,8 @@ class FeasibleRegion:
             pending = pending[more_in_reach & ~others.any(axis=1)]
             count *= 4
         return Check('keep_clear', nearest < clearance - DISTANCE_TOLERANCE_M, lambda k: (
-            f'found {nearest[k]:.2f} m to the nearest surface; expected at least {clearance:.2f} '
-            'm (keep_clear); move it away'))
+            f'found {nearest[k]:.2f} m to the nearest surface, walls up to the ceiling included; '
+            f'expected at least {clearance:.2f} m (keep_clear); move it away'))
 
     @cached_property
     def _obstacle_tree(self) -> cKDTree:

@@ -34,6 +34,9 @@ STAND_OFF = 0.1
 PLANE_POINTS = 8
 #: Metres: the thickness of a layer of points at the height of a floor.
 LAYER_M = 0.1
+#: The share of the height of a room from which an upright surface is a wall, which ends at the
+#: ceiling even where the scan does not show its upper part.
+WALL_SHARE = 0.75
 #: Metres: the least radius of the ball that is moved through the air of a room.
 MIN_BALL_M = 0.2
 
@@ -242,6 +245,30 @@ def standing_of(scene: Scene) -> MountSurface:
     min_top = min(floor_height(scene) + 1.0, np.percentile(scene.points[:, 2], 99.0))
     columns = _Columns(scene)
     return _upright_surfaces(scene, columns, np.full(columns.shape, min_top))
+
+
+def hidden_walls(scene: Scene) -> np.ndarray:
+    """
+    Return points of the parts of walls below the ceiling that the scan does not show.
+
+    An upright surface that reaches :data:`WALL_SHARE` of the height of the ceiling above it is
+    taken for a wall, which reaches the ceiling itself.
+
+    :returns: (H, 3) metres, points above the scanned ones, 0.1 m apart; there may be none.
+    """
+    step_m, floor, columns = 0.1, floor_height(scene), _Columns(scene)
+    points = scene.points[np.abs(scene.normals_or_estimate[:, 2]) <= STEEP]
+    # For each point, the upper end of its wall, and the highest point around it.
+    top = columns.highest(points)[columns.indices(points)]
+    ceiling = ndimage.maximum_filter(columns.highest(scene.points), 3)[columns.indices(points)]
+    # The points of the uppermost 0.3 m of each wall are repeated above it.
+    chosen = ((top - floor >= WALL_SHARE * (ceiling - floor)) & (top < ceiling - 2.0 * step_m)
+              & (points[:, 2] >= top - 0.3))
+    counts = np.floor((ceiling - points[:, 2])[chosen] / step_m).astype(int)
+    repeated = np.repeat(points[chosen], counts, axis=0)
+    numbers = np.arange(len(repeated)) - np.repeat(np.cumsum(counts) - counts, counts)
+    repeated[:, 2] += step_m * (numbers + 1)
+    return repeated
 
 
 def _upright_surfaces(scene: Scene, columns: _Columns, min_top: np.ndarray) -> MountSurface:

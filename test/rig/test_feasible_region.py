@@ -17,7 +17,7 @@
 from dataclasses import replace
 from itertools import combinations
 
-from conftest import box_room, box_sides, for_any, l_shaped, made_room, MOUNTS
+from conftest import box_room, box_sides, for_any, l_shaped, made_room, MOUNTS, panel
 from hypothesis import strategies as st
 import numpy as np
 from ocp_ros.api import plan, score
@@ -106,6 +106,14 @@ def test_the_floor_is_a_layer_and_not_the_lowest_point(rooms):
         assert floor_height(noisy) == pytest.approx(floor, abs=0.03)
         assert FeasibleRegion(noisy, rig_of(1)).candidates(D455, 5)[0, 2] == pytest.approx(
             floor + 1.9, abs=0.03)
+
+
+@pytest.mark.parametrize(('top', 'hidden'), [(2.2, True), (1.8, False)])
+def test_cameras_stay_clear_of_the_part_of_a_wall_that_the_scan_does_not_show(top, hidden):
+    points = [box_room().points, panel(3.0, (0.0, 4.0), (0.0, top))]
+    allowed = allowed_of(Scene(np.concatenate(points), 'partition'), 'ceiling')
+    assert bool(allowed.broken(level(2.95, 2.0, 2.7))) is hidden
+    assert allowed.broken(level(2.75, 2.0, 2.7)) == []
 
 
 def test_candidates_reach_all_over_the_room(rooms):

@@ -345,8 +345,10 @@ def with_panel(room, x, low, high):
     return Scene(np.concatenate(points), 'panel')
 
 
-#: A beam under the ceiling of a room, and a fence in a hall.
+#: A beam under the ceiling of a room, a fence in a hall, a post, and walls that are seen in part.
 BEAM, FENCE = with_panel(box_room(), 5.0, 2.2, 3.0), with_panel(box_room(14.0, 12.0), 7.8, 0, 1.8)
+POST = Scene(np.concatenate([box_room().points, panel(4.5, (1.47, 1.53), (0.0, 3.0))]), 'post')
+LOW_WALLS = Scene(box_room().points[np.abs(box_room().points[:, 2] - 2.5) > 0.25], 'low walls')
 
 
 @pytest.mark.parametrize(('room', 'place', 'words'), [
@@ -357,8 +359,11 @@ BEAM, FENCE = with_panel(box_room(), 5.0, 2.2, 3.0), with_panel(box_room(14.0, 1
     # Distances are those that a level laser measures: it meets a beam at the camera's height.
     (BEAM, [4.0, 1.5, 1.5], '150 cm from wall C, 200 cm from wall B'),
     (BEAM, [4.0, 1.5, 2.6], '100 cm from wall E, 150 cm from wall C'),
-    # Where walls are far, what stands below the camera has to do.
-    (FENCE, [7.0, 6.0, 2.5], '80 cm from wall E, 600 cm from wall A')])
+    # A fence that ends far below the camera is no wall to measure from, and a post is too narrow.
+    (FENCE, [7.0, 6.0, 2.5], '600 cm from wall A, 700 cm from wall B'),
+    (POST, [4.0, 1.5, 1.5], '150 cm from wall C, 200 cm from wall B'),
+    # Without a wall at the camera's height, one that a plumb line reaches has to do.
+    (LOW_WALLS, [4.0, 1.5, 2.7], '150 cm from wall C, 200 cm from wall B')])
 def test_cameras_are_measured_from_walls_that_are_near(room, place, words):
     placed, = placement_of(rig_of(1), np.array([place])).cameras
     assert told(room, placed, 0.0).place == words
