@@ -31,7 +31,7 @@ from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import kept_inside, nearest_place, ROUNDING, towards
 from ocp_ros.rig.rig_file import Rig
-from ocp_ros.rig.structure import floor_height, STAND_OFF
+from ocp_ros.rig.structure import floors_of, STAND_OFF
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.simulation.simulation_config import EpisodeLimits
 from ocp_ros.util.settings import ConfigurationError
@@ -266,7 +266,7 @@ class ConstraintFilter:
             scene = Scene(cloud, 'observed cloud')
             rig = self._movable_rig
             if rig.mount.heights is not None:
-                heights = z - floor_height(scene)
+                heights = z - floors_of(scene).under(positions)
                 low, high = rig.mount.heights
                 rig = replace(rig, mount=rig.mount._replace(
                     heights=(min(heights.min(), low), max(heights.max(), high))))

@@ -26,7 +26,7 @@ from ocp_ros.report.camera_words import aim_text, camera_label, Instructions, in
 from ocp_ros.report.findings import evaluate_placement, scores_of
 from ocp_ros.report.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
 from ocp_ros.rig.placement_file import created_by, data_of, Placement
-from ocp_ros.rig.structure import floor_height
+from ocp_ros.rig.structure import Floors, floors_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
 from ocp_ros.simulation.objective import Objective
@@ -126,21 +126,23 @@ class Assessment:
         """Return the lengths of walls A and B, metres."""
         return self.walls[0].length, self.walls[1].length
 
-    @cached_property
-    def floor(self) -> float:
-        """Return the height of the floor, metres, map frame."""
-        return floor_height(self.scene)
+    @property
+    def floors(self) -> Floors:
+        """Return the floors of the room."""
+        return floors_of(self.scene)
 
     @cached_property
     def instructions(self) -> list[Instructions]:
         """Return the mounting instructions of each camera."""
-        return [instructions_for(placed, distances, self.walls, self.floor, self.frame)
-                for placed, distances in zip(self.placement.cameras, self.references.distances)]
+        return [instructions_for(placed, distances, self.walls, floor, self.frame)
+                for placed, distances, floor in zip(
+                    self.placement.cameras, self.references.distances,
+                    self.floors.under(self.positions))]
 
     @cached_property
     def aims(self) -> list[str]:
         """Return in words, for each camera, the place at the centre of its picture, or ''."""
-        return [aim_text(placed, self.scene, self.walls, self.floor)
+        return [aim_text(placed, self.scene, self.walls, self.floors)
                 for placed in self.placement.cameras]
 
     @property

@@ -26,6 +26,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.report.wall_references import Distance, MAX_DISTANCE_M, ReferenceWall
 from ocp_ros.rig.placement_file import FIXED, Placed
+from ocp_ros.rig.structure import Floors
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
 
@@ -55,7 +56,7 @@ def instructions_for(placed: Placed, distances: Sequence[Distance], sides: Seque
     :param placed: the camera and its pose.
     :param distances: distances to near walls.
     :param sides: the four sides of the room; the pan is relative to a side.
-    :param floor: height of the floor, metres, map frame.
+    :param floor: z of the floor below the camera, metres, map frame.
     :param frame: frame of the coordinates.
     """
     height = f'{100.0 * (placed.position[2] - floor):.0f} cm above the floor'
@@ -75,14 +76,15 @@ def _distances_text(distances: Sequence[Distance]) -> str:
     return ', '.join(texts)
 
 
-def aim_text(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor: float) -> str:
+def aim_text(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floors: Floors
+             ) -> str:
     """
     Return the place at the centre of a camera's picture in words, to set the camera's heading.
 
     :param placed: the camera and its pose.
     :param scene: the room.
     :param sides: the four sides of the room.
-    :param floor: height of the floor, metres, map frame.
+    :param floors: the floors of the room.
     :returns: '' for an omnidirectional camera, or if no scene point is near the optical axis.
     """
     if placed.camera.model.omnidirectional:
@@ -105,7 +107,7 @@ def aim_text(placed: Placed, scene: Scene, sides: Sequence[ReferenceWall], floor
     candidates = candidates[depths[candidates] <= depths[candidates].min() + surface_depth_m]
     nearest = candidates[np.argmin(axis_distances[candidates])]
     aim = placed.pose[:3] + depths[nearest] * axis
-    height_cm = 100.0 * (aim[2] - floor)
+    height_cm = 100.0 * (aim[2] - float(floors.under(aim[None])[0]))
     height = 'on the floor' if abs(height_cm) < 5.0 else f'{height_cm:.0f} cm above the floor'
     wall_distances = [abs(wall.offset - wall.outward @ aim[:2]) for wall in sides]
     # Walls 0 and 2, and walls 1 and 3, are parallel.

@@ -279,18 +279,20 @@ def installer_page(assessed: Assessment, plan: str) -> str:
     facts = page_facts_of(assessed)
     cameras = assessed.placement.cameras
     rig = assessed.objective.rig
-    floor = assessed.floor
+    floors = assessed.floors
     mounts = {'walls': 'on walls', 'ceiling': 'under the ceiling',
               'plane': 'on stands, poles or rods, all at one height',
               'free': 'on stands, poles or rods'}
-    corner_position = assessed.frame.to_source(np.append(assessed.corner.position, floor)).round(2)
+    corner_position = assessed.frame.to_source(
+        np.append(assessed.corner.position, floors.height)).round(2)
     # Optional sentences of the page.
-    surfaces = ', '.join(wall.description(assessed.walls, floor)
-                         for wall in assessed.references.inner)
+    surfaces = ', '.join(
+        wall.description(assessed.walls, float(floors.under(wall.position[None])[0]))
+        for wall in assessed.references.inner)
     # A mount that the rig file does not give is not named.
     mount = '' if 'mount' not in rig.document.data else (
         f'**Mount.** The cameras are {mounts[rig.mount.on]}. The room is '
-        f'{100.0 * (assessed.scene.bounds[1, 2] - floor):.0f} cm high.\n\n')
+        f'{100.0 * (assessed.scene.bounds[1, 2] - floors.height):.0f} cm high.\n\n')
     advice = ' Unless the table gives a roll, keep the long side of the camera level, top side up.'
     table = [['', *INSTRUCTION_COLUMNS], ['---'] * (len(INSTRUCTION_COLUMNS) + 1),
              *(map(escape_markdown, row) for row in assessed.rows)]

@@ -73,7 +73,7 @@ class Facts:
     """
     Facts of a placement in words.
 
-    :ivar verdict: whether all constraints are satisfied, and whether the scan is doubtful.
+    :ivar verdict: whether all constraints are satisfied, and the first doubt.
     :ivar satisfied: whether all constraints are satisfied and there are no doubts.
     :ivar doubts: possible errors of the room or the file, a sentence each.
     :ivar figures: the key figures.
@@ -125,7 +125,8 @@ def facts_of(findings: Mapping[str, Any]) -> Facts:
     verdict = (f'{count_text(len(broken), "constraint")} violated' if broken else
                'all constraints are satisfied')
     if doubts:
-        verdict += f', {"and" if broken else "but"} the scan is doubtful'
+        # What was found; what was expected and what to do follow in the list of doubts.
+        verdict += f', {"and" if broken else "but"} {doubts[0].split(";")[0]}'
     cameras = [CameraFacts(camera_label(added['name'], placed['mount']),
                            ', '.join(f'{value:.2f}' for value in placed['position']),
                            ', '.join(f'{placed[angle]:.0f}' for angle in ANGLES),
@@ -188,7 +189,7 @@ def score_figures(scores: Mapping[str, Any], expected: Mapping[str, float]) -> l
         Figure('seen', percent(scores['seen']), f'of the points, by {viewers}'),
         Figure('seen twice', percent(seen_twice / scores['points']), 'by two cameras or more'),
         Figure('space coverage', f'{scores["space_coverage"]:.1f} m³',
-               f'of {scores["volume"]:.1f} m³ in all')]
+               f'of {scores["volume"]:.1f} m³ of the room')]
 
 
 def _figures(findings: Mapping[str, Any]) -> list[Figure]:

@@ -59,21 +59,15 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
             'expected': expected(scores['validation_error'], scores['depth_error_of_nothing'],
                                  missing),
             'notes': [*room_notes(scene), *missing_surface_notes(missing), *scene.notes,
-                      *_share_notes(improvement['missed'])],
+                      *_missed_notes(improvement['missed']['share'])],
             'remarks': list(scene.remarks)}
 
 
-def _share_notes(missed: dict[str, Any]) -> list[str]:
-    """Return a note if all candidates together, or else the cameras, miss too many points."""
-    max_hopeless_share, max_missed_share = 0.3, 0.9
-    if missed['hopeless'] > max_hopeless_share:
-        return [f'found {100.0 * missed["hopeless"]:.0f} % of the points out of sight from '
-                'everywhere that cameras may be; expected one room that they are in; the scan may '
-                'have several, or cameras may be kept out of most of it']
-    if missed['share'] > max_missed_share:
-        return [f'found {100.0 * missed["share"]:.0f} % of the points seen by too few cameras; '
-                'expected most of them seen; use more cameras, or of longer range']
-    return []
+def _missed_notes(share: float) -> list[str]:
+    """Return a note if the cameras miss too large a share of the points."""
+    return [] if share <= 0.9 else [
+        f'found {100.0 * share:.0f} % of the points seen by too few cameras; expected most of '
+        'them seen; use more cameras, or of longer range']
 
 
 def scores_of(objective: Objective, views: Sequence[View]) -> dict[str, Any]:
@@ -104,7 +98,9 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
         'loss': evaluation.loss, 'depth_error': evaluation.depth_error,
         'validation_error': objective.validation.evaluate_views(views).depth_error,
         'depth_error_of_nothing': simulator.depth_error.worst,
-        'space_coverage': evaluation.space_coverage, 'volume': simulator.volume,
+        'space_coverage': evaluation.space_coverage,
+        # Outside of the room, as through windows, cameras cover space too.
+        'volume': max(objective.volume, evaluation.space_coverage),
         'seen_by': rig.seen_by, 'seen': len(evaluation.seen) / points, 'points': points,
         'overlap': dict(zip(('0', '1', '2', '3 or more'), objective.overlap(views))),
         'regions': [{'name': region.name, 'of': region.parts, 'seen': float(share),

@@ -19,11 +19,12 @@ from typing import Any
 
 import numpy as np
 from ocp_ros.geometry.depth_error import DepthError
-from ocp_ros.rig.free_plane import FreePlane
+from ocp_ros.rig.free_plane import CELL_M, FreePlane
 from ocp_ros.rig.plausibility import room_notes
-from ocp_ros.rig.structure import Air, ceiling_of, floor_height
+from ocp_ros.rig.structure import Air, ceiling_of, Floors, floors_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.simulation.viewpoints import viewpoints_of
+from scipy.spatial import Delaunay
 
 #: Directions of openings.
 SIDES = ('+x', '+y', '-x', '-y', 'above', 'below')
@@ -35,25 +36,40 @@ def facts_of(scene: Scene) -> dict[str, Any]:
 
     :returns: ``name``, ``points`` (their number) and their median ``spacing``; ``bounds`` and
         ``size``, metres; ``floor`` and ``ceiling``, their heights in metres, None without a
-        ceiling; ``floor_area``, square metres that are free for cameras; ``openings`` of
+        ceiling; ``floors``: height and area of each floor, the largest of which is ``floor``;
+        ``camera_area``, square metres above which cameras may be; ``openings`` of
         :func:`openings_of`; ``source``: unit, up direction and the transform from the map to the
         file; ``notes``: doubts, and ``remarks``: corrections of the scan.
     """
-    floor, source = floor_height(scene), scene.source
+    floors, source = floors_of(scene), scene.source
     ceiling = ceiling_of(scene.surveyed).points
     # The positions over the floor, without margin and clearance. The height is that of the top of
     # the room, so that furniture counts as well as floor. The number of cameras does not matter.
     space = FreePlane.of(scene.points, float(scene.bounds[1, 2]), 1, 0.0, clearance=0.0)
     return {
         'name': scene.name, 'points': len(scene), 'spacing': float(np.median(scene.spacing)),
-        'bounds': scene.bounds.tolist(), 'size': scene.size.tolist(), 'floor': floor,
+        'bounds': scene.bounds.tolist(), 'size': scene.size.tolist(), 'floor': floors.height,
         'ceiling': float(np.median(ceiling[:, 2])) if len(ceiling) else None,
-        'floor_area': space.area, 'openings': openings_of(scene, Air(scene, space)),
+        'floors': [{'z': z, 'area': area} for z, area in _floor_areas(scene, space, floors)],
+        'camera_area': space.area, 'openings': openings_of(scene, Air(scene, space)),
         'source': {'metres_per_unit': source.scale or source.scales.tolist(),
                    'unit': source.unit, 'up': source.up, 'shift': source.shift.tolist(),
                    'source_from_map': source.matrix.tolist()},
         'notes': [*room_notes(scene), *scene.notes],
         'remarks': list(scene.remarks)}
+
+
+def _floor_areas(scene: Scene, space: FreePlane, floors: Floors) -> list[tuple[float, float]]:
+    """Return z, metres, and the area below furniture included, square metres, of each floor."""
+    plan = np.unique(np.round(scene.points[:, :2].astype(np.float64), 2), axis=0)
+    triangles = plan[Delaunay(plan).simplices]
+    edges = triangles[:, 1:] - triangles[:, :1]
+    areas = 0.5 * np.abs(np.linalg.det(edges))
+    centres = triangles.mean(axis=1)
+    # The free floor ends a cell before the walls.
+    areas[np.linalg.norm(space.inside(centres) - centres, axis=1) > CELL_M] = 0.0
+    under = floors.under(centres)
+    return [(z, float(areas[under == z].sum())) for z, _ in floors.levels]
 
 
 def openings_of(scene: Scene, air: Air) -> dict[str, float]:
@@ -98,8 +114,8 @@ def room_rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
     # A smaller share would be written as 0 %.
     min_open_share = 0.005
     low, high = facts['bounds']
-    floor, ceiling, openings, source = (
-        facts[key] for key in ('floor', 'ceiling', 'openings', 'source'))
+    floors, ceiling, openings, source = (
+        facts[key] for key in ('floors', 'ceiling', 'openings', 'source'))
     open_sides = ', '.join(f'{side} {100.0 * openings[side]:.0f} %' for side in SIDES
                            if openings.get(side, 0.0) >= min_open_share)
     return [
@@ -108,9 +124,11 @@ def room_rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
         ('bounds', ', '.join(f'{axis} {first:.2f} to {last:.2f}' for axis, first, last
                              in zip('xyz', low, high)) + ' m'),
         # Adding 0 turns -0.0 into 0.0.
-        ('floor', f'z = {round(floor, 2) + 0.0:.2f} m, {facts["floor_area"]:.1f} m²'),
-        ('ceiling', 'not found' if ceiling is None else
-         f'z = {ceiling:.2f} m, {ceiling - floor:.2f} m above the floor'),
+        *(('floor', f'z = {round(floor["z"], 2) + 0.0:.2f} m, {floor["area"]:.1f} m²')
+          for floor in floors),
+        ('room for cameras', f'{facts["camera_area"]:.1f} m² of the floor'),
+        ('ceiling', 'not found' if ceiling is None else f'z = {ceiling:.2f} m, ' + ' and '.join(
+            f'{ceiling - floor["z"]:.2f} m' for floor in floors) + ' above the floor'),
         ('openings', 'no inside was found' if not openings else
          f'{100.0 * openings["all"]:.0f} % of the view from inside meets no surface '
          f'({open_sides or "no side is open"})'),

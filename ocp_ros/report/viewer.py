@@ -222,7 +222,7 @@ def layers_of(assessed: Assessment) -> Iterator[Layer]:
     zones = zones_of(assessed.objective.rig)
     for kind, style in STYLES.items():
         yield Layer(f'{kind}s', [
-            _line_trace(_zone_edges(zone, scene, assessed.floor), style['edgecolor'], name)
+            _line_trace(_zone_edges(zone, scene, assessed.floors.height), style['edgecolor'], name)
             for zone_kind, name, zone in zones if zone_kind == kind])
     one_more = assessed.found.get('one_more')
     yield Layer('one more camera', [go.Scatter3d(

@@ -25,7 +25,7 @@ from string import ascii_uppercase
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.rig.structure import floor_height, standing_of, STEEP, WALL_SHARE
+from ocp_ros.rig.structure import floors_of, standing_of, STEEP, WALL_SHARE
 from ocp_ros.scenes.scene import Scene
 
 #: Thickness of a sheet: the points of a wall, metres.
@@ -238,7 +238,7 @@ class WallReferences:
         self.sides = walls_around(scene)
         self.inner: list[InnerWall] = []
         self._standing_points = standing_of(scene)
-        self._floor = floor_height(scene)
+        self._floors = floors_of(scene)
         # Each point stands for a square of this edge, metres.
         self._pitch = float(np.median(scene.pitch))
         # A wall beside a camera has at least three points and an area of 0.15 square metres.
@@ -277,7 +277,7 @@ class WallReferences:
         """
         # A level laser measures to points at most ``level_m`` above or below the camera.
         level_m = 0.3
-        plumb_m = (1.0 - WALL_SHARE) * (position[2] - self._floor)
+        plumb_m = (1.0 - WALL_SHARE) * float(position[2] - self._floors.under(position[None])[0])
         for low in (-level_m, -plumb_m):
             walls = [(distance, outward) for outward in (direction, -direction)
                      if (distance := self._wall_distance(position, outward, low, level_m))

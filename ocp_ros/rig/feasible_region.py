@@ -27,7 +27,7 @@ from ocp_ros.rig.structure import (
     Air,
     ceiling_of,
     Contact,
-    floor_height,
+    floors_of,
     hidden_walls,
     MAX_MOUNT_GAP_M,
     MountSurface,
@@ -76,7 +76,8 @@ class FeasibleRegion:
     :param top: the least z of the top of the room, metres, for a partial scan that ends below the
         cameras.
     :raises ConfigurationError: if a height, a camera in place or the mount does not fit the room.
-    :ivar floor: z of the floor, metres.
+    :ivar floors: the floors; heights of cameras are above the floor below them.
+    :ivar floor: z of the largest floor, metres, for the heights of zones.
     :ivar top: z of the top of the room, metres.
     :ivar space: the positions over the floor.
     :ivar air: the air of the room.
@@ -85,10 +86,11 @@ class FeasibleRegion:
 
     def __init__(self, scene: Scene, rig: Rig, top: float | None = None) -> None:
         self.scene, self.rig = scene, rig
-        self.floor = floor_height(scene)
+        self.floors = floors_of(scene)
+        self.floor = self.floors.height
         self.top = max(float(scene.bounds[1, 2]), -np.inf if top is None else top)
         self._check_heights()
-        self.space = floor_space(scene, rig, self.floor, self.top)
+        self.space = floor_space(scene, rig, self.top)
         self.air = Air(scene, self.space)
         self.surface = self._find_surface()
         # Cameras keep their clearance from walls that the scan shows only in part, too.
@@ -105,7 +107,8 @@ class FeasibleRegion:
 
     def _check_heights(self) -> None:
         """Raise ConfigurationError for camera heights above the top of the room."""
-        mount, document, height = self.rig.mount, self.rig.document, self.top - self.floor
+        mount, document = self.rig.mount, self.rig.document
+        height = self.top - self.floors.levels[0].z
         if mount.heights is not None and mount.heights[0] >= height:
             given = 'height' in document.data.get('mount', {})
             # The message proposes 0.7 of the height of the room, which is below its top.
@@ -249,7 +252,7 @@ class FeasibleRegion:
             z = self.surface.height_above(moved[:, :2]) - STAND_OFF
             moved[:, 2] = np.where(np.isfinite(z), z, moved[:, 2])
         else:
-            moved[:, 2] = np.clip(moved[:, 2], *(self.floor + np.array(heights)))
+            moved[:, 2] = np.clip(moved[:, 2], *np.add.outer(heights, self.floors.under(moved)))
         return moved
 
     def broken(self, poses: np.ndarray, cameras: Sequence[int] | None = None) -> list[str]:
@@ -363,7 +366,7 @@ class FeasibleRegion:
             # There has to be floor 0.3 m in front of the wall.
             places = places + 0.3 * contact.normals[:, :2]
         distance = np.linalg.norm(self.space.inside(places) - places, axis=1)
-        violated = (distance > margin) | (z < self.floor) | (z > self.top)
+        violated = (distance > margin) | (z < self.floors.under(places)) | (z > self.top)
         return Check(FLOOR, violated, lambda k: (
             f'found {_place_text(positions[k])}, which is not above floor that {self.scene.name} '
             'shows; expected a position in the room and not in furniture; move it there'))
@@ -400,7 +403,7 @@ class FeasibleRegion:
     def _obstacle_tree(self) -> cKDTree:
         """Return a search tree of obstacles on the floor below the cameras, seen from above."""
         points = self.scene.points
-        height = points[:, 2] - self.floor
+        height = points[:, 2] - self.floors.under(points)
         # Points this near to the floor are no obstacles, for example those of skirting boards.
         # Points this near to the height of the cameras are none either.
         gap_m = 0.15
@@ -423,7 +426,7 @@ class FeasibleRegion:
         on, heights, _ = self.rig.mount
         if heights is not None:
             low, high = heights
-            height = positions[:, 2] - self.floor
+            height = positions[:, 2] - self.floors.under(positions)
             expected = f'{low:.2f}' + (f' to {high:.2f}' if high > low else '')
             outside = (height < low - MOUNT_TOLERANCE) | (height > high + MOUNT_TOLERANCE)
             yield Check('mount.height', outside, lambda k: (
@@ -472,15 +475,16 @@ class FeasibleRegion:
                 '(spacing); move one of the two')
 
 
-def floor_space(scene: Scene, rig: Rig, floor: float, top: float) -> FreePlane:
+def floor_space(scene: Scene, rig: Rig, top: float) -> FreePlane:
     """
     Return the positions where cameras of a rig have floor below them.
 
     :param scene: the room.
     :param rig: the cameras and their mount.
-    :param floor: z of the floor, metres, map frame.
     :param top: z of the top of the room, metres, map frame.
     """
+    # The highest floor, so that it is below the cameras as well.
+    floor = floors_of(scene).levels[-1].z
     max_height = top - floor if rig.mount.heights is None else rig.mount.heights[1]
     # Floor is searched for among the points below this height only. The height is at least a
     # metre, so that there are such points below low cameras too.

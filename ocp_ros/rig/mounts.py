@@ -22,7 +22,7 @@ from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.motion import outwards
 from ocp_ros.rig.rig_file import Rig
-from ocp_ros.rig.structure import floor_height, MountSurface, STAND_OFF
+from ocp_ros.rig.structure import Floors, floors_of, MountSurface, STAND_OFF
 from ocp_ros.rig.zones import grid_positions, moved_into_nearest, Zone
 from ocp_ros.scenes.scene import Scene
 
@@ -55,29 +55,30 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
     :returns: the positions, of which there may be none.
     """
     on, heights, _ = rig.mount
-    floor = floor_height(scene)
+    floors = floors_of(scene)
     if on == 'walls':
-        return _wall_positions(floor + np.array(heights), space, surface, rig.keep_in, floor)
+        return _wall_positions(np.array(heights), space, surface, rig.keep_in, floors)
     # Only a ceiling mount may have no heights: its zones may be at any height of the room.
-    low, high = scene.bounds[:, 2] if heights is None else floor + np.array(heights)
+    low, high = scene.bounds[:, 2] if heights is None else np.array(heights) + [
+        floors.levels[0].z, floors.levels[-1].z]
     if rig.keep_in:
         lowest, highest = np.append(space.low, low), np.append(space.high, high)
-        positions = grid_positions(rig.keep_in, lowest, highest, floor, MAX_POSITIONS,
+        positions = grid_positions(rig.keep_in, lowest, highest, floors.height, MAX_POSITIONS,
                                    one_level=on != 'free')
         positions = positions[space.contains(positions[:, :2])]
         places, z = positions[:, :2], positions[:, 2]
     elif on == 'free':
         # The levels are 0.3 m apart, or less.
-        levels = np.linspace(low, high, int(np.ceil((high - low) / 0.3)) + 1)
+        levels = np.linspace(*heights, int(np.ceil((heights[1] - heights[0]) / 0.3)) + 1)
         grid = space.grid(max(MAX_POSITIONS // len(levels), 1))
         places = np.repeat(grid, len(levels), axis=0)
-        z = np.tile(levels, len(grid))
+        z = np.tile(levels, len(grid)) + floors.under(places)
     else:
         places = space.grid(MAX_POSITIONS)
     # Only the mount ``free`` has a range of heights. On a plane or a ceiling all cameras have the
     # same height, or hang from the ceiling; this replaces the z of positions in zones.
     if on != 'free' and heights is not None:
-        z = np.full(len(places), low)
+        z = heights[0] + floors.under(places)
     elif on != 'free':
         z = surface.height_above(places) - STAND_OFF
         # The height of the ceiling is -inf where there is none.
@@ -86,22 +87,21 @@ def places_in(rig: Rig, scene: Scene, space: FreePlane,
 
 
 def _wall_positions(heights: np.ndarray, space: FreePlane, walls: MountSurface,
-                    zones: Sequence[Zone], floor: float) -> MountPlaces:
+                    zones: Sequence[Zone], floors: Floors) -> MountPlaces:
     """
     Return positions on the sides of walls that face the floor, in the zones if there are any.
 
-    :param heights: (2,) the lowest and the highest z of cameras, metres.
+    :param heights: (2,) the lowest and the highest cameras, metres above the floor below them.
     :param space: the positions over the floor.
     :param walls: the points of the walls; their normals may point to either side.
-    :param floor: z of the floor, metres.
     """
-    low, high = heights
+    low, high = np.add.outer(heights, floors.under(walls.points))
     z = walls.points[:, 2]
     # Points of a wall this near to the heights or to a zone are used.
     band_m = 0.2
     used = np.flatnonzero((z >= low - band_m) & (z <= high + band_m))
     if zones:
-        offsets = moved_into_nearest(zones, walls.points[used], floor) - walls.points[used]
+        offsets = moved_into_nearest(zones, walls.points[used], floors.height) - walls.points[used]
         used = used[np.linalg.norm(offsets, axis=1) <= band_m]
     # Of too many points, each second, third, ... is used: fewer than twice MAX_POSITIONS remain.
     used = used[::max(len(used) // MAX_POSITIONS, 1)]
@@ -110,10 +110,10 @@ def _wall_positions(heights: np.ndarray, space: FreePlane, walls: MountSurface,
     for side in (-1.0, 1.0):
         moved = points + side * STAND_OFF * normals
         if zones:
-            moved = moved_into_nearest(zones, moved, floor)
-        moved[:, 2] = np.clip(moved[:, 2], low, high)
+            moved = moved_into_nearest(zones, moved, floors.height)
         # A side of a wall faces the floor if there is floor 20 cm in front of a camera there.
         faces_floor = space.contains(moved[:, :2] + 2.0 * side * STAND_OFF * normals[:, :2])
+        moved[:, 2] = np.clip(moved[:, 2], *np.add.outer(heights, floors.under(moved)))
         positions.append(moved[faces_floor])
         # Columns 1 and 0 of the normals are y and x, as arctan2 expects them.
         inwards.append(np.arctan2(*(side * normals[faces_floor, 1::-1]).T))

@@ -32,7 +32,7 @@ from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig, PROMISING
 from ocp_ros.rig.rig_file import Camera, cameras_at, model_of, names_of, pose_of, Rig, rig_from
 from ocp_ros.rig.schemas import MODEL, PLACEMENT
-from ocp_ros.rig.structure import floor_height
+from ocp_ros.rig.structure import Floors, floors_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.util.files import write_atomically
 from ocp_ros.util.yaml_files import Document, read_document, timestamp, Way, written
@@ -121,7 +121,7 @@ class Placement:
 
         :param scene: the room, for heights above its floor.
         """
-        return self.rig or _rig_like(self, floor_height(scene))
+        return self.rig or _rig_like(self, floors_of(scene))
 
 
 def created_by(command: str, planner: str = '') -> dict[str, str]:
@@ -293,16 +293,17 @@ def _same_pose(pose: np.ndarray, other: np.ndarray) -> bool:
     return max(np.abs(pose[:3] - other[:3]).max(), np.abs(difference).max()) <= POSE_TOLERANCE
 
 
-def _rig_like(placement: Placement, floor: float) -> Rig:
+def _rig_like(placement: Placement, floors: Floors) -> Rig:
     """
     Return a rig for a placement without one, whose constraints its cameras satisfy.
 
-    :param floor: z of the floor, metres.
+    :param floors: the floors of the room.
     """
     placed = placement.cameras
     movable = [one for one in placed if one.mount != FIXED]
+    positions = np.array([one.position for one in movable]).reshape(-1, 3)
     # A rig has no heights below the floor.
-    heights = [max(one.position[2] - floor, 0.0) for one in movable]
+    heights = np.maximum(positions[:, 2] - floors.under(positions), 0.0).tolist()
     pitches = [one.angles[1] for one in movable if not one.camera.model.omnidirectional]
     # Cameras with different mounts, or at different heights of a plane, have the mount free.
     mounts = {one.mount for one in movable}

@@ -15,7 +15,7 @@
 """Find the structure of a room in its points: floor, ceiling, walls and free space."""
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -156,14 +156,26 @@ def floor_height(scene: Scene) -> float:
     level &= z <= low + 0.4 * (high - low)
     if not level.any():
         return float(scene.bounds[0, 2])
-    # Level points from the lowest to the highest.
-    heights, areas = np.sort(z[level]), scene.pitch[level][np.argsort(z[level])] ** 2
+    return _largest_layer(z[level], scene.pitch[level] ** 2)[0]
+
+
+def _largest_layer(z: np.ndarray, areas: np.ndarray) -> tuple[float, float]:
+    """
+    Find the layer of thickness :data:`LAYER_M` with the largest area.
+
+    :param z: (M,) the heights of level points, metres; one at least.
+    :param areas: (M,) the area of each point, square metres.
+    :returns: the median z of the layer's points, metres, and their area.
+    """
+    order = np.argsort(z)
+    heights = z[order]
     # A layer begins at each point: ``ends`` is the index after the layer's last point.
     # ``area_below[i]`` is the area of the first i points.
     ends = np.searchsorted(heights, heights + LAYER_M, side='right')
-    area_below = np.concatenate([[0.0], np.cumsum(areas)])
-    first = int(np.argmax(area_below[ends] - area_below[:-1]))
-    return float(np.median(heights[first:ends[first]]))
+    area_below = np.concatenate([[0.0], np.cumsum(areas[order])])
+    layers = area_below[ends] - area_below[:-1]
+    first = int(np.argmax(layers))
+    return float(np.median(heights[first:ends[first]])), float(layers[first])
 
 
 def gap_of(scene: Scene) -> float:
@@ -197,6 +209,98 @@ class _Columns:
         top = np.full(self.shape, -np.inf)
         np.maximum.at(top, self.indices(points), points[:, 2])
         return top
+
+
+class FloorLevel(NamedTuple):
+    """
+    A floor at one height.
+
+    :ivar z: metres, map frame.
+    :ivar area: square metres that the scan shows.
+    """
+
+    z: float
+    area: float
+
+
+@dataclass(frozen=True, eq=False)
+class Floors:
+    """
+    The floors of a room: one, or several as in a split level, with a stage or with a sunken part.
+
+    :ivar levels: the floors from the lowest to the highest.
+    :ivar height: z of the largest floor, metres, map frame.
+    :ivar columns: the columns of the room.
+    :ivar under_columns: (X, Y) z of the floor in each column, metres.
+    """
+
+    levels: tuple[FloorLevel, ...]
+    height: float
+    columns: _Columns
+    under_columns: np.ndarray
+
+    def under(self, positions: np.ndarray) -> np.ndarray:
+        """Return z of the floor below positions (M, 2 or 3), metres: (M,) metres."""
+        return self.under_columns[self.columns.indices(positions)]
+
+
+@lru_cache(maxsize=1)
+def floors_of(scene: Scene) -> Floors:
+    """
+    Find the floors of a room; remember those of the last room.
+
+    A floor beside the largest one has at least 5 square metres, is at least 1.8 m wide and has no
+    other level surface below it, contrary to tables and shelves. On a slope there is one floor.
+    """
+    # Heights that differ less are the unevenness of one floor.
+    min_step_m, min_area_m2, min_width_m, max_hidden_share = 1.5 * LAYER_M, 5.0, 1.8, 0.3
+    columns, height = _Columns(scene), floor_height(scene)
+    low, high = np.percentile(scene.points[:, 2], [0.1, 99.9])
+    used = np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL
+    # Floors are in the lower half of the height of a room.
+    used &= scene.points[:, 2] <= low + 0.5 * (high - low)
+    points, areas = scene.points[used], scene.pitch[used] ** 2
+    x, y = columns.indices(points)
+
+    def columns_with(chosen: np.ndarray) -> np.ndarray:
+        """Return which columns have chosen points: (X, Y) bool."""
+        cells = np.zeros(columns.shape, dtype=bool)
+        cells[x[chosen], y[chosen]] = True
+        return cells
+
+    at_height = np.abs(points[:, 2] - height) <= LAYER_M
+    levels = [FloorLevel(height, float(areas[at_height].sum()))]
+    # In columns: z of the floor; NaN where it is not known yet.
+    floor = np.where(columns_with(at_height), height, np.nan)
+    rest = np.abs(points[:, 2] - height) > min_step_m
+    radius = 0.5 * min_width_m / columns.edge
+    offsets = np.arange(-int(radius), int(radius) + 1)
+    disc = np.hypot.outer(offsets, offsets) <= radius
+    while rest.any():
+        z, area = _largest_layer(points[rest, 2], areas[rest])
+        if area < min_area_m2:
+            break
+        distance = np.abs(points[:, 2] - z)
+        layer = distance <= 0.5 * LAYER_M
+        # A slope has as much area just above and below as in the layer itself.
+        is_level = area > 0.6 * areas[rest & (distance <= min_step_m)].sum()
+        cells = ndimage.binary_closing(columns_with(layer), np.ones((3, 3)))
+        parts, count = ndimage.label(cells)
+        wide = ndimage.binary_opening(cells, disc)
+        others = columns_with((points[:, 2] < z - min_step_m) | at_height)
+        for part in range(1, count + 1 if is_level else 1):
+            cells = parts == part
+            part_area = float(areas[layer & cells[x, y]].sum())
+            if (part_area >= min_area_m2 and wide[cells].any()
+                    and others[cells].mean() <= max_hidden_share):
+                levels.append(FloorLevel(z, part_area))
+                floor[cells] = z
+        rest &= distance > LAYER_M
+    # Elsewhere, as below furniture, the nearest floor counts.
+    nearest = ndimage.distance_transform_edt(np.isnan(floor), return_distances=False,
+                                             return_indices=True)
+    floor = np.full(columns.shape, height) if len(levels) == 1 else floor[tuple(nearest)]
+    return Floors(tuple(sorted(levels)), height, columns, floor)
 
 
 def ceiling_of(scene: Scene) -> MountSurface:

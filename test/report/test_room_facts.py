@@ -43,8 +43,23 @@ def test_a_closed_box_is_measured():
     assert found['ceiling'] == pytest.approx(2.5, abs=0.01)
     assert found['size'] == pytest.approx(SIZE, abs=0.06)
     assert found['spacing'] == pytest.approx(0.05, rel=0.01)
-    assert found['floor_area'] == pytest.approx(20.0, rel=0.15)
+    floor, = found['floors']
+    assert floor['area'] == pytest.approx(20.0, rel=0.01) and 15 < found['camera_area'] < 20
     assert found['openings']['all'] < 0.01 and found['notes'] == []
+
+
+def test_each_floor_of_a_split_level_is_named(capsys, tmp_path, monkeypatch):
+    points = box().points.copy()
+    points[(points[:, 2] == 0.0) & (points[:, 0] > 3.0), 2] = 0.8
+    points = points[(points[:, 0] <= 3.0) | (points[:, 2] >= 0.8)]
+    floors = facts_of(Scene(points, 'split'))['floors']
+    assert [floor['z'] for floor in floors] == pytest.approx([0.0, 0.8], abs=0.01)
+    assert [floor['area'] for floor in floors] == pytest.approx([12.0, 8.0], rel=0.05)
+    monkeypatch.chdir(tmp_path)
+    np.save('split.npy', points)
+    assert main(['info', 'split.npy']) == 0
+    text = capsys.readouterr().out
+    assert all(words in text for words in ('0.00 m', '0.80 m', '2.50 m and 1.70 m above'))
 
 
 @pytest.mark.parametrize(('axis', 'end', 'side'), [

@@ -28,7 +28,7 @@ from ocp_ros.report.findings import evaluate_placement
 from ocp_ros.rig.feasible_region import FeasibleRegion
 from ocp_ros.rig.rig_file import Calibratable, rig_of
 from ocp_ros.rig.sensors import SENSORS
-from ocp_ros.rig.structure import floor_height
+from ocp_ros.rig.structure import floor_height, floors_of
 from ocp_ros.rooms.generator import plan_of
 from ocp_ros.scenes.scene import Scene, turned
 from ocp_ros.search.budget import Budget
@@ -106,6 +106,39 @@ def test_the_floor_is_a_layer_and_not_the_lowest_point(rooms):
         assert floor_height(noisy) == pytest.approx(floor, abs=0.03)
         assert FeasibleRegion(noisy, rig_of(1)).candidates(D455, 5)[0, 2] == pytest.approx(
             floor + 1.9, abs=0.03)
+
+
+def with_step(z, low=(3.0, 0.0), high=(6.0, 4.0), turn=0.0):
+    """Return a room whose floor has another height between two corners, turned, degrees."""
+    points = box_room().points.copy()
+    inside = ((points[:, :2] >= low) & (points[:, :2] <= high)).all(axis=1)
+    points[inside & (points[:, 2] == 0.0), 2] = z
+    points = [points[(points[:, 2] >= z) | ~inside],
+              panel(low[0], (low[1], high[1]), sorted((0.0, z)))]
+    return turned(Scene(np.concatenate(points), 'step'), turn)
+
+
+@pytest.mark.parametrize(('room', 'levels'), [
+    (with_step(0.9, turn=20.0), [0.0, 0.9]), (with_step(0.5, (3.5, 1.0)), [0.0, 0.5]),
+    (with_step(-0.6, (1.5, 1.0), (5.0, 3.0)), [-0.6, 0.0]),
+    # A long table, a bed and a level room.
+    (with_step(0.7, (1.0, 1.0), (5.0, 2.4)), [0.0]),
+    (with_step(0.5, (4.0, 0.0), (6.0, 1.9)), [0.0]), (turned(box_room(), 30.0), [0.0])])
+def test_a_room_has_a_floor_at_each_height_and_furniture_is_none(room, levels):
+    assert [level.z for level in floors_of(room).levels] == pytest.approx(levels, abs=0.02)
+
+
+@pytest.mark.parametrize('mount', ['plane', 'walls', 'free', 'on rods'])
+def test_heights_are_measured_from_the_floor_below_the_camera(mount):
+    mounts = {**ALL_MOUNTS, 'on rods': {'on': 'ceiling', 'height': 1.6}}
+    given = {**mounts[mount], 'height': 1.6 if mount in ('plane', 'on rods') else [1.4, 1.6]}
+    region = FeasibleRegion(with_step(0.9), rig_of(1, 'd455', mount=given))
+    places = np.unique(region.candidates(D455, 2000)[:, :3], axis=0)
+    for side, z in ((places[places[:, 0] < 2.8], 1.6), (places[places[:, 0] > 3.2], 2.5)):
+        assert len(side) > 5 and side[:, 2].max() == pytest.approx(z, abs=0.02)
+        assert side[:, 2].min() > z - 0.22
+        moved = region.onto_mount(side[:3] + [0.0, 0.0, 0.3])
+        assert region.broken(np.column_stack([moved[:1], np.zeros((1, 3))])) == []
 
 
 @pytest.mark.parametrize(('top', 'hidden'), [(2.2, True), (1.8, False)])

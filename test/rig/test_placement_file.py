@@ -31,7 +31,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.report.assessment import assess
 from ocp_ros.report.camera_words import instructions_for
 from ocp_ros.report.exports import csv_of, installer_page, launch_of, rviz_of, xacro_of
-from ocp_ros.report.facts import metres
+from ocp_ros.report.facts import facts_of, metres
 from ocp_ros.report.findings import scores_of
 from ocp_ros.report.wall_references import WallReferences, walls_around
 from ocp_ros.rig.feasible_region import FeasibleRegion
@@ -392,6 +392,16 @@ def test_the_installers_page_has_what_was_found_and_where_cameras_hang_and_look(
                  '87 x 58 degrees', '150 cm above the floor, 0 cm from wall B, 200 cm',
                  'on the floor, 100 cm from wall C, 200 cm from wall D', '1.00, 1.00, -1.00'):
         assert fact in page, fact
+
+
+def test_the_verdict_says_what_is_doubtful_and_space_is_that_of_the_room():
+    room = l_shaped()
+    _, found = page_of(room, placement_of(rig_of(1), np.array([[2.0, 1.0, 1.9]])))
+    assert found['scores']['volume'] == pytest.approx((6.0 * 4.0 - 3.0 * 2.0) * 2.8, rel=0.08)
+    assert facts_of(found).verdict == 'all constraints are satisfied'
+    open_room = Scene(room.points[room.points[:, 2] < 2.7], 'open')
+    _, found = page_of(open_room, placement_of(rig_of(1), np.array([[2.0, 1.0, 1.9]])))
+    assert facts_of(found).verdict.endswith('found no ceiling')
 
 
 def test_rviz_shows_the_frame_that_the_launch_file_publishes_in():
