@@ -634,7 +634,7 @@ def start(options: argparse.Namespace, domain: int) -> Iterator[NodeProcess]:
     """Start a node of each kind; the policy runs the shipped weights and a live one beside it."""
     logs = options.out / 'logs' / 'fuzz'
     for namespace, name, parameters in (
-            ('turns', 'policy_node', {'turns': 100000}),
+            ('turns', 'policy_node', {'turns': 100000, 'follow_trainer': True}),
             ('turns', 'trainer_node', {'folder': str(options.out / 'fuzz_trainer'),
                                        'sources': 'turns'}),
             ('learn', 'trainer_node', {'folder': str(options.out / 'fuzz_learner'),

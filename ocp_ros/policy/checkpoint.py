@@ -106,14 +106,24 @@ class Checkpoint:
         return {'format': FORMAT, 'run': self.run, 'updates': self.updates,
                 'config': to_nested(self.config), 'provenance': self.provenance}
 
-    def check_replaces(self, running: 'Checkpoint') -> None:
+    @property
+    def origin(self) -> str:
+        """Return in words how long, and in which run, the weights were trained."""
+        return f'{self.updates} updates of run {self.run or "-"}'
+
+    def check_replaces(self, running: 'Checkpoint', followed_run: str = '') -> None:
         """
         Check that these weights may replace the running ones.
 
         :param running: the checkpoint that a policy runs now.
-        :raises CheckpointError: if the networks differ, or both checkpoints are of the same run
-            and these weights are not newer.
+        :param followed_run: the run that the policy follows; empty for any.
+        :raises CheckpointError: if the networks differ, the weights are of another run than the
+            followed one, or both are of the same run and these weights are not newer.
         """
+        if followed_run and self.run != followed_run:
+            raise CheckpointError(
+                f'weights: found those of run {self.run!r}; expected those of {followed_run!r}, '
+                'which this policy follows; to follow another run, configure the policy again')
         if self.config != running.config:
             raise CheckpointError(f'weights: found {self.config}; expected those of the running '
                                   f'policy, {running.config}')

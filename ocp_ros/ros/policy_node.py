@@ -115,7 +115,9 @@ class PolicyNode(ManagedNode):
                 self._calibrator = Calibrator(self, self.source)
         else:
             self.source = SimulatedTurns(self)
-        if self.policy is not None:
+        #: The training run whose weights this node takes; empty until the first ones came.
+        self._followed_run = ''
+        if self.config.explore or self.config.follow_trainer:
             self.create_subscription(
                 UInt8MultiArray, topics.POLICY_WEIGHTS, self._on_weights, LATCHED)
         # What a person sees and calls.
@@ -124,7 +126,7 @@ class PolicyNode(ManagedNode):
         self.create_service(Trigger, '~/reset', self._on_reset)
         publish_diagnostics(self, self._status)
         weights = 'no weights' if path is None else \
-            f'weights of {path.name}: {self.policy.checkpoint.updates} updates'
+            f'weights of {path.name}: {self.policy.checkpoint.origin}'
         live = self.config.live_topics
         cameras = f'live: {", ".join(live)}' if live else 'simulation'
         self.get_logger().info(f'{self._planner_name}, {weights}, {cameras}')
@@ -304,16 +306,17 @@ class PolicyNode(ManagedNode):
         running = self.policy.checkpoint
         try:
             checkpoint = Checkpoint.from_bytes(msg_to_bytes(message), topics.POLICY_WEIGHTS)
-            checkpoint.check_replaces(running)
+            checkpoint.check_replaces(running, self._followed_run)
         except CheckpointError as error:
             self._counts['weights_refused'] += 1
             self.get_logger().warning(
                 f'weights refused: {shortened(error)}', throttle_duration_sec=1.0)
             return
         self.decider.explorer.use(self.policy.replaced(checkpoint))
+        self._followed_run = checkpoint.run
         self._counts['weights_swapped'] += 1
         self.get_logger().info(
-            f'weights swapped: {running.updates} -> {checkpoint.updates} updates')
+            f'weights swapped: {checkpoint.origin} in place of {running.origin}')
 
     def refuse(self, error: ValueError, source: str = 'turn') -> None:
         """Count a message that cannot be used, and warn why, until its source sends others."""

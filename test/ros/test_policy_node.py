@@ -341,20 +341,21 @@ def test_the_placement_is_final_when_the_simulation_says_that_it_was_the_last_tu
 
 def test_weights_are_swapped_in_whole_and_refused_if_they_cannot_be_used(
         robot, small_agent, room):
-    policy = robot.start()
+    policy = robot.start(follow_trainer=True)
     encoder = policy.policy.encoder
     good, older, broken = (random_checkpoint(small_agent, seed=1, updates=updates, run='a')
                            for updates in (10, 9, 20))
+    stranger = random_checkpoint(small_agent, seed=1, updates=30, run='b')
     other = random_checkpoint(replace(small_agent, hidden=8), updates=20, run='a')
     broken.weights['mu.bias'][0] = float('nan')
-    blobs = [one.to_bytes() for one in (good, other, broken, older)]
+    blobs = [one.to_bytes() for one in (good, other, broken, older, stranger)]
     weights = robot.publisher(UInt8MultiArray, topics.POLICY_WEIGHTS, qos.LATCHED)
     for number, blob in enumerate([*blobs, blobs[0][:-7], b'', b'\xff' * 64]):
         weights.publish(bytes_to_msg(blob))
         robot.graph.until(lambda: counted(policy, 'weights_swapped')
                           + counted(policy, 'weights_refused') == number + 1)
     assert counted(policy, 'weights_swapped') == 1
-    assert policy.policy.checkpoint.updates == 10
+    assert (policy.policy.checkpoint.run, policy.policy.checkpoint.updates) == ('a', 10)
     expected = POSITIONS.copy()
     expected[:, :2] += bounded_moves(Policy(good).act(room.points, POSITIONS), 0.5)
     np.testing.assert_allclose(robot.play_turns(1), expected, atol=1e-6)
@@ -378,10 +379,14 @@ def test_an_episode_over_ros_is_the_episode_of_the_engine(graph, probe, model, c
     assert sim.episode.turn.depth_error == pytest.approx(outcome.depth_error[-1], abs=1e-3)
 
 
-def test_lookahead_takes_no_weights(robot):
+def test_a_policy_that_follows_no_trainer_takes_no_weights(robot):
+    policy = robot.start()
+    assert policy.policy is not None and policy.count_subscribers(topics.POLICY_WEIGHTS) == 0
+
+
+def test_lookahead_has_no_weights(robot):
     policy = robot.start(planner='lookahead')
     assert policy.policy is None
-    assert policy.count_subscribers(topics.POLICY_WEIGHTS) == 0
     robot.play_turns(1)
     assert [counted(policy, name) for name in ('planner', 'weights_run', 'weights_updates')] == [
         'lookahead', '-', 0]

@@ -44,6 +44,9 @@ class PolicyNodeConfig(EpisodeLimits):
     explore: bool = setting(
         False, 'for training: draw moves at random from the distribution of the policy, whatever '
                'the planner is; the placement never becomes final')
+    follow_trainer: bool = setting(
+        False, 'take the weights of the first training run that publishes some; with explore '
+               'always so')
     seed: int = setting(0, 'seed of exploration and lookahead', 0, 1 << 31)
     threads: int = setting(
         0, 'number of threads that evaluate positions; 0: one per core', 0, 1024)
@@ -83,6 +86,9 @@ class PolicyNodeConfig(EpisodeLimits):
         if self.min_range >= self.max_range:
             raise ConfigurationError(f'min_range: found {self.min_range} m with max_range '
                                      f'{self.max_range} m; expected less than it')
+        if self.follow_trainer and self.needs_no_weights:
+            raise ConfigurationError('follow_trainer: found true with planner lookahead, which '
+                                     'has no weights; expected planner learned')
         if self.scan and not self.live_topics:
             raise ConfigurationError('scan: found one without cloud_topics; expected live cameras '
                                      'to register to it; name the topics of their clouds')
