@@ -123,13 +123,3 @@ def test_ocp_train_writes_a_model_that_runs(tmp_path, capsys, room):
     assert Checkpoint.load(model).provenance['command'].endswith('c.yaml --seed 5')
     moves = Policy(Checkpoint.load(model)).act(room.points, room.bounds.mean(0)[None])
     assert np.isfinite(moves).all()
-
-
-@pytest.mark.parametrize(('text', 'words'), [
-    ('interactionss: 3', "'interactions'"), ('interactions: many', "'many'"),
-    ('sac: {gamma: 1.5}', 'sac.gamma')])
-def test_ocp_tells_what_is_wrong_in_one_line(tmp_path, capsys, text, words):
-    (tmp_path / 'c.yaml').write_text(text)
-    code = main(['train', '--config', str(tmp_path / 'c.yaml'), '--out', str(tmp_path / 'run')])
-    error = capsys.readouterr().err
-    assert code == 2 and words in error and 'c.yaml' in error and error.count('\n') == 1
