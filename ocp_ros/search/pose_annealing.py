@@ -24,8 +24,7 @@ the score is that of the written placement.
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
-from functools import partial
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel
@@ -39,7 +38,6 @@ from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.simulation.objective import Objective
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.util.annealing import annealed, between
-from ocp_ros.util.threads import mapped
 
 T = TypeVar('T')
 
@@ -65,12 +63,6 @@ class AnnealingTuning:
     :ivar roll_share: share of the moves that draw a new roll, if the mount allows several.
     :ivar drawn_poses: number of poses drawn for a move; the first feasible pose is used.
     :ivar min_loss: smallest loss that is used to compute temperatures.
-    :ivar distinct_m: results whose cameras all differ by less than this count as equal, metres.
-    :ivar validation_share: share of the budget in which results are refined on the validation
-        viewpoints.
-    :ivar moves: largest number of moves with which a result is refined.
-    :ivar validated_results: number of these results.
-    :ivar validated_step_m: standard deviation of their first moves, metres.
     """
 
     searches: int = 4
@@ -86,11 +78,6 @@ class AnnealingTuning:
     roll_share: float = 0.2
     drawn_poses: int = 4
     min_loss: float = 1e-3
-    distinct_m: float = 0.2
-    validation_share: float = 0.15
-    moves: int = 700
-    validated_results: int = 3
-    validated_step_m: float = 0.05
 
 
 TUNING = AnnealingTuning()
@@ -131,13 +118,6 @@ def result_of_placement(objective: Objective, sites: Sequence[MountedCamera], ev
     return SearchResult(tuple(sites), loss, (loss,), evaluations)
 
 
-class RatedPlacement(NamedTuple):
-    """A placement and its loss."""
-
-    loss: float
-    sites: Sites
-
-
 class RigSearch:
     """
     A search for the placement of a rig: it counts evaluations and stores the smallest loss.
@@ -170,66 +150,6 @@ class RigSearch:
     def used_share(self) -> float:
         """Return the used share of the budget."""
         return self.budget.used_share(self.evaluations, self.max_evaluations)
-
-    def rated(self, sites: Sequence[MountedCamera]) -> RatedPlacement:
-        """Return a placement with its loss."""
-        return RatedPlacement(self.problem.objective.loss(views_of(sites)), tuple(sites))
-
-    def refined(self, sites: Sites, loss_of: Callable[[Sites], float], first_step_m: float,
-                moves: int, rng: np.random.Generator, should_stop: Callable[[], bool]) -> Sites:
-        """
-        Anneal a placement by small moves.
-
-        :param loss_of: returns the loss of a placement.
-        :param first_step_m: standard deviation of the first moves, metres; in radians half of it.
-        :param moves: number of moves.
-        """
-        # Share of the moves so far; the size of moves and the temperature decrease with it.
-        progress = 0.0
-        first_loss = max(loss_of(sites), TUNING.min_loss)
-
-        def temperatures() -> Iterator[float]:
-            nonlocal progress
-            for move in range(moves):
-                if should_stop():
-                    return
-                progress = move / moves
-                self.evaluations += 1
-                yield first_loss * between(*TUNING.move_temperatures, progress)
-
-        last = TUNING.last_deviations
-        return annealed(sites, lambda sites, _: loss_of(sites),
-                        lambda sites: move_camera(
-                            self.problem, sites, between(first_step_m, last[0], progress),
-                            between(0.5 * first_step_m, last[1], progress), rng),
-                        temperatures(), rng)
-
-    def validated(self, results: Sequence[RatedPlacement], moves: int,
-                  should_stop: Callable[[], bool]) -> RatedPlacement:
-        """
-        Refine the best results on the validation viewpoints, and return the best of all there.
-
-        A result fits the viewpoints of its search, so its loss there says too little. With a given
-        placement, the loss on the viewpoints of the search is not larger than that of it either.
-
-        :param results: the best first.
-        :param moves: number of moves of each result.
-        """
-        objective = self.problem.objective.validation
-
-        def loss_of(sites: Sites) -> float:
-            return objective.loss(views_of(sites))
-
-        best = distinct_results(results, TUNING.validated_results)
-        seeds = self.rng.integers(2 ** 32, size=len(best))
-        refined = mapped(lambda pair: self.rated(self.refined(
-            pair[0].sites, loss_of, TUNING.validated_step_m, moves,
-            np.random.default_rng(pair[1]), should_stop)), list(zip(best, seeds)))
-        candidates = [*refined, *best]
-        if self.start:
-            given = self.rated(self.start)
-            candidates = [given, *(found for found in candidates if found.loss <= given.loss)]
-        return min(candidates, key=lambda found: loss_of(found.sites))
 
 
 class AnnealingSearch(RigSearch):
@@ -268,8 +188,7 @@ class AnnealingSearch(RigSearch):
         # Small moves, scored with the full depth maps.
         return annealed(best, lambda sites, _: self.loss_of(sites), self._change_camera,
                         self._temperatures(unit, TUNING.move_temperatures,
-                                           TUNING.exchange_budget_share,
-                                           1.0 - TUNING.validation_share), self.rng)
+                                           TUNING.exchange_budget_share, 1.0), self.rng)
 
     def place_greedily(self) -> Sites:
         """Return a placement: one camera after the other, each the best of random candidates."""
@@ -333,17 +252,6 @@ class AnnealingSearch(RigSearch):
         metres, radians = between(np.array(TUNING.first_deviations),
                                   np.array(TUNING.last_deviations), self._progress)
         return move_camera(self.problem, sites, metres, radians, self.rng)
-
-
-def distinct_results(results: Sequence[RatedPlacement], max_count: int) -> list[RatedPlacement]:
-    """Choose results, the best first, that differ in the position of at least one camera."""
-    chosen: list[RatedPlacement] = []
-    for result in results:
-        positions = np.array([site.pose[:3] for site in result.sites])
-        if all(np.linalg.norm(positions - [site.pose[:3] for site in other.sites], axis=1).max()
-               >= TUNING.distinct_m for other in chosen):
-            chosen.append(result)
-    return chosen[:max_count]
 
 
 def move_camera(problem: Problem, sites: Sites, metres: float, radians: float,
@@ -415,14 +323,10 @@ def anneal(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
     report = progress and (lambda: progress(min(search.used_share() for search in searches),
                                             min(search.least_loss for search in searches)))
     placements = run_threads([search.run for search in searches], budget, report)
-    first = searches[0]
-    results = sorted(map(first.rated, placements), key=lambda result: result.loss)
-    moves = TUNING.moves if budget.evaluations is None else max(
-        int(TUNING.validation_share * budget.evaluations) // TUNING.validated_results, 1)
-    best = run_threads([partial(first.validated, results, moves, budget.deadline_check(1.0))],
-                       budget, report)[0]
-    return SearchResult(best.sites, best.loss, (best.loss, *(
-        result.loss for result in results[1:])), sum(search.evaluations for search in searches))
+    losses = [search.loss_of(sites) for search, sites in zip(searches, placements)]
+    best = int(np.argmin(losses))
+    return SearchResult(placements[best], losses[best], tuple(losses),
+                        sum(search.evaluations for search in searches))
 
 
 def run_threads(tasks: Sequence[Callable[[], T]], budget: Budget,

@@ -21,7 +21,7 @@ then join the grid, and both steps are repeated with decreasing distances. At th
 all poses are computed for the certificate.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 import logging
 from typing import NamedTuple
@@ -29,21 +29,14 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.rig.feasible_region import DENSE
 from ocp_ros.search.budget import Budget, Progress
-from ocp_ros.search.candidate_pool import CandidatePool, MountedCamera, Sites
-from ocp_ros.search.pose_annealing import (
-    anneal,
-    distinct_results,
-    RatedPlacement,
-    RigSearch,
-    run_threads,
-    SearchResult,
-)
-from ocp_ros.search.pose_annealing import TUNING as ANNEALING
+from ocp_ros.search.candidate_pool import CandidatePool, MountedCamera, Sites, views_of
+from ocp_ros.search.pose_annealing import anneal, move_camera, RigSearch, run_threads, SearchResult
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.certificate import Certificate, unprovable_reason
 from ocp_ros.search.proof.column_generation import Choice, Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees
 from ocp_ros.simulation.problem import Problem
+from ocp_ros.util.annealing import annealed, between
 from ocp_ros.util.threads import mapped
 
 
@@ -54,9 +47,8 @@ class RigSearchTuning:
 
     :ivar grid_time_share: share of the time at which the choice on the grid ends.
     :ivar refined_time_share: share of the time at which the first refinement ends.
-    :ivar repeated_time_share: share of the time at which the repetitions end.
-    :ivar validated_time_share: share of the time at which the refinement on the validation
-        viewpoints ends; the rest is for the proof.
+    :ivar repeated_time_share: share of the time at which the repetitions end; the rest is for the
+        proof.
     :ivar min_evaluations: number of evaluations that are made whatever time they take.
     :ivar first_places: places of the first grid of a search with a limit of time; its bound is
         raised whatever time it takes.
@@ -65,6 +57,7 @@ class RigSearchTuning:
         would raise is replaced by the last one that is final.
     :ivar first_choices: number of choices that are refined first.
     :ivar repeated_choices: number of choices that are refined in each repetition.
+    :ivar moves: number of moves of a choice.
     :ivar evaluations_per_choice: with a budget of evaluations, their number for each choice.
     :ivar distances_m: for each repetition the distance from the results within which poses join
         the grid, metres.
@@ -73,18 +66,22 @@ class RigSearchTuning:
     :ivar heading_step_per_metre: radians between headings for each metre of this distance.
     :ivar yaw_steps: number of new headings on either side of the pose in yaw.
     :ivar pitch_steps: number of new headings above and below the pose in pitch.
+    :ivar distinct_m: results whose cameras all differ by less than this count as equal, metres.
+    :ivar temperatures: first and last temperature of the moves, in multiples of the loss.
+    :ivar last_deviation: standard deviation of the last moves: metres, and radians.
+    :ivar min_loss: smallest loss that is used to compute temperatures.
     """
 
     grid_time_share: float = 0.4
     refined_time_share: float = 0.6
-    repeated_time_share: float = 0.7
-    validated_time_share: float = 0.8
+    repeated_time_share: float = 0.8
     min_evaluations: int = 200
     first_places: int = 64
     grid_growth: int = 8
     small_gap: float = 0.02
     first_choices: int = 8
     repeated_choices: int = 4
+    moves: int = 700
     evaluations_per_choice: int = 250
     distances_m: tuple[float, ...] = (0.3, 0.12, 0.05)
     near_results: int = 3
@@ -92,10 +89,21 @@ class RigSearchTuning:
     heading_step_per_metre: float = float(np.deg2rad(20.0))
     yaw_steps: int = 4
     pitch_steps: int = 2
+    distinct_m: float = 0.2
+    temperatures: tuple[float, float] = (0.01, 1e-4)
+    last_deviation: float = 0.01
+    min_loss: float = 1e-3
 
 
 TUNING = RigSearchTuning()
 _log = logging.getLogger(__name__)
+
+
+class RatedPlacement(NamedTuple):
+    """A placement and its loss."""
+
+    loss: float
+    sites: Sites
 
 
 class ColumnGenerationSearch(RigSearch):
@@ -115,20 +123,16 @@ class ColumnGenerationSearch(RigSearch):
         super().__init__(problem, pool, budget, np.random.default_rng([seed, 0]), start)
         self._first_choices = TUNING.first_choices
         self._repeated_choices = TUNING.repeated_choices
-        #: Moves of each choice, first, in each repetition and on the validation viewpoints; a
-        #: budget of evaluations sets others.
-        self._first_moves = self._repeated_moves = self._validation_moves = ANNEALING.moves
+        #: Moves of each choice, first and in each repetition; a budget of evaluations sets others.
+        self._first_moves = self._repeated_moves = TUNING.moves
         if (total := budget.evaluations) is not None:
             self._first_choices = int(np.clip(total // TUNING.evaluations_per_choice, 1,
                                               TUNING.first_choices))
             self._repeated_choices = max(self._first_choices // 2, 1)
-            # Half of the evaluations that are not for the validation are for the first choices,
-            # half for all repetitions.
-            validated = int(ANNEALING.validation_share * total)
-            self._validation_moves = max(validated // ANNEALING.validated_results, 1)
-            searched, repetitions = total - validated, len(TUNING.distances_m)
-            self._first_moves = max(searched // (2 * self._first_choices), 1)
-            self._repeated_moves = max(searched // (2 * repetitions * self._repeated_choices), 1)
+            # Half of the evaluations are for the first choices, half for all repetitions.
+            self._first_moves = max(total // (2 * self._first_choices), 1)
+            repetitions = len(TUNING.distances_m)
+            self._repeated_moves = max(total // (2 * repetitions * self._repeated_choices), 1)
 
     def run(self) -> SearchResult:
         """
@@ -159,9 +163,8 @@ class ColumnGenerationSearch(RigSearch):
         if not results:
             # No choice on the grid, and no given placement: the cameras are placed as close
             # together as the spacing allows.
-            results = [self.rated(self.pool.packed_sites(self.problem.rig))]
-        best = self.validated(results, self._validation_moves,
-                              self.budget.deadline_check(TUNING.validated_time_share))
+            results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
+        best = results[0]
         # The losses of all searches, for the report: one for each refined choice, and two for a
         # given placement, refined and as given. ``first_results`` is sorted and the repetitions
         # start from its first results, so the final loss replaces the first one.
@@ -175,6 +178,10 @@ class ColumnGenerationSearch(RigSearch):
         return self.budget.stopped or (
             self.evaluations >= TUNING.min_evaluations
             and self.budget.used_share(0, None) >= TUNING.refined_time_share)
+
+    def _rate_placement(self, sites: Sequence[MountedCamera]) -> RatedPlacement:
+        """Return a placement with its loss."""
+        return RatedPlacement(self.problem.objective.loss(views_of(sites)), tuple(sites))
 
     def _sites_of(self, relaxation: ColumnGeneration, choice: Choice) -> Sites:
         """Return a choice as sites, in the order of the rig's cameras."""
@@ -193,12 +200,39 @@ class ColumnGenerationSearch(RigSearch):
         """Refine placements; return them and the user's placement, if any, the best first."""
         # Each start has a seed, so its result does not depend on the number of threads.
         seeds = self.rng.integers(2 ** 32, size=len(starts))
-        results = mapped(lambda pair: self.rated(self.refined(
-            pair[0], self.loss_of, first_step_m, moves, np.random.default_rng(pair[1]),
-            should_stop)), list(zip(starts, seeds)))
+        results = mapped(lambda pair: self._refine(
+            pair[0], first_step_m, moves, np.random.default_rng(pair[1]), should_stop),
+            list(zip(starts, seeds)))
         if self.start:
-            results.append(self.rated(self.start))
+            results.append(self._rate_placement(self.start))
         return sorted(results, key=lambda result: result.loss)
+
+    def _refine(self, sites: Sites, first_step_m: float, moves: int, rng: np.random.Generator,
+                should_stop: Callable[[], bool]) -> RatedPlacement:
+        """
+        Anneal a placement by small moves.
+
+        :param first_step_m: standard deviation of the first moves, metres; in radians half of it.
+        :param moves: number of moves.
+        """
+        # Share of the moves so far; the size of moves and the temperature decrease with it.
+        progress = 0.0
+        first_loss = max(self.problem.objective.loss(views_of(sites)), TUNING.min_loss)
+
+        def temperatures() -> Iterator[float]:
+            nonlocal progress
+            for move in range(moves):
+                if should_stop():
+                    return
+                progress = move / moves
+                self.evaluations += 1
+                yield first_loss * between(*TUNING.temperatures, progress)
+
+        best = annealed(sites, lambda sites, _: self.loss_of(sites), lambda sites: move_camera(
+            self.problem, sites, between(first_step_m, TUNING.last_deviation, progress),
+            between(0.5 * first_step_m, TUNING.last_deviation, progress), rng),
+            temperatures(), rng)
+        return RatedPlacement(self.loss_of(best), best)
 
     def _repeat_near(self, relaxation: ColumnGeneration, results: list[RatedPlacement],
                      distance_m: float, should_stop: Callable[[], bool]) -> list[RatedPlacement]:
@@ -368,6 +402,17 @@ def prove_gap(make_proof: Callable[[], GrowingProof], loss: float, loss_on_grid:
     except Exception as error:  # The placement is valid without the proof, so keep it.
         _log.exception('the proof failed')
         return None, f'its proof failed ({type(error).__name__}: {error})'
+
+
+def distinct_results(results: Sequence[RatedPlacement], max_count: int) -> list[RatedPlacement]:
+    """Choose results, the best first, that differ in the position of at least one camera."""
+    chosen: list[RatedPlacement] = []
+    for result in results:
+        positions = np.array([site.pose[:3] for site in result.sites])
+        if all(np.linalg.norm(positions - [site.pose[:3] for site in other.sites], axis=1).max()
+               >= TUNING.distinct_m for other in chosen):
+            chosen.append(result)
+    return chosen[:max_count]
 
 
 def search(problem: Problem, pool: CandidatePool, budget: Budget, seed: int,

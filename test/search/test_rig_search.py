@@ -23,8 +23,7 @@ from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.rig.rig_file import rig_from, rig_of
 from ocp_ros.search.budget import Budget
-from ocp_ros.search.candidate_pool import CandidatePool, views_of
-from ocp_ros.search.pose_annealing import move_camera
+from ocp_ros.search.candidate_pool import CandidatePool
 from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point
@@ -247,24 +246,23 @@ def test_off_the_grid_it_is_better_than_on_it():
     assert known.bound <= known.on_grid
 
 
-@pytest.mark.parametrize('more', [{}, {'seen_by': 2}])
-def test_the_answer_is_chosen_on_viewpoints_that_the_search_has_not_used(more):
-    problem = problem_of(2, **more)
-    pool = CandidatePool(problem, 200, max_grid_poses=1000)
-    searched, validated = problem.objective, problem.objective.validation
+def test_the_promise_is_made_on_viewpoints_that_the_search_has_not_used():
+    problem = problem_of(2)
+    searched, validation = problem.objective, problem.objective.validation
     own, others = (objective.simulator.depth_error.viewpoints for objective in (
-        searched, validated))
+        searched, validation))
     assert len(own) == 16 and len(others) == 64 and np.ptp(others[:, 2]) > 1.0
-    found = search(problem, pool, Budget(evaluations=400), 0)
-    loss = validated.evaluate(found.poses).loss
-    # Small moves of the answer gain nothing worth mentioning there: it is an optimum.
+    pool = CandidatePool(problem, 200, max_grid_poses=1000)
+
+    def ratio(poses):
+        return validation.evaluate(poses).depth_error / searched.evaluate(poses).depth_error
+
     rng = np.random.default_rng(0)
-    gains = [1.0 - validated.loss(views_of(sites)) / loss for _ in range(40)
-             for sites in move_camera(problem, found.sites, 0.02, 0.02, rng)]
-    assert max(gains) < 0.02
-    # A given placement with a small loss on the viewpoints of the search is kept.
-    again = search(problem, pool, Budget(evaluations=40), 1, found.sites)
-    assert again.loss <= found.loss and validated.evaluate(again.poses).loss <= loss
+    drawn = np.median([ratio(np.array([site.pose for site in pool.random_sites(
+        problem.rig, rng)])) for _ in range(20)])
+    # What was fitted to the viewpoints of the search is worth less elsewhere.
+    assert 0.95 < drawn < 1.05
+    assert ratio(search(problem, pool, Budget(evaluations=1000), 0).poses) > drawn + 0.02
 
 
 @pytest.fixture
