@@ -132,9 +132,12 @@ def play_task(planners: Sequence[str], baselines: Sequence[int], seeds: int, mod
         mean share of points seen in the episode, and milliseconds a turn.
     """
     settings = task.settings
+    episode_config = settings.episode
+    # All lengths of episodes share a room.
+    settings = replace(settings, episode=EpisodeConfig())
     room = judged_room(task.room, task.rotation, settings, SEARCH_POINTS, JUDGE_POINTS, 0.0,
                        BY_FILE, task.half)
-    problem, episode_config = room.search_problem, settings.episode
+    problem = room.search_problem
     free, known = problem.rig.free, problem
     if free and baselines:
         # Planners that know the room place the same cameras as a rig on this plane.
@@ -146,7 +149,8 @@ def play_task(planners: Sequence[str], baselines: Sequence[int], seeds: int, mod
         for name in planners:
             rng = np.random.default_rng([seed, 1])
             planner = make[name](*settings_of(episode_config, problem.rig, rng))
-            episode = Episode(problem, np.random.default_rng([seed, 0]))
+            episode = Episode(problem, np.random.default_rng([seed, 0]),
+                              config=episode_config)
             outcome = play(planner, episode, clock=_processor_seconds)
             poses = episode.placement[:len(episode.turn.positions)]
             found[name].append((
@@ -224,6 +228,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     parser.add_argument('--baselines', nargs='*', type=int, default=(), help='budgets of the '
                         'planners that know the room, evaluations')
     parser.add_argument('--model', default=DEFAULT_MODEL)
+    parser.add_argument('--others', type=Path, help='a comparison of other weights, with as many '
+                        'seeds: the planners that are not played, and have no weights, are taken '
+                        'from it')
     parser.add_argument('--workers', type=int, default=os.cpu_count())
     parser.add_argument('--out', type=Path, help='file of this comparison')
     parser.add_argument('--record', nargs='+', metavar='NAME=FILE', help='write the summaries of '
@@ -252,11 +259,14 @@ def main(argv: Sequence[str] | None = None) -> None:
             f'for, {settings}; name another file')
     played = document.get('tasks', {})
     left = [task for task in tasks if task.name not in played]
+    others = json.loads(options.others.read_bytes())['tasks'] if options.others else {}
     job = partial(play_task, options.planners, options.baselines, options.seeds, options.model)
     with WorkerPool(options.workers) as pool:
         for number, found in track(pool.unordered(job, left), 'rooms', len(left),
                                    console=Console(stderr=True)):
-            played[left[number].name] = found
+            known = others.get(left[number].name, {})
+            played[left[number].name] = found | {
+                name: row for name, row in known.items() if name not in ('learned', 'alone')}
             write_atomically(options.out, json.dumps(results.stamped(
                 {'settings': settings, 'tasks': played, 'summary': summary(played)}, command),
                 indent=1) + '\n')
