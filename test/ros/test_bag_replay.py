@@ -15,6 +15,7 @@
 """``ocp replay``: recorded clouds reach a real ``policy_node`` on real DDS."""
 
 from contextlib import ExitStack
+from io import BytesIO
 import os
 import re
 import signal
@@ -36,7 +37,8 @@ import numpy as np
 from ocp_ros.cli.main import build_parser, main
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.geometry.engine_config import EngineConfig
-from ocp_ros.ros.bags.bag_files import Bag, CLOUD, POSES, Recorded, TRANSFORMS
+from ocp_ros.ros.bags.bag_files import Bag, Recorded
+from ocp_ros.ros.bags.bag_process import CLOUD, POSES, TRANSFORMS
 from ocp_ros.ros.bags.bag_replay import Replay, ReplayOptions
 from ocp_ros.ros.bags.recorded_clouds import recorded_clouds
 from ocp_ros.ros.bags.replay_run import options_of, pose_of
@@ -52,6 +54,7 @@ from ocp_ros.ros.policy_node import PolicyNode
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.util.settings import ConfigurationError
+from PIL import Image as PngImage
 import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.rosbag1 import Writer as Writer1
@@ -59,7 +62,7 @@ from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import get_types_from_msg, get_typestore, Stores
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Header, String
 
 S = 1_000_000_000
@@ -205,6 +208,47 @@ def test_each_camera_is_given_what_it_recorded_in_its_body_frame(clouds, tmp_pat
         recorded_clouds(path, ['left'], {'left': '/cam2/points'})
 
 
+def add_depth(recording, cameras=2, compressed=False):
+    """Take depth images of walls, 2 and 3 m away, with the CameraInfo of their cameras."""
+    for k in range(cameras):
+        header, name = header_at(1000 * S, f'lens_{k}'), f'/cam{k}/depth/image'
+        depth = np.full((30, 40), 2000 + 1000 * k, dtype='<u2')
+        if compressed:
+            png = BytesIO()
+            PngImage.fromarray(depth).save(png, 'PNG')
+            recording.add(f'{name}/compressedDepth', CompressedImage(
+                header=header, format='16UC1; compressedDepth png',
+                data=bytes(12) + png.getvalue()))
+        else:
+            recording.add(name, Image(header=header, width=40, height=30, step=80,
+                                      encoding='16UC1', data=depth.tobytes()))
+        recording.add(f'/cam{k}/depth/camera_info', CameraInfo(
+            header=header, width=40, height=30,
+            p=[20.0, 0.0, 19.5, 0.0, 0.0, 20.0, 14.5, 0.0, 0.0, 0.0, 1.0, 0.0]))
+    return recording
+
+
+@pytest.mark.parametrize('form', ['ros1', 'mcap'])
+@pytest.mark.parametrize('compressed', [False, True])
+def test_depth_images_in_a_bag_are_clouds_of_cameras(tmp_path, form, compressed):
+    path = add_depth(Recording(), compressed=compressed).write(tmp_path, form)
+    found = recorded_clouds(path, ['cam0', 'cam1'], {})
+    for k, cloud in enumerate(found.values()):
+        assert cloud.shape == (1200, 3)
+        np.testing.assert_allclose(cloud[:, 0], 2.0 + k, atol=1e-6)
+        np.testing.assert_allclose(np.abs(cloud[:, 1:]).max(axis=0),
+                                   (2.0 + k) * np.array([19.5, 14.5]) / 20.0, atol=1e-6)
+
+
+def test_depth_images_are_replayed_with_what_is_known_of_their_camera(stage, tmp_path):
+    recording = add_depth(Recording(), cameras=1)
+    found = stage.play(recording.write(tmp_path, 'mcap'), clouds='cam0/depth/image',
+                       poses=(pose_of('1,1,1.2,90'),))
+    # The wall is two metres ahead, along y.
+    np.testing.assert_allclose(found[:, 1], 3.0, atol=1e-5)
+    assert stage.replay.counts == {'/cam0/depth/image': 1, '/cam0/depth/camera_info': 1}
+
+
 @pytest.mark.parametrize(('form', 'frames', 'options'), [
     ('ros1', ('camera_0_optical', 'camera_1_optical'), {}),
     # The recorded poses are of other cameras.
@@ -343,9 +387,9 @@ def test_what_is_no_bag_is_refused(tmp_path, capsys, name, words):
 @pytest.mark.parametrize(('form', 'topic', 'message', 'remedy'), [
     ('ros1', '/chatter', String(data='hello'), '/chatter (std_msgs/msg/String)'),
     ('mcap', '/cam/depth', Image(height=1, width=1, step=2, encoding='16UC1', data=[0, 0]),
-     'depth_image_proc')])
+     'camera_info')])
 def test_a_bag_without_clouds_is_refused(tmp_path, capsys, form, topic, message, remedy):
-    """Depth images are no clouds, but a node can make clouds of them."""
+    """A depth image without its CameraInfo is no cloud."""
     recording = Recording()
     recording.add(topic, message)
     path = recording.write(tmp_path, form)

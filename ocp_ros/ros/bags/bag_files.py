@@ -25,7 +25,16 @@ import struct
 import tempfile
 from typing import Any, NamedTuple
 
-from ocp_ros.ros.bags.bag_process import Answer, CLOUD, HEADER, KINDS, POSES, TRANSFORMS
+from ocp_ros.ros.bags.bag_process import (
+    Answer,
+    CLOUD,
+    HEADER,
+    IMAGE,
+    KINDS,
+    PNG_IMAGE,
+    TRANSFORMS,
+)
+from ocp_ros.ros.interface.topics import camera_info_of_image
 from ocp_ros.util.files import read_regular
 from ocp_ros.util.guarded_process import GuardedProcess, ReadingCost
 from ocp_ros.util.settings import ConfigurationError
@@ -156,23 +165,23 @@ class Bag:
     @property
     def clouds(self) -> list[str]:
         """
-        Return the names of the topics of clouds, sorted.
+        Return the names of the topics of clouds, sorted; if there are none, of depth images.
 
-        :raises ConfigurationError: if there is none; for depth images the text says how to convert
-            them to clouds.
+        These are images beside a CameraInfo with ``depth`` in their names; if there are raw ones,
+        those of compressed_depth_image_transport are left out.
+
+        :raises ConfigurationError: if there is none.
         """
-        names = [topic.name for topic in self.topics if KINDS.get(topic.kind) == CLOUD]
-        if not names:
-            found = ', '.join(f'{t.name} ({t.kind})' for t in self.topics) or 'no topic at all'
-            has_depth_images = any('depth' in topic.name
-                                   and topic.kind.endswith(('/Image', '/CompressedImage'))
-                                   for topic in self.topics)
-            remedy = ('play it, let ros2 run depth_image_proc point_cloud_xyz_node make clouds of '
-                      'the depth images, and record these') if has_depth_images else (
-                'record a topic of clouds')
-            raise ConfigurationError(f'{self.path}: found no clouds among {found}; expected '
-                                     f'{CLOUD}; {remedy}')
-        return names
+        kinds = {topic.name: KINDS.get(topic.kind) for topic in self.topics}
+        for kind, part in ((CLOUD, ''), (IMAGE, 'depth'), (PNG_IMAGE, '/compressedDepth')):
+            names = [name for name, found in kinds.items() if found == kind and part in name and (
+                kind == CLOUD or camera_info_of_image(name) in kinds)]
+            if names:
+                return names
+        found = ', '.join(f'{t.name} ({t.kind})' for t in self.topics) or 'no topic at all'
+        raise ConfigurationError(
+            f'{self.path}: found no clouds among {found}; expected {CLOUD}, or depth images and '
+            'their camera_info; record such topics')
 
     @property
     def start(self) -> int:
@@ -189,10 +198,10 @@ class Bag:
         """
         Return the frames of the first 20 messages of a topic, sorted, each once.
 
-        :returns: the frames, with '?' for one that cannot be read; empty for topics other than
-            clouds and poses.
+        :returns: the frames, with '?' for one that cannot be read; empty for topics that are not
+            read, and for transforms.
         """
-        if KINDS.get(topic.kind) not in (CLOUD, POSES):
+        if KINDS.get(topic.kind) in (None, TRANSFORMS):
             return []
         return sorted({_frame_of(message.cdr) if isinstance(message, Recorded) else '?'
                        for message in self.messages([topic.name], max_messages=20)})

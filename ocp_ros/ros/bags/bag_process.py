@@ -34,10 +34,13 @@ from typing import Any, BinaryIO
 from ocp_ros.util.guarded_process import allow_seconds, confine, limit
 
 CLOUD, POSES = 'sensor_msgs/msg/PointCloud2', 'geometry_msgs/msg/PoseArray'
+IMAGE, PNG_IMAGE = 'sensor_msgs/msg/Image', 'sensor_msgs/msg/CompressedImage'
+CAMERA_INFO = 'sensor_msgs/msg/CameraInfo'
 TRANSFORMS = 'tf2_msgs/msg/TFMessage'
 #: The message types that are read, by their names in bags; old bags use another name for
 #: transforms, with the same layout.
-KINDS = {CLOUD: CLOUD, POSES: POSES, TRANSFORMS: TRANSFORMS, 'tf/msg/tfMessage': TRANSFORMS}
+KINDS = {**{kind: kind for kind in (CLOUD, IMAGE, PNG_IMAGE, CAMERA_INFO, POSES, TRANSFORMS)},
+         'tf/msg/tfMessage': TRANSFORMS}
 #: Bytes of the largest message: a cloud of five million points is smaller.
 MAX_MESSAGE_BYTES = 200_000_000
 #: Header of an answer: its kind, the number of the topic, the time of recording (nanoseconds) and
@@ -179,12 +182,15 @@ def check_element_count(raw: bytes, kind: str) -> None:
     """
     Refuse a ROS 1 message that states more list elements than its bytes can hold.
 
-    The library would read such a message for hours.
+    The library would read such a message for hours. It refuses by itself lists of numbers that
+    are too long: images and CameraInfo have no others.
 
     :param raw: the serialised message.
     :param kind: its type, one of the values of ``KINDS``.
     :raises ValueError: if the number is too large.
     """
+    if kind in (IMAGE, PNG_IMAGE, CAMERA_INFO):
+        return
     count_offset = 0
     if kind != TRANSFORMS:
         # The header has a number (4 bytes), a stamp (8), and the frame: the length of the text (4)

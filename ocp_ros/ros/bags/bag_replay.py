@@ -31,12 +31,11 @@ from ocp_ros.geometry.cameras import LEVEL, OPTICAL_TO_BODY, Pose
 from ocp_ros.ros.bags.bag_files import (
     Bag,
     BrokenMessage,
-    CLOUD,
     KINDS,
-    POSES,
     Recorded,
     TRANSFORMS,
 )
+from ocp_ros.ros.bags.bag_process import CAMERA_INFO, CLOUD, POSES
 from ocp_ros.ros.interface import topics
 from ocp_ros.ros.interface.conversions import (
     MessageError,
@@ -45,6 +44,7 @@ from ocp_ros.ros.interface.conversions import (
     rotation_of,
     stamp_to_ns,
 )
+from ocp_ros.ros.interface.depth_images import POINT_SOURCES
 from ocp_ros.ros.interface.frames import CAMERA_FRAME
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
@@ -54,13 +54,13 @@ from rclpy.node import Node
 from rclpy.serialization import deserialize_message
 from rclpy.task import Future
 from scipy.spatial.transform import Rotation
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
 #: Endings of the names of optical frames, in which z is forward, x right and y down.
 OPTICAL_FRAME_ENDINGS = ('optical', 'optical_frame')
 #: The types of recorded messages that are published.
-TYPES = {CLOUD: PointCloud2, POSES: PoseArray}
+TYPES = {**POINT_SOURCES, CAMERA_INFO: CameraInfo, POSES: PoseArray}
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,8 @@ class ReplayOptions:
     """
     Which topics to replay, and how.
 
-    :ivar topics: names of topics, or ``name:=new_name``; empty: all clouds, and the poses if any.
+    :ivar topics: names of topics, or ``name:=new_name``; empty: all clouds, or depth images if
+        there are none, and the poses if any.
     :ivar rate: factor of the recorded speed.
     :ivar loop: whether to begin again at the end, without limit.
     :ivar start: seconds at the beginning of the recording to leave out.
@@ -97,7 +98,8 @@ def choose_topics(bag: Bag, requested: tuple[str, ...]) -> dict[str, tuple[str, 
 
     :param requested: see ``topics`` of :class:`ReplayOptions`.
     :returns: message type and published name by recorded name, in the order of ``requested``; if
-        this is empty, the clouds sorted by name, then the poses.
+        this is empty, the clouds sorted by name, then the poses. The CameraInfo of each depth
+        image comes last.
     :raises ConfigurationError: if a topic is missing or of another type, or there is no cloud.
     """
     known = {topic.name: topic for topic in bag.topics}
@@ -107,15 +109,17 @@ def choose_topics(bag: Bag, requested: tuple[str, ...]) -> dict[str, tuple[str, 
         if known[name].kind not in TYPES:
             raise ConfigurationError(f'{bag.path}: found {known[name].kind} on {name}; expected '
                                      f'{" or ".join(TYPES)}; leave it out')
-    # This raises the error if the bag has no clouds.
-    clouds = bag.clouds
-    if names and not set(names).intersection(clouds):
+    if names and not any(known[name].kind in POINT_SOURCES for name in names):
         raise ConfigurationError(f'{bag.path}: found no clouds among {", ".join(names)}; expected '
-                                 f'one at least of {", ".join(clouds)}; name it')
+                                 f'one at least of {", ".join(bag.clouds)}; name it')
     if not names:
-        names = {name: name for name in clouds}
+        names = {name: name for name in bag.clouds}
         if (poses := _find_poses_topic(list(known.values()))) is not None:
             names[poses] = topics.CAMERA_POSES
+    for name, new_name in list(names.items()):
+        info = topics.camera_info_of_image(name)
+        if known[name].kind in POINT_SOURCES and known[name].kind != CLOUD and info in known:
+            names.setdefault(info, topics.camera_info_of_image(new_name))
     return {name: (known[name].kind, new_name) for name, new_name in names.items()}
 
 
@@ -150,15 +154,15 @@ class Replay(Node):
         if options.poses and not options.topics:
             # Poses of the command line replace those of the bag.
             self.topics = {name: (kind, new_name) for name, (kind, new_name) in self.topics.items()
-                           if kind == CLOUD}
+                           if kind != POSES}
         self.counts = dict.fromkeys(self.topics, 0)
         self.left_out_count = 0
-        self._cloud_topics = [name for name, (kind, _) in self.topics.items() if kind == CLOUD]
+        self._cloud_topics = [
+            name for name, (kind, _) in self.topics.items() if kind in POINT_SOURCES]
         self._given_frames = dict(options.frames)
         # The name '' stands for all other topics.
         check_known([name for name in self._given_frames if name], self._cloud_topics, '--frame')
-        # Topics that are no clouds are poses.
-        has_poses = len(self._cloud_topics) < len(self.topics)
+        has_poses = any(kind == POSES for kind, _ in self.topics.values())
         self._has_transforms = any(KINDS.get(t.kind) == TRANSFORMS for t in bag.topics)
         #: Whether this node publishes poses: from the command line, or from transforms.
         self._publishes_poses = bool(options.poses) or (self._has_transforms and not has_poses)
@@ -226,7 +230,7 @@ class Replay(Node):
                     if item.time < begin_ns and item.kind != TRANSFORMS:
                         continue
                     last_ns = max(item.time, begin_ns)
-                    cloud_count += item.kind == CLOUD
+                    cloud_count += item.kind in POINT_SOURCES
                 yield (last_ns - begin_ns + stamp_shift) * 1e-9 / options.rate, stamp_shift, item
             if not cloud_count:
                 raise ConfigurationError(
@@ -309,8 +313,11 @@ class Replay(Node):
             # A message without a stamp gets the time of its recording.
             stamp = stamp_to_ns(message.header.stamp) or item.time
             message.header.stamp = ns_to_stamp(stamp + stamp_shift)
-            if item.kind == CLOUD:
-                self._place_cloud(item.topic, message)
+            if item.kind in POINT_SOURCES:
+                # The axes of images are optical.
+                is_optical = item.kind != CLOUD or message.header.frame_id.endswith(
+                    OPTICAL_FRAME_ENDINGS)
+                self._place_cloud(item.topic, message.header, is_optical)
         except (BrokenMessage, MessageError) as error:
             self.left_out_count += 1
             self.get_logger().warning(str(error), throttle_duration_sec=1.0)
@@ -318,7 +325,7 @@ class Replay(Node):
         self._publishers_by_topic[item.topic].publish(message)
         self.counts[item.topic] += 1
 
-    def _deserialize(self, item: Recorded) -> PointCloud2 | PoseArray:
+    def _deserialize(self, item: Recorded) -> Any:
         """Return a recorded message as an rclpy message."""
         try:
             return deserialize_message(item.cdr, TYPES[item.kind])
@@ -326,10 +333,9 @@ class Replay(Node):
             raise BrokenMessage(f'{item.topic}: found a message that is no {item.kind} '
                                 f'({error}); expected one; it is left out') from error
 
-    def _place_cloud(self, topic: str, cloud: PointCloud2) -> None:
-        """Set the frame of a cloud, and publish the camera poses before it."""
-        frame = cloud.header.frame_id.lstrip('/')
-        is_optical = frame.endswith(OPTICAL_FRAME_ENDINGS)
+    def _place_cloud(self, topic: str, header: Header, is_optical: bool) -> None:
+        """Set the frame in the header of a cloud, and publish the camera poses before it."""
+        frame = header.frame_id.lstrip('/')
         if self._publishes_poses:
             if self.options.poses:
                 self._cloud_poses = dict(zip(self._cloud_topics, map(Pose.of, self.options.poses)))
@@ -337,18 +343,18 @@ class Replay(Node):
                 self._cloud_poses[topic] = self._look_up_camera_pose(topic, frame, is_optical)
             # Poses are published for all cameras together, once each of them has a pose.
             if len(self._cloud_poses) == len(self._cloud_topics):
-                self._publish_camera_poses(cloud.header)
+                self._publish_camera_poses(header)
             # With poses from the command line, two kinds of frame need no new name: the frame of
             # the poses, as these points are placed already, and ``camera_<i>``, which
             # ``policy_node`` knows. ``policy_node`` also rotates ``camera_<i>_optical``.
             if frame != self.options.fixed_frame and not (
                     self.options.poses and CAMERA_FRAME.fullmatch(frame)):
                 number = self._cloud_topics.index(topic)
-                cloud.header.frame_id = f'camera_{number}{"_optical" if is_optical else ""}'
+                header.frame_id = f'camera_{number}{"_optical" if is_optical else ""}'
         # A frame from the command line replaces this frame: that of the topic, or (as '') that of
         # all other topics.
         given_frame = self._given_frames.get(topic, self._given_frames.get('', ''))
-        cloud.header.frame_id = given_frame or cloud.header.frame_id
+        header.frame_id = given_frame or header.frame_id
 
     def _look_up_camera_pose(self, topic: str, frame: str, is_optical: bool) -> Pose:
         """Return the body pose of the camera of a topic from the recorded transforms."""

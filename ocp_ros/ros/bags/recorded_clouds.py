@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Clouds of each camera of a rig from a bag, in the camera's body frame."""
+"""Clouds of each camera of a rig from a bag, or from depth images in it, in its body frame."""
 
 from collections.abc import Mapping, Sequence
 from itertools import islice
@@ -22,10 +22,11 @@ import numpy as np
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
 from ocp_ros.ros.bags.bag_files import Bag, Recorded
 from ocp_ros.ros.bags.bag_replay import OPTICAL_FRAME_ENDINGS
-from ocp_ros.ros.interface.conversions import MessageError, msg_to_cloud
+from ocp_ros.ros.interface.conversions import RawMessage
+from ocp_ros.ros.interface.depth_images import POINT_SOURCES, read_points
+from ocp_ros.ros.interface.topics import camera_info_of_image
 from ocp_ros.util.settings import check_known, ConfigurationError
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import PointCloud2
+from sensor_msgs.msg import CameraInfo, PointCloud2
 
 
 def recorded_clouds(path: Path, names: Sequence[str], chosen: Mapping[str, str],
@@ -36,17 +37,17 @@ def recorded_clouds(path: Path, names: Sequence[str], chosen: Mapping[str, str],
     :param path: path of the bag.
     :param names: names of the cameras, in the order of the placement.
     :param chosen: topic by the name of the camera; if empty, :func:`topics_of_cameras` chooses.
-    :param frame: axes of the clouds, ``'optical'`` or ``'body'``; None: as the names of their
-        frames say.
+    :param frame: axes of the clouds, ``'optical'`` or ``'body'``; None: those of depth images are
+        optical, those of clouds as the names of their frames say.
     :returns: the N points of each camera that has a topic, by the name of the camera: (N, 3)
         float32, metres, body frame.
     :raises ConfigurationError: if the bag cannot be read, or the topic of a camera is not clear.
     """
     with Bag(path) as bag:
-        topics = bag.clouds
-        check_known(chosen.values(), topics, f'{path}: topics')
-        return {name: _read_cloud(bag, topic, frame)
-                for name, topic in (chosen or topics_of_cameras(path, names, topics)).items()}
+        kinds = {topic.name: topic.kind for topic in bag.topics if topic.kind in POINT_SOURCES}
+        check_known(chosen.values(), kinds, f'{path}: topics')
+        return {name: _read_cloud(bag, topic, kinds[topic], frame)
+                for name, topic in (chosen or topics_of_cameras(path, names, bag.clouds)).items()}
 
 
 def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -> dict[str, str]:
@@ -72,22 +73,26 @@ def topics_of_cameras(path: Path, names: Sequence[str], topics: Sequence[str]) -
     return dict(zip(names, topics))
 
 
-def _read_cloud(bag: Bag, topic: str, frame: str | None) -> np.ndarray:
+def _read_cloud(bag: Bag, topic: str, kind: str, frame: str | None) -> np.ndarray:
     """Return the points, (N, 3) metres, body frame, of the first five messages of a topic."""
     clouds = []
+    info = None
+    if POINT_SOURCES[kind] is not PointCloud2:
+        frame = frame or 'optical'
+        for item in bag.messages([camera_info_of_image(topic)], max_messages=1):
+            if isinstance(item, Recorded):
+                info = RawMessage.of(CameraInfo, item.cdr).message()
     # Why there is no cloud; each message that cannot be read replaces it.
     reason = 'it has no message'
     for item in islice(bag.messages([topic]), 5):
         try:
             if not isinstance(item, Recorded):
                 raise item
-            message = deserialize_message(item.cdr, PointCloud2)
+            points, cloud_frame = read_points(RawMessage.of(POINT_SOURCES[kind], item.cdr), info)
             is_optical = (frame == 'optical') if frame else \
-                message.header.frame_id.endswith(OPTICAL_FRAME_ENDINGS)
-            points = msg_to_cloud(message)
+                cloud_frame.endswith(OPTICAL_FRAME_ENDINGS)
             clouds.append(points @ OPTICAL_TO_BODY.T if is_optical else points)
-        # rclpy raises RuntimeError for bytes that are no message.
-        except (MessageError, ValueError, RuntimeError) as error:
+        except ValueError as error:
             reason = str(error)
     if not clouds:
         raise ConfigurationError(f'{bag.path}: found no cloud on {topic} that can be read '

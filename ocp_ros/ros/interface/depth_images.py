@@ -26,13 +26,6 @@ POINT_SOURCES = {'sensor_msgs/msg/PointCloud2': PointCloud2, 'sensor_msgs/msg/Im
                  'sensor_msgs/msg/CompressedImage': CompressedImage}
 #: By the encoding of depth images: NumPy type of a pixel, and metres of its unit.
 ENCODINGS = {'16UC1': ('u2', 0.001), 'mono16': ('u2', 0.001), '32FC1': ('f4', 1.0)}
-#: What image_transport appends to the topic of an image for the compressed one.
-COMPRESSED_SUFFIX = '/compressedDepth'
-
-
-def camera_info_of(topic: str) -> str:
-    """Return the topic of the CameraInfo of an image: beside the image, as in image_transport."""
-    return f'{topic.removesuffix(COMPRESSED_SUFFIX).rpartition("/")[0]}/camera_info'
 
 
 def read_points(raw: RawMessage, info: CameraInfo | None) -> tuple[np.ndarray, str]:

@@ -64,13 +64,13 @@ class SensorSubscription:
     """
     A subscription of sensor data that has the type of the publishers, and is reliable if they are.
 
+    It is created once there is a publisher: until then the type is not known.
     A large message consists of many packets, of which a receive buffer of the usual size loses
     some. A reliable subscription asks for these again, but it receives nothing from publishers
     with best effort. Call :meth:`match` at intervals: publishers may come and go.
 
     :param node: gets the subscription.
-    :param message_types: the types that can be received, by their names; the first one is received
-        until there is a publisher.
+    :param message_types: the types that can be received, by their names.
     :param topic: full name of the topic.
     :param callback: is called with the type and the bytes of each message, not deserialised.
     """
@@ -108,10 +108,9 @@ class SensorSubscription:
             self._node.destroy_subscription(self._replaced)
             self._replaced = None
         publishers = self._node.get_publishers_info_by_topic(self._topic)
-        if not publishers and self._subscription is not None:
+        if not publishers:
             return
-        found = {publisher.topic_type for publisher in publishers} or {next(
-            iter(self._message_types))}
+        found = {publisher.topic_type for publisher in publishers}
         kind = next((kind for kind in self._message_types if kind in found), '')
         self._node.warn(f'type of {self._topic}', '' if kind else (
             f'{self._topic}: found {", ".join(found)}; expected one of '
@@ -120,10 +119,9 @@ class SensorSubscription:
         is_reliable = not self._is_fixed and offered == {ReliabilityPolicy.RELIABLE}
         if not kind or (kind, is_reliable) == (self._kind, self._is_reliable):
             return
-        if publishers:
-            reliability = 'reliable' if is_reliable else 'best effort'
-            self._node.get_logger().info(
-                f'{self._topic}: found {kind} with {reliability}; receiving the same way')
+        reliability = 'reliable' if is_reliable else 'best effort'
+        self._node.get_logger().info(
+            f'{self._topic}: found {kind} with {reliability}; receiving the same way')
         if kind == self._kind:
             self._replaced = self._subscription
         elif self._subscription is not None:
@@ -131,3 +129,8 @@ class SensorSubscription:
             self._node.destroy_subscription(self._subscription)
         self._kind, self._is_reliable = kind, is_reliable
         self._subscription = self._create()
+
+    @property
+    def message_type(self) -> type | None:
+        """Return the type of its messages; None while there is no subscription."""
+        return self._message_types.get(self._kind)

@@ -64,6 +64,11 @@ def camera_info_topic(camera: int) -> str:
     return f'camera_{camera}/camera_info'
 
 
+def camera_info_of_image(image_topic: str) -> str:
+    """Return the topic of the CameraInfo of an image: beside the image, as in image_transport."""
+    return f'{image_topic.removesuffix("/compressedDepth").rpartition("/")[0]}/camera_info'
+
+
 def share_field(number: int) -> str:
     """
     Return the name of the field of ``reward`` that has the share of one camera's move.

@@ -41,7 +41,7 @@ from ocp_ros.ros.interface.conversions import (
     rotation_of,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.depth_images import camera_info_of, POINT_SOURCES, read_points
+from ocp_ros.ros.interface.depth_images import POINT_SOURCES, read_points
 from ocp_ros.ros.interface.frames import (
     CameraClouds,
     CameraFrames,
@@ -60,7 +60,7 @@ from ocp_ros.ros.policy.turns import Turns, WaitLimits
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.util.settings import ConfigurationError
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from sensor_msgs.msg import CameraInfo, PointCloud2
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 from std_msgs.msg import Header
 
 if TYPE_CHECKING:
@@ -103,15 +103,11 @@ class LiveTurns(TurnSource):
         #: CameraInfo of the topics of depth images; None before the first one.
         self._camera_infos: dict[str, CameraInfo | None] = {}
         self._full_names = self._full_topic_names(config.live_topics)
-        subscriptions = [
-            SensorSubscription(node, POINT_SOURCES, name, partial(self._on_cloud, topic))
-            for topic, name in self._full_names.items()]
-
-        def match_publishers() -> None:
-            for subscription in subscriptions:
-                subscription.match()
-
-        create_steady_timer(node, 1.0, match_publishers)
+        self._subscriptions = {
+            topic: SensorSubscription(node, POINT_SOURCES, name, partial(self._on_cloud, topic))
+            for topic, name in self._full_names.items()}
+        self._match_publishers()
+        create_steady_timer(node, 0.5, self._match_publishers)
         # A turn can become due without a message: this is checked ten times a second.
         create_steady_timer(node, 0.1, self._play_turn)
         self._resend_timer = create_steady_timer(node, RESEND_S, self._resend)
@@ -175,13 +171,19 @@ class LiveTurns(TurnSource):
                                      f'{fused_topic}, which is where the fused cloud goes')
         return full_names
 
+    def _match_publishers(self) -> None:
+        """Receive what is published: clouds, or depth images and their CameraInfo."""
+        for topic, subscription in self._subscriptions.items():
+            subscription.match()
+            if subscription.message_type in (Image, CompressedImage) and (
+                    topic not in self._camera_infos):
+                self._camera_infos[topic] = None
+                self._node.create_subscription(
+                    CameraInfo, topics.camera_info_of_image(self._full_names[topic]),
+                    partial(self._camera_infos.__setitem__, topic), POSES)
+
     def _on_cloud(self, topic: str, message_type: type, data: bytes) -> None:
         """Store a cloud or a depth image, and play the turn if it is due."""
-        if message_type is not PointCloud2 and topic not in self._camera_infos:
-            self._camera_infos[topic] = None
-            self._node.create_subscription(
-                CameraInfo, camera_info_of(self._full_names[topic]),
-                partial(self._camera_infos.__setitem__, topic), POSES)
         try:
             cloud = RawMessage.of(message_type, data)
         except MessageError as error:
