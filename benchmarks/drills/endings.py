@@ -109,7 +109,7 @@ def parameters(name, folder):
         'trainer_node': {'model': 'actor', 'folder': str(folder / 'trainer'),
                          'updates_per_turn': 1.0, 'sac.learning_starts': 4,
                          'sac.batch_size': 4, 'sac.buffer_size': 100,
-                         'save_every': 1, 'publish_every': 1}}[name]
+                         'save_seconds': 0.0, 'publish_every': 1}}[name]
     pairs = [f'{key}:={json.dumps(value)}' for key, value in values.items()]
     return ['--ros-args', *(word for pair in pairs for word in ('-p', pair))]
 

@@ -92,7 +92,7 @@ class Soak:
         namespace, _, kind = name.rpartition('/')
         if kind == 'trainer_node':
             parameters: dict[str, Any] = {
-                'model': 'actor', 'folder': str(self.trainer), 'save_every': 4,
+                'model': 'actor', 'folder': str(self.trainer), 'save_seconds': 5.0,
                 'publish_every': 8, 'sac.learning_starts': 40, 'sac.batch_size': 4,
                 'sac.buffer_size': 200, 'updates_per_turn': 0.25, 'sources': ','.join(NAMESPACES),
                 # Nobody waits for it: how long turns take is measured.

@@ -150,15 +150,26 @@ class TrainerNode(Node):
         # Every tenth call looks for namespaces, and sends the status even without a change.
         is_tenth_tick = self._tick_count % 10 == 0
         if self._tick_count % (LOG_INTERVAL_S * 10) == 0:
-            self.get_logger().info(
-                f'{learner.transitions} transitions, {learner.updates} gradient steps; error '
-                f'at the end of the last episodes / at their start: {self.error_ratio}')
+            self._log_progress()
         if is_tenth_tick:
             self._discover()
         if is_tenth_tick or self._policies_wait != did_wait:
             for source in self.sources.values():
                 # ``behind`` is negative until there are enough transitions to begin the training.
                 source.send_status(self._policies_wait, learner.updates, max(learner.behind, 0.0))
+
+    def _log_progress(self) -> None:
+        """Write the progress of the training to the log and to TensorBoard."""
+        learner, turns, ratio = self.learner, self.totals()['turns'], self.error_ratio
+        seconds = round(learner.seconds_to_checkpoint)
+        self.get_logger().info(
+            f'{turns} turns, {learner.transitions} transitions, {learner.updates} gradient steps; '
+            f'error at the end of the last episodes / at their start: {ratio}; the next checkpoint '
+            f'in {seconds} s')
+        values = {'turns': turns, 'transitions': learner.transitions,
+                  'gradient_steps': learner.updates, 'seconds_to_checkpoint': seconds,
+                  **({'error_ratio': ratio} if ratio != '-' else {})}
+        learner.record({f'progress/{name}': value for name, value in values.items()})
 
     def _publish_weights(self) -> None:
         """Publish the newest weights, if the learner has made any; log its failure once."""

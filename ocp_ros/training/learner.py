@@ -15,11 +15,14 @@
 """A learner that takes transitions from other threads and trains in a thread of its own."""
 
 from collections import deque
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+import math
 from pathlib import Path
 import queue
 import threading
+import time
 
 import numpy as np
 from ocp_ros.policy.agent_config import AgentConfig
@@ -54,7 +57,9 @@ class LearnerConfig:
 
     updates_per_turn: float = setting(0.25, 'gradient steps per transition', 0.0, 100.0)
     publish_every: int = setting(50, 'gradient steps between two sets of weights', 1, 1 << 31)
-    save_every: int = setting(200, 'gradient steps between two checkpoints', 1, 1 << 31)
+    save_seconds: float = setting(
+        300.0, 'longest time between two checkpoints, which is what a killed process loses, '
+               'seconds', 0.0, 86400.0)
     folder: str = setting('out/trainer', 'folder of checkpoints and TensorBoard files')
     model: str = setting('', 'first weights: path or name; empty: random')
     seed: int = setting(0, 'seed of networks and batches', 0, MAX_SEED)
@@ -66,9 +71,9 @@ class Learner:
     """
     Train SAC from transitions in a separate thread.
 
-    The learner resumes from the files in its folder: the networks and optimisers that were saved
-    last, and the transitions up to then. If the process was killed, the latest tenth of the
-    transitions may be missing. Each file is whole or absent, whenever the process ends.
+    The learner resumes from the files in its folder: the networks, optimisers and transitions that
+    were saved last. The first checkpoint comes with the first transition, so a run whose weights
+    are published can always be continued. Each file is whole or absent, whenever the process ends.
 
     :param config: pace and folder.
     :param agent: sizes of the networks.
@@ -95,8 +100,10 @@ class Learner:
         self.failure: BaseException | None = None
         #: The observation after the last transition.
         self._next_observation: dict[str, np.ndarray] = {}
-        #: Numbers of transitions and updates at the start or the last close: the files have these.
+        #: Numbers of transitions and updates in the files, and the time at which these were
+        #: written, by a steady clock.
         self._saved_counts = self.transitions, self.updates
+        self._save_time = -math.inf
         self._new_weights: deque[Checkpoint] = deque(maxlen=1)
         if self.updates:
             # Publish the weights again, as policies may have been started again as well.
@@ -117,8 +124,6 @@ class Learner:
         # not count: count them too.
         buffered = self.model.replay_buffer.size()
         self.model.num_timesteps = max(self.transitions, buffered)
-        #: Number of transitions at the start, or when the replay file was written last.
-        self._saved_transitions = self.transitions
         #: Number of transitions that were lost before this start: overwritten in the full buffer,
         #: or not in the replay file when the process ended.
         self._lost_transitions = self.transitions - buffered
@@ -190,9 +195,25 @@ class Learner:
         self._thread.join()
         # Write buffered log entries to the files.
         self.model.logger.close()
-        if self.failure is None and (self.transitions, self.updates) != self._saved_counts:
-            self._save(with_replay=True)
-            self._saved_counts = self.transitions, self.updates
+        if self.failure is None and self._has_unsaved:
+            self._save()
+
+    @property
+    def seconds_to_checkpoint(self) -> float:
+        """Return the time until the next checkpoint, which comes only if it has something new."""
+        return max(self._save_time + self.config.save_seconds - time.monotonic(), 0.0)
+
+    @property
+    def _has_unsaved(self) -> bool:
+        """Return whether there are transitions or updates that the files lack."""
+        return (self.transitions, self.updates) != self._saved_counts
+
+    def record(self, values: Mapping[str, float]) -> None:
+        """Write values to the TensorBoard files, by name; this may be called in any thread."""
+        for output in self.model.logger.output_formats:
+            for name, value in values.items():
+                output.writer.add_scalar(name, value, self.transitions)
+            output.writer.flush()
 
     def _work(self) -> None:
         """Store transitions, and train in bursts, until the learner is closed."""
@@ -202,15 +223,21 @@ class Learner:
                     self.model.train(BURST_STEPS, self.sac.batch_size)
                     self.losses.append(float(
                         self.model.logger.name_to_value['train/critic_loss']))
-                    self._log_and_save(self.updates)
+                    self._publish(self.updates)
+                if self._checkpoint_is_due():
+                    self._save()
         except BaseException as error:
             # An exception ends a thread silently, so the user of the learner reports it.
             self.failure = error
 
     def _read_inbox(self) -> bool:
-        """Store new transitions; wait for more if no burst is due. Return False once closed."""
-        while not self._inbox.empty() or not self._burst_is_due():
-            transition = self._inbox.get()
+        """Store new transitions; wait for more if nothing is due. Return False once closed."""
+        while not (self._checkpoint_is_due() or self._inbox.empty() and self._burst_is_due()):
+            try:
+                transition = self._inbox.get(
+                    timeout=self.seconds_to_checkpoint if self._has_unsaved else None)
+            except queue.Empty:
+                break
             if transition is None:
                 return False
             self._store(transition)
@@ -235,33 +262,30 @@ class Learner:
         """Return whether a burst of gradient steps is due for the stored transitions."""
         return self._steps_due(self.transitions) >= BURST_STEPS
 
-    def _log_and_save(self, updates: int) -> None:
-        """Publish weights, log and save, each at its interval of gradient steps."""
-        # Updates grow by BURST_STEPS, so a condition holds once in each interval, or after each
+    def _checkpoint_is_due(self) -> bool:
+        """Return whether it is time to save, and there is something new."""
+        return self._has_unsaved and self.seconds_to_checkpoint <= 0.0
+
+    def _publish(self, updates: int) -> None:
+        """Publish and log the weights once in ``publish_every`` gradient steps."""
+        # Updates grow by BURST_STEPS, so the condition holds once in each interval, or after each
         # burst if the interval is shorter.
         if updates % self.config.publish_every < BURST_STEPS:
             self._new_weights.append(self.checkpoint())
             self.model.logger.record('train/transitions', self.transitions)
             self.model.logger.dump(self.model.num_timesteps)
-        if updates % self.config.save_every < BURST_STEPS:
-            self._save()
 
     def checkpoint(self) -> Checkpoint:
         """Return a checkpoint of the present actor."""
         return actor_checkpoint(self.model, self.run, {
             'interactions': self.transitions, 'seed': self.config.seed})
 
-    def _save(self, with_replay: bool = False) -> None:
-        """
-        Write the actor and the state; each file is whole or absent.
-
-        :param with_replay: write the transitions as well, even if few of them are new.
-        """
+    def _save(self) -> None:
+        """Write the transitions, the actor and the state; each file is whole or absent."""
         # Transitions first: if the process ends before the state is written, the next start counts
         # the transitions in the replay file that the state does not count.
-        # Writing transitions is slow: they are written again when there are 10 % more.
-        if with_replay or self.transitions >= 1.1 * self._saved_transitions:
-            save_replay(self.model.replay_buffer, self.folder / REPLAY)
-            self._saved_transitions = self.transitions
+        save_replay(self.model.replay_buffer, self.folder / REPLAY)
         self.checkpoint().save(self.folder / ACTOR)
         save_state(self.model, self.folder / STATE, self.run)
+        self._saved_counts = self.transitions, self.updates
+        self._save_time = time.monotonic()

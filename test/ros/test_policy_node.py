@@ -19,7 +19,7 @@ from dataclasses import replace
 import subprocess
 import sys
 
-from conftest import counted, header_at, l_shaped, random_checkpoint, SMALL, warnings_of
+from conftest import counted, header_at, l_shaped, random_checkpoint, SMALL, status, warnings_of
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.cli import main as cli
@@ -400,6 +400,17 @@ def test_exploring_draws_from_the_distribution_of_the_policy(robot, checkpoint, 
         expected = POSITIONS.copy()
         expected[:, :2] += bounded_moves(actions, 0.5)
         np.testing.assert_allclose(robot.play_turns(turn + 1), expected, atol=1e-6)
+
+
+def test_an_exploring_policy_ends_an_episode_without_a_placement(robot):
+    policy, said = robot.start(explore=True), []
+    policy.get_logger().info = said.append
+    robot.play_turns(1)
+    robot.say(1, step=5, truncated=True)
+    assert status(policy)[1] == 'answering turns'
+    robot.say(2, episode=2, step=0)
+    robot.play_turns(2)
+    assert not robot.received[topics.PLACEMENT] and not any('final' in text for text in said)
 
 
 @pytest.mark.parametrize(('parameters', 'error', 'words'), [

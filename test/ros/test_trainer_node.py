@@ -15,6 +15,7 @@
 """``trainer_node`` on real DDS, and the loop of all three nodes."""
 
 from dataclasses import asdict, replace
+import re
 import threading
 
 from conftest import (
@@ -56,9 +57,10 @@ from ocp_ros.training.experience import Choice, Experience, to_bytes, Transition
 from ocp_ros.util.settings import ConfigurationError
 import pytest
 from std_msgs.msg import Float64MultiArray, UInt8MultiArray
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 SAC = {'sac__learning_starts': 12, 'sac__batch_size': 8, 'sac__buffer_size': 400,
-       'sac__device': 'cpu', 'updates_per_turn': 1.0, 'publish_every': 8, 'save_every': 8}
+       'sac__device': 'cpu', 'updates_per_turn': 1.0, 'publish_every': 8}
 POSITIONS = np.array([[4.0, 4.0, 1.9], [5.0, 4.0, 1.9]])
 
 
@@ -336,6 +338,20 @@ def test_weights_go_from_the_trainer_to_the_policy(graph, probe, start, model, t
     graph.remove(trainer)
     saved = Checkpoint.load(tmp_path / 'run' / 'actor.safetensors')
     assert saved.updates == trainer.learner.updates > 0
+
+
+def test_progress_is_in_the_log_and_in_tensorboard(graph, start, tmp_path, monkeypatch):
+    monkeypatch.setattr(trainer_node, 'LOG_INTERVAL_S', 1)
+    trainer, said = start(), []
+    trainer.get_logger().info = said.append
+    trainer.learner.add(made_up(trainer.config.agent))
+    # The first checkpoint comes at once, the next one five minutes later.
+    graph.until(lambda: any(re.search(
+        '0 turns, 1 transitions, 0 gradient steps.* (29[0-9]|300) s', line) for line in said))
+    events = EventAccumulator(str(tmp_path / 'run' / 'tensorboard')).Reload()
+    assert [events.Scalars(f'progress/{name}')[-1].value for name in (
+        'turns', 'transitions', 'gradient_steps')] == [0.0, 1.0, 0.0]
+    assert events.Scalars('progress/seconds_to_checkpoint')[-1].value > 200.0
 
 
 def test_who_comes_late_gets_the_latest_weights(graph, probe, start):

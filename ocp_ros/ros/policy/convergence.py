@@ -35,7 +35,7 @@ class Convergence:
     :ivar step: number of turns played so far.
     :ivar simulation_ended: whether the simulation has reported that its last turn is played.
     :ivar longest_move: longest move of a camera in the last turn, metres.
-    :ivar final_poses: the final placement; None while the placement is not final.
+    :ivar final_poses: the poses at the end of the episode, where the cameras stay; None before.
     :ivar missing_data: data that a final placement lacks, in words; empty if it lacks none.
     """
 
@@ -59,8 +59,8 @@ class Convergence:
 
     @property
     def is_final(self) -> bool:
-        """Return whether the placement is final."""
-        return self.final_poses is not None
+        """Return whether the placement is final; that of an exploring policy never is."""
+        return self.final_poses is not None and not self._node.config.explore
 
     def reason_to_finish(self) -> str:
         """Return why the placement is final from now on; empty if it is not final yet."""
@@ -73,11 +73,14 @@ class Convergence:
 
     def finish(self, poses: PoseArray) -> None:
         """Publish the final placement and why it is final; do nothing if that has been done."""
-        if self.is_final:
+        if self.final_poses is not None:
             return
         self._final_reason = self.reason_to_finish()
         self._final_step = self.step
         self.final_poses = poses
+        if self._node.config.explore:
+            # The cameras stay, but these poses are not the best ones.
+            return
         self.missing_data = self._node.source.missing_data
         self._placement_publisher.publish(poses)
         text = f'placement is {self.publish_status()}'
