@@ -38,6 +38,10 @@ from ocp_ros.util.yaml_files import describe, Document, document_of, nearest, re
 MUST_SEE_SHARE = 0.95
 #: The default heights above the floor in metres; a ceiling mount has the height of the ceiling.
 DEFAULT_HEIGHTS_M = {'plane': (1.9, 1.9), 'ceiling': None, 'walls': (1.5, 2.5), 'free': (1.5, 2.5)}
+#: Cameras on a plane below this height stand on tripods, unless the file gives a footprint.
+MAX_TRIPOD_HEIGHT_M = 2.2
+#: Default radius of free floor below a camera on a tripod, metres.
+TRIPOD_FOOTPRINT_M = 0.4
 
 
 class Camera(NamedTuple):
@@ -77,7 +81,7 @@ class Mount(NamedTuple):
     :ivar heights: the lowest and the highest height above the floor, or for a ``box`` above the
         lowest point of the room, metres; None for just below the ceiling.
     :ivar footprint: the radius of free floor below a camera, metres, for the feet of a tripod; 0
-        for cameras on poles and rods.
+        for cameras on poles, rods and rails.
     """
 
     on: str
@@ -191,6 +195,15 @@ class Rig:
     def free(self) -> bool:
         """Return whether the cameras move freely on a plane without any constraint."""
         return self.mount.on == 'box'
+
+    @property
+    def motion(self) -> dict[str, float]:
+        """Return the limits of a turn that the rig states: metres, radians, number of turns."""
+        limits = dict(self.document.data.get('motion', {}))
+        if 'max_turn' in limits:
+            limits['max_turn'] = np.deg2rad(limits['max_turn'])
+        return {name: limit if name == 'turns' else float(limit)
+                for name, limit in limits.items()}
 
     @property
     def farthest(self) -> float:
@@ -464,16 +477,18 @@ def names_of(document: Document, key_paths: list[Way]) -> Iterator[str]:
 def _mount(document: Document) -> Mount:
     """Return the mount of the cameras."""
     data = document.data.get('mount', {'on': 'plane'})
-    on, given, footprint = data['on'], data.get('height'), data.get('footprint', 0.0)
-    if footprint and on not in ('plane', 'free'):
-        raise document.error(('mount', 'footprint'), describe(footprint), f'none for {on}',
-                             'leave it out, or write on: plane for cameras on tripods')
-    if given is None:
-        return Mount(on, DEFAULT_HEIGHTS_M[on], footprint)
+    on, given = data['on'], data.get('height')
     if isinstance(given, list) and on in ('plane', 'ceiling'):
         raise document.error(('mount', 'height'), describe(given), f'one number for {on}',
                              f'write, for example, height: {given[0]:g}, or on: free')
-    return Mount(on, _range(document, ('mount', 'height'), given), footprint)
+    heights = DEFAULT_HEIGHTS_M[on] if given is None else _range(
+        document, ('mount', 'height'), given)
+    on_tripods = on == 'plane' and heights[1] < MAX_TRIPOD_HEIGHT_M
+    footprint = data.get('footprint', TRIPOD_FOOTPRINT_M if on_tripods else 0.0)
+    if footprint and on not in ('plane', 'free'):
+        raise document.error(('mount', 'footprint'), describe(footprint), f'none for {on}',
+                             'leave it out, or write on: plane for cameras on tripods')
+    return Mount(on, heights, footprint)
 
 
 def _range(document: Document, keys: Way, value: Any) -> tuple[float, float]:

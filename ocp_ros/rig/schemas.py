@@ -109,6 +109,11 @@ RIG = mapping(
         height=one_or_two('metres above the floor, for walls and free one number or [low, high]',
                           1.9, 0.0, 100.0),
         footprint=number('metres, 0 to 5', 0.4, minimum=0, maximum=5)),
+    motion=mapping(
+        'a mapping with max_step, max_turn or turns', {'max_step': 1.5, 'max_turn': 90}, (),
+        max_step=number('metres from 0.001 to 10', 1.5, minimum=0.001, maximum=10),
+        max_turn=number('degrees, 0 to 180', 90.0, minimum=0, maximum=180),
+        turns=whole('a whole number from 1 to 100000', 12, minimum=1, maximum=100000)),
     pitch=one_or_two('degrees downwards, one number or [low, high] within -90 to 90', [0, 60],
                      -90, 90),
     roll=many('the rolls that the mount offers, degrees, -180 to 180',

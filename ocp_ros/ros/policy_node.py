@@ -47,7 +47,7 @@ from ocp_ros.ros.interface.views import CloudView, observed_maps, RigView
 from ocp_ros.ros.policy.convergence import Convergence
 from ocp_ros.ros.policy.decider import Decider
 from ocp_ros.ros.policy.live_turns import LiveTurns
-from ocp_ros.ros.policy.policy_config import MANUAL_DEFAULTS, PolicyNodeConfig
+from ocp_ros.ros.policy.policy_config import limits_text, live_defaults, PolicyNodeConfig
 from ocp_ros.ros.policy.simulated_turns import SimulatedTurns
 from ocp_ros.ros.policy.turn_source import Commander, TurnSource
 from ocp_ros.ros.runtime.managed_node import ManagedNode, publish_diagnostics, Status
@@ -87,7 +87,7 @@ class PolicyNode(ManagedNode):
         # Set before the constructor of the base class, which may configure the node.
         self._calibrator: Calibrator | None = None
         self._paused = False
-        super().__init__('policy_node', PolicyNodeConfig, {'manual': MANUAL_DEFAULTS}, **kwargs)
+        super().__init__('policy_node', PolicyNodeConfig, live_defaults, **kwargs)
 
     def configure(self) -> None:
         """Read the weights and the rig, and subscribe to the topics; send no command yet."""
@@ -130,6 +130,8 @@ class PolicyNode(ManagedNode):
         live = self.config.live_topics
         cameras = f'live: {", ".join(live)}' if live else 'simulation'
         self.get_logger().info(f'{self._planner_name}, {weights}, {cameras}')
+        if live:
+            self.get_logger().info(limits_text(self.config))
 
     def _make_views(self) -> None:
         """Create the views; with a simulation, sim_node shows the rig."""

@@ -39,7 +39,7 @@ cameras:
   - {sensor: kinect_v2}
 fixed:
   - {sensor: realsense_d455, position: [6.5, 6.5, 2.2], yaw: 225, pitch: 25, name: door}
-mount: {on: plane, height: 1.9}
+mount: {on: plane, height: 1.9, footprint: 0}
 pitch: [0, 60]
 spacing: 0.5
 regions:

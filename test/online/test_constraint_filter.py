@@ -140,7 +140,8 @@ def test_what_has_just_been_seen_is_in_the_way_or_allows_a_move():
 
 @pytest.mark.parametrize(('keep_clear', 'expected'), [(0.0, 0.2), (0.6, 0.6)])
 def test_a_target_too_near_to_a_wall_is_moved_to_the_nearest_place(keep_clear, expected):
-    rig = rig_of(2, 'omnidirectional', keep_clear=keep_clear, mount=MOUNTS[0], spacing=0.5)
+    rig = rig_of(2, 'omnidirectional', keep_clear=keep_clear, spacing=0.5,
+                 mount={**MOUNTS[0], 'footprint': 0})
     positions = np.array([[0.9, 2.0, 1.9], [3.0, 2.0, 1.9]])
     targets = np.array([[0.2, 2.0, 1.9], [2.9, 2.234, 1.9]])
     found, held = ConstraintFilter(rig, MARGIN)(box_room().points, positions, targets, 1.0)

@@ -59,7 +59,7 @@ MAX_STEP, MAX_RANGE, MARGIN = 0.5, 4.0, 0.1
 CONFIG = SimulationConfig(rig=RigConfig(cameras=3, max_range=MAX_RANGE),
                           episode=EpisodeConfig(turns=12, max_step=MAX_STEP))
 #: A rig whose cameras are turned as well.
-RIG = rig_of(2, 'realsense_d455', mount={'on': 'plane', 'height': 1.9})
+RIG = rig_of(2, 'realsense_d455', mount={'on': 'plane', 'height': 1.9, 'footprint': 0})
 
 
 class Wanderer(Online):

@@ -89,7 +89,7 @@ def test_what_is_left_out_has_defaults(tmp_path):
     rig = rig_in(tmp_path, 'cameras: [{sensor: omnidirectional}]')
     assert rig.cameras == (('omnidirectional', 'omnidirectional', CameraModel()),)
     assert len(rig.fixed_poses) == 0
-    assert rig.mount == ('plane', (1.9, 1.9), 0.0)
+    assert rig.mount == ('plane', (1.9, 1.9), 0.4)
     assert (rig.keep_clear, rig.spacing, rig.seen_by) == (0.2, 0.2, 1)
     assert rig.pitch == pytest.approx((0.0, np.pi / 2))
     # A rig may be JSON; a number beside a sensor takes the place of its own.

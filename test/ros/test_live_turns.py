@@ -326,13 +326,20 @@ def test_instructions_say_how_far_and_in_which_direction(move, turn, words):
 
 
 @pytest.mark.parametrize(('given', 'turns', 'max_step', 'max_turn'), [
-    ({}, 30, 0.5, 0.5), ({'manual': True}, 5, 2.0, 1.6),
-    ({'manual': True, 'turns': 9, 'max_turn': 0.0}, 9, 2.0, 0.0)])
-def test_a_person_moves_cameras_seldom_and_far_unless_told_otherwise(
-        graph, given, turns, max_step, max_turn):
-    policy = graph.add(PolicyNode, planner='lookahead', cloud_topics='points', **given)
+    ({'cloud_topics': ''}, 30, 0.5, 0.5), ({}, 12, 1.5, 1.6),
+    ({'manual': True}, 5, 2.0, 1.6),
+    ({'manual': True, 'turns': 9, 'max_turn': 0.0}, 9, 2.0, 0.0),
+    ({'rig_file': 'rig.yaml'}, 12, 0.8, np.pi / 4),
+    ({'rig_file': 'rig.yaml', 'max_step': 0.7}, 12, 0.7, np.pi / 4)])
+def test_live_cameras_move_far_unless_the_rig_or_the_user_says_otherwise(
+        graph, tmp_path, monkeypatch, given, turns, max_step, max_turn):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / 'rig.yaml').write_text(
+        'cameras: [{sensor: realsense_d455}]\nmotion: {max_step: 0.8, max_turn: 45}')
+    policy = graph.add(PolicyNode, **{'planner': 'lookahead', 'cloud_topics': 'points', **given})
     config = policy.config
-    assert (config.turns, config.max_step, config.max_turn) == (turns, max_step, max_turn)
+    assert (config.turns, config.max_step, config.max_turn) == (
+        turns, max_step, pytest.approx(max_turn))
     assert policy.get_parameter('turns').value == turns
 
 

@@ -14,8 +14,13 @@
 
 """Parameters of ``policy_node``."""
 
+from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any
 
+import numpy as np
+from ocp_ros.online.lookahead import TUNING
+from ocp_ros.rig.rig_file import load_rig
 from ocp_ros.ros.interface.frames import frame_prefix, publish_tf
 from ocp_ros.ros.runtime.managed_node import autostart
 from ocp_ros.simulation.simulation_config import EpisodeLimits
@@ -23,8 +28,27 @@ from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
 
 PLANNERS = ('learned', 'lookahead')
+#: Defaults with live cameras: short steps do not get past furniture.
+LIVE_DEFAULTS = {'turns': 12, 'max_step': 1.5, 'max_turn': 1.6}
 #: Defaults if ``manual`` is true: few turns with long moves, as each turn is work for a person.
 MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
+
+
+def live_defaults(given: dict[str, Any]) -> dict[str, Any]:
+    """
+    Return the defaults of the limits of live cameras; {} for a simulation.
+
+    :param given: the parameters that the user has given. The limits that a rig file states
+        replace the others.
+    """
+    if not given.get('cloud_topics'):
+        return {}
+    defaults = MANUAL_DEFAULTS if given.get('manual') is True else LIVE_DEFAULTS
+    # A rig file that cannot be used is reported when the node is configured.
+    with suppress(ConfigurationError):
+        if given.get('rig_file'):
+            return defaults | load_rig(given['rig_file']).motion
+    return defaults
 
 
 @dataclass(frozen=True)
@@ -79,7 +103,7 @@ class PolicyNodeConfig(EpisodeLimits):
     autostart: bool = autostart()
     manual: bool = setting(False, 'live: a person moves the cameras as `instructions` says, '
                            'without time limit; the defaults are then 5 turns of at most 2 m '
-                           'and 1.6 radians')
+                           'and 1.6 radians, in place of 12 of 1.5 m and 1.6 radians for a rig')
 
     def __post_init__(self) -> None:
         """Refuse parameters that contradict each other."""
@@ -107,3 +131,13 @@ class PolicyNodeConfig(EpisodeLimits):
     def needs_no_weights(self) -> bool:
         """Return whether no policy is needed, and therefore no weights."""
         return self.planner == 'lookahead' and not self.explore
+
+
+def limits_text(config: PolicyNodeConfig) -> str:
+    """Return in words how far the limits of a turn let a camera get."""
+    way = config.turns * config.max_step
+    exploring = TUNING.refining_share * way
+    return (f'limits: {config.turns} turns of at most {config.max_step:g} m and '
+            f'{np.rad2deg(config.max_turn):.0f} degrees: a camera explores along at most '
+            f'{exploring:.1f} m, and its final pose is within {way - exploring:.1f} m of where it '
+            'then is; a larger room needs longer steps or more turns')

@@ -122,8 +122,7 @@ class ManagedNode(LifecycleNode):
 
     :param name: name of the node.
     :param config_type: dataclass of its parameters, with a field ``autostart``.
-    :param flag_defaults: by the name of a bool parameter: defaults of other parameters that apply
-        if the user sets it to true.
+    :param other_defaults: see :func:`~ocp_ros.ros.runtime.parameters.declare`.
     :ivar config: parameters in effect.
     :ivar configured: whether the node is configured.
     :ivar active: whether the node is active and may send messages.
@@ -135,14 +134,15 @@ class ManagedNode(LifecycleNode):
     late_topics: tuple[str, ...] = ()
 
     def __init__(self, name: str, config_type: type,
-                 flag_defaults: dict[str, dict[str, Any]] | None = None, **kwargs) -> None:
+                 other_defaults: Callable[[dict[str, Any]], dict[str, Any]] = lambda given: {},
+                 **kwargs) -> None:
         super().__init__(name, **kwargs)
         self.configured = self.active = False
         self.warnings: dict[str, str] = {}
         #: ROS entities that existed before the configuration, by kind: the clean-up keeps them.
         self._kept_entities: dict[str, set] = {}
         self._step_error: Exception | None = None
-        self.config = declare(self, config_type, flag_defaults)
+        self.config = declare(self, config_type, other_defaults)
         watch_parameters(self, self._store_config)
         #: Whether the constructor starts the node: it raises the error of a failed step itself.
         self._is_starting = self.config.autostart

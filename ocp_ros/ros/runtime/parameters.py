@@ -33,7 +33,7 @@ T = TypeVar('T')
 
 
 def declare(node: Node, config_type: type[T],
-            flag_defaults: dict[str, dict[str, Any]] | None = None) -> T:
+            other_defaults: Callable[[dict[str, Any]], dict[str, Any]] = lambda given: {}) -> T:
     """
     Declare every setting of a dataclass as a parameter, and read the given values.
 
@@ -42,18 +42,15 @@ def declare(node: Node, config_type: type[T],
 
     :param node: the node that gets the parameters.
     :param config_type: configuration dataclass; settings of groups get dotted names.
-    :param flag_defaults: by the name of a flag (bool setting): other defaults of some settings,
-        which apply if the user sets the flag to true.
+    :param other_defaults: gets the values that the user has given; returns other defaults of some
+        settings than those of the dataclass.
     :returns: the configuration in effect.
     :raises ConfigurationError: for a parameter that does not exist.
     """
     settings = leaves(config_type)
-    defaults = {name: field.default for name, field in settings.items()}
     # rclpy keeps the values that the user has given in ``_parameter_overrides``.
-    for flag, other_defaults in (flag_defaults or {}).items():
-        override = node._parameter_overrides.get(flag)
-        if override is not None and override.value is True:
-            defaults |= other_defaults
+    given = {name: override.value for name, override in node._parameter_overrides.items()}
+    defaults = {name: field.default for name, field in settings.items()} | other_defaults(given)
     for name, field in settings.items():
         node.declare_parameter(name, defaults[name], _descriptor_of(field))
     # rclpy would ignore unknown parameters without a warning. Those with the prefix
