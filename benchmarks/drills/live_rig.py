@@ -62,6 +62,8 @@ class Rig(Node):
         self._period = period
         #: Metres: standard deviation of what is said of where the cameras are.
         self.noise, self.rng = 0.0, np.random.default_rng(3)
+        #: (3,) metres: constant error of what is said of where the cameras are.
+        self.offset = np.zeros(3)
         self.spoil = {}
         self.commands, self.target = [], None
         self._poses = self.create_publisher(PoseArray, topics.CAMERA_POSES, qos.LOOP)
@@ -98,7 +100,8 @@ class Rig(Node):
         """Send where the cameras are and what they see."""
         self.stamp += int(self._period * S)
         header = Header(stamp=ns_to_stamp(self.stamp), frame_id='map')
-        measured = self.positions + self.rng.normal(0.0, self.noise, self.positions.shape)
+        measured = self.positions + self.offset + self.rng.normal(
+            0.0, self.noise, self.positions.shape)
         headings = self.headings + self.rng.normal(0.0, 0.3 * self.noise, self.headings.shape)
         if self.tells:
             self._poses.publish(positions_to_msg(measured, header, headings))

@@ -60,8 +60,8 @@ class ExpectedGain(NamedTuple):
     def __str__(self) -> str:
         """Return the comparison as a sentence."""
         if not self.after < self.before:
-            return (f'expected: no less depth error of what has been seen so far '
-                    f'({self.before:.2f} m); these moves look at what has not been seen')
-        return (f'expected: the depth error of what has been seen so far falls from '
-                f'{self.before:.2f} to {self.after:.2f} m, by '
-                f'{100.0 * (1.0 - self.after / self.before):.0f} %')
+            return ('expected: no gain in the part of the room that has been seen so far; these '
+                    'moves look at the rest')
+        share = 1.0 - self.after / self.before
+        return (f'expected: {100.0 * share:.0f} % of what is missing in the part of the room that '
+                'has been seen so far is gone')

@@ -22,6 +22,7 @@ either. Each turn brings all the data that the node needs about the episode. Dat
 turns only improve its answers, so the node can be killed and restarted at any time.
 """
 
+from functools import partial
 import os
 from pathlib import Path
 import sys
@@ -124,6 +125,8 @@ class PolicyNode(ManagedNode):
         self._make_views()
         self.create_service(SetBool, '~/pause', self._on_pause)
         self.create_service(Trigger, '~/reset', self._on_reset)
+        self.create_service(Trigger, '~/arrived', partial(self._on_arrived, is_last=False))
+        self.create_service(Trigger, '~/accept', partial(self._on_arrived, is_last=True))
         publish_diagnostics(self, self._status)
         weights = 'no weights' if path is None else \
             f'weights of {path.name}: {self.policy.checkpoint.origin}'
@@ -242,6 +245,23 @@ class PolicyNode(ManagedNode):
         self.source.reset()
         response.success = True
         response.message = 'a new placement begins'
+        return response
+
+    def _on_arrived(self, request: Trigger.Request, response: Trigger.Response, is_last: bool
+                    ) -> Trigger.Response:
+        """End the turn of live cameras where they stand; it may be the last one."""
+        if not isinstance(self.source, LiveTurns):
+            response.message = 'turns come from a simulation; expected live cameras'
+        elif self.convergence.is_final:
+            response.message = 'the placement is final; expected one that is not; call ~/reset'
+        elif not self.source.accept_arrival():
+            response.message = 'found no targets yet; expected some; wait for the first command'
+        else:
+            # The turn is played by a timer, after this.
+            self.convergence.accepted = is_last
+            response.success = True
+            response.message = ('the placement becomes final' if is_last else 'the turn ends') + (
+                ' where the cameras stand')
         return response
 
     @property

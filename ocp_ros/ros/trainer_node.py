@@ -164,8 +164,8 @@ class TrainerNode(Node):
         seconds = round(learner.seconds_to_checkpoint)
         self.get_logger().info(
             f'{turns} turns, {learner.transitions} transitions, {learner.updates} gradient steps; '
-            f'error at the end of the last episodes / at their start: {ratio}; the next '
-            f'checkpoint in {seconds} s')
+            f'error at the end of the last episodes / at their start: {ratio}; next checkpoint in '
+            f'{seconds} s')
         values = {'turns': turns, 'transitions': learner.transitions,
                   'gradient_steps': learner.updates, 'seconds_to_checkpoint': seconds,
                   **({'error_ratio': ratio} if ratio != '-' else {})}

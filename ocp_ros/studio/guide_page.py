@@ -19,8 +19,7 @@ from html import escape
 from threading import Lock
 
 import numpy as np
-from ocp_ros.geometry.cameras import heading_of, Pose
-from ocp_ros.rig.motion import wrapped
+from ocp_ros.geometry.cameras import Pose
 from ocp_ros.studio.scene_nodes import wxyz_of
 from ocp_ros.studio.server import in_order
 from ocp_ros.studio.texts import camera_rgb, message, STYLE_RULES, styled
@@ -46,7 +45,7 @@ class GuidePage:
     :ivar points: (N, 3) float32, some points of the observed cloud, metres, map frame.
     :ivar poses: measured poses of the cameras.
     :ivar targets: pose to which each camera shall go.
-    :ivar expectation: sentence on what the next turn is expected to bring; may be empty.
+    :ivar instructions: lines that say where the cameras shall go; may be empty.
     :ivar status: sentence on the progress towards a final placement; may be empty.
     """
 
@@ -55,13 +54,13 @@ class GuidePage:
         self.points = np.empty((0, 3), dtype=np.float32)
         self.poses: Sequence[Pose] = ()
         self.targets: Sequence[Pose] = ()
-        self.expectation = self.status = ''
+        self.instructions = self.status = ''
         self._cloud_changed = False
         self._nodes: dict[str, viser.SceneNodeHandle] = {}
         gui = server.gui
         gui.configure_theme(show_logo=False, show_share_button=False, control_width='large')
         gui.add_html(STYLE_RULES)
-        self.instructions = gui.add_html('')
+        self.text = gui.add_html('')
         for label in BUTTONS:
             gui.add_button(label).on_click(in_order(lambda event: on_press(event.target.label)))
         self.answer = gui.add_html('')
@@ -89,14 +88,9 @@ class GuidePage:
             self._cloud_changed = False
         if cloud_changed and len(points):
             self._show_cloud(points)
-        floor = float(np.percentile(points[:, 2], FLOOR_PERCENTILE)) if len(points) else 0.0
-        sentences = [instruction(number, pose, target, floor)
-                     for number, (pose, target) in enumerate(zip(self.poses, self.targets))
-                     ] or ['waiting for the poses of the cameras and the first target']
-        paragraphs = [f'<p><b>{escape(sentence)}</b></p>' for sentence in sentences]
-        paragraphs += [f'<p>{escape(sentence)}</p>'
-                       for sentence in (self.expectation, self.status) if sentence]
-        self.instructions.content = styled(''.join(paragraphs))
+        lines = self.instructions or 'waiting for the poses of the cameras and the first target'
+        paragraphs = [f'<p><b>{escape(line)}</b></p>' for line in lines.splitlines()]
+        self.text.content = styled(''.join([*paragraphs, f'<p>{escape(self.status)}</p>']))
         self.plan.content = plan_svg(points, self.poses, self.targets)
         for number, pose in enumerate(self.poses):
             self._show_pose(f'/cameras/{number}', f'{number}', number, pose, opacity=1.0)
@@ -127,42 +121,6 @@ class GuidePage:
             self.server.scene.add_label(f'{name}/label', label)
         node.position = pose.position
         node.wxyz = wxyz_of(pose.rotation)
-
-
-def instruction(number: int, pose: Pose, target: Pose, floor: float) -> str:
-    """
-    Return a sentence that says how a person shall move a camera, and its distance from the target.
-
-    Right, left, up and down are directions in the plan. Left and right turns are those of a person
-    who looks in the direction of the camera.
-
-    :param number: of the camera, from 0.
-    :param pose: of the camera.
-    :param target: pose to which the camera shall go.
-    :param floor: height of the floor, metres.
-    """
-    # Smaller moves and smaller turns are not mentioned.
-    min_metres, min_degrees = 0.05, 3.0
-    move = target.position - pose.position
-    # Along x and y: the text for a positive length, then that for a negative one.
-    steps = [f'{abs(length):.2f} m {directions[int(length < 0.0)]}'
-             for length, directions in zip(move, (('to the right', 'to the left'),
-                                                  ('up in the plan', 'down in the plan')))
-             if abs(length) >= min_metres]
-    if abs(move[2]) >= min_metres:
-        steps.append(f'{abs(move[2]):.2f} m {"higher" if move[2] > 0 else "lower"}, to '
-                     f'{target.position[2] - floor:.2f} m above the floor')
-    angles = np.rad2deg(wrapped(heading_of(target.rotation) - heading_of(pose.rotation)))
-    # Of yaw and pitch; a positive yaw is to the left, a positive pitch is down.
-    turns = [f'{abs(angle):.0f} degrees {directions[int(angle < 0.0)]}'
-             for angle, directions in zip(angles[:2], (('to the left', 'to the right'),
-                                                       ('down', 'up')))
-             if abs(angle) >= min_degrees]
-    if turns:
-        steps.append(f'turn {" and ".join(turns)}')
-    if not steps:
-        return f'camera {number}: is where it shall be'
-    return f'camera {number}: {"; ".join(steps)} ({np.linalg.norm(move):.2f} m off)'
 
 
 def plan_svg(points: np.ndarray, poses: Sequence[Pose], targets: Sequence[Pose]) -> str:

@@ -289,6 +289,36 @@ def test_a_person_is_told_what_to_do_and_has_time(live):
     assert_is_placed(live)
 
 
+def test_nobody_is_asked_for_a_height_that_no_command_changes(live):
+    rig, _ = live.start(manual=True, turns=2, max_step=0.5)
+    rig.obeys = False
+    sent = live.received[topics.INSTRUCTIONS]
+    live.graph.until(lambda: rig.target is not None and sent)
+    # From now on all heights are measured 6 cm too low.
+    rig.offset = np.array([0.0, 0.0, -0.06])
+    rig.episode.move(0.5 * (rig.target - rig.positions)[:, :2])
+    count = len(sent)
+    live.graph.until(lambda: len(sent) > count)
+    assert 'camera' in sent[-1].data and 'higher' not in sent[-1].data
+
+
+def test_a_person_ends_a_turn_or_the_placement_where_the_cameras_stand(live):
+    rig, policy = live.start(manual=True, turns=5, max_step=0.5)
+    rig.obeys = False
+    live.graph.until(lambda: rig.target is not None)
+    rig.episode.move(0.5 * (rig.target - rig.positions)[:, :2])
+    live.wait(0.3)
+    assert counted(policy, 'turns_answered') == 1
+    assert live.call(Trigger, 'policy_node/arrived').success
+    live.wait_for_turns(2)
+    # It was for one turn.
+    live.wait(0.3)
+    assert counted(policy, 'turns_answered') == 2
+    assert live.call(Trigger, 'policy_node/accept').success
+    assert_is_placed(live)
+    assert not live.call(Trigger, 'policy_node/accept').success
+
+
 def test_a_person_hears_nothing_of_noise_and_what_is_left_of_a_move(live):
     rig, policy = live.start(manual=True, turns=2, max_step=0.5)
     rig.obeys = False
@@ -312,13 +342,15 @@ def test_a_person_hears_nothing_of_noise_and_what_is_left_of_a_move(live):
 
 
 @pytest.mark.parametrize(('move', 'turn', 'words'), [
-    ((0.4, -0.1, 0.0), (0, 0), r'0\.40 m .*\+x .*0\.10 m .*-y.*\(1\.40, 1\.90\)'),
-    ((-0.304, 0.04, 0.0), (2, 0), r'0\.30 m .*-x'),
-    ((0.0, 0.0, 0.5), (0, 0), r'0\.50 m up.*\(1\.00, 2\.00, 2\.40\)'),
-    ((0.0, 0.2, -0.1), (0, 0), r'0\.20 m .*\+y .*0\.10 m down'),
+    ((0.4, -0.1, 0.0), (0, 0), r'0\.40 m → and 0\.10 m ↓.*\(1\.40, 1\.90, 1\.90\)'),
+    # Parts below the limits are not asked for; if all are, the largest one is.
+    ((-0.304, 0.04, 0.0), (2, 0), r': 0\.30 m ←, to [^;]*$'),
+    ((0.04, -0.041, 0.0), (0, 0), r': 0\.04 m ↓, to'),
+    ((0.0, 0.0, 0.5), (0, 0), r'0\.50 m higher.*\(1\.00, 2\.00, 2\.40\)'),
+    ((0.0, 0.2, -0.1), (0, 0), r'0\.20 m ↑ and 0\.10 m lower'),
     ((0.01, 0.0, 0.0), (40, 0), r'camera 0: turn 40 degrees to the left$'),
     ((0.0, 0.0, 0.0), (-30, 20), r'30 degrees to the right .*20 degrees down'),
-    ((0.0, -0.3, 0.0), (2, -8), r'0\.30 m .*-y.*2 degrees to the left .*8 degrees up'),
+    ((0.0, -0.3, 0.0), (2, -8), r'0\.30 m ↓.*; turn 8 degrees up$'),
     ((0.03, 0.0, 0.02), (4, -2), STAY)])
 def test_instructions_say_how_far_and_in_which_direction(move, turn, words):
     here = np.array([[1.0, 2.0, 1.9]])

@@ -34,6 +34,7 @@ class Convergence:
     :param node: gets the publishers.
     :ivar step: number of turns played so far.
     :ivar simulation_ended: whether the simulation has reported that its last turn is played.
+    :ivar accepted: whether the next turn is the last one since ``~/accept`` was called.
     :ivar longest_move: longest move of a camera in the last turn, metres.
     :ivar final_poses: the poses at the end of the episode, where the cameras stay; None before.
     :ivar missing_data: data that a final placement lacks, in words; empty if it lacks none.
@@ -49,7 +50,7 @@ class Convergence:
     def begin_episode(self) -> None:
         """Begin an episode, whose placement is not final."""
         self.step = 0
-        self.simulation_ended = False
+        self.simulation_ended = self.accepted = False
         self.longest_move = 0.0
         self.final_poses: PoseArray | None = None
         self.missing_data = self._final_reason = ''
@@ -67,6 +68,8 @@ class Convergence:
         config = self._node.config
         if self.simulation_ended:
             return 'the simulation has played its last turn'
+        if self.accepted:
+            return 'it was accepted'
         if self.step >= config.turns and not config.explore:
             return f'all {config.turns} turns are used up'
         return ''
@@ -94,7 +97,8 @@ class Convergence:
     def publish_status(self) -> str:
         """Return the status text; publish it if it has changed and no other node commands."""
         if self.is_final:
-            text = f'after {self._final_step} turns: {self._final_reason}'
+            plural = 's' if self._final_step != 1 else ''
+            text = f'after {self._final_step} turn{plural}: {self._final_reason}'
             text = (f'final, with gaps, {text}; {self.missing_data}' if self.missing_data else
                     f'final {text}')
         else:

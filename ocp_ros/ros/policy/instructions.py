@@ -14,7 +14,7 @@
 
 """Instructions in words, and as arrows, for a person who moves the cameras."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from ocp_ros.geometry.cameras import heading_of
@@ -50,13 +50,15 @@ def instructions(positions: np.ndarray, targets: np.ndarray, min_move: float,
     """
     Return the instructions: a line for each camera that has to be moved or rotated.
 
+    A plan has x to the right and y upwards: its arrows say in which direction to move.
+
     :param positions: present positions of K cameras, (K, 3) metres.
     :param targets: target positions, (K, 3) metres.
-    :param min_move: moves up to this length are left out, metres; at least 0.01, since the lines
-        have two decimals.
+    :param min_move: moves up to this length, and shorter parts of a longer move, are left out,
+        metres.
     :param rotations: rotations of the cameras, (K, 2) radians: counter-clockwise seen from above,
         and down; None if no camera is rotated.
-    :param min_rotation: rotations up to this angle are left out, radians; at least 0.01.
+    :param min_rotation: rotations up to this angle are left out in the same way, radians.
     :param expected: a sentence on the expected gain, so that a person can decide to stop; empty:
         none.
     :returns: the lines and the sentence; ``STAY`` if no camera has to be moved or rotated.
@@ -66,37 +68,37 @@ def instructions(positions: np.ndarray, targets: np.ndarray, min_move: float,
     has_rotation = np.linalg.norm(rotations, axis=1) > min_rotation
     lines = []
     for camera in np.flatnonzero(has_move | has_rotation):
-        texts = [_move_text(positions[camera], targets[camera])] if has_move[camera] else []
+        texts = []
+        if has_move[camera]:
+            move = targets[camera] - positions[camera]
+            # Adding 0 changes -0 to 0.
+            place = ', '.join(f'{value + 0.0:.2f}' for value in np.round(targets[camera], 2))
+            texts.append(_parts_text(
+                move, min_move, '{:.2f} m {}', ('→←', '↑↓', ('higher', 'lower')))
+                + f', to ({place})')
         if has_rotation[camera]:
-            texts.append(_rotation_text(*np.rad2deg(rotations[camera])))
+            texts.append('turn ' + _parts_text(
+                np.rad2deg(rotations[camera]), np.rad2deg(min_rotation), '{:.0f} degrees {}',
+                (('to the left', 'to the right'), ('down', 'up'))))
         lines.append(f'camera {camera}: {"; ".join(texts)}')
     if not lines:
         return STAY
     return '\n'.join([*lines, expected] if expected else lines)
 
 
-def _rotation_text(yaw: float, pitch: float) -> str:
-    """Return the rotation of one camera in words; yaw is to the left, pitch down, in degrees."""
-    angles = ((yaw, 'to the left', 'to the right'), (pitch, 'down', 'up'))
-    # Smaller angles than half a degree would be printed as 0.
-    texts = [f'{abs(angle):.0f} degrees {positive if angle >= 0.0 else negative}'
-             for angle, positive, negative in angles if abs(angle) >= 0.5]
-    return f'turn {" and ".join(texts) or "less than a degree"}'
+def _parts_text(parts: np.ndarray, least: float, form: str, directions: Sequence[Sequence[str]]
+                ) -> str:
+    """
+    Return the parts of a move or rotation in words.
 
-
-def _move_text(position: np.ndarray, target: np.ndarray) -> str:
-    """Return the move of one camera in words: the distance along each axis, and the target."""
-    directions = (('towards +x', 'towards -x'), ('towards +y', 'towards -y'), ('up', 'down'))
-    move = target - position
-    # Shorter distances would be printed as 0.00 m.
-    is_printed = np.abs(move) >= 0.005
-    texts = [f'{abs(move[axis]):.2f} m {positive if move[axis] >= 0.0 else negative}'
-             for axis, (positive, negative) in enumerate(directions) if is_printed[axis]]
-    # The height of the target is printed only if it changes.
-    axes = 3 if is_printed[2] else 2
-    # Adding 0 changes -0 to 0.
-    coordinates = [f'{coordinate + 0.0:.2f}' for coordinate in np.round(target, 2)[:axes]]
-    return f'{" and ".join(texts)}, to ({", ".join(coordinates)})'
+    :param parts: (A,) the part along each axis.
+    :param least: smaller parts are left out; if all are smaller, the largest one stays.
+    :param form: text of a part, with places for its length and its direction.
+    :param directions: for each axis the directions of a positive and of a negative part.
+    """
+    least = min(least, np.abs(parts).max())
+    return ' and '.join(form.format(abs(part), names[int(part < 0.0)])
+                        for part, names in zip(parts, directions) if abs(part) >= least)
 
 
 class Instructor:

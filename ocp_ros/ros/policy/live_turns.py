@@ -95,6 +95,8 @@ class LiveTurns(TurnSource):
         #: (3, 3), of the cameras that the command rotates.
         self._targets = np.empty((0, 3))
         self._target_rotations: dict[int, np.ndarray] = {}
+        #: (K,) bool, whether the last command changes the height of each camera.
+        self._height_changes = np.zeros(0, dtype=bool)
         #: Instructs a person who moves the cameras, if one does.
         self._instructor = Instructor(node) if config.manual else None
         self.reset()
@@ -152,6 +154,13 @@ class LiveTurns(TurnSource):
             self._node.config.live_topics, self._wait_limits())
         #: The value of ``_turns.stamp_jumps`` when the transforms were last dropped.
         self._seen_jumps = 0
+
+    def accept_arrival(self) -> bool:
+        """End this turn where the cameras stand; return False before the first command."""
+        if self._command is None:
+            return False
+        self._turns.accept_arrival()
+        return True
 
     def apply_config(self) -> None:
         """Continue with the node's new parameters."""
@@ -301,19 +310,22 @@ class LiveTurns(TurnSource):
             camera: rotation_of(goal.orientation, f'command: camera {camera}')
             for camera, (goal, present) in enumerate(zip(self._command.poses, poses.poses))
             if goal.orientation != present.orientation}
+        self._height_changes = targets[:, 2] != msg_to_positions(poses)[:, 2]
         self._rig_size = len(targets), poses.header.frame_id
         if self._instructor is not None:
             self._gain_text = self._node.decider.describe_gain(
                 self._fused_cloud.points, poses, self._command)
             self._instruct()
-        self._turns.on_command(targets, self._target_rotations,
-                               height_changes=targets[:, 2] != msg_to_positions(poses)[:, 2])
+        self._turns.on_command(targets, self._target_rotations, self._height_changes)
 
     def _instruct(self) -> None:
         """Tell the person who moves the cameras, if one does, what is left to do."""
         if self._instructor is not None:
+            # Measured heights vary: only a command that changes the height asks for it.
+            targets = self._targets.copy()
+            targets[~self._height_changes, 2] = self._rig.positions[~self._height_changes, 2]
             self._instructor.publish(
-                self._rig, self._targets, self._target_rotations, self._poses_message.header,
+                self._rig, targets, self._target_rotations, self._poses_message.header,
                 self._node.config, self._gain_text, self._is_final)
 
     @property

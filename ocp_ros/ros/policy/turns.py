@@ -136,6 +136,9 @@ class Turns(Generic[T]):
         self.standing_begin: Moment | None = None
         #: Time at which all cameras were first measured at their targets.
         self._arrival_time: float | None = None
+        #: Whether the cameras count as arrived in this turn although they may not be at their
+        #: targets.
+        self._arrival_accepted = False
         #: The first poses from which all later poses differ by noise only.
         self._reference: _Poses | None = None
         #: The newest poses, and the stamp since which they show the standing cameras.
@@ -169,11 +172,19 @@ class Turns(Generic[T]):
                                 else height_changes)
         self._target_rotations = rotations or {}
         self._arrival_time = None
+        self._arrival_accepted = False
         self.standing_begin = Moment(self._pose_stamp, self._command_time)
         if not self._cameras_arrived():
             self.standing_begin = None
             self.positions = None
         self.drop_clouds()
+
+    def accept_arrival(self) -> None:
+        """Count the cameras as arrived in this turn, wherever they come to a stand."""
+        self._arrival_accepted = True
+        if self.positions is not None and self._arrival_time is None:
+            self._arrival_time = self._clock()
+            self._mean_begin_ns = self._pose_stamp
 
     def drop_clouds(self) -> None:
         """Drop the clouds of this turn, and wait for new ones."""
@@ -259,7 +270,7 @@ class Turns(Generic[T]):
     def _cameras_arrived(self, factor: float = 1.0) -> bool:
         """Return whether all cameras are at their targets, within ``factor`` x the limits."""
         # Before the first command there are no targets.
-        if self._targets is None:
+        if self._targets is None or self._arrival_accepted:
             return True
         offsets = self.positions - self._targets
         # The height counts only if the camera was sent up or down.
