@@ -37,7 +37,9 @@ def edge_aware_normals(points: np.ndarray, neighbours: np.ndarray) -> np.ndarray
     :returns: (N, 3) float32, the unit normal of each point, of either sign.
     """
     points, neighbours = np.asarray(points, dtype=np.float64), np.ascontiguousarray(neighbours)
-    spacing = float(np.linalg.norm(points - points[neighbours[:, 1]], axis=1).mean())
+    # A single point has no other neighbour than itself.
+    nearest = neighbours[:, min(1, neighbours.shape[1] - 1)]
+    spacing = float(np.linalg.norm(points - points[nearest], axis=1).mean())
     normals, roughness = _fit_planes(points, neighbours)
     # A point may adopt the plane of one of its twelve nearest neighbours.
     return _choose_normals(points, neighbours[:, :12], normals, roughness, max(spacing, 1e-9))

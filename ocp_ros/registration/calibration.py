@@ -14,10 +14,11 @@
 
 """Register the cameras of a placement to the scan, and write the placement as built."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import replace
+import logging
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,9 @@ OTHER_SETUPS = (
     ('its cloud has the axes of the body (--cloud-frame body)', 0.0, OPTICAL_TO_BODY.T))
 
 
+_log = logging.getLogger(__name__)
+
+
 def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
               ) -> tuple[dict[str, Registration], dict[str, str]]:
     """
@@ -50,13 +54,24 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
     :returns: the registrations, and for unusable clouds the reasons, both by the camera's name.
     """
+    return _for_each_camera(_register_camera, scan, placement, clouds)
+
+
+def _for_each_camera(register_camera: Callable[[ScanSurfaces, np.ndarray, Placed], Registration],
+                     scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]
+                     ) -> tuple[dict[str, Registration], dict[str, str]]:
+    """Call a function for each camera that has a cloud; see :func:`calibrate` for the rest."""
     registrations, reasons = {}, {}
     for placed in [one for one in placement.cameras if one.camera.name in clouds]:
         name = placed.camera.name
         try:
-            registrations[name] = _register_camera(scan, clouds[name], placed)
+            registrations[name] = register_camera(scan, clouds[name], placed)
         except SceneError as error:
             reasons[name] = str(error)
+        except Exception as error:  # The other cameras keep their results.
+            _log.exception('the registration of a camera failed')
+            reasons[name] = (f'{name}: found an error ({type(error).__name__}: {error}); expected '
+                             'a registration; send the cloud and this message to the authors')
     return registrations, reasons
 
 
@@ -93,17 +108,11 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
     :param placement: the placement as built.
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
     """
-    sentences = []
-    for placed in [one for one in placement.cameras if one.camera.name in clouds]:
-        name = placed.camera.name
-        try:
-            view = LiveView(clouds[name], placed.camera.model, name)
-        except SceneError as error:
-            sentences.append(str(error))
-            continue
-        start = Pose.of(placed.pose)
-        registration = registered_nearby(scan, view, start, placed.camera.model)
-        metres, radians = registration.pose.away_from(start)
+    registrations, reasons = _for_each_camera(_register_nearby, scan, placement, clouds)
+    sentences = list(reasons.values())
+    poses = {placed.camera.name: Pose.of(placed.pose) for placed in placement.cameras}
+    for name, registration in registrations.items():
+        metres, radians = registration.pose.away_from(poses[name])
         degrees = float(np.rad2deg(radians))
         if registration.mismatched:
             sentences.append(f'{name} no longer fits the scan: {registration.refused}')
@@ -114,6 +123,13 @@ def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndar
                 f'{name} hangs {metres:.3f} m and {degrees:.1f} degrees from where it is said to '
                 'be; expected it there; call ~/calibrate, or put it back')
     return sentences
+
+
+def _register_nearby(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Registration:
+    """Register a camera that has hardly moved; see :func:`_register_camera`."""
+    model = placed.camera.model
+    view = LiveView(cloud, model, placed.camera.name)
+    return registered_nearby(scan, view, Pose.of(placed.pose), model)
 
 
 def as_built(placement: Placement, found: Mapping[str, Registration], command: str) -> Placement:

@@ -38,8 +38,9 @@ class LiveView:
     :param model: the camera model; points out of its range are left out, since they are
         inaccurate.
     :param name: the name of the cloud in errors.
-    :raises SceneError: if too few points are left.
+    :raises SceneError: if too few points or patches are left.
     :ivar points: (K, 3) the K points in range, metres, body frame.
+    :ivar patches: the points as patches, averaged and thinned evenly in space.
     """
 
     def __init__(self, points: np.ndarray, model: CameraModel, name: str = 'cloud') -> None:
@@ -53,11 +54,15 @@ class LiveView:
                 f'{model.min_range:g} and {model.max_range:g} m from the camera; expected at '
                 f'least {MIN_POINTS}; check unit and frame, and that the camera is not covered')
         self.points, self._distance = points[kept], distance[kept]
+        self.patches = self._find_patches(name)
 
-    @cached_property
-    def patches(self) -> Patches:
-        """Return the points as patches, averaged and thinned evenly in space."""
+    def _find_patches(self, name: str) -> Patches:
+        """Return the points as patches; refuse fewer than a plane is fitted to."""
         points = thinned_to(averaged(self.points, self._distance), 5000).astype(np.float64)
+        if len(points) < PLANE_NEIGHBOURS:
+            raise SceneError(
+                f'{name}: found {len(self.points)} points in {len(points)} places; expected at '
+                f'least {PLANE_NEIGHBOURS} places; restart the driver if it repeats one point')
         neighbours = nearest(points, PLANE_NEIGHBOURS)[1]
         normals = edge_aware_normals(points, neighbours).astype(np.float64)
         # The camera is at the origin of the points, so its rays have the directions of the points.

@@ -29,7 +29,7 @@ from ocp_ros.registration.alignment import (
     Poses,
     Surfaces,
 )
-from ocp_ros.registration.calibration import as_built, calibrate
+from ocp_ros.registration.calibration import as_built, calibrate, drift
 from ocp_ros.registration.camera_registration import (
     _behind_shares,
     _best_shift,
@@ -228,6 +228,7 @@ def files(tmp_path_factory):
     (path / 'placement.yaml').write_text(yaml.safe_dump({'cameras': entries}))
     np.save(path / 'door.npy', seen_by(TRUE) @ OPTICAL_TO_BODY)
     np.save(path / 'other.npy', np.repeat([[0.0] * 3, [99.0] * 3], 100, axis=0))
+    np.save(path / 'shelf.npy', np.tile([0.0, 0.0, 2.0], (5000, 1)))
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(path)
         yield
@@ -238,11 +239,11 @@ def test_the_placement_as_built_is_written_and_scored(files, capsys, monkeypatch
     printed(capsys, 'score', 'room.ply', 'placement.yaml', '--out', 'planned')
     door, window, shelf = printed(
         capsys, 'calibrate', 'room.ply', 'planned/placement.yaml', '--clouds', 'door.npy',
-        'window=other.npy')['cameras']
+        'window=other.npy', 'shelf.npy')['cameras']
     assert door['refused'] == door['otherwise'] == '' and len(door['deviations']) == 6
     assert np.linalg.norm(door['position'] - TRUE.position) < 0.01
     assert door['moved_metres'] == pytest.approx(0.2, abs=0.01)
-    assert '0 of 200 points' in window['refused'] and 'no cloud' in shelf['refused']
+    assert '0 of 200 points' in window['refused'] and '5000 points in 1' in shelf['refused']
     planned, built = (load_placement(name) for name in ('placement.yaml',
                                                         'out/built/placement.yaml'))
     assert built.cameras[0].position == tuple(door['position'])
@@ -271,6 +272,26 @@ def test_what_cannot_be_read_is_refused_in_one_sentence(files, capsys, arguments
     if '--bag' in arguments:
         pytest.importorskip('rclpy', reason='bags are read with ROS 2 (rclpy)')
     assert words in refused(capsys, 'calibrate', 'room.ply', 'placement.yaml', *arguments)
+
+
+def test_an_error_of_one_camera_leaves_the_others_their_results(scan):
+    placement = placement_of(rig_of(2, SENSOR), np.stack([ROW, ROW]))
+    (good, bad) = (placed.camera.name for placed in placement.cameras)
+    clouds = {bad: np.full((200, 2), 2.0), good: seen_by(TRUE)[::16]}
+    found, reasons = calibrate(scan, placement, clouds)
+    assert not found[good].refused and bad in reasons[bad]
+    warned, = drift(scan, placement, clouds)
+    assert bad in warned
+
+
+def test_equal_points_of_a_scan_do_not_stop_a_registration():
+    points = box_sides(np.full(3, 4.0), 2.0, 0.4)
+    # No side looks against x, except the points in the middle.
+    points = points[(np.count_nonzero(points % 4.0 == 0.0, axis=1) == 1) & (points[:, 0] != 4.0)]
+    normals = np.concatenate([(points == 0.0) * 1.0 - (points == 4.0), [[-1.0, 0.0, 0.0]] * 20])
+    points = np.concatenate([points, np.full((20, 3), 2.0)])
+    scan = ScanSurfaces(Scene(points, normals=normals))
+    assert scan.oriented and np.isfinite(scan.normals).all()
 
 
 def test_a_camera_in_place_that_hardly_moved_is_moved_in_the_rig_as_well(
