@@ -31,7 +31,7 @@ from ocp_ros.rig.motion import nearest_place
 from ocp_ros.rig.placement_file import as_written, created_by, Placement, placement_of
 from ocp_ros.rig.plausibility import missing_surfaces
 from ocp_ros.rig.rig_file import Camera, Rig, rig_from
-from ocp_ros.rig.schemas import MAX_NAME_LENGTH, RIG
+from ocp_ros.rig.schemas import MAX_COORDINATE_M, MAX_NAME_LENGTH, RIG
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.search.proof.certificate import Certificate
 from ocp_ros.simulation.objective import Objective, RigEvaluation
@@ -44,6 +44,8 @@ from ocp_ros.util.yaml_files import check, Document
 
 #: Largest number of positions that are spread over the mount of a camera.
 MAX_POSITIONS = 400
+#: A camera is moved at most this far out of the room's bounding box, metres.
+MAX_OUTSIDE_M = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -288,37 +290,56 @@ class Studio:
         :param poses: (K, 6) poses of the K cameras to be placed, metres, map frame, and radians.
         :param locked: names of the locked cameras; None if the same ones stay locked.
         :param action: see :meth:`History.set_present`.
-        :raises ConfigurationError: if the rig cannot be used in the room; the placement stays.
+        :raises ConfigurationError: if the rig cannot be used in the room, or if a placement file
+            may not have the poses; the placement stays.
         """
         with self.lock:
-            if rig is not self._problem.rig:
-                self._set_problem(self.problem_of(rig))
+            poses = as_written(poses)
+            if not (np.isfinite(poses).all() and np.abs(poses[:, :3]).max() <= MAX_COORDINATE_M):
+                raise ConfigurationError(
+                    'poses: found a pose that is not finite or is too far away; expected '
+                    f'coordinates up to {MAX_COORDINATE_M:g} m; correct it')
+            problem = self._problem if rig is self._problem.rig else self.problem_of(rig)
             locked = self.state.locked if locked is None else locked
             # Removed cameras are no longer locked.
             names = {camera.name for camera in rig.cameras}
-            self.history.set_present(State(rig, as_written(poses), locked & names), action)
+            state = State(rig, poses, locked & names)
+            # A placement that cannot be evaluated never becomes the present one.
+            evaluation = self.evaluate(problem, state)
+            if problem is not self._problem:
+                self._set_problem(problem)
+            self._evaluation = evaluation
+            self.history.set_present(state, action)
 
     def move_camera(self, camera: int, pose: np.ndarray, action: object = None) -> bool:
         """
-        Move a camera.
+        Move a camera, at most 10 m out of the room.
 
         :param camera: number of the camera.
-        :param pose: (6,) metres, map frame, and radians.
+        :param pose: (6,) metres, map frame, and radians; the pitch is limited to 90 degrees.
         :param action: see :meth:`History.set_present`.
         :returns: whether the camera was moved; False if there is no such camera, if the camera is
-            locked, or if the pose is not finite or 10 km away.
+            locked, or if the pose is not finite.
         """
         with self.lock:
             state = self.state
-            # A browser may send any numbers.
-            is_usable = np.isfinite(pose).all() and np.abs(pose[:3]).max() < 1e4
-            if not (0 <= camera < len(state.poses) and is_usable) or (
+            if not (0 <= camera < len(state.poses) and np.isfinite(pose).all()) or (
                     state.names[camera] in state.locked):
                 return False
             poses = state.poses.copy()
-            poses[camera] = pose
+            poses[camera] = self._limited(pose)
             self.set_placement(state.rig, poses, action=action)
             return True
+
+    def _limited(self, pose: np.ndarray) -> np.ndarray:
+        """Return a pose (6,) near the room, with yaw and roll from -pi to pi."""
+        # A browser may send any numbers.
+        low, high = self.scene.bounds
+        position = np.clip(pose[:3], low - MAX_OUTSIDE_M, high + MAX_OUTSIDE_M)
+        angles = np.where(np.abs(pose[3:]) > np.pi, np.pi - (np.pi - pose[3:]) % (2.0 * np.pi),
+                          pose[3:])
+        angles[1] = np.clip(pose[4], -0.5 * np.pi, 0.5 * np.pi)
+        return np.concatenate([position, angles])
 
     def dragged_pose(self, camera: int, position: np.ndarray, rotation: np.ndarray) -> np.ndarray:
         """
@@ -354,7 +375,7 @@ class Studio:
             rig = changed_rig(state.rig, cameras=[*entries, camera_entry(template, name)])
             if pose is None:
                 pose = self._spread_cameras(rig, state.poses)[-1]
-            self.set_placement(rig, np.vstack([state.poses, pose]))
+            self.set_placement(rig, np.vstack([state.poses, self._limited(pose)]))
             return len(state.poses)
 
     def remove_camera(self, camera: int) -> None:
@@ -404,13 +425,7 @@ class Studio:
         """
         with self.lock:
             rig = split_groups(rig)
-            previous = self._problem
-            self._set_problem(self.problem_of(rig))
-            try:
-                poses = self._spread_cameras(rig) if poses is None else poses
-            except ConfigurationError:
-                self._set_problem(previous)
-                raise
+            poses = self._spread_cameras(rig) if poses is None else poses
             self.set_placement(rig, poses, frozenset())
 
     def _spread_cameras(self, rig: Rig, first_poses: Sequence | np.ndarray = ()) -> np.ndarray:

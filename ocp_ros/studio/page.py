@@ -144,7 +144,8 @@ class Page(Session):
         except Exception as error:  # The page goes on for all other clients.
             _log.exception('an action of the studio failed')
             self.panel.show_message(
-                f'found an error ({type(error).__name__}); the placement is unchanged')
+                f'found an error ({type(error).__name__}); the terminal of ocp studio shows it; '
+                'undo the last step if it comes again')
 
     def _move_dragged_camera(self, name: str, position: np.ndarray, rotation: np.ndarray,
                              gesture: object) -> None:

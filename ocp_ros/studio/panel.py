@@ -411,7 +411,8 @@ class Panel:
 
     def _search(self, from_here: bool) -> None:
         """Search for better poses; ``from_here``: begin from the present placement."""
-        seconds = float(np.clip(float(self.seconds.value), MIN_SECONDS, MAX_SECONDS))
+        # In this order, NaN is the least duration.
+        seconds = min(max(MIN_SECONDS, float(self.seconds.value)), MAX_SECONDS)
         self._start_task(search_work(self.studio, self.studio.state, from_here), seconds,
                          'searching', self.search_message)
 

@@ -19,6 +19,7 @@ import numpy as np
 from ocp_ros.geometry.cameras import rotation_matrix
 from ocp_ros.report.facts import region_rows
 from ocp_ros.report.terminal import as_text, show_score
+from ocp_ros.rig.placement_file import load_placement
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.simulation.simulator import Simulator
 from ocp_ros.studio import tasks, texts, zone_edits
@@ -93,6 +94,38 @@ def test_undo_and_redo(studio):
     for _ in range(300):
         studio.history.set_present(State(first.rig, first.poses))
     assert len(studio.history.past_states) == 200
+
+
+@pytest.mark.parametrize('value', [1e308, -1e306, 1e30, 700.0])
+def test_any_number_gives_a_placement_that_a_file_may_have(studio, tmp_path, value):
+    for axis in range(6):
+        pose = studio.state.poses[0].copy()
+        pose[axis] = value
+        assert studio.move_camera(0, pose)
+        studio.add_camera(D455, pose)
+    path = Folder(tmp_path).save_placement('moved', studio.placement(scored=True))
+    assert np.allclose(load_placement(path).poses, studio.state.poses)
+    assert np.abs(studio.state.poses[:, 4]).max() <= 0.5 * np.pi
+    before = studio.state
+    for poses in (before.poses * np.nan, before.poses + 1e6):
+        with pytest.raises(ConfigurationError, match='poses'):
+            studio.set_placement(before.rig, poses)
+    assert studio.state is before
+
+
+def test_a_placement_that_cannot_be_evaluated_does_not_become_the_present_one(
+        studio, monkeypatch):
+    before, look = studio.state, Simulator.look
+
+    def fails(*_):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(Simulator, 'look', fails)
+    with pytest.raises(ZeroDivisionError):
+        move(studio)
+    monkeypatch.setattr(Simulator, 'look', look)
+    assert studio.state is before and not studio.history.past_states
+    move(studio)
 
 
 def test_cameras_are_added_copied_exchanged_and_removed(studio):

@@ -153,7 +153,7 @@ def test_numbers_that_are_none_change_nothing(page):
     page, url = page
     before = page.studio.state
     with client_of(url, first_can_be_dragged) as client:
-        for position, wxyz in (((np.nan, 0, 0), (1, 0, 0, 0)), ((1e30, 0, 0), (1, 0, 0, 0)),
+        for position, wxyz in (((np.nan, 0, 0), (1, 0, 0, 0)), ((np.inf, 0, 0), (1, 0, 0, 0)),
                                ((0, 0, 0), (0, 0, 0, 0)), ((0, 0, 0), (np.inf, 0, 0, 0))):
             client.drag('/cameras/realsense_d455_1', position, wxyz)
         set_value(client, page.panel.camera_list, 'no such camera')
