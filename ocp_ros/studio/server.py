@@ -17,30 +17,39 @@ A viser server that only its own page can reach.
 
 viser listens on all interfaces, accepts websockets from pages of any origin, and can open a public
 tunnel. This server listens on one address, refuses other origins and host names, and never opens
-the tunnel. It expects a token in the path of the URL if other machines can reach its address.
+the tunnel. It expects a token in the path of the URL if other machines can reach its address. Of the
+messages of a page, only those pass that this package uses, with values like the present ones.
 """
 
-from collections.abc import Callable, Coroutine, Iterator
+import asyncio
+from collections.abc import Callable, Coroutine, Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from http import HTTPStatus
 import io
 import ipaddress
+import logging
+import math
+import os
 import secrets
 import socket
 from threading import Lock
 from typing import Any
 from urllib.parse import urlsplit
 
+import msgspec
 from ocp_ros.studio import FIRST_PORT, LOCAL_ADDRESS
 from ocp_ros.util.settings import ConfigurationError
 import viser
 import websockets.asyncio.server
 from websockets.http11 import Request, Response
 
-#: Names of this machine in URLs. A web page under another name could point that name at this
-#: machine ("DNS rebinding") and reach the server so.
-LOCAL_HOST_NAMES = (LOCAL_ADDRESS, 'localhost', '[::1]')
+#: Messages of a page that change nothing but the page itself, or only start an action.
+PLAIN_MESSAGES = ('ViewerCameraMessage', 'SceneNodeClickMessage', 'CommandTriggerMessage',
+                  'TransformControlsDragStartMessage', 'TransformControlsDragEndMessage')
+#: Largest number of characters of a text that a page sends.
+MAX_TEXT_LENGTH = 1000
 
+_log = logging.getLogger(__name__)
 #: Held while viser starts a server, since ``serve`` is replaced during the start.
 _start_lock = Lock()
 
@@ -50,10 +59,12 @@ class Gate:
     Decide which requests reach the server.
 
     :param token: first folder in the path of every URL; empty if none is expected.
+    :ivar fields: fields and buttons of the page by their identifiers.
     """
 
     def __init__(self, token: str) -> None:
         self.token = token
+        self.fields: Mapping[str, Any] = {}
 
     def refusal(self, request: Request) -> str:
         """
@@ -62,15 +73,18 @@ class Gate:
         This also removes the token from the path of a request that has the right one.
         """
         host = request.headers.get('Host', '')
+        name = urlsplit(f'//{host}').hostname or ''
         # Only people who have the URL know the token, so with a token any host name is accepted.
         if self.token:
             path, _, query = request.path.partition('?')
             token, _, inner_path = path.lstrip('/').partition('/')
-            if not secrets.compare_digest(token.encode(), self.token.encode()):
+            if not secrets.compare_digest(os.fsencode(token), self.token.encode()):
                 return 'found no token, or a wrong one; expected the URL that ocp has printed'
             request.path = f'/{inner_path}' + (f'?{query}' if query else '')
-        elif host.rpartition(':')[0] not in LOCAL_HOST_NAMES:
-            return f'found the host {host!r}; expected one of {", ".join(LOCAL_HOST_NAMES)}'
+        # A web page under another name could point that name at this machine ("DNS rebinding") and
+        # reach the server so.
+        elif not is_local(name):
+            return f'found the host {host!r}; expected localhost or {LOCAL_ADDRESS}'
         if request.headers.get('Upgrade', '').lower() == 'websocket':
             origin = urlsplit(request.headers.get('Origin', ''))
             if origin.scheme not in ('http', 'https') or origin.netloc != host:
@@ -85,15 +99,92 @@ class Gate:
             or None to let a websocket open; so does the returned function.
         """
         def process_allowed(connection: Any, request: Request) -> Response | None:
-            reason = self.refusal(request)
-            response = (connection.respond(HTTPStatus.FORBIDDEN, f'ocp: {reason}\n') if reason
-                        else process_request(connection, request))
+            try:
+                reason = self.refusal(request)
+                response = (connection.respond(HTTPStatus.FORBIDDEN, f'ocp: {reason}\n') if reason
+                            else process_request(connection, request))
+            except (LookupError, ValueError, OSError):
+                # For example, two headers that may stand once, or a path that is too long.
+                response = connection.respond(
+                    HTTPStatus.BAD_REQUEST, 'ocp: found a request that cannot be read\n')
             if response is not None:
                 # Other pages must neither show this one inside them nor learn its URL.
                 response.headers.update({'X-Frame-Options': 'DENY',
                                          'Referrer-Policy': 'no-referrer'})
             return response
         return process_allowed
+
+    def handler_behind(self, handler: Callable[..., Any]) -> Callable[..., Any]:
+        """Return a function that handles connections without their unexpected messages."""
+        async def handle(connection: Any) -> None:
+            asyncio.get_running_loop().set_exception_handler(
+                lambda _, context: _log.error('a message of a page failed: %r',
+                                              context.get('exception', context['message'])))
+            receive = connection.recv
+
+            async def receive_expected() -> bytes:
+                while not self.is_expected(content := await receive()):
+                    pass
+                return content
+
+            connection.recv = receive_expected
+            await handler(connection)
+        return handle
+
+    def is_expected(self, content: bytes | str) -> bool:
+        """
+        Return whether a message can do no harm to other pages.
+
+        viser itself takes any value of any attribute of a field, and shows it to all.
+        """
+        try:
+            message = msgspec.msgpack.decode(content)
+        except (TypeError, ValueError, RecursionError):
+            return False
+        match message:
+            case {'type': 'GuiUpdateMessage', 'uuid': str(uuid),
+                  'updates': {'value': value, **others}}:
+                return not others and uuid in self.fields and is_like(
+                    value, self.fields[uuid].value)
+            case {'type': 'TransformControlsUpdateMessage', 'position': position, 'wxyz': wxyz}:
+                return is_like(position, (0.0,) * 3) and is_like(wxyz, (0.0,) * 4)
+            case {'type': kind}:
+                return kind in PLAIN_MESSAGES
+        return False
+
+
+def is_like(value: Any, present: Any) -> bool:
+    """Return whether a value has the type of the present one, with as many, finite, numbers."""
+    if isinstance(present, tuple):
+        return (isinstance(value, list) and len(value) == len(present)
+                and all(map(is_like, value, present)))
+    if isinstance(present, bool) or isinstance(value, bool):
+        return type(value) is type(present)
+    if isinstance(present, (int, float)):
+        return isinstance(value, (int, float)) and math.isfinite(value)
+    return (isinstance(value, str) and isinstance(present, str)
+            and len(value) <= MAX_TEXT_LENGTH)
+
+
+class _OneLine(logging.Filter):
+    """Log an error of a connection as one line in place of a traceback."""
+
+    def filter(self, record: logging.LogRecord) -> bool:
+        """Shorten the record; return False for connections that only ended."""
+        error = record.exc_info[1] if record.exc_info else None
+        # Browsers open connections ahead of time, which end without a request.
+        if isinstance(error, TimeoutError) or isinstance(
+                error and error.__cause__, (EOFError, OSError)):
+            return False
+        if error is not None:
+            record.msg = f'{record.getMessage()}: {error.__cause__ or error!r}'
+            record.args, record.exc_info = (), None
+        return True
+
+
+#: Gets what ``websockets`` reports of requests and connections.
+_connection_log = _log.getChild('connections')
+_connection_log.addFilter(_OneLine())
 
 
 class LocalServer(viser.ViserServer):
@@ -149,6 +240,7 @@ def start_server(host: str = LOCAL_ADDRESS, port: int = FIRST_PORT, label: str =
         server.stop()
         raise ConfigurationError('viser: found a version that starts another way; expected the '
                                  "one of ocp_ros's requirements; install ocp_ros[studio]")
+    gate.fields = server.gui._gui_input_handle_from_uuid
     url_host = f'[{host}]' if ':' in host else host
     # These addresses stand for all interfaces; a URL needs a name of this machine.
     if host in ('0.0.0.0', '::'):
@@ -168,9 +260,11 @@ def _serving_behind(gate: Gate) -> Iterator[list[bool]]:
     original_serve = websockets.asyncio.server.serve
     guarded_calls: list[bool] = []
 
-    def serve(*args: Any, process_request: Callable[..., Any], **options: Any) -> Any:
+    def serve(handler: Callable[..., Any], *args: Any, process_request: Callable[..., Any],
+              **options: Any) -> Any:
         guarded_calls.append(True)
-        return original_serve(*args, process_request=gate.guarded(process_request), **options)
+        return original_serve(gate.handler_behind(handler), *args, logger=_connection_log,
+                              process_request=gate.guarded(process_request), **options)
 
     websockets.asyncio.server.serve = serve
     try:

@@ -68,6 +68,11 @@ def test_pages_of_other_origins_and_names_that_point_to_this_machine_are_refused
     assert status_of(url) == status_of(url, Host=f'localhost:{port}') == 200
     assert status_of(url, Host='example.org') == 403
     assert status_of(url, Host=f'example.org:{port}') == 403
+    # Browsers leave out port 80, and each address of the loopback is a name of this machine.
+    for name in ('127.0.0.1', 'localhost', 'LOCALHOST', '127.0.0.2:80', '[::1]'):
+        assert status_of(url, Host=name) == 200
+    for name in ('', '127.0.0.1.example.org', '[::1', '127.0.0.1@example.org', '0.0.0.0'):
+        assert status_of(url, Host=name) in (400, 403)
 
 
 def test_another_address_needs_the_token_of_its_server():
@@ -160,6 +165,50 @@ def test_numbers_that_are_none_change_nothing(page):
         set_value(client, page.panel.sensor_list, 'no such sensor')
         client.until(lambda message: 'no such sensor' in str(message.get('updates', '')))
     assert np.array_equal(page.studio.state.poses, before.poses)
+
+
+def test_a_page_changes_only_values_and_only_to_others_like_them(page):
+    page, url = page
+    panel = page.panel
+    with client_of(url, first_can_be_dragged) as client:
+        before = [(field.value, field.label, field.visible)
+                  for field in (panel.position, panel.seconds, panel.sensor_list)]
+        for field, updates in (
+                (panel.position, {'label': '<b>'}), (panel.position, {'value': [1.0, 2.0]}),
+                (panel.position, {'value': 'abc'}), (panel.position, {'value': [np.inf] * 3}),
+                (panel.seconds, {'value': np.nan}), (panel.seconds, {'value': [1]}),
+                (panel.seconds, {'value': 5.0, 'visible': False}), (panel.seconds, {}),
+                (panel.sensor_list, {'options': []}), (panel.sensor_list, {'value': 'x' * 9999})):
+            client.send('GuiUpdateMessage', uuid=field._impl.uuid, updates=updates)
+        for content in (b'', b'\xc1', b'\x90', b'\x91' * 5000, b'\x81\xa4type\xa1x'):
+            client.socket.send(content)
+        client.socket.send('text')
+        client.send('GuiUpdateMessage', uuid=[], updates={'value': 1})
+        client.send('SceneNodeUpdateMessage', name='/room', updates={'visible': False})
+        set_value(client, panel.edit_buttons, 'Add')
+        wait_until(lambda: len(page.studio.state.poses) == 4)
+        assert before == [(field.value, field.label, field.visible)
+                          for field in (panel.position, panel.seconds, panel.sensor_list)]
+
+
+@pytest.mark.parametrize('host', ['127.0.0.1', '0.0.0.0'])
+def test_a_request_that_cannot_be_read_is_one_line_of_the_terminal(host, capfd):
+    server, url = start_server(host, 0)
+    try:
+        port = urlsplit(url).port
+        for lines in (b'GET /\xff/ HTTP/1.1\r\nHost: 127.0.0.1', b'GET / HTTP/1.1\r\nHost: a\r\n'
+                      b'Host: b', b'GET /' + b'a' * 5000 + b' HTTP/1.1\r\nHost: 127.0.0.1',
+                      b'GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nUpgrade: websocket\r\n'
+                      b'Upgrade: websocket', b'POST / HTTP/1.1\r\nHost: a', b'\x16\x03\x01'):
+            with socket.create_connection(('127.0.0.1', port), HUNG) as connection:
+                connection.sendall(lines + b'\r\n\r\n')
+                answer = connection.recv(4096)
+                assert not answer or answer.split()[1] in (b'400', b'403', b'404'), answer
+        assert status_of(url, Host=f'127.0.0.1:{port}') in (200, 403)
+    finally:
+        server.stop()
+    error = capfd.readouterr().err
+    assert 'Traceback' not in error and error.count('\n') <= 3
 
 
 @pytest.mark.parametrize('name', ['../up', '/etc/x', 'a/b', '.hidden', '', 'a\0b', 'x' * 61, 'a b',
