@@ -25,7 +25,8 @@ from ocp_ros.geometry.visibility import MESH
 from ocp_ros.report.camera_words import aim_text, camera_label, Instructions, instructions_for
 from ocp_ros.report.findings import evaluate_placement, scores_of
 from ocp_ros.report.wall_references import Corner, nearest_corner, ReferenceWall, WallReferences
-from ocp_ros.rig.placement_file import created_by, data_of, Placement
+from ocp_ros.rig.placement_file import created_by, data_of, FIXED, Placement
+from ocp_ros.rig.plausibility import angle_notes
 from ocp_ros.rig.structure import Floors, floors_of
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.source_frame import SourceFrame
@@ -185,6 +186,9 @@ def assess(scene: Scene, placement: Placement, room: dict[str, Any], command: st
         engine = replace(engine, preset=PROMISING.preset)
         notes = [f'the placement was planned by rays cast at a mesh, and {scene.name} is none; '
                  f'the scores are those of the preset {engine.preset}']
+    if not placement.created:
+        notes += angle_notes(angle for placed in placement.cameras if placed.mount != FIXED
+                             for angle in placed.angles)
     problem = Problem.of(scene, rig, SimulationConfig(engine=engine))
     created = created_by(command, placement.created.get('planner', ''))
     assessed = Assessment.of(problem, replace(placement, rig=rig, room=room, created=created),

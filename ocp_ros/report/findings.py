@@ -32,7 +32,7 @@ from typing import Any
 import numpy as np
 from ocp_ros.geometry.packed_bits import Subset
 from ocp_ros.rig.feasible_region import FeasibleRegion, satisfies_spacing
-from ocp_ros.rig.plausibility import missing_surfaces, room_notes
+from ocp_ros.rig.plausibility import angle_notes, missing_surfaces, room_notes
 from ocp_ros.simulation.objective import Objective, RigEvaluation
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulator import View
@@ -55,10 +55,12 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     improvement = improvements(problem, poses, views)
     scene = problem.objective.simulator.scene
     missing = missing_surfaces(scene)
+    fixed_angles = np.rad2deg(problem.fixed_poses[:, 3:]).ravel().tolist()
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **improvement,
             'expected': expected(scores['validation_error'], scores['depth_error_of_nothing'],
                                  missing),
-            'notes': [*room_notes(scene), *missing_surface_notes(missing), *scene.notes,
+            'notes': [*problem.region.fixed_notes(), *angle_notes(fixed_angles, problem.rig.models),
+                      *room_notes(scene), *missing_surface_notes(missing), *scene.notes,
                       *_missed_notes(improvement['missed']['share'])],
             'remarks': list(scene.remarks)}
 

@@ -16,6 +16,7 @@
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -282,6 +283,29 @@ class FeasibleRegion:
                 if distance < self.rig.spacing - DISTANCE_TOLERANCE_M:
                     sentences.append(
                         f'{camera.name}: {self._spacing_message(distance, chosen[other].name)}')
+        return sentences
+
+    def fixed_notes(self) -> list[str]:
+        """Return a sentence for each camera in place that is not in the air of the room."""
+        # Brackets hold cameras nearer to walls than the air is known, so that positions around a
+        # camera count too.
+        reach_m = 0.25
+        offsets = np.array(list(product((-reach_m, 0.0, reach_m), repeat=3)))
+        sentences = []
+        for fixed in self.rig.fixed:
+            position = fixed.pose[:3]
+            around = position + offsets
+            places = around[:, :2]
+            over_floor = np.linalg.norm(self.space.inside(places) - places, axis=1) <= ROUNDING_M
+            at_height = (around[:, 2] >= self.floor) & (around[:, 2] <= self.top)
+            if (over_floor & at_height & ~self.air.closed(around)).any():
+                continue
+            found = ('above or below the room' if not at_height.any() else
+                     'not above floor that the scan shows' if not over_floor.any() else
+                     'inside furniture, or behind a wall or the ceiling')
+            sentences.append(
+                f'{fixed.camera.name}: found the fixed camera at {_place_text(position)}, {found}'
+                f'; expected it in {self.scene.name}; correct its position')
         return sentences
 
     def allowed(self, poses: np.ndarray, model: CameraModel | None = None,

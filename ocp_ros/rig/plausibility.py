@@ -12,12 +12,18 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Check whether a scan looks like a room: level, upright, in metres, of one storey, and closed."""
+"""
+Check whether a scan looks like a room: level, upright, in metres, of one storey, and closed.
 
+Angles of cameras are checked too: they may be radians.
+"""
+
+from collections.abc import Iterable
 from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from ocp_ros.geometry.cameras import CameraModel
 from ocp_ros.rig.free_plane import FreePlane
 from ocp_ros.rig.structure import ceiling_of, floor_height, LAYER_M, LEVEL, standing_of, STEEP
 from ocp_ros.scenes.scene import Scene
@@ -109,6 +115,29 @@ def room_notes(scene: Scene) -> list[str]:
     if not missing and _is_overturned(scene, floor, ceiling[:, 2]):
         notes.append('found more below the ceiling than above the floor; expected furniture and '
                      'doors to be low; the room may be upside down: turn the scan over if it is')
+    return notes
+
+
+def angle_notes(degrees: Iterable[float], models: Iterable[CameraModel] = ()) -> list[str]:
+    """
+    Return notes on angles that look like radians.
+
+    :param degrees: the angles of the cameras of a file, as degrees.
+    :param models: the models of the cameras.
+    """
+    angles = [angle for angle in degrees if angle != 0.0]
+    notes = []
+    # A turn is 6.28 radians; few people write fractions of a degree.
+    if angles and all(abs(angle) <= 6.3 and abs(angle - round(angle)) > 1e-6 for angle in angles):
+        notes.append(f'found angles of cameras of at most {max(map(abs, angles)):.3g} degrees; '
+                     'expected larger or whole ones; if they are radians, multiply them by 57.3')
+    # Scanners all around may be flat.
+    for horizontal, vertical in sorted({tuple(np.rad2deg(
+            [model.horizontal_fov, model.vertical_fov]).tolist()) for model in models}):
+        if min(horizontal, vertical) < 10.0 and horizontal < 180.0:
+            notes.append(f'found a field of view of {horizontal:.3g} x {vertical:.3g} degrees; '
+                         'expected 10 degrees or more; if these are radians, multiply them by '
+                         '57.3')
     return notes
 
 

@@ -292,6 +292,19 @@ def test_cameras_keep_apart_from_each_other_and_from_those_in_place(rooms):
     assert np.linalg.norm(offsets, axis=1).min() >= 0.6
 
 
+@pytest.mark.parametrize('mount', ['walls', 'ceiling', 'plane'])
+def test_a_camera_in_place_that_is_not_in_the_room_is_named(rooms, mount):
+    points, box = rooms['box'].points, box_sides([0.8, 0.8, 1.0], [3.4, 1.9, 0.5])
+    places = {'corner': [0.05, 0.05, 2.7], 'middle': [2.0, 2.0, 1.0], 'wall': [4.0, 3.96, 2.0],
+              'outside': [-0.5, 2.0, 2.0], 'roof': [2.0, 2.0, 3.3], 'cellar': [2.0, 2.0, -0.4],
+              'box': [3.4, 1.9, 0.5]}
+    allowed = allowed_of(Scene(np.vstack([points, box]), 'box'), mount, fixed=[
+        {'sensor': 'kinect_v2', 'position': place, 'name': name}
+        for name, place in places.items()])
+    named = [note.partition(':')[0] for note in allowed.fixed_notes()]
+    assert named == ['outside', 'roof', 'cellar', 'box']
+
+
 def test_an_omnidirectional_camera_may_have_any_orientation(rooms):
     allowed = allowed_of(rooms['box'], 'plane', 'omnidirectional', pitch=[20, 30])
     assert allowed.broken(level(3, 2, 1.9, pitch=80)) == []

@@ -16,8 +16,8 @@
 
 from conftest import box_room, box_sides, made_room
 import numpy as np
-from ocp_ros.geometry.cameras import rotation_matrix
-from ocp_ros.rig.plausibility import room_notes
+from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
+from ocp_ros.rig.plausibility import angle_notes, room_notes
 from ocp_ros.scenes.false_points import stray_points
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene
@@ -28,6 +28,15 @@ from scipy.spatial import cKDTree
 
 def scene_of(*parts):
     return Scene(np.concatenate(parts).astype(np.float32), 'room')
+
+
+@pytest.mark.parametrize(('angles', 'fov_deg', 'count'), [
+    ([0.785, 0.349, 0.0, -2.356], 87.0, 1), ([1.5708], 87.0, 1), ([0.785, 45.0], 87.0, 0),
+    ([0.0, 0.0], 87.0, 0), ([2.0, 1.0], 87.0, 0), ([48.0, 20.0], 1.5, 1), ([0.5, 0.2], 1.2, 2)])
+def test_angles_that_may_be_radians_are_noted(angles, fov_deg, count):
+    model = CameraModel(0.1, 5.0, np.deg2rad(fov_deg), np.deg2rad(0.6 * fov_deg))
+    assert len(angle_notes(angles, [model, model])) == count
+    assert angle_notes([], [CameraModel(0.1, 9.0, 2.0 * np.pi, 0.1)]) == []
 
 
 def of_kind(notes, words):
