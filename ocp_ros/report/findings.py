@@ -59,8 +59,9 @@ def evaluate_placement(problem: Problem, poses: np.ndarray) -> dict[str, Any]:
     return {'scores': scores, 'broken': broken_by(problem.region, poses, scores), **improvement,
             'expected': expected(scores['validation_error'], scores['depth_error_of_nothing'],
                                  missing),
-            'notes': [*problem.region.fixed_notes(), *angle_notes(fixed_angles, problem.rig.models),
-                      *room_notes(scene), *missing_surface_notes(missing), *scene.notes,
+            'notes': [*problem.region.fixed_notes(),
+                      *angle_notes(fixed_angles, problem.rig.models), *room_notes(scene),
+                      *missing_surface_notes(missing), *scene.notes,
                       *_missed_notes(improvement['missed']['share'])],
             'remarks': list(scene.remarks)}
 

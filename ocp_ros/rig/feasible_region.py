@@ -287,9 +287,9 @@ class FeasibleRegion:
 
     def fixed_notes(self) -> list[str]:
         """Return a sentence for each camera in place that is not in the air of the room."""
-        # Brackets hold cameras nearer to walls than the air is known, so that positions around a
-        # camera count too.
-        reach_m = 0.25
+        # Cameras hang nearer to walls than the air is known, so that positions around a camera
+        # count too.
+        reach_m = 0.2
         offsets = np.array(list(product((-reach_m, 0.0, reach_m), repeat=3)))
         sentences = []
         for fixed in self.rig.fixed:

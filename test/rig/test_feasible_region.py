@@ -294,7 +294,7 @@ def test_cameras_keep_apart_from_each_other_and_from_those_in_place(rooms):
 
 @pytest.mark.parametrize('mount', ['walls', 'ceiling', 'plane'])
 def test_a_camera_in_place_that_is_not_in_the_room_is_named(rooms, mount):
-    points, box = rooms['box'].points, box_sides([0.8, 0.8, 1.0], [3.4, 1.9, 0.5])
+    points, box = rooms['box'].points, box_sides([1.2, 1.2, 1.0], [3.4, 1.9, 0.5])
     places = {'corner': [0.05, 0.05, 2.7], 'middle': [2.0, 2.0, 1.0], 'wall': [4.0, 3.96, 2.0],
               'outside': [-0.5, 2.0, 2.0], 'roof': [2.0, 2.0, 3.3], 'cellar': [2.0, 2.0, -0.4],
               'box': [3.4, 1.9, 0.5]}
