@@ -76,13 +76,34 @@ ZONE = {'box': many('the lowest and the highest corner, metres, map frame', arra
                         [[0, 0], [2, 0], [2, 1]], 3, 1000),
         'height': many('the lowest and the highest metres above the floor', POINT, [0.0, 3.0],
                        2, 2)}
-CAMERA = mapping(
+#: What to do about keys that other programs have.
+MODEL_REMEDIES = {
+    **dict.fromkeys(('hfov', 'h_fov', 'fov_h', 'fov_horizontal'), "write 'horizontal_fov'"),
+    **dict.fromkeys(('vfov', 'v_fov', 'fov_v', 'fov_vertical'), "write 'vertical_fov'"),
+    **dict.fromkeys(('fov', 'dfov', 'diagonal_fov', 'angle'),
+                    "write 'horizontal_fov' and 'vertical_fov'"),
+    **dict.fromkeys(('range', 'distance'), "write 'max_range'"),
+    **dict.fromkeys(('model', 'type', 'camera'), "write 'sensor'")}
+CAMERA: Schema = mapping(
     'a sensor, or horizontal_fov, vertical_fov and max_range',
     {'sensor': 'realsense_d455', 'count': 3}, (), **MODEL, name=NAME,
-    count=whole('a whole number from 1 to 64', 3, minimum=1, maximum=64))
+    count=whole('a whole number from 1 to 64', 3, minimum=1, maximum=64) | {'remedies': {
+        'auto': 'leave it out, and choose the number by ocp plan --cameras auto'}}) | {
+    'remedies': MODEL_REMEDIES | {
+        **dict.fromkeys(('mount', 'on', 'height'), "write one 'mount' beside cameras: all groups "
+                        'have it; plan groups with other mounts one after the other, with the '
+                        "first ones as 'fixed'"),
+        **dict.fromkeys(('position', 'x', 'y', 'z', 'yaw'), 'write a camera with a pose under '
+                        "'fixed', or all of them in a placement file for ocp score"),
+        **dict.fromkeys(('pitch', 'roll'), 'write it beside cameras, for all groups'),
+        **dict.fromkeys(('number', 'amount', 'n', 'quantity'), "write 'count'")}}
 FIXED = mapping(
     'a camera and its position', {'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2], 'yaw': 90},
-    ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME)
+    ('position',), **MODEL, **ANGLES, position=POSITION, name=NAME) | {
+    'remedies': MODEL_REMEDIES | {'count': 'write an entry with its pose for each camera'}}
+WALL_REMEDIES = dict.fromkeys(
+    ('wall', 'walls', 'side', 'surface'), "write 'keep_in' beside cameras, with a box along the "
+    'wall: keep_in: [{box: [[0, 0, 0], [6, 0.3, 3]]}]')
 KEEP_OUT = mapping('a box or a polygon', {'box': [[0, 0, 0], [1, 1, 3]]}, (), **ZONE)
 REGION = mapping(
     'a name with a box or a polygon', {'name': 'table', 'box': [[1, 1, 0.5], [2, 2, 1.2]]},
@@ -90,17 +111,24 @@ REGION = mapping(
     air=mapping(
         'a mapping with seen_by, angle or neither', {'seen_by': 2, 'angle': 30}, (),
         seen_by=whole('a whole number of cameras, 1 or more', 2, minimum=1, maximum=64),
-        angle=number('degrees, 0 to 120', 30.0, minimum=0, maximum=120)),
+        angle=number('degrees, 0 to 120', 30.0, minimum=0, maximum=120)) | {
+            'remedies': dict.fromkeys(('true', 'null'), 'write air: {}')},
     weight=number('a number from 0 to 1000, the whole room being 1', 3.0, minimum=0,
                   maximum=1000),
     must_see={'description': 'true, false or the share that has to be seen, above 0, at most 1',
               'anyOf': [{'type': 'boolean'},
                         {'type': 'number', 'exclusiveMinimum': 0, 'maximum': 1}],
-              'examples': [True]})
+              'examples': [True]}) | {
+    'remedies': dict.fromkeys(('volume', 'space', 'empty'), 'write air: {}')}
 RIG = mapping(
     'a rig with the key cameras', {'cameras': [{'sensor': 'realsense_d455', 'count': 3}]},
     ('cameras',),
-    cameras=many('a list of one camera or more', CAMERA, [{'sensor': 'realsense_d455'}], 1),
+    cameras=many('a list of one camera or more', CAMERA, [{'sensor': 'realsense_d455'}], 1) | {
+        'remedies': {
+            '[]': 'write the cameras to be placed, such as cameras: [{sensor: realsense_d455}], '
+                  'or score those that hang already as the cameras of a placement file (ocp '
+                  'score)',
+            'auto': 'write a sensor, and choose the number by ocp plan --cameras auto'}},
     fixed=many('a list of cameras that stay where they are', FIXED,
                [{'sensor': 'kinect_v2', 'position': [1.0, 2.0, 2.2]}]),
     mount=mapping(
@@ -108,7 +136,8 @@ RIG = mapping(
         on=one_of(MOUNTS, 'plane'),
         height=one_or_two('metres above the floor, for walls and free one number or [low, high]',
                           1.9, 0.0, 100.0),
-        footprint=number('metres, 0 to 5', 0.4, minimum=0, maximum=5)),
+        footprint=number('metres, 0 to 5', 0.4, minimum=0, maximum=5)) | {
+            'remedies': WALL_REMEDIES},
     motion=mapping(
         'a mapping with max_step, max_turn or turns', {'max_step': 1.5, 'max_turn': 90}, (),
         max_step=number('metres from 0.001 to 10', 1.5, minimum=0.001, maximum=10),
@@ -130,7 +159,8 @@ RIG = mapping(
     calibratable=mapping(
         'a mapping with overlap, angle or neither', {'overlap': 0.2, 'angle': 60}, (),
         overlap=number('a share above 0, at most 1', 0.2, exclusiveMinimum=0, maximum=1),
-        angle=number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180)))
+        angle=number('degrees above 0, at most 180', 60.0, exclusiveMinimum=0, maximum=180))) | {
+    'remedies': WALL_REMEDIES}
 
 BOOLEAN = {'description': 'true or false', 'type': 'boolean', 'examples': [True]}
 PLACED = mapping(
@@ -140,7 +170,7 @@ PLACED = mapping(
            'examples': ['plane']},
     planned=mapping('where the camera was planned, if it was found to hang elsewhere',
                     {'position': [1.0, 2.0, 2.2], 'yaw': 90}, ('position',), position=POSITION,
-                    **ANGLES))
+                    **ANGLES)) | {'remedies': MODEL_REMEDIES}
 ROOM = mapping(
     'a mapping with the key file or seed', {'file': 'room.ply'}, (),
     file=text('the path of a scan', 'room.ply'),

@@ -150,10 +150,11 @@ class Objective:
             low, high = (', '.join(f'{value:.2f}' for value in corner) for corner in scene.bounds)
             cells = '' if region.air is None else (
                 f' in cells of {self.simulator.cell_volume ** (1.0 / 3.0):.2f} m')
+            remedy = ('correct its corners, or choose a region that is in the scan' if region.air
+                      else 'write air: {} if it is in the air, or correct its corners')
             raise ConfigurationError(
                 f'{region.where}: found no {region.parts} of {scene.name} in it{cells}; expected '
-                f'some, within ({low}) to ({high}); correct its corners, or choose a region that '
-                'is in the scan')
+                f'some, within ({low}) to ({high}); {remedy}')
 
     @cached_property
     def _cells(self) -> np.ndarray:

@@ -283,6 +283,7 @@ def check(document: Document, schema: dict[str, Any]) -> None:
 
     The messages use texts of the schema: ``description`` says what is expected, and ``examples``
     what to write. Each is taken from the innermost subschema around the error that has it.
+    ``remedies`` says what to do about an unknown key or about a value, by this key or value.
 
     :param document: the data.
     :param schema: JSON Schema 2020-12 without references.
@@ -310,15 +311,18 @@ def _error_from_schema(document: Document, schema: dict[str, Any], error: Valida
                        ) -> ConfigurationError:
     """Return an error of this package for an error that the schema validator has found."""
     key_path = _error_key_path(error)
+    remedies = error.schema.get('remedies', {})
     if error.validator == 'additionalProperties':
         known_keys = list(error.schema['properties'])
         return document.error(key_path, f'the unknown key {describe(key_path[-1])}',
                               'one of ' + ', '.join(known_keys),
-                              nearest(key_path[-1], known_keys, 'remove it'))
+                              remedies.get(str(key_path[-1]).lower())
+                              or nearest(key_path[-1], known_keys, 'remove it'))
     if error.validator == 'required':
         key = next(key for key in error.validator_value if key not in error.instance)
         missing_schema = error.schema['properties'][key]
         return document.error(key_path, f'no {key}', missing_schema['description'],
+                              missing_schema.get('remedies', {}).get('[]') or
                               f'add, for example, {key}: {shown(missing_schema["examples"][0])}')
     # Only lists of a variable length get this message: the description of a list of a fixed
     # length says the length.
@@ -328,7 +332,8 @@ def _error_from_schema(document: Document, schema: dict[str, Any], error: Valida
     expected, remedy = _expected_and_remedy(schema, error)
     if error.validator == 'enum' and isinstance(error.instance, str):
         remedy = nearest(error.instance, error.validator_value, remedy)
-    return document.error(key_path, describe(error.instance), expected, remedy)
+    return document.error(key_path, describe(error.instance), expected,
+                          remedies.get(shown(error.instance).lower(), remedy))
 
 
 def _expected_and_remedy(schema: dict[str, Any], error: ValidationError) -> tuple[str, str]:

@@ -188,6 +188,17 @@ BAD = [
     ('max_range', 'max_rang', 'line 3, cameras[1].max_rang', "'max_range'"),
     ('on: walls', 'on: wall', 'line 7, mount.on', "'walls'"),
     ('pitch: [0, 60]', 'pitch: [60, 0]', 'line 8, pitch', '[0, 60]'),
+    # Keys and values that people write have their own remedy.
+    ('spacing: 0.5', 'wall: D', 'line 10, wall', 'keep_in'),
+    ('on: walls', 'on: walls, wall: 2', 'line 7, mount.wall', 'keep_in'),
+    ('count: 3', 'count: 3, mount: {on: walls}', 'line 2, cameras[0].mount', 'beside cameras'),
+    ('count: 3', 'count: auto', 'line 2, cameras[0].count', '--cameras auto'),
+    ('horizontal_fov', 'hFOV', 'line 3, cameras[1].hFOV', "'horizontal_fov'"),
+    ('vertical_fov', 'vfov', 'line 3, cameras[1].vfov', "'vertical_fov'"),
+    ('horizontal_fov', 'fov', 'line 3, cameras[1].fov', "'vertical_fov'"),
+    (RIG[:RIG.index('fixed')], '', 'line 1', 'ocp score'),
+    (RIG[:RIG.index('fixed')], 'cameras: []\n', 'line 1', 'ocp score'),
+    ('weight: 3.0', 'air: true', 'line 15, regions[0].air', 'air: {}'),
 ]
 
 
