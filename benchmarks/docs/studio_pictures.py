@@ -76,7 +76,7 @@ def main() -> None:
                 poses = news.poses
                 page.enqueue(lambda: studio.set_placement(studio.state.rig, poses))
 
-        Task(search_work(studio, studio.state, False), SECONDS, take_over).join()
+        Task(search_work(studio, studio.state), SECONDS, take_over).join()
         take('studio_compared', DESK, lambda tab: tab.get_by_role('tab', name='Numbers').click())
         page.enqueue(lambda: page.panel.compare(None))
         take('studio_phone', PHONE, lambda tab: None)

@@ -51,6 +51,8 @@ class Panel:
 
     def __init__(self, session: Session, height: float) -> None:
         self.session, self.studio = session, session.studio
+        #: Fields whose values people have entered since :meth:`show_details`.
+        self._entered_fields: list[Any] = []
         #: Nearest allowed pose (6,) of the selected camera; None if it is not needed or unknown.
         self._nearest_pose: np.ndarray | None = None
         gui = session.server.gui
@@ -136,11 +138,12 @@ class Panel:
         """Add the buttons that start and stop searches, and their progress."""
         self.seconds = gui.add_number('Seconds', 20.0, min=MIN_SECONDS, max=MAX_SECONDS, step=1.0)
         actions: dict[str, Callable[[Any], None]] = {
-            'Plan all': lambda _: self._search(from_here=False),
-            'Improve from here': lambda _: self._search(from_here=True),
+            'Plan all': self._search,
             'Best additional camera': self._search_addition,
             'Which camera to leave out': self._select_least_useful}
         self.plan_buttons = {label: gui.add_button(label) for label in actions}
+        # Without an action, so that all clients show the same value.
+        self._connect(self.seconds, lambda _: None)
         for label, button in self.plan_buttons.items():
             self._connect(button, actions[label])
         self.progress_bar = gui.add_progress_bar(0.0, visible=False)
@@ -160,6 +163,7 @@ class Panel:
         self.load_button = gui.add_button('Load')
         self.file_message = gui.add_html('')
         self._list_files()
+        self._connect(self.file_name, lambda _: None)
         self._connect(self.save_buttons, self._save)
         self._connect(self.export_button, self._export)
         self._connect(self.load_button, self._load)
@@ -184,6 +188,7 @@ class Panel:
         def enqueue_action(event: viser.GuiEvent) -> None:
             # Without a client, the program itself has changed the value.
             if event.client is not None:
+                self._entered_fields.append(field)
                 self.session.enqueue(partial(run, event.target.value))
         # Only buttons have on_click.
         (field.on_click if hasattr(field, 'on_click') else field.on_update)(
@@ -237,6 +242,13 @@ class Panel:
         self.locked_box.value = rig_camera.name in state.locked
         if rig_camera.sensor in SENSORS:
             self.sensor_list.value = rig_camera.sensor
+        # viser sends a value to all clients but its sender, and nothing if it is unchanged: of two
+        # clients that enter values at once, each would show that of the other.
+        entered_fields, self._entered_fields = self._entered_fields, []
+        if len(self.session.server.get_clients()) > 1:
+            for field in entered_fields:
+                if not hasattr(field, 'on_click'):
+                    field._queue_update('value', field.value)
         # This colouring depends on the selected camera, which may be another one now.
         if self.colouring == texts.COLOURINGS.by_camera:
             self.colour_points()
@@ -409,12 +421,12 @@ class Panel:
                                     if (entry.key, entry.number) == (key, number))
         self._show_zone()
 
-    def _search(self, from_here: bool) -> None:
-        """Search for better poses; ``from_here``: begin from the present placement."""
+    def _search(self, _: Any) -> None:
+        """Search for better poses."""
         # In this order, NaN is the least duration.
         seconds = min(max(MIN_SECONDS, float(self.seconds.value)), MAX_SECONDS)
-        self._start_task(search_work(self.studio, self.studio.state, from_here), seconds,
-                         'searching', self.search_message)
+        self._start_task(search_work(self.studio, self.studio.state), seconds, 'searching',
+                         self.search_message)
 
     def _stop_search(self) -> None:
         """Stop the task at its next step; what it has found stays."""

@@ -96,13 +96,12 @@ class Task:
 Work = Callable[[Task], Iterator[Progress]]
 
 
-def search_work(studio: Studio, state: State, from_here: bool) -> Work:
+def search_work(studio: Studio, state: State) -> Work:
     """
     Return the work of searching for better poses; locked cameras stay.
 
     :param studio: gets the certificate, a lower bound, that the search finds.
-    :param state: the placement at the start.
-    :param from_here: whether the search begins from this placement.
+    :param state: the placement at the start, which is one start of the search.
     """
     def work(task: Task) -> Iterator[Progress]:
         unlocked = [k for k, name in enumerate(state.names) if name not in state.locked]
@@ -112,7 +111,8 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
         budget = task.budget.restarted()
         pool = pool_of(problem, budget)
         check_regions(problem.objective, pool)
-        best_sites = _start_sites(studio, problem, state, unlocked) if from_here else ()
+        best_sites = _start_sites(studio, problem, state, unlocked)
+        present_poses = state.poses.copy()
         certificate: Certificate | None = None
         done_share = 0.0
         # Each search begins from the best placement so far, which the page shows meanwhile, and
@@ -133,7 +133,10 @@ def search_work(studio: Studio, state: State, from_here: bool) -> Work:
                               key=lambda each: each.bound, default=None)
             poses = state.poses.copy()
             poses[unlocked] = result.poses
-            yield Progress(done_share, f'found the objective value {result.loss:.4f}', poses)
+            is_better = not np.array_equal(poses, present_poses)
+            present_poses = poses
+            yield Progress(done_share, f'found {"" if is_better else "no better than "}the '
+                           f'objective value {result.loss:.4f}', poses if is_better else None)
             if task.budget.stopped:
                 break
         # With locked cameras, the lower bound does not hold for all placements of the rig.

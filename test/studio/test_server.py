@@ -154,6 +154,18 @@ def set_value(client, handle, value):
     client.send('GuiUpdateMessage', uuid=handle._impl.uuid, updates={'value': value})
 
 
+def test_of_two_numbers_entered_at_once_both_clients_show_the_last(page):
+    page, url = page
+    with client_of(url, first_can_be_dragged) as first, client_of(url) as second:
+        wait_until(lambda: len(page.server.get_clients()) == 2)
+        for client, seconds in ((first, 44.0), (second, 33.0)):
+            set_value(client, page.panel.seconds, seconds)
+        wait_until(lambda: page.panel.seconds.value != 20.0)
+        for client in (first, second):
+            client.until(lambda message: message.get('uuid') == page.panel.seconds._impl.uuid
+                         and message['updates'] == {'value': page.panel.seconds.value})
+
+
 def test_numbers_that_are_none_change_nothing(page):
     page, url = page
     before = page.studio.state
