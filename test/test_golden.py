@@ -80,8 +80,3 @@ def test_each_difference_is_a_line(golden):
     assert places() == ['a: error', 'a: sha256', 'a: at.0', 'a: at.1', 'gone', 'new']
     # Whole numbers and texts are never near.
     assert places(1e-9) == ['a: at.1', 'gone', 'new']
-
-
-def test_stored_answers_have_a_line_each(golden, stored):
-    text = golden.STORED.read_text()
-    assert golden.text_of(stored) == text and len(text) < 300_000

@@ -242,30 +242,18 @@ def test_a_pipe_has_no_checksum(tmp_path):
         sha256_of_file(tmp_path / 'pipe')
 
 
-def read_rig(folder, **document):
-    (folder / 'rig.json').write_text(json.dumps(document))
-    return load_rig(folder / 'rig.json')
-
-
 @pytest.mark.parametrize(('nearest', 'farthest', 'width', 'height'), [
     (30, 40, 90, 60), (30, 40, 360, 180), (0, 0.06, 90, 60)])
 def test_a_camera_that_sees_nothing_is_refused_before_the_search(
         tmp_path, nearest, farthest, width, height):
     blind = {'name': 'blind', 'min_range': nearest, 'max_range': farthest,
              'horizontal_fov': width, 'vertical_fov': height}
-    rig = read_rig(tmp_path, cameras=[{'sensor': 'realsense_d455'}, blind], keep_clear=0.1,
-                   mount={'on': 'walls', 'height': 2.0})
+    (tmp_path / 'rig.json').write_text(json.dumps({
+        'cameras': [{'sensor': 'realsense_d455'}, blind], 'keep_clear': 0.1,
+        'mount': {'on': 'walls', 'height': 2.0}}))
     with pytest.raises(ConfigurationError, match=f'blind.* {farthest:g} m'):
-        PlannedRig(made_room(8, 1500), rig, PlanTask(evaluations=20), Budget(None, 20))
-
-
-@pytest.mark.parametrize('key, value', [
-    ('horizontal_fov', 1e-99), ('vertical_fov', 1e-3), ('max_range', 1e-9), ('max_range', 1e6),
-    ('min_range', 1e4), ('resolution', [10 ** 9, 1])])
-def test_numbers_that_no_camera_has_are_refused(tmp_path, key, value):
-    camera = {'horizontal_fov': 90, 'vertical_fov': 60, 'max_range': 5, key: value}
-    with pytest.raises(ConfigurationError, match=key):
-        read_rig(tmp_path, cameras=[camera])
+        PlannedRig(made_room(8, 1500), load_rig(tmp_path / 'rig.json'),
+                   PlanTask(evaluations=20), Budget(None, 20))
 
 
 def test_a_proof_that_fails_does_not_lose_the_plan(monkeypatch):

@@ -201,7 +201,8 @@ def test_intervals_and_ranks_tell_planners_apart():
     (['--rig', 'rig.yaml', '--sensor', 'd455'], '--sensor: found d455 with --rig'),
     (['--mount', 'walls'], '--mount: found walls without --sensor'),
     (['--sensor', 'd4'], 'd4'), (['--scale', '0.001'], '--rooms'),
-    (['--planners', 'magic'], 'magic'), (['--out', 'rig.yaml'], '--out'),
+    (['--planners', 'magic'], 'magic'),
+    (['--planners', 'learned', '--model', 'nowhere'], 'nowhere'), (['--out', 'rig.yaml'], '--out'),
     (['--workers', '0'], '--workers'), (['--budgets', 'many'], '--budgets')])
 def test_options_that_cannot_be_are_refused(tmp_path, monkeypatch, capsys, arguments, words):
     monkeypatch.chdir(tmp_path)
@@ -317,10 +318,8 @@ def test_cameras_that_cannot_keep_their_spacing_are_refused(tmp_path):
 
 
 @pytest.mark.system
-def test_scans_a_rig_file_and_weights_are_compared(tmp_path, capsys):
-    rig, out = str(tmp_path / 'rig.yaml'), tmp_path / 'out'
-    (tmp_path / 'rig.yaml').write_text(
-        'cameras: [{sensor: realsense_d455}]\nmount: {on: ceiling}\n')
+def test_scans_are_compared_with_any_number_of_cameras(tmp_path, capsys):
+    out = tmp_path / 'out'
     for seed in (8, 9):
         save_scene(made_room(seed, 1500), tmp_path / f'{seed}.ply')
     command = ['benchmark', '--workers', '1', '--budgets', '20', '--seeds', '1', '--out', str(out),
@@ -337,11 +336,6 @@ def test_scans_a_rig_file_and_weights_are_compared(tmp_path, capsys):
                  for name in found['pairs'] if name in line}
         assert ' to ' in shown['greedy_coverage'] and ' to ' not in shown['lookahead']
     assert sums[1] < sums[0]
-    assert cli.main([*command, 'lookahead,random', '--rig', rig, '--out', str(out / 'rig')]) == 0
-    for words, *wrong in (('--cameras', 'random', '--cameras', '2', '--rig', rig),
-                          ('nowhere', 'learned', '--model', 'nowhere', '--out', f'{tmp_path}/b')):
-        assert cli.main([*command, *wrong]) == 2
-        assert words in capsys.readouterr().err
 
 
 @pytest.fixture

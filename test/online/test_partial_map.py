@@ -135,19 +135,6 @@ def test_what_is_no_room_is_refused_and_where_cameras_were_counts(kind, room):
         observed(room.points, away, 1))
 
 
-@for_any(20, width=st.floats(0.5, 20.0), share=st.floats(0.1, 1.0),
-         degrees=st.floats(0.0, 360.0), seed=st.integers(0, 1000))
-def test_the_smallest_rectangle_is_that_of_a_turned_one(width, share, degrees, seed):
-    size = np.array([width, share * width])
-    corners = np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * size
-    inner = np.random.default_rng(seed).uniform(0.0, 1.0, (50, 2)) * size
-    matrix, shift = around_z(degrees), np.array([3.0, -7.0])
-    found = smallest_rectangle(np.concatenate([inner, corners]) @ matrix.T + shift)
-    expected = corners @ matrix.T + shift
-    away = np.linalg.norm(found[:, None] - expected[None], axis=2)
-    assert away.min(axis=0).max() < 1e-6 * width and away.min(axis=1).max() < 1e-6 * width
-
-
 @for_any(15, seed=st.integers(0, 10000))
 def test_the_smallest_rectangle_holds_all_points_and_none_is_smaller(seed):
     points = np.random.default_rng(seed).normal(size=(30, 2)) @ [[2.0, 0.3], [0.0, 1.0]]

@@ -140,6 +140,13 @@ BAD = [
     ('max_range: 5.0', 'max_range: 5 m', 'line 3, cameras[1].max_range'),
     ('vertical_fov: 60', 'vertical_fov: 0', 'line 3, cameras[1].vertical_fov'),
     ('vertical_fov: 60', 'vertical_fov: 181', 'line 3, cameras[1].vertical_fov'),
+    # Numbers that no camera has.
+    ('horizontal_fov: 90', 'horizontal_fov: 1.0e-99', 'line 3, cameras[1].horizontal_fov'),
+    ('vertical_fov: 60', 'vertical_fov: 0.001', 'line 3, cameras[1].vertical_fov'),
+    ('max_range: 5.0', 'max_range: 1.0e-9', 'line 3, cameras[1].max_range'),
+    ('max_range: 5.0', 'max_range: 1.0e+6', 'line 3, cameras[1].max_range'),
+    ('min_range: 0.3', 'min_range: 1.0e+4', 'line 3, cameras[1].min_range'),
+    ('[640, 480]', '[1000000000, 1]', 'line 4, cameras[1].resolution'),
     ('vertical_fov: 60, ', '', 'line 3, cameras[1]'),
     # Half a lens, a lens and its angle, a flat sensor.
     ('vertical_fov: 60', 'focal_length: 4', 'line 3, cameras[1].focal_length'),
