@@ -21,7 +21,6 @@ In this module B is the size of a batch.
 from collections.abc import Callable
 from contextlib import suppress
 import ctypes
-from functools import partial
 import math
 from typing import Any
 
@@ -85,21 +84,6 @@ class CloudFeatures(BaseFeaturesExtractor):
         self._batch = self._features = None
 
 
-class CloudCritic(ContinuousCritic):
-    """Critics that compute no gradients of the features for the actor's loss."""
-
-    def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Return values (B, 1), one array from each critic, of observations and actions (B, A)."""
-        # Only the actions in the actor's loss need gradients, which shows that the call is for it.
-        inputs = torch.cat([self.features_of(obs, actions.requires_grad), actions], dim=1)
-        return tuple(network(inputs) for network in self.q_networks)
-
-    def features_of(self, obs, for_actor: bool) -> torch.Tensor:
-        """Return features (B, F), without gradients if they are for the actor's loss."""
-        with torch.set_grad_enabled(torch.is_grad_enabled() and not for_actor):
-            return self.extract_features(obs, self.features_extractor)
-
-
 class DetachedActor(Actor):
     """An actor whose loss does not train the features."""
 
@@ -114,7 +98,7 @@ class DetachedActor(Actor):
         ).detach()
 
 
-class FeatureCritic(CloudCritic):
+class FeatureCritic(ContinuousCritic):
     """Critics whose loss trains the features, which the actor shares."""
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
@@ -127,47 +111,20 @@ class FeatureCritic(CloudCritic):
             # The list is no module: stable-baselines3 registers each network as an attribute.
             setattr(self, f'qf{number}', network)
 
-    def features_of(self, obs, for_actor: bool) -> torch.Tensor:
-        """Return the stored features (B, F) of the batch."""
+    def forward(self, obs, actions: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        """Return values (B, 1), one array from each critic, of observations and actions (B, A)."""
         features = self.features_extractor.cached_features(
             obs, lambda: self.extract_features(obs, self.features_extractor))
-        if for_actor:
-            # The actor's loss is the last one of a gradient step.
+        # Only the actions in the actor's loss need gradients, which shows that the call is for it.
+        # This loss does not train the features, and is the last one of a gradient step.
+        if actions.requires_grad:
             features = features.detach()
             self.features_extractor.drop_batch()
-        return features
+        inputs = torch.cat([features, actions], dim=1)
+        return tuple(network(inputs) for network in self.q_networks)
 
 
-class CustomPolicy(MultiInputPolicy):
-    """
-    SAC's policy with other classes of actor and critics.
-
-    :ivar build_actor: returns the actor for stable-baselines3's arguments.
-    :ivar build_critic: returns the critics for stable-baselines3's arguments.
-    """
-
-    build_actor: Callable[..., Actor]
-    build_critic: Callable[..., ContinuousCritic]
-
-    def make_actor(self, features_extractor=None) -> Actor:
-        """Build the actor."""
-        arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
-        return self.build_actor(**arguments).to(self.device)
-
-    def make_critic(self, features_extractor=None) -> ContinuousCritic:
-        """Build the critics."""
-        arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
-        return self.build_critic(**arguments).to(self.device)
-
-
-class PaperPolicy(CustomPolicy):
-    """stable-baselines3's SAC policy, in which actor and critics have extractors of their own."""
-
-    build_actor = Actor
-    build_critic = CloudCritic
-
-
-class CloudPolicy(CustomPolicy):
+class CloudPolicy(MultiInputPolicy):
     """
     SAC's policy with one feature extractor, which only the critics train.
 
@@ -176,9 +133,18 @@ class CloudPolicy(CustomPolicy):
     """
 
     def __init__(self, *args, agent: AgentConfig, **kwargs) -> None:
-        self.build_actor = partial(DetachedActor, agent=agent)
-        self.build_critic = partial(FeatureCritic, agent=agent)
+        self.agent = agent
         super().__init__(*args, **kwargs)
+
+    def make_actor(self, features_extractor=None) -> Actor:
+        """Build the actor."""
+        arguments = self._update_features_extractor(self.actor_kwargs, features_extractor)
+        return DetachedActor(**arguments, agent=self.agent).to(self.device)
+
+    def make_critic(self, features_extractor=None) -> ContinuousCritic:
+        """Build the critics."""
+        arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
+        return FeatureCritic(**arguments, agent=self.agent).to(self.device)
 
     def _build(self, lr_schedule) -> None:
         """Build the networks and their optimizers."""
@@ -202,7 +168,8 @@ def policy_of(agent: AgentConfig, bfloat16: bool) -> tuple[type[MultiInputPolicy
                  'share_features_extractor': agent.one_by_one}
     if agent.one_by_one:
         return CloudPolicy, arguments | {'agent': agent}
-    return PaperPolicy, arguments
+    # In the network of the paper, actor and critics have extractors of their own.
+    return MultiInputPolicy, arguments
 
 
 class AgentSac(SAC):

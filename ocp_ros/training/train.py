@@ -49,7 +49,7 @@ from ocp_ros.training.sac_state import (
 )
 from ocp_ros.training.training_config import TrainingConfig
 from ocp_ros.training.training_rooms import room_names, Rooms
-from ocp_ros.training.validation import evaluate, RANDOM_MOVES, trials_of
+from ocp_ros.training.validation import evaluate, trials_of
 from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import to_nested
@@ -398,7 +398,7 @@ def report(run: Run, command: str) -> Checkpoint:
         'seconds': lines[-1]['seconds'] if lines else run.seconds, 'curve': lines,
         'test': {'rooms': len(trials),
                  'policy': evaluate(run.pool, trials, best.to_bytes()),
-                 RANDOM_MOVES: evaluate(run.pool, trials)}}
+                 'random_moves': evaluate(run.pool, trials)}}
     final = replace(best, provenance=provenance)
     final.save(run.folder / BEST)
     return final

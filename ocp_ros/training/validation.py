@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Evaluate policies and planners in validation or test rooms."""
+"""Evaluate policies in validation or test rooms."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,6 @@ from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.learned import PolicyAlone
 from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.motion import bounded_moves
-from ocp_ros.search.registry import PLANNERS
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
@@ -34,8 +33,6 @@ from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
 from ocp_ros.training.training_rooms import make_scene, room_names
 from ocp_ros.util.worker_pool import WorkerPool
 
-#: Name of the baseline that moves the cameras at random.
-RANDOM_MOVES = 'random_moves'
 #: Cameras (0: those of the rig file), turns and longest move (metres) of the trials of a run whose
 #: episodes are drawn.
 DRAWN_TRIALS = ((4, 5, 2.0), (4, 8, 2.0), (4, 30, 0.5), (2, 8, 2.0), (6, 8, 2.0), (0, 8, 2.0))
@@ -44,15 +41,14 @@ DRAWN_TRIALS = ((4, 5, 2.0), (4, 8, 2.0), (4, 30, 0.5), (2, 8, 2.0), (6, 8, 2.0)
 @dataclass(frozen=True)
 class ValidationTrial:
     """
-    The settings of one episode, in which a policy or planner is evaluated.
+    The settings of one episode, in which a policy is evaluated.
 
     :ivar room: name of the room; see :mod:`ocp_ros.training.training_rooms`.
     :ivar rooms: options for making the room.
     :ivar rotation: rotation of the room about the vertical axis, degrees.
     :ivar simulation: the rig, and the engine that computes the depth error.
     :ivar seed: random seed of the start positions and of random choices.
-    :ivar planner: name of an online planner, or ``random_moves``; unused if there are weights.
-    :ivar weights: weights of the policy to evaluate, as one blob; empty for none.
+    :ivar weights: weights of the policy to evaluate, as one blob; empty for random moves.
     """
 
     room: str
@@ -60,7 +56,6 @@ class ValidationTrial:
     rotation: float
     simulation: SimulationConfig
     seed: int = 0
-    planner: str = RANDOM_MOVES
     weights: bytes = b''
 
 
@@ -82,12 +77,9 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
     # Planner and episode have one generator each, so the start does not depend on the planner.
     rng = np.random.default_rng([trial.seed, 1])
     settings = settings_of(trial.simulation.episode, problem.rig, rng)
+    planner: Online = RandomMoves(*settings)
     if trial.weights:
-        planner: Online = PolicyAlone(policy_of(trial.weights), *settings)
-    elif trial.planner == RANDOM_MOVES:
-        planner = RandomMoves(*settings)
-    else:
-        planner = PLANNERS[trial.planner].make(trial.simulation.episode, problem.rig, rng)
+        planner = PolicyAlone(policy_of(trial.weights), *settings)
     episode = Episode(problem, np.random.default_rng([trial.seed, 0]))
     errors = play(planner, episode).depth_error
     return float(errors[0]), float(errors[-1]), float(episode.turn.space_coverage)
@@ -152,8 +144,7 @@ def evaluate(pool: WorkerPool, trials: Sequence[ValidationTrial], weights: bytes
 
     :param pool: the worker pool that runs the episodes.
     :param trials: the settings of the episodes.
-    :param weights: weights of the policy to evaluate, as one blob; empty: each trial runs its own
-        weights or, without any, its own planner.
+    :param weights: weights of the policy to evaluate, as one blob; empty: those of each trial.
     :returns: mean depth error at start and end (metres), their ratio, and mean space coverage at
         the end (cubic metres).
     """
