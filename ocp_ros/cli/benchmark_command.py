@@ -85,7 +85,7 @@ def run(arguments: argparse.Namespace) -> Found:
     protocol = protocol_of(arguments)
     folder = folder_to_write(arguments.out)
     summary = compare(protocol, folder, command_of(arguments.argv), arguments.workers or 0,
-                      arguments.ray).summary
+                      arguments.ray)
     return {**summary, 'written': [*rig_files, *(folder / name for name in RESULTS)]}
 
 

@@ -34,6 +34,7 @@ from ocp_ros.cli.common import (
     Found,
     json_text,
     JUDGE,
+    no_ros,
     show_written,
 )
 from ocp_ros.util.settings import check_known, ConfigurationError
@@ -156,9 +157,7 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str,
         try:
             from ocp_ros.ros.bags.recorded_clouds import recorded_clouds
         except ImportError as error:
-            raise ConfigurationError(
-                f'--bag: found no ROS 2 ({error}); expected rclpy and its messages; run '
-                'tools/setup, or save the clouds as files (--clouds)') from error
+            raise no_ros('--bag', error) from error
         topics = dict(_split_pair(text, '--topics', 'TOPIC') for text in arguments.topics)
         check_known(topics, names, '--topics')
         return recorded_clouds(arguments.bag, names, topics, arguments.cloud_frame)

@@ -265,7 +265,7 @@ def claim_file(arguments: argparse.Namespace, path: Path, what: str, option: str
 
 
 def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[str], mark: str,
-                 more_inputs: Iterable[str | Path] = (), option: str = '--out') -> None:
+                 more_inputs: Iterable[str | Path] = ()) -> None:
     """
     Check that a command may write files to a folder, before it does any work.
 
@@ -275,22 +275,22 @@ def claim_folder(arguments: argparse.Namespace, folder: Path, names: Iterable[st
     :param names: of the files that are written, or removed if an earlier run has left them.
     :param mark: name of a file that every run leaves in the folder; may contain ``*``.
     :param more_inputs: inputs in addition to those of :func:`inputs_of`.
-    :param option: option that names the folder, for errors.
     :raises ConfigurationError: if an input would be replaced, a folder has one of the names, or
         the folder has other files.
     """
     names = list(names)
-    _check_inputs([folder / name for name in names], [*inputs_of(arguments), *more_inputs], option)
+    _check_inputs([folder / name for name in names], [*inputs_of(arguments), *more_inputs],
+                  '--out')
     if folders := [folder / name for name in names if (folder / name).is_dir()]:
         raise ConfigurationError(
-            f'{option}: found the folder {folders[0]}; expected a file there, or nothing; '
+            f'--out: found the folder {folders[0]}; expected a file there, or nothing; '
             'name another folder, or move that one')
     if not folder.is_dir() or _may_replace(arguments, folder) or any(folder.glob(mark)):
         return
     others = sorted(path.name for path in folder.iterdir() if not path.name.startswith('.'))
     if others:
         raise ConfigurationError(
-            f'{option}: found {folder / others[0]}, and no {mark} of an earlier run; expected a '
+            f'--out: found {folder / others[0]}, and no {mark} of an earlier run; expected a '
             'new or empty folder, or that of an earlier run; name another one, or add --overwrite '
             'to write to this one')
 

@@ -31,7 +31,7 @@ import logging
 import os
 from pathlib import Path
 import platform
-from typing import Any, NamedTuple
+from typing import Any
 
 from ocp_ros import __version__
 from ocp_ros.compare.protocol import BenchmarkTask, Protocol, run_task
@@ -50,22 +50,8 @@ RESULTS = ('results.csv', 'results.json', 'summary.json')
 _log = logging.getLogger(__name__)
 
 
-class Comparison(NamedTuple):
-    """
-    Results of a comparison.
-
-    :ivar rows: of all runs, see :func:`~ocp_ros.compare.protocol.run_task`.
-    :ivar summary: settings, date and versions; the figures of
-        :func:`~ocp_ros.compare.summary.summarise`; and ``pairs``, the comparison of the first
-        planner with each other planner, see :func:`~ocp_ros.compare.summary.pairs`.
-    """
-
-    rows: Rows
-    summary: dict[str, Any]
-
-
 def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
-            ray_address: str | None = None) -> Comparison:
+            ray_address: str | None = None) -> dict[str, Any]:
     """
     Run the tasks without results, with progress on stderr, and write :data:`RESULTS`.
 
@@ -74,6 +60,9 @@ def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
     :param command: the command line, for the record.
     :param workers: number of processes on this machine; 0 for one on each core.
     :param ray_address: of a Ray cluster that runs the tasks instead, such as ``auto``.
+    :returns: the summary: settings, date and versions; the figures of
+        :func:`~ocp_ros.compare.summary.summarise`; and ``pairs``, the comparison of the first
+        planner with each other planner, see :func:`~ocp_ros.compare.summary.pairs`.
     :raises ConfigurationError: if the folder belongs to another comparison.
     """
     columns = (TextColumn(f'comparing planners, {protocol.cameras} cameras'), BarColumn(),
@@ -91,7 +80,7 @@ def compare(protocol: Protocol, folder: Path, command: str, workers: int = 0,
         'rig': Path(protocol.simulation.rig_file).name, 'cameras': protocol.cameras,
         **summarise(rows), 'pairs': pairs(rows, protocol.planners[0])}
     _write_results(folder, rows, summary)
-    return Comparison(rows, summary)
+    return summary
 
 
 def run_tasks(protocol: Protocol, folder: Path, workers: int = 0, ray_address: str | None = None,

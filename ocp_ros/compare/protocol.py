@@ -116,7 +116,6 @@ class Protocol:
     :ivar model: weights of trained planners: path or name.
     :ivar points: number of points of the scan for searches.
     :ivar judged_points: number of points of the scan for the judge.
-    :ivar half: random seed that selects the half of a scan for searches; the judge has the other.
     :ivar truth_budget: number of evaluations of the search with ray casting.
     """
 
@@ -131,7 +130,6 @@ class Protocol:
     model: str = DEFAULT_MODEL
     points: int = SEARCH_POINTS
     judged_points: int = JUDGE_POINTS
-    half: int = 0
     truth_budget: int = 1000
 
     def __post_init__(self) -> None:
@@ -171,7 +169,7 @@ class Protocol:
     def room(self, name: str, rotation: float) -> JudgedRoom:
         """Return a room with its scans for searches and for the judge."""
         return judged_room(name, rotation, self.simulation, self.points, self.judged_points,
-                           self.scale, self.up, self.half)
+                           self.scale, self.up)
 
     @property
     def cameras(self) -> int:

@@ -44,20 +44,6 @@ Rows = list[dict[str, Any]]
 LOG_OFFSET_M = 0.01
 
 
-def best_known(rows: Rows) -> dict[str, float]:
-    """
-    Return the smallest delivered depth error of the search with ray casting, by room.
-
-    It is the mean over the rotations of a room, metres.
-    """
-    best: dict[str, dict[float, float]] = defaultdict(lambda: defaultdict(lambda: np.inf))
-    for row in rows:
-        if row['planner'] == RAY_SEARCH:
-            errors = best[row['room']]
-            errors[row['rotation']] = min(errors[row['rotation']], row['depth_error'])
-    return {room: float(np.mean(list(errors.values()))) for room, errors in best.items()}
-
-
 def per_room(rows: Rows, planner: str, budget: int, figure: str) -> dict[str, float]:
     """
     Return the mean of a figure over seeds and rotations, by room.
@@ -107,7 +93,9 @@ def summarise(rows: Rows) -> dict[str, Any]:
         optimality gap. Further: ``rank_tests`` by budget, ``rooms`` with their reference errors,
         and ``notes`` on rooms whose errors are too small to compare planners.
     """
-    best_errors = best_known(rows)
+    # The search with ray casting has one run in each room and rotation.
+    ray_budget, = {row['budget'] for row in rows if row['planner'] == RAY_SEARCH}
+    best_errors = per_room(rows, RAY_SEARCH, ray_budget, 'depth_error')
     rooms = list(dict.fromkeys(row['room'] for row in rows))
     # The budget of a random placement is 1.
     random_errors = per_room(rows, RANDOM_PLACEMENT, 1, 'depth_error')
@@ -140,7 +128,6 @@ def summarise(rows: Rows) -> dict[str, Any]:
             'interval': interval(values), 'rooms': errors[planner, budget],
             'wins': int(np.sum(values <= least_errors)),
             'gap_closed': _ratio(random_sum - values.sum(), random_sum - best_sum)}
-    ray_budget, = {row['budget'] for row in rows if row['planner'] == RAY_SEARCH}
     summary['truth'] = _planner_figures(rows, RAY_SEARCH, ray_budget, best_errors)
     for budget in dict.fromkeys(budget for _, budget in runs):
         names = [planner for planner, other in runs if other == budget]

@@ -64,9 +64,9 @@ class Value(NamedTuple):
     explored: float
 
 
-#: The reward of a state that no turn has led to.
 #: Added to the reward of a turn, or K_P of the paper, if a command is not allowed.
 PENALTY = -1.0
+#: The reward of a state that no turn has led to.
 NO_REWARD = RewardTerms(0.0, 0.0, 0.0, 0.0)
 
 
