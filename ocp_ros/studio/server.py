@@ -17,8 +17,8 @@ A viser server that only its own page can reach.
 
 viser listens on all interfaces, accepts websockets from pages of any origin, and can open a public
 tunnel. This server listens on one address, refuses other origins and host names, and never opens
-the tunnel. It expects a token in the path of the URL if other machines can reach its address. Of the
-messages of a page, only those pass that this package uses, with values like the present ones.
+the tunnel. It expects a token in the path of the URL if other machines can reach its address. Of
+the messages of a page, only those pass that this package uses, with values like the present ones.
 """
 
 import asyncio
