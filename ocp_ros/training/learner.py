@@ -211,9 +211,7 @@ class Learner:
     def record(self, values: Mapping[str, float]) -> None:
         """Write values to the TensorBoard files, by name; this may be called in any thread."""
         for output in self.model.logger.output_formats:
-            for name, value in values.items():
-                output.writer.add_scalar(name, value, self.transitions)
-            output.writer.flush()
+            output.write(dict(values), {name: () for name in values}, self.transitions)
 
     def _work(self) -> None:
         """Store transitions, and train in bursts, until the learner is closed."""
