@@ -82,8 +82,6 @@ class PolicyNode(ManagedNode):
     the search may still move later.
     """
 
-    late_topics = (topics.CAMERA_COMMANDS,)
-
     def __init__(self, **kwargs) -> None:
         # Set before the constructor of the base class, which may configure the node.
         self._calibrator: Calibrator | None = None
@@ -163,6 +161,12 @@ class PolicyNode(ManagedNode):
         self.decider = self.source = self._experiences = self._calibrator = None
         self._shown_turn = None
         self._paused = False
+
+    @property
+    def late_topics(self) -> list[str]:
+        """Return the topics of commands and of live cameras."""
+        live = self.config.live_topics
+        return [topics.CAMERA_COMMANDS, *live, *map(topics.camera_info_of_image, live)]
 
     def plan_ahead(self) -> None:
         """Let the planner plan ahead; after two seconds, stop it once a message waits."""

@@ -14,15 +14,23 @@
 
 """Clouds of any frame come to that of the poses, or are refused with what to do."""
 
+from functools import partial
 import sys
 from types import ModuleType
 
+from benchmarks.drills.live_rig import BODY, CAMERAS, episode_in, HEADINGS, Rig
+from conftest import counted, farthest_distance, status
 from geometry_msgs.msg import Quaternion, TransformStamped, Vector3
 import numpy as np
-from ocp_ros.geometry.cameras import Pose, rotation_matrix
-from ocp_ros.ros.interface.conversions import MessageError, ns_to_stamp
+from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose, rotation_matrix
+from ocp_ros.ros.interface import qos, topics
+from ocp_ros.ros.interface.conversions import MessageError, msg_to_cloud, ns_to_stamp
 from ocp_ros.ros.interface.frames import LiveRig, points_in_range, transform_cloud, Transforms
+from ocp_ros.ros.policy_node import PolicyNode
+from ocp_ros.util.settings import ConfigurationError
 import pytest
+from scipy.spatial.transform import Rotation
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 POSES = [Pose(np.array([1.0, 2.0, 1.9]), rotation_matrix(0.5 * np.pi, 0.0, 0.0)),
@@ -93,6 +101,9 @@ def tf2(monkeypatch):
             assert target == 'map' and time.nanoseconds == 0
             return known[source]
 
+        def can_transform(self, target, source, time):
+            return source in known
+
         def clear(self):
             known.clear()
 
@@ -126,6 +137,38 @@ def test_tf2_is_asked_for_other_frames(tf2, stamp):
     transforms.clear()
     with pytest.raises(MessageError, match="'lidar'"):
         transform_cloud(points([1, 0, 0]), 'lidar', RIG, transforms)
+
+
+@pytest.mark.usefixtures('quick_lookahead')
+@pytest.mark.parametrize('ending', ['_link', '_optical_frame'])
+def test_a_policy_reads_the_poses_of_cameras_from_tf(tf2, graph, probe, room, ending):
+    known, _ = tf2
+    names = [f'lens_{k}{ending}' for k in range(CAMERAS)]
+    rig = graph.add(partial(Rig, episode_in(room), (BODY,) * CAMERAS))
+    rig.tells = False
+    policy = graph.add(PolicyNode, planner='lookahead', cloud_timeout=0.5, voxel_size=0.001,
+                       cloud_topics=[f'points_{k}' for k in range(CAMERAS)], camera_frames=names)
+    graph.until(lambda: f"'{names[0]}'" in status(policy)[1])
+
+    def publish():
+        for name, position, heading in zip(names, rig.positions, HEADINGS):
+            rotation = rotation_matrix(*heading) @ (np.eye(3) if ending == '_link'
+                                                    else OPTICAL_TO_BODY)
+            known[name] = transform(rig.stamp, position, Rotation.from_matrix(rotation).as_quat())
+
+    probe.node.create_timer(0.02, publish)
+    probe.listen(PointCloud2, topics.OBSERVATION, qos.LOOP)
+    expected = rig.episode.observed_cloud
+    found = msg_to_cloud(probe.last(topics.OBSERVATION))
+    assert farthest_distance(found, expected) < 1e-4 and farthest_distance(expected, found) < 1e-4
+    # The cameras were seen to arrive: another turn is answered.
+    graph.until(lambda: counted(policy, 'turns_answered') >= 2)
+    assert counted(policy, 'late_turns') == 0
+
+
+def test_poses_from_tf_without_tf2_are_refused(no_tf2, graph):
+    with pytest.raises(ConfigurationError, match='camera_frames: .*tf2_ros'):
+        graph.add(PolicyNode, planner='lookahead', cloud_topics='points', camera_frames='lens')
 
 
 @pytest.mark.parametrize(('spoilt', 'words'), [

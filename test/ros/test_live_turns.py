@@ -251,9 +251,9 @@ def test_nobody_says_where_the_cameras_are(live, capfd):
     rig, policy = live.start(cloud_timeout=0.1)
     live.graph.remove(rig)
     live.call(Trigger, 'policy_node/reset')
-    live.graph.until(lambda: 'nothing on /camera_poses' in status(policy)[1])
+    live.graph.until(lambda: 'nothing new on /camera_poses' in status(policy)[1])
     assert status(policy)[0] == DiagnosticStatus.WARN
-    assert 'nothing on /camera_poses' in capfd.readouterr().err
+    assert 'nothing new on /camera_poses' in capfd.readouterr().err
 
 
 def arrows_of(drawn):
@@ -422,7 +422,9 @@ def test_a_new_placement_begins_without_a_restart(live):
     ({'cloud_topics': 'a b'}, 'cloud_topics'), ({'cloud_topics': 'points,points'}, 'each once'),
     ({'cloud_topics': 'points,/points'}, 'each once'), ({'rig_file': 'nowhere.yaml'}, 'nowhere'),
     ({'cloud_topics': 'observation'}, 'cloud_topics: .*/observation'),
-    ({'manual': True}, 'manual: .*cloud_topics'), ({'min_range': 5.0}, 'min_range: .*max_range'),
+    ({'manual': True}, 'manual: .*cloud_topics'),
+    ({'camera_frames': ['a']}, 'camera_frames: .*cloud_topics'),
+    ({'min_range': 5.0}, 'min_range: .*max_range'),
     ({'scan': 'none.ply'}, 'scan: .*cloud_topics'),
     ({'scan': 'none.ply', 'cloud_topics': 'a'}, 'none.ply')])
 def test_settings_that_cannot_be_are_refused(graph, parameters, words):

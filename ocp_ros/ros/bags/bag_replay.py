@@ -45,7 +45,7 @@ from ocp_ros.ros.interface.conversions import (
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.depth_images import POINT_SOURCES
-from ocp_ros.ros.interface.frames import CAMERA_FRAME
+from ocp_ros.ros.interface.frames import CAMERA_FRAME, OPTICAL_FRAME_ENDINGS
 from ocp_ros.ros.interface.qos import LOOP
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.util.settings import check_known, ConfigurationError
@@ -57,8 +57,6 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Header
 
-#: Endings of the names of optical frames, in which z is forward, x right and y down.
-OPTICAL_FRAME_ENDINGS = ('optical', 'optical_frame')
 #: The types of recorded messages that are published.
 TYPES = {**POINT_SOURCES, CAMERA_INFO: CameraInfo, POSES: PoseArray}
 

@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
 from ocp_ros.ros.bags.bag_files import Bag, Recorded
-from ocp_ros.ros.bags.bag_replay import OPTICAL_FRAME_ENDINGS
 from ocp_ros.ros.interface.conversions import RawMessage
 from ocp_ros.ros.interface.depth_images import POINT_SOURCES, read_points
+from ocp_ros.ros.interface.frames import OPTICAL_FRAME_ENDINGS
 from ocp_ros.ros.interface.topics import camera_info_of_image
 from ocp_ros.util.settings import check_known, ConfigurationError
 from sensor_msgs.msg import CameraInfo, PointCloud2

@@ -39,7 +39,7 @@ class MessageError(ValueError):
     """A message that cannot be used; the text says what was found and what was expected."""
 
 
-def shortened(error: Exception) -> str:
+def shortened(error: Exception | str) -> str:
     """Return the text of an error, cut to 600 characters: names that it quotes may be longer."""
     text, cut = str(error)[:600], str(error)[600:]
     return f'{text} ...' if cut else text

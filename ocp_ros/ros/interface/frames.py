@@ -38,6 +38,8 @@ from std_msgs.msg import Header
 #: None. Body frames have x forward, y left, z up; optical frames have z forward, x right, y down
 #: (REP-103).
 CAMERA_FRAME = re.compile(r'camera_([0-9]{1,4})(_optical)?')
+#: Endings of the names of optical frames.
+OPTICAL_FRAME_ENDINGS = ('optical', 'optical_frame')
 
 
 class LateTransformError(MessageError):
@@ -105,9 +107,32 @@ class Transforms:
         if self._buffer is not None:
             self._buffer.clear()
 
+    @property
+    def installed(self) -> bool:
+        """Return whether tf2 is installed."""
+        return self._buffer is not None
+
     def has_transform(self, frame: str, parent: str) -> bool:
         """Return whether the transform from a frame to a parent frame is known."""
         return self._buffer is not None and self._buffer.can_transform(parent, frame, Time())
+
+    def _look_up(self, frame: str, parent: str, expected: str) -> tuple[Pose, int]:
+        """
+        Return the newest pose of a frame in a parent frame, and its stamp (ns; 0 if it is static).
+
+        :param expected: what is expected, for the error.
+        """
+        try:
+            message = self._buffer.lookup_transform(parent.lstrip('/'), frame, Time())
+        except self._error as error:
+            raise MessageError(f'found the frame {frame!r} ({error}); {expected}; publish its '
+                               'transform') from error
+        position = np.array([getattr(message.transform.translation, axis) for axis in 'xyz'])
+        if not np.isfinite(position).all():
+            raise MessageError(f'found the frame {frame!r} at {position.tolist()}; expected '
+                               'finite metres; mend its transform')
+        rotation = rotation_of(message.transform.rotation, f'transform of {frame!r}')
+        return Pose(position, rotation), stamp_to_ns(message.header.stamp)
 
     def look_up_pose(self, frame: str, rig: LiveRig) -> Pose:
         """
@@ -122,26 +147,37 @@ class Transforms:
         """
         expected = (f'expected {rig.frame!r}, camera_<i> or camera_<i>_optical with i from 0 to '
                     f'{len(rig.poses) - 1}, or one that tf2 takes to {rig.frame!r}')
-        if self._buffer is None:
+        if not self.installed:
             raise MessageError(f"cloud: found the frame {frame!r}; {expected}; set the driver's "
                                'frame, or install tf2_ros')
-        try:
-            message = self._buffer.lookup_transform(rig.frame.lstrip('/'), frame, Time())
-        except self._error as error:
-            raise MessageError(f'cloud: found the frame {frame!r} ({error}); {expected}; publish '
-                               'its transform') from error
-        stamp = stamp_to_ns(message.header.stamp)
-        # Static transforms have the stamp 0.
+        pose, stamp = self._look_up(frame, rig.frame, expected)
         if 0 < stamp < rig.standing_since_ns:
             raise LateTransformError(
                 f'cloud: found the frame {frame!r} with a transform '
                 f'{(rig.standing_since_ns - stamp) * 1e-9:.3f} s older than the poses; expected '
                 'one since the cameras stand; publish it as often as the poses')
-        position = np.array([getattr(message.transform.translation, axis) for axis in 'xyz'])
-        if not np.isfinite(position).all():
-            raise MessageError(f'cloud: found the frame {frame!r} at {position.tolist()}; '
-                               'expected finite metres; mend its transform')
-        return Pose(position, rotation_of(message.transform.rotation, f'transform of {frame!r}'))
+        return pose
+
+    def look_up_cameras(self, frames: Sequence[str], parent: str) -> tuple[list[Pose], int]:
+        """
+        Look up the newest poses of cameras.
+
+        :param frames: a frame of each camera; the axes are optical if its name ends so, otherwise
+            those of the body.
+        :param parent: frame of the poses.
+        :returns: the poses of the bodies, and the stamp of the oldest one, nanoseconds; 0 if all
+            are static.
+        :raises MessageError: if there is no transform, or its numbers are not finite.
+        """
+        poses, stamps = [], []
+        for frame in frames:
+            pose, stamp = self._look_up(
+                frame, parent, f'expected one that tf2 takes to {parent!r}')
+            to_body = OPTICAL_TO_BODY.T if frame.endswith(OPTICAL_FRAME_ENDINGS) else np.eye(3)
+            poses.append(Pose(pose.position, pose.rotation @ to_body))
+            stamps.append(stamp)
+        # Static transforms have the stamp 0.
+        return poses, min(filter(None, stamps), default=0)
 
 
 def publish_tf() -> Any:

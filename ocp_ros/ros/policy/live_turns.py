@@ -39,6 +39,7 @@ from ocp_ros.ros.interface.conversions import (
     positions_to_msg,
     RawMessage,
     rotation_of,
+    shortened,
     stamp_to_ns,
 )
 from ocp_ros.ros.interface.depth_images import POINT_SOURCES, read_points
@@ -55,6 +56,7 @@ from ocp_ros.ros.interface.frames import (
 )
 from ocp_ros.ros.interface.qos import LOOP, POSES, SensorSubscription
 from ocp_ros.ros.policy.instructions import Instructor
+from ocp_ros.ros.policy.policy_config import names_in
 from ocp_ros.ros.policy.turn_source import TurnSource
 from ocp_ros.ros.policy.turns import Turns, WaitLimits
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
@@ -78,7 +80,7 @@ class LiveTurns(TurnSource):
 
     :param node: gets the subscriptions, and answers the turns.
     :raises ConfigurationError: if the name of a topic is invalid, is given twice or is that of the
-        fused cloud.
+        fused cloud, or if tf2 is needed and not installed.
     """
 
     def __init__(self, node: 'PolicyNode') -> None:
@@ -101,7 +103,16 @@ class LiveTurns(TurnSource):
         self._instructor = Instructor(node) if config.manual else None
         self.reset()
         self._observation_publisher = node.create_publisher(PointCloud2, topics.OBSERVATION, LOOP)
-        node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, POSES)
+        self._camera_frames = names_in(config.camera_frames)
+        #: Stamp of the newest poses from tf, nanoseconds, and why there are none.
+        self._tf_stamp, self._tf_error = 0, ''
+        if not self._camera_frames:
+            node.create_subscription(PoseArray, topics.CAMERA_POSES, self._on_poses, POSES)
+        elif self._transforms.installed:
+            create_steady_timer(node, 0.05, self._read_poses)
+        else:
+            raise ConfigurationError('camera_frames: found no tf2_ros; expected it installed; '
+                                     'install it, or publish camera_poses')
         #: CameraInfo of the topics of depth images; None before the first one.
         self._camera_infos: dict[str, CameraInfo | None] = {}
         self._full_names = self._full_topic_names(config.live_topics)
@@ -201,6 +212,23 @@ class LiveTurns(TurnSource):
         self._newest_clouds[topic] = cloud
         self._turns.on_cloud(topic, cloud.stamp, cloud)
         self._play_turn()
+
+    def _read_poses(self) -> None:
+        """Read the camera poses from tf, and use them if they are new."""
+        frame = self._node.config.fixed_frame
+        try:
+            poses, stamp = self._transforms.look_up_cameras(self._camera_frames, frame)
+        except MessageError as error:
+            self._tf_error = str(error)
+            return
+        # Static transforms hold now.
+        stamp = stamp or self._node.get_clock().now().nanoseconds
+        if stamp != self._tf_stamp:
+            self._tf_stamp, self._tf_error = stamp, ''
+            self._on_poses(positions_to_msg(
+                np.array([pose.position for pose in poses]),
+                Header(stamp=ns_to_stamp(stamp), frame_id=frame),
+                np.array([heading_of(pose.rotation) for pose in poses])))
 
     def _on_poses(self, message: PoseArray) -> None:
         """Store the camera poses, and play the turn if it is due."""
@@ -401,9 +429,12 @@ class LiveTurns(TurnSource):
              f'stand; {reaction}')
         if turns.poses_missing and (self._instructor is None or self._command is None):
             name = self._node.resolve_topic_name(topics.CAMERA_POSES)
-            warn('cameras', f'poses: found nothing on {name}; expected where the cameras are '
-                 '(geometry_msgs/msg/PoseArray); publish it, see docs/tasks/live_cameras.md; '
-                 'waiting')
+            reason = f'found nothing new on {name}; expected where the cameras are ' \
+                '(geometry_msgs/msg/PoseArray); publish it, see docs/tasks/live_cameras.md'
+            if self._camera_frames:
+                reason = self._tf_error or 'found no newer transforms; expected where the ' \
+                    'cameras are; publish the transforms of camera_frames'
+            warn('cameras', f'poses: {shortened(reason)}; waiting')
         elif turns.overdue and turns.no_command_sent:
             warn('cameras', 'cameras: found them moving, or their poses noisy, ever since this '
                  'node began; expected them to stand still before the first turn; going on from '

@@ -86,6 +86,10 @@ class PolicyNodeConfig(EpisodeLimits):
     cloud_topics: str = setting(
         '', 'live: topics of the clouds or depth images, a list or separated by commas; empty: '
         'work with a simulation', names=True)
+    camera_frames: str = setting(
+        '', 'live: frame of each camera, a list or separated by commas: the poses are read from '
+        'tf; empty: they come on `camera_poses`', names=True)
+    fixed_frame: str = setting('map', 'live: frame of the poses that are read from tf')
     voxel_size: float = setting(
         0.05, 'live: edge of the voxels of the fused cloud, metres', 0.001, 1.0)
     arrival_distance: float = setting(0.05, 'live: a camera within this distance of its target '
@@ -116,6 +120,9 @@ class PolicyNodeConfig(EpisodeLimits):
         if self.scan and not self.live_topics:
             raise ConfigurationError('scan: found one without cloud_topics; expected live cameras '
                                      'to register to it; name the topics of their clouds')
+        if self.camera_frames and not self.live_topics:
+            raise ConfigurationError('camera_frames: found it without cloud_topics; expected live '
+                                     'cameras; name the topics of their clouds')
         if self.manual and not self.live_topics:
             raise ConfigurationError('manual: found true without cloud_topics; expected live '
                                      'cameras that a person moves; name the topics of their '
@@ -124,8 +131,7 @@ class PolicyNodeConfig(EpisodeLimits):
     @property
     def live_topics(self) -> list[str]:
         """Return the topics of live clouds; empty with a simulation."""
-        names = [name.strip() for name in self.cloud_topics.split(',')]
-        return [name for name in names if name]
+        return names_in(self.cloud_topics)
 
     @property
     def needs_no_weights(self) -> bool:
@@ -141,3 +147,8 @@ def limits_text(config: PolicyNodeConfig) -> str:
             f'{np.rad2deg(config.max_turn):.0f} degrees: a camera explores along at most '
             f'{exploring:.1f} m, and its final pose is within {way - exploring:.1f} m of where it '
             'then is; a larger room needs longer steps or more turns')
+
+
+def names_in(text: str) -> list[str]:
+    """Return the names in a text with commas between them."""
+    return [name for name in map(str.strip, text.split(',')) if name]

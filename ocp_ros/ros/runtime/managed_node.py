@@ -130,9 +130,6 @@ class ManagedNode(LifecycleNode):
     :raises ConfigurationError: for parameters that are invalid.
     """
 
-    #: Topics that the node creates only after its configuration.
-    late_topics: tuple[str, ...] = ()
-
     def __init__(self, name: str, config_type: type,
                  other_defaults: Callable[[dict[str, Any]], dict[str, Any]] = lambda given: {},
                  **kwargs) -> None:
@@ -187,6 +184,11 @@ class ManagedNode(LifecycleNode):
     def deactivate(self) -> None:
         """Stop sending until the next activation; undo everything that ``activate`` has done."""
 
+    @property
+    def late_topics(self) -> list[str]:
+        """Return the topics that the node creates only after its configuration."""
+        return []
+
     def release(self) -> None:
         """Release everything that is not an entity of ROS."""
 
@@ -214,13 +216,14 @@ class ManagedNode(LifecycleNode):
         return SUCCESS if self.configured else FAILURE
 
     def _warn_of_overrides(self) -> None:
-        """Warn of the first override of a quality of service that no topic has."""
+        """Warn of the first topic that has no quality of service which could be overridden."""
         group = 'qos_overrides'
-        late_topics = [f'{group}.{self.resolve_topic_name(topic)}.' for topic in self.late_topics]
-        overrides = [name for name in self._parameter_overrides if name.startswith(f'{group}.')
-                     and not name.startswith(tuple(late_topics))]
+        # A parameter is named qos_overrides.TOPIC.publisher.depth, for example.
+        overridden, known = ([name.split('.')[1] for name in names if name.startswith(f'{group}.')]
+                             for names in (self._parameter_overrides, self._parameters))
+        known += map(self.resolve_topic_name, self.late_topics)
         try:
-            check_known(overrides, self.list_parameters([group], 0).names, self.get_name())
+            check_known(overridden, known, f'{self.get_name()}: {group}')
         except ConfigurationError as error:
             self.warn(group, str(error))
 
