@@ -17,7 +17,7 @@
 from io import BytesIO
 import struct
 
-from conftest import box_room, counted, header_at
+from conftest import box_room, counted, header_at, HUNG, status
 from geometry_msgs.msg import PoseArray
 import numpy as np
 from ocp_ros.geometry.cameras import OPTICAL_TO_BODY, Pose
@@ -32,6 +32,7 @@ from ocp_ros.ros.interface.depth_images import read_points
 from ocp_ros.ros.policy_node import PolicyNode
 from PIL import Image as PngImage
 import pytest
+from rclpy.parameter import Parameter
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
 
@@ -130,8 +131,9 @@ def test_live_cameras_may_send_depth_images_instead_of_clouds(graph, probe):
                    (raw_image, png_image)[k](seen_from(POSES[k])[0]))
                   for k, (topic, kind) in enumerate(named.items())]
     policy = graph.add(PolicyNode, planner='lookahead', cloud_topics=list(named), max_range=8.0,
-                       voxel_size=0.001)
+                       voxel_size=0.001, cloud_timeout=0.5)
     stamps = iter(range(1000 * S, 10_000 * S, S // 20))
+    describes = []
 
     def send():
         header = header_at(next(stamps))
@@ -139,10 +141,15 @@ def test_live_cameras_may_send_depth_images_instead_of_clouds(graph, probe):
         for k, (images, infos, image) in enumerate(publishers):
             image.header, info = header_at(0, f'camera_{k}_optical'), camera_info()
             image.header.stamp = info.header.stamp = header.stamp
-            infos.publish(info)
+            if describes:
+                infos.publish(info)
             images.publish(image)
 
     probe.node.create_timer(0.05, send)
+    # What an image lacks is named.
+    graph.until(lambda: '/cam1/depth/camera_info' in status(policy)[1])
+    policy.set_parameters([Parameter('cloud_timeout', value=HUNG)])
+    describes.append(True)
     points = msg_to_cloud(probe.last(topics.OBSERVATION))
     expected = np.concatenate([
         seen_from(row)[1] @ (Pose.of(row).rotation @ OPTICAL_TO_BODY).T + row[:3]

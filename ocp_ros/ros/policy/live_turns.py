@@ -199,8 +199,16 @@ class LiveTurns(TurnSource):
                     topic not in self._camera_infos):
                 self._camera_infos[topic] = None
                 self._node.create_subscription(
-                    CameraInfo, topics.camera_info_of_image(self._full_names[topic]),
+                    CameraInfo, self._camera_info_topic(topic),
                     partial(self._camera_infos.__setitem__, topic), POSES)
+
+    def _camera_info_topic(self, topic: str) -> str:
+        """Return the full name of the topic of the CameraInfo of a topic of depth images."""
+        return topics.camera_info_of_image(self._full_names[topic])
+
+    def _lacks_camera_info(self, topic: str) -> bool:
+        """Return whether a topic has depth images, and no CameraInfo has come yet."""
+        return topic in self._camera_infos and self._camera_infos[topic] is None
 
     def _on_cloud(self, topic: str, message_type: type, data: bytes) -> None:
         """Store a cloud or a depth image, and play the turn if it is due."""
@@ -264,8 +272,9 @@ class LiveTurns(TurnSource):
             # The clock was set: the stamps of the transforms received so far are invalid.
             self._seen_jumps = self._turns.stamp_jumps
             self._transforms.clear()
-        # Topics whose cloud was put back in this call: it is taken again in a later call.
-        waiting_topics: list[str] = []
+        # Topics whose cloud waits for its CameraInfo, or was put back in this call: it is taken in
+        # a later call.
+        waiting_topics = list(filter(self._lacks_camera_info, self._full_names))
         while (topic_and_cloud := self._turns.take_cloud(waiting_topics)) is not None:
             topic, cloud = topic_and_cloud
             try:
@@ -422,11 +431,13 @@ class LiveTurns(TurnSource):
             for topic, seconds in leads.items())
         warn('clocks', clocks and f"found that the poses' clock {clocks}; expected one clock for "
              'poses and clouds; synchronise the clocks of their machines')
-        silent = ', '.join(f'{topic} ({reason})' for topic, reason in turns.silent_topics().items()
-                           if topic not in leads)
+        silent = {topic: f'{topic} ({reason})' for topic, reason in turns.silent_topics().items()
+                  if topic not in leads}
+        for topic in [topic for topic in silent if self._lacks_camera_info(topic)]:
+            silent[topic] = f'{topic} (nothing on {self._camera_info_topic(topic)})'
         reaction = 'waiting' if turns.lacks_clouds else 'going on without'
-        warn('silence', silent and f'no clouds: {silent}; expected a cloud since the cameras '
-             f'stand; {reaction}')
+        warn('silence', f'no clouds: {", ".join(silent.values())}; expected a cloud since the '
+             f'cameras stand; {reaction}' if silent else '', news=','.join(silent))
         if turns.poses_missing and (self._instructor is None or self._command is None):
             name = self._node.resolve_topic_name(topics.CAMERA_POSES)
             reason = f'found nothing new on {name}; expected where the cameras are ' \

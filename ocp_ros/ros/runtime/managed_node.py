@@ -136,6 +136,8 @@ class ManagedNode(LifecycleNode):
         super().__init__(name, **kwargs)
         self.configured = self.active = False
         self.warnings: dict[str, str] = {}
+        #: What was new in each of these when it was logged.
+        self._logged_words: dict[str, str] = {}
         #: ROS entities that existed before the configuration, by kind: the clean-up keeps them.
         self._kept_entities: dict[str, set] = {}
         self._step_error: Exception | None = None
@@ -160,20 +162,24 @@ class ManagedNode(LifecycleNode):
         profile = _allow_overrides(topic, qos_profile, settings)
         return super().create_subscription(msg_type, topic, callback, profile, **settings)
 
-    def warn(self, about: str, text: str) -> None:
+    def warn(self, about: str, text: str, news: str = '') -> None:
         """
         Log a warning once, and store it for the diagnostics until it ends.
 
         :param about: what the warning is about; there is one warning about each thing at a time.
-        :param text: the warning, logged if more than its numbers is new; empty: it has ended.
+        :param text: the warning; empty: it has ended.
+        :param news: the warning is logged if this is new; empty: its text without numbers.
         """
+        if not text:
+            self.warnings.pop(about, None)
+            self._logged_words.pop(about, None)
+            return
+        self.warnings[about] = text
         # Numbers within names, such as those of topics, stay.
-        words, last_words = (re.sub(r'(?<![\w/])-?\d[\d.]*', '', each)
-                             for each in (text, self.warnings.pop(about, '')))
-        if text:
-            self.warnings[about] = text
-            if words != last_words:
-                self.get_logger().warning(text)
+        words = news or re.sub(r'(?<![\w/])-?\d[\d.]*', '', text)
+        if self._logged_words.get(about) != words:
+            self._logged_words[about] = words
+            self.get_logger().warning(text)
 
     def configure(self) -> None:
         """Prepare with the parameters; entities created here are destroyed at clean-up."""
@@ -284,6 +290,7 @@ class ManagedNode(LifecycleNode):
         """Release everything, and destroy all entities created since the configuration."""
         self.configured = False
         self.warnings.clear()
+        self._logged_words.clear()
         self.release()
         for kind, entities in self._entities().items():
             # There is no record before the first configuration.
