@@ -206,3 +206,19 @@ def test_a_wrong_argument_gets_a_sentence(room, message):
     config = SimulationConfig(engine=EngineConfig(preset='fast', error_rows=32))
     with pytest.raises(ocp_ros.UserError, match=re.escape(message)):
         WRONG[message](Simulator(room, config))
+
+
+@pytest.mark.parametrize('value', [np.nan, np.inf, -np.inf, np.float32('nan')])
+def test_numbers_of_a_mapping_are_finite(room, value):
+    region = {'name': 'a', 'box': [[0, 0, 0], [1, 1, 1]]}
+    for key, rig in (
+            ('keep_clear', {'keep_clear': value}), ('pitch', {'pitch': [0, value]}),
+            ('weight', {'regions': [{**region, 'weight': value}]}),
+            ('must_see', {'regions': [{**region, 'must_see': value}]}),
+            ('overlap', {'calibratable': {'overlap': value}}),
+            ('horizontal_fov', {'cameras': [{'horizontal_fov': value, 'vertical_fov': 60}]}),
+            ('box', {'keep_out': [{'box': [[0, 0, 0], [1, 1, value]]}]})):
+        with pytest.raises(ocp_ros.UserError, match=f'rig: .*{key}.* found'):
+            ocp_ros.plan(room, {'cameras': [{'sensor': 'realsense_d455'}], **rig}, evaluations=1)
+    with pytest.raises(ocp_ros.UserError, match='position'):
+        ocp_ros.score(room, {'cameras': [{'sensor': 'kinect_v2', 'position': [1, value, 2]}]})

@@ -203,7 +203,7 @@ def certificate_data(proof: Certificate | None, reason: str = '') -> dict[str, A
     spacing = f'{proof.step:.2g} m' + (f' and {proof.turn:g} degrees' if proof.turn else '')
     near = ', closer around the cameras' if proof.near else ''
     gain = (f'; moving off this grid gained {100.0 * proof.moved:.1f} %'
-            if proof.moved >= MIN_GAP_PERCENT / 100.0 else '')
+            if (proof.moved or 0.0) >= MIN_GAP_PERCENT / 100.0 else '')
     # The properties ``gap`` and ``moved`` are added, since ``asdict`` has the fields only.
     return {'sentence': f'No placement on {proof.candidates:,} candidate poses ({spacing} '
                         f'apart{near}) is better by more than '

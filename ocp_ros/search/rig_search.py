@@ -383,8 +383,8 @@ class GrowingProof:
         return Certificate(
             proved.poses, proved.step, proved.near, heading_step,
             problem.simulator.config.engine.error_rows, loss, bound,
-            self._is_complete and self.relaxation.closed, loss_on_grid,
-            self._budget.elapsed), ''
+            self._is_complete and self.relaxation.closed,
+            loss_on_grid if np.isfinite(loss_on_grid) else None, self._budget.elapsed), ''
 
 
 def prove_gap(make_proof: Callable[[], GrowingProof], loss: float, loss_on_grid: float

@@ -211,7 +211,7 @@ class Learner:
     def record(self, values: Mapping[str, float]) -> None:
         """Write values to the TensorBoard files, by name; this may be called in any thread."""
         for output in self.model.logger.output_formats:
-            output.write(dict(values), {name: () for name in values}, self.transitions)
+            output.write(dict(values), dict.fromkeys(values, ()), self.transitions)
 
     def _work(self) -> None:
         """Store transitions, and train in bursts, until the learner is closed."""

@@ -25,7 +25,8 @@ from datetime import datetime, timezone
 import difflib
 import errno
 import json
-from math import isfinite
+import math
+from numbers import Real
 from os import PathLike
 from pathlib import Path
 import re
@@ -44,11 +45,14 @@ def _check_pattern(_, pattern: str, value: Any, __) -> Iterator[ValidationError]
         yield ValidationError(f'{value!r} does not match {pattern!r}')
 
 
-#: JSON Schema accepts 3.0 as an integer; code that counts with the value does not.
+#: JSON Schema accepts 3.0 as an integer, and NaN and inf as numbers within any limits; code that
+#: counts or computes with the value does not.
 SchemaValidator = extend(
     Draft202012Validator, {'pattern': _check_pattern},
-    type_checker=Draft202012Validator.TYPE_CHECKER.redefine(
-        'integer', lambda _, value: isinstance(value, int) and not isinstance(value, bool)))
+    type_checker=Draft202012Validator.TYPE_CHECKER.redefine_many({
+        'integer': lambda _, value: isinstance(value, int) and not isinstance(value, bool),
+        'number': lambda _, value: (isinstance(value, Real) and not isinstance(value, bool)
+                                    and -math.inf < value < math.inf)}))
 #: The path to a value in nested data: keys of mappings and indices of lists.
 Way = tuple[str | int, ...]
 Schema = dict[str, Any]
@@ -175,7 +179,7 @@ def _plain_value(document: Document, value: Any, key_path: Way) -> Any:
                                      'write one, such as count: 3')
         return {key: _plain_value(document, item, (*key_path, key)) for key, item in data.items()}
     if value is None or isinstance(value, (str, int)) or (
-            isinstance(value, float) and isfinite(value)):
+            isinstance(value, float) and math.isfinite(value)):
         return value
     raise document.error(key_path, f'{value!r:.40}',
                          'a finite number, a text, a list or a mapping', 'write one of them')
@@ -397,7 +401,8 @@ def nearest(word: str, known: Collection[str], otherwise: str) -> str:
 
 def shown(value: Any) -> str:
     """Return a value as it is written in YAML, in one line without quotes."""
-    return json.dumps(value).replace('"', '')
+    # A mapping of Python may have values that YAML has not, such as arrays.
+    return json.dumps(value, default=repr).replace('"', '')
 
 
 def _short_key(text: str) -> str:

@@ -21,6 +21,7 @@ from hypothesis import strategies
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.geometry.packed_bits import no_bits, unpack
+from ocp_ros.report.rig_planning import certificate_data
 from ocp_ros.rig.rig_file import rig_from, rig_of
 from ocp_ros.search.budget import Budget
 from ocp_ros.search.candidate_pool import CandidatePool
@@ -28,7 +29,7 @@ from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point
 from ocp_ros.search.rig_plan import RigPlanner
-from ocp_ros.search.rig_search import search
+from ocp_ros.search.rig_search import GrowingProof, prove_gap, search
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
@@ -235,6 +236,15 @@ def test_a_pool_that_a_search_has_grown_begins_anew_and_serves_more_cameras():
     known = [search(few, pool, budget, 0).certificate.candidates
              for budget in (Budget(evaluations=20), late)]
     assert known[1] == 64 * 120 < known[0]
+
+
+def test_where_nothing_was_found_on_the_grid_the_certificate_says_so():
+    problem = problem_of(2)
+    pool, budget = CandidatePool(problem, 60, max_grid_poses=300), Budget(evaluations=20)
+    proof = GrowingProof(problem, pool, budget, 0.5)
+    known, _ = prove_gap(lambda: proof, 10.0, np.inf)
+    data = certificate_data(known)
+    assert data['on_grid'] is data['moved'] is None and 'gained' not in data['sentence']
 
 
 def test_off_the_grid_it_is_better_than_on_it():

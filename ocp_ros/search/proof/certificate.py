@@ -37,7 +37,8 @@ class Certificate:
     :ivar bound: lower bound of the loss of every placement on the grid.
     :ivar final: whether the proof is complete: more time neither raises the bound nor refines the
         grid, and a remaining gap is one of the method.
-    :ivar on_grid: loss of the best placement on the grid before poses were added near it.
+    :ivar on_grid: loss of the best placement on the grid before poses were added near it; None if
+        none was found.
     :ivar seconds: duration of the proof, including the search if both share one budget.
     """
 
@@ -49,7 +50,7 @@ class Certificate:
     found: float
     bound: float
     final: bool
-    on_grid: float
+    on_grid: float | None
     seconds: float
 
     @property
@@ -58,8 +59,10 @@ class Certificate:
         return max((self.found - self.bound) / self.found, 0.0) if self.found > 0.0 else 0.0
 
     @property
-    def moved(self) -> float:
+    def moved(self) -> float | None:
         """Return the reduction of the loss by moves off the grid, as a share of ``on_grid``."""
+        if self.on_grid is None:
+            return None
         return max((self.on_grid - self.found) / self.on_grid, 0.0) if self.on_grid > 0.0 else 0.0
 
 
