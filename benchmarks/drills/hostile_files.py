@@ -22,6 +22,7 @@ in a process of its own and counts by class what came of it.
 import argparse
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 import json
 from multiprocessing import get_context
 import os
@@ -36,13 +37,19 @@ from typing import NamedTuple
 from backports import zstd
 from benchmarks import results
 from benchmarks.drills.file_fuzz import gltf_of, good_files, read_one, write_e57, write_obj
+import numpy as np
+from ocp_ros.compare.comparison import run_tasks
+from ocp_ros.compare.protocol import PRESETS
+from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.rig.placement_file import load_placement
-from ocp_ros.rig.rig_file import load_rig
+from ocp_ros.registration.calibration import calibrate
+from ocp_ros.registration.scan_surfaces import ScanSurfaces
+from ocp_ros.rig.placement_file import load_placement, placement_of
+from ocp_ros.rig.rig_file import load_rig, rig_of
 from ocp_ros.rooms.generator import generate_room
 from ocp_ros.ros.bags.bag_files import Bag
-from ocp_ros.scenes.scene_files import load_scene
+from ocp_ros.scenes.scene_files import load_cloud, load_scene
 from ocp_ros.training.run_folder import read_config
 from ocp_ros.util.settings import UserError
 
@@ -54,6 +61,8 @@ SECRET, PATIENCE = 'TOP-SECRET-4711', 120.0
 LOGICAL, PHYSICAL = 1020, 1024
 #: Bytes that a small file expands to, and of a file of which nothing is written.
 BOMB, SPARSE = 3 << 30, 8 << 30
+#: Levels of nested XML.
+LEVELS = 200_000
 
 
 class Hostile(NamedTuple):
@@ -130,6 +139,7 @@ def _e57_files(folder: Path, url: str, secret: Path) -> Iterator[Hostile]:
     outside = (f'<!DOCTYPE a [<!ENTITY % f SYSTEM "file://{secret}">'
                f'<!ENTITY % d SYSTEM "{url}/d.dtd"> %d;]>')
     inside = f'<!DOCTYPE a [<!ENTITY e SYSTEM "file://{secret}">]>'
+    nested = '<a>' * LEVELS + '</a>' * LEVELS + '</e57Root>'
     schema = ('<e57Root xmlns:s="http://www.w3.org/2001/XMLSchema-instance" '
               's:{}="{}{}/s.xsd" ')
     for name, old, new, encoding in (
@@ -139,7 +149,7 @@ def _e57_files(folder: Path, url: str, secret: Path) -> Iterator[Hostile]:
             ('ebcdic', '?>', f'?>{outside}', 'cp037'), ('latin', 'UTF-8', 'ISO-8859-1', 'utf-8'),
             ('schema', '<e57Root ', schema.format('schemaLocation', 'a ', url), 'utf-8'),
             ('bare_schema', '<e57Root ', schema.format('noNamespaceSchemaLocation', '', url),
-             'utf-8')):
+             'utf-8'), ('nested', '</e57Root>', nested, 'utf-8')):
         path = folder / f'{name}.e57'
         write_e57(path, room.points)
         rewrite_xml(path, lambda xml, old=old, new=new: xml.replace(old, new, 1), encoding)
@@ -210,6 +220,7 @@ def _texts(folder: Path, url: str, secret: Path) -> Iterator[Hostile]:
         yield Hostile('YAML', folder / name, read)
     for name, kind, read in (('line.txt', 'text', load_scene), ('line.xyz', 'text', load_scene),
                              ('sparse.safetensors', 'weights', _load_weights),
+                             ('compared.safetensors', 'weights', _compare_weights),
                              ('sparse.yaml', 'YAML', load_rig)):
         with (folder / name).open('wb') as file:
             file.truncate(SPARSE)
@@ -222,6 +233,30 @@ def _load_weights(path: Path) -> None:
         Checkpoint.load(path)
     except CheckpointError as error:
         raise UserError(str(error)) from error
+
+
+def _compare_weights(path: Path) -> None:
+    """Begin a comparison with weights."""
+    run_tasks(replace(PRESETS['smoke'], model=str(path)), path.with_suffix('.out'))
+
+
+def _clouds(folder: Path) -> Iterator[Hostile]:
+    """Write clouds of few places, as a stuck driver sends them."""
+    for name, places in (('same', [[0.0, 0.0, 2.0]]), ('two', [[0.0, 0.0, 2.0], [0.5, 0.0, 2.0]]),
+                         ('ray', np.outer(np.linspace(1.0, 5.0, 50), [0.0, 0.0, 1.0]))):
+        path = folder / f'{name}.npy'
+        np.save(path, np.tile(places, (100, 1)).repeat(2, axis=0))
+        yield Hostile('cloud', path, _calibrate)
+
+
+def _calibrate(path: Path) -> None:
+    """Register a camera by a cloud in the optical frame; a refusal counts as one of the file."""
+    placement = placement_of(rig_of(1, 'realsense_d455'), np.array([[0.4, 0.5, 2.2, 0.7, 0.4, 0]]))
+    name = placement.cameras[0].camera.name
+    found, reasons = calibrate(ScanSurfaces(generate_room(3, 3000)), placement,
+                               {name: load_cloud(path) @ OPTICAL_TO_BODY.T})
+    if reason := reasons.get(name) or found[name].refused:
+        raise UserError(reason)
 
 
 def _zeros() -> bytes:
@@ -327,7 +362,8 @@ def hostile_files(folder: Path, port: int) -> list[Hostile]:
     secret.write_text(SECRET)
     (folder / 'good').mkdir()
     return [*_e57_files(folder, url, secret), *_mesh_files(folder, url, secret),
-            *_ply_files(folder, url), *_texts(folder, url, secret), *_bags(folder, secret)]
+            *_ply_files(folder, url), *_texts(folder, url, secret), *_bags(folder, secret),
+            *_clouds(folder)]
 
 
 def outcome_of(hostile: Hostile, listener: Listener) -> str:

@@ -36,7 +36,7 @@ from typing import Any
 from ocp_ros import __version__
 from ocp_ros.compare.protocol import BenchmarkTask, Protocol, run_task
 from ocp_ros.compare.summary import pairs, Rows, summarise
-from ocp_ros.util.files import read_regular, sha256_of_file, write_atomically
+from ocp_ros.util.files import MAX_BYTES, read_regular, sha256_of_file, write_atomically
 from ocp_ros.util.resources import find_model
 from ocp_ros.util.settings import ConfigurationError
 from ocp_ros.util.terminal_text import printable
@@ -149,10 +149,17 @@ def _write_or_check_record(folder: Path, protocol: Protocol) -> str:
     """Return the record of a comparison; write it, or check it if the folder has a record."""
     files = {protocol.model: find_model(protocol.model),
              'rig': Path(protocol.simulation.rig_file)}
+    try:
+        # The contents of files with the same name may differ.
+        hashes = {name: sha256_of_file(path, MAX_BYTES) for name, path in files.items()}
+    except OSError as error:
+        raise ConfigurationError(
+            f'--model, --rig: found {", ".join(map(str, files.values()))}, of which one cannot be '
+            f'read ({error.strerror}); expected weights and a rig file of {MAX_BYTES:,} bytes at '
+            'most; name the right files') from error
     settings = {
         'ocp_ros': __version__,
-        # The contents of files with the same name may differ.
-        'files': {name: sha256_of_file(path) for name, path in files.items()},
+        'files': hashes,
         # Other rooms, rotations and planners are other tasks, whose files have other names.
         **{name: value for name, value in asdict(protocol).items()
            if name not in ('rooms', 'rotations', 'planners')}}

@@ -26,6 +26,7 @@ from pathlib import Path
 import re
 import struct
 from typing import NamedTuple
+from xml.parsers import expat
 
 import numpy as np
 from ocp_ros.scenes.guarded_reading import read_guarded
@@ -353,7 +354,7 @@ def _read_xml(path: Path, start: int, length: int) -> bytes:
 
 
 def _check_xml(content: bytes) -> None:
-    """Refuse XML that names other files, or is not UTF-8, so that it cannot be checked."""
+    """Refuse XML that names other files, is not UTF-8 (so cannot be checked) or is too deep."""
     text = content.decode('utf-8')
     encoding = re.match(r'\ufeff?<\?xml[^>]*?encoding\s*=\s*["\']([^"\']*)', text)
     if '\0' in text or (encoding and encoding[1].lower() != 'utf-8'):
@@ -362,3 +363,22 @@ def _check_xml(content: bytes) -> None:
     # without a DOCTYPE has no entities.
     if found := re.search('<!DOCTYPE|<!ENTITY|schemaLocation', text, re.IGNORECASE):
         raise ValueError(f'XML with {found[0]}, which names other files')
+    depth = 0
+
+    def enter(*_: object) -> None:
+        nonlocal depth
+        depth += 1
+        # Real files have about ten levels; the time of the library grows with their square.
+        if depth > 100:
+            raise ValueError('XML of more than 100 levels')
+
+    def leave(_: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler, parser.EndElementHandler = enter, leave
+    try:
+        parser.Parse(content, True)
+    except expat.ExpatError as error:
+        raise ValueError(f'broken XML ({error})') from error

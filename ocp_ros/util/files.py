@@ -78,14 +78,14 @@ def _opened_regular(path: str | Path, max_bytes: float) -> Iterator[BinaryIO]:
         yield file
 
 
-def sha256_of_file(path: str | Path) -> str:
+def sha256_of_file(path: str | Path, max_bytes: float = math.inf) -> str:
     """
-    Return the SHA-256 of a file of any size.
+    Return the SHA-256 of a file.
 
     :returns: 64 hexadecimal digits.
-    :raises OSError: if the file cannot be read, or is a pipe or a device.
+    :raises OSError: see :func:`read_regular`.
     """
-    with _opened_regular(path, math.inf) as file:
+    with _opened_regular(path, max_bytes) as file:
         digest = hashlib.sha256()
         while block := file.read(1 << 20):
             digest.update(block)

@@ -211,6 +211,15 @@ def test_options_that_cannot_be_are_refused(tmp_path, monkeypatch, capsys, argum
     assert words in json.loads(capsys.readouterr().out)['error']
 
 
+def test_weights_that_are_too_large_are_refused_before_they_are_read(
+        tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    with open('sparse.safetensors', 'wb') as file:
+        file.truncate(8 << 30)
+    assert cli.main(['benchmark', '--model', 'sparse.safetensors', '--json']) == 2
+    assert 'bytes at most' in json.loads(capsys.readouterr().out)['error']
+
+
 def test_another_scan_under_the_same_name_is_another_room(tmp_path):
     task, stems = BenchmarkTask(str(tmp_path / 'a.npy'), 0.0, 'random'), []
     for points in (20, 30):
