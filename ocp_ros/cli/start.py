@@ -12,7 +12,7 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Entry point of the script ``ocp``: Ctrl-C ends a command without a traceback, at any time."""
+"""Entry point of the script ``ocp``: a signal ends a command without a traceback, at any time."""
 
 import atexit
 from contextlib import suppress
@@ -35,6 +35,8 @@ def main() -> int:
 
     # During imports the process may end at once, because no work has begun.
     signal.signal(signal.SIGINT, _stop)
+    # A plain ``kill`` does what Ctrl-C does, whatever handles that at the time.
+    signal.signal(signal.SIGTERM, lambda *_: signal.raise_signal(signal.SIGINT))
     from ocp_ros.cli.main import main as run
     signal.signal(signal.SIGINT, interrupt)
     try:

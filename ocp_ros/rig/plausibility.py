@@ -36,6 +36,8 @@ CELL_M = 0.25
 SLAB_M = 1.2
 #: Degrees: surfaces that are tilted more are neither level nor upright.
 MAX_LEAN_DEG = 30.0
+#: The largest correlation dimension of surfaces: rooms have 1.9 to 2.3, noise 2.8 to 3.
+MAX_DIMENSION = 2.6
 #: Degrees: the largest tilt of a floor.
 MAX_TILT_DEG = 3.0
 
@@ -95,6 +97,9 @@ def room_notes(scene: Scene) -> list[str]:
         f'found a floor that slopes by {tilt_deg:.0f} degrees between plumb walls; expected it '
         'level; heights above the floor are those above its largest level part']
     notes += [*_height_notes(top - floor), *_storey_notes(level)]
+    if _dimension(scene.points) > MAX_DIMENSION:
+        notes.append('found points that fill the air evenly, as noise does; expected points on '
+                     'surfaces; nothing can be seen in it: check the file, or scan again')
     # A tilted scan has no floor or ceiling at one height.
     if no_floor and tilt_deg < MAX_TILT_DEG:
         notes.append('found no floor; expected a level one below everything; check which axis is '
@@ -139,6 +144,24 @@ def angle_notes(degrees: Iterable[float], models: Iterable[CameraModel] = ()) ->
                          'expected 10 degrees or more; if these are radians, multiply them by '
                          '57.3')
     return notes
+
+
+def _dimension(points: np.ndarray) -> float:
+    """
+    Return the correlation dimension of points (N, 3) over some decimetres: 2 on surfaces.
+
+    In a ball of twice the radius around a point of a plane are four times as many points, in a
+    volume eight times as many (Grassberger and Procaccia, 1983).
+    """
+    subset = np.random.default_rng(0).permutation(len(points))[:20_000]
+    tree = cKDTree(points[subset])
+    centres = tree.data[:1000]
+    # Smaller balls would show the noise of sensors; these have at least eight points or so.
+    radius = max(float(np.median(tree.query(centres, k=9)[0][:, -1])), 0.2)
+    # The points themselves do not count.
+    near, wide = (tree.query_ball_point(centres, factor * radius, return_length=True).sum()
+                  - len(centres) for factor in (1.0, 2.0))
+    return float(np.log2(max(wide, 1) / max(near, 1)))
 
 
 def _open_share(scene: Scene, walls: np.ndarray) -> float:

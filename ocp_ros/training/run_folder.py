@@ -16,8 +16,8 @@
 
 import json
 import logging
-import math
 from pathlib import Path
+import sys
 from typing import Any
 
 from ocp_ros.training.training_config import TrainingConfig
@@ -159,12 +159,13 @@ def _record_of(line: str) -> dict[str, Any] | None:
         return None
     names = ('interactions', 'updates', 'seconds', 'ratio')
     return (record if isinstance(record, dict)
-            and all(_is_count(record.get(name)) for name in names) else None)
+            and all(is_count(record.get(name)) for name in names) else None)
 
 
-def _is_count(value: Any) -> bool:
+def is_count(value: Any) -> bool:
     """Return whether a value is a finite number of 0 or more."""
-    return type(value) in (int, float) and math.isfinite(value) and value >= 0
+    # A whole number may be too large for a float.
+    return type(value) in (int, float) and 0 <= value <= sys.float_info.max
 
 
 def add_record(folder: Path, record: dict[str, Any]) -> None:

@@ -38,7 +38,7 @@ from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.simulation.environment import CameraPlacementEnv
 from ocp_ros.simulation.viewpoints import VIEWPOINTS
 from ocp_ros.training.encoded_environment import playable
-from ocp_ros.training.run_folder import add_record, BEST, claim, records, REPLAY, STATE
+from ocp_ros.training.run_folder import add_record, BEST, claim, is_count, records, REPLAY, STATE
 from ocp_ros.training.sac import actor_checkpoint, AgentSac, load_actor, make_sac
 from ocp_ros.training.sac_state import (
     load_replay,
@@ -146,7 +146,8 @@ class Run:
         # The line of progress is written last: if it exists, the files above exist too.
         if result['ratio'] < self.best:
             self.best = result['ratio']
-            checkpoint.save(self.folder / BEST)
+            replace(checkpoint, provenance={**checkpoint.provenance, 'ratio': self.best}).save(
+                self.folder / BEST)
         self.save()
         self.note(**result)
         return result['ratio']
@@ -174,10 +175,8 @@ class Run:
     def _find_best(self) -> None:
         """Set ``best`` to the error ratio of the best weights so far, if there is a file."""
         path = self.folder / BEST
-        # The error ratio of each evaluation, by the number of gradient steps before it.
-        ratios = {line['updates']: line['ratio'] for line in self.past if 'ratio' in line}
         if not path.exists():
-            if ratios:
+            if self.past:
                 _log.warning('%s: found no file; expected the best weights so far; going on from '
                              'the last state, the best from now on are kept',
                              printable(str(path)))
@@ -191,9 +190,9 @@ class Run:
             raise CheckpointError(
                 f'{error}; the best weights so far are lost: put them back from a copy, or remove '
                 'the file, and the run goes on from its last state') from error
-        # A killed process may not have written the ratio of its weights: evaluate them.
-        self.best = (ratios[best.updates] if best.updates in ratios
-                     else self.tested(best)['ratio'])
+        # The ratio is that of the weights themselves, since the progress may be damaged.
+        ratio = best.provenance.get('ratio')
+        self.best = ratio if is_count(ratio) else self.tested(best)['ratio']
 
     def save(self) -> None:
         """Write the files that are needed to resume."""

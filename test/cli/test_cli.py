@@ -21,6 +21,7 @@ import json
 import os
 import resource
 import shlex
+import signal
 import sys
 
 from conftest import for_any, made_room, refused, run_python
@@ -170,25 +171,28 @@ def test_a_document_is_json_whatever_was_found(value):
     assert found['array'] == [1.0, None] and set(found) == {'value', 'array'}
 
 
-#: Ctrl-C at the moment at which a module is imported.
+#: A signal at the moment at which a module is imported.
 IMPORTING = """
 import os, signal, sys
 class Finder:
     def find_spec(self, name, *_):
         if name == module:
-            os.kill(os.getpid(), signal.SIGINT)
-module = sys.argv.pop(1)
+            os.kill(os.getpid(), number)
+module, number = sys.argv.pop(1), int(sys.argv.pop(1))
 sys.meta_path.insert(0, Finder())
 from ocp_ros.cli.start import main
 sys.exit(main())
 """
 
 
-@pytest.mark.parametrize('module', ['ocp_ros.cli.common', 'ocp_ros.cli.plan_command', 'numba',
-                                    'ocp_ros.search.rig_plan'])
-def test_an_early_ctrl_c_ends_a_command_without_a_traceback(tmp_path, monkeypatch, module):
+@pytest.mark.parametrize(('module', 'number'), [
+    ('ocp_ros.cli.common', signal.SIGTERM), ('ocp_ros.cli.plan_command', signal.SIGINT),
+    ('numba', signal.SIGINT), ('ocp_ros.search.rig_plan', signal.SIGINT),
+    ('ocp_ros.search.rig_plan', signal.SIGTERM)])
+def test_an_early_signal_ends_a_command_without_a_traceback(
+        tmp_path, monkeypatch, module, number):
     monkeypatch.chdir(tmp_path)
-    ended = run_python(IMPORTING, module, 'plan', '8', '--evaluations', '5')
+    ended = run_python(IMPORTING, module, str(int(number)), 'plan', '8', '--evaluations', '5')
     assert (ended.returncode, ended.stderr) == (130, '')
 
 

@@ -76,6 +76,17 @@ def test_generated_rooms_are_plausible_and_many_upside_down_are_noticed():
     assert sum(bool(of_kind(notes, 'upside down')) for notes in turned) >= 3
 
 
+def test_noise_that_fills_a_volume_is_noticed():
+    rng = np.random.default_rng(0)
+    for count in (1000, 20_000):
+        for noise in (rng.uniform(0.0, [5.0, 4.0, 2.7], (count, 3)), rng.normal(size=(count, 3))):
+            assert of_kind(room_notes(scene_of(noise)), 'as noise does')
+    # Noise of a sensor across its surfaces is none.
+    room = made_room(8, 20_000).points
+    rough = room + rng.normal(0.0, 0.03, room.shape)
+    assert not of_kind(room_notes(scene_of(rough)), 'as noise does')
+
+
 def test_a_room_that_is_tilted_or_in_other_units_is_noticed():
     room = made_room(8, 3000).points
     for degrees in (5, 12, 25):

@@ -31,6 +31,7 @@ from conftest import assert_same, Here, HUNG, rows_for, TINY
 import numpy as np
 from ocp_ros.compare import comparison
 from ocp_ros.compare.protocol import Protocol
+from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.training import train as training
 from ocp_ros.training.run_folder import BEST, CONFIG, PROGRESS, records, REPLAY, ROOMS, STATE
 from ocp_ros.training.training_config import TrainingConfig
@@ -167,7 +168,8 @@ def test_lines_of_progress_that_cannot_be_read_are_left_out_with_a_warning(tmp_p
     whole = json.dumps(line).encode()
     bad = [b'null', b'7', b'[' * 20000, bytes(range(256)), b'{"ratio": 0.8}', *(
         json.dumps({**line, **change}).encode() for change in (
-            {'interactions': '3'}, {'ratio': float('nan')}, {'seconds': 'long'}, {'updates': -1}))]
+            {'interactions': '3'}, {'seconds': 10 ** 400}, {'ratio': float('nan')},
+            {'seconds': 'long'}, {'updates': -1}))]
     (tmp_path / PROGRESS).write_bytes(b'\n'.join([whole, *bad, whole, whole[:-20]]))
     assert records(tmp_path) == [line, line] and PROGRESS in caplog.text
 
@@ -191,6 +193,17 @@ def test_a_run_that_goes_on_has_the_moves_that_it_had(run, monkeypatch):
     training.train(longer, run)
     assert models[1].replay_buffer.pos == 0
     assert models[1].learning_starts == models[0].learning_starts + 24
+
+
+@pytest.mark.parametrize('ratio', [0.0, 1e9])
+def test_a_line_with_another_ratio_does_not_change_which_weights_are_best(begun, run, ratio):
+    best = Checkpoint.load(run / BEST)
+    lines = [{**line, 'ratio': ratio} for line in records(run)]
+    (run / PROGRESS).write_text(''.join(json.dumps(line) + '\n' for line in lines))
+    longer = training.train(from_nested(TrainingConfig, {**SETTINGS, 'interactions': 26}), run)
+    known = begun[1].provenance['curve'] + longer.provenance['curve'][len(lines):]
+    assert longer.updates == min(known, key=lambda line: line['ratio'])['updates']
+    assert best.provenance['ratio'] >= longer.provenance['ratio']
 
 
 def test_best_weights_that_no_line_tells_of_are_judged_anew(begun, run):
