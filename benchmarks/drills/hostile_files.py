@@ -256,7 +256,8 @@ def _calibrate(path: Path) -> None:
     found, reasons = calibrate(ScanSurfaces(generate_room(3, 3000)), placement,
                                {name: load_cloud(path) @ OPTICAL_TO_BODY.T})
     if reason := reasons.get(name) or found[name].refused:
-        raise UserError(reason)
+        # The command names the camera.
+        raise UserError(f'{path.name}: {reason}')
 
 
 def _zeros() -> bytes:
