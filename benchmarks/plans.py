@@ -80,7 +80,7 @@ def planned(scene: Scene, rig_name: str) -> dict:
                         planner='lookahead').plan(rig)
     # Where nearly all can be seen, no bound is above 0.
     proof = {'gap': 1.0, 'moved': 0.0, 'priced': 0} if known is None else {
-        'gap': known.gap, 'moved': known.moved, 'priced': known.candidates}
+        'gap': known.gap, 'moved': known.moved or 0.0, 'priced': known.candidates}
     return {'poses': plan.answer.poses.tolist(), 'promised': plan.validated.placement,
             'worst': plan.validated.nothing, 'seconds': seconds, **proof,
             'climbed': 1.0 - problem.objective.loss(views_of(climbed)) / plan.answer.loss,
