@@ -12,20 +12,71 @@
 # See the License for the specific language governing permissions and
 # limitations under the License.
 
-"""Depth images to points, with the CameraInfo of their camera; rectified images are expected."""
+"""Clouds and depth images to points; images need a CameraInfo and have to be rectified."""
 
+from collections.abc import Callable
 from io import BytesIO
 import struct
+from typing import TYPE_CHECKING
 
 import numpy as np
 from ocp_ros.ros.interface.conversions import MessageError, msg_to_cloud, RawMessage
+from ocp_ros.ros.interface.qos import POSES, SensorSubscription
+from ocp_ros.ros.interface.topics import camera_info_of_image
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+
+if TYPE_CHECKING:
+    from ocp_ros.ros.runtime.managed_node import ManagedNode
 
 #: Types of messages that :func:`read_points` reads, by their names.
 POINT_SOURCES = {'sensor_msgs/msg/PointCloud2': PointCloud2, 'sensor_msgs/msg/Image': Image,
                  'sensor_msgs/msg/CompressedImage': CompressedImage}
 #: By the encoding of depth images: NumPy type of a pixel, and metres of its unit.
 ENCODINGS = {'16UC1': ('u2', 0.001), 'mono16': ('u2', 0.001), '32FC1': ('f4', 1.0)}
+
+
+class PointSubscription(SensorSubscription):
+    """
+    A subscription of clouds, or of depth images and their CameraInfo.
+
+    :param node: gets the subscriptions.
+    :param topic: full name of the topic.
+    :param callback: is called with the type and the bytes of each message, not deserialised.
+    :ivar info_topic: full name of the topic of the CameraInfo.
+    """
+
+    def __init__(self, node: 'ManagedNode', topic: str, callback: Callable[[type, bytes], None]
+                 ) -> None:
+        self.info_topic = camera_info_of_image(topic)
+        self._info: CameraInfo | None = None
+        self._info_subscription: Subscription | None = None
+        super().__init__(node, POINT_SOURCES, topic, callback)
+
+    def match(self) -> None:
+        """Receive what is published, and the CameraInfo of images."""
+        super().match()
+        if self._has_images and self._info_subscription is None:
+            self._info_subscription = self._node.create_subscription(
+                CameraInfo, self.info_topic, self._on_info, POSES)
+
+    def _on_info(self, info: CameraInfo) -> None:
+        """Store the newest CameraInfo."""
+        self._info = info
+
+    @property
+    def _has_images(self) -> bool:
+        """Return whether images are received."""
+        return self.message_type in (Image, CompressedImage)
+
+    @property
+    def lacks_info(self) -> bool:
+        """Return whether images are received, and no CameraInfo has come yet."""
+        return self._has_images and self._info is None
+
+    def read(self, raw: RawMessage) -> tuple[np.ndarray, str]:
+        """Read the points of a message of this topic, see :func:`read_points`."""
+        return read_points(raw, self._info)
 
 
 def read_points(raw: RawMessage, info: CameraInfo | None) -> tuple[np.ndarray, str]:

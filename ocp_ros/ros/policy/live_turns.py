@@ -42,7 +42,7 @@ from ocp_ros.ros.interface.conversions import (
     shortened,
     stamp_to_ns,
 )
-from ocp_ros.ros.interface.depth_images import POINT_SOURCES, read_points
+from ocp_ros.ros.interface.depth_images import PointSubscription
 from ocp_ros.ros.interface.frames import (
     CameraClouds,
     CameraFrames,
@@ -54,7 +54,7 @@ from ocp_ros.ros.interface.frames import (
     transform_cloud,
     Transforms,
 )
-from ocp_ros.ros.interface.qos import LOOP, POSES, SensorSubscription
+from ocp_ros.ros.interface.qos import LOOP, POSES
 from ocp_ros.ros.policy.instructions import Instructor
 from ocp_ros.ros.policy.policy_config import names_in
 from ocp_ros.ros.policy.turn_source import TurnSource
@@ -62,7 +62,7 @@ from ocp_ros.ros.policy.turns import Turns, WaitLimits
 from ocp_ros.ros.runtime.managed_node import create_steady_timer
 from ocp_ros.util.settings import ConfigurationError
 from rclpy.impl.implementation_singleton import rclpy_implementation
-from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2
+from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import Header
 
 if TYPE_CHECKING:
@@ -113,14 +113,15 @@ class LiveTurns(TurnSource):
         else:
             raise ConfigurationError('camera_frames: found no tf2_ros; expected it installed; '
                                      'install it, or publish camera_poses')
-        #: CameraInfo of the topics of depth images; None before the first one.
-        self._camera_infos: dict[str, CameraInfo | None] = {}
-        self._full_names = self._full_topic_names(config.live_topics)
         self._subscriptions = {
-            topic: SensorSubscription(node, POINT_SOURCES, name, partial(self._on_cloud, topic))
-            for topic, name in self._full_names.items()}
-        self._match_publishers()
-        create_steady_timer(node, 0.5, self._match_publishers)
+            topic: PointSubscription(node, name, partial(self._on_cloud, topic))
+            for topic, name in self._full_topic_names(config.live_topics).items()}
+
+        def match_publishers() -> None:
+            for subscription in self._subscriptions.values():
+                subscription.match()
+
+        create_steady_timer(node, 0.5, match_publishers)
         # A turn can become due without a message: this is checked ten times a second.
         create_steady_timer(node, 0.1, self._play_turn)
         self._resend_timer = create_steady_timer(node, RESEND_S, self._resend)
@@ -191,25 +192,6 @@ class LiveTurns(TurnSource):
                                      f'{fused_topic}, which is where the fused cloud goes')
         return full_names
 
-    def _match_publishers(self) -> None:
-        """Receive what is published: clouds, or depth images and their CameraInfo."""
-        for topic, subscription in self._subscriptions.items():
-            subscription.match()
-            if subscription.message_type in (Image, CompressedImage) and (
-                    topic not in self._camera_infos):
-                self._camera_infos[topic] = None
-                self._node.create_subscription(
-                    CameraInfo, self._camera_info_topic(topic),
-                    partial(self._camera_infos.__setitem__, topic), POSES)
-
-    def _camera_info_topic(self, topic: str) -> str:
-        """Return the full name of the topic of the CameraInfo of a topic of depth images."""
-        return topics.camera_info_of_image(self._full_names[topic])
-
-    def _lacks_camera_info(self, topic: str) -> bool:
-        """Return whether a topic has depth images, and no CameraInfo has come yet."""
-        return topic in self._camera_infos and self._camera_infos[topic] is None
-
     def _on_cloud(self, topic: str, message_type: type, data: bytes) -> None:
         """Store a cloud or a depth image, and play the turn if it is due."""
         try:
@@ -274,7 +256,8 @@ class LiveTurns(TurnSource):
             self._transforms.clear()
         # Topics whose cloud waits for its CameraInfo, or was put back in this call: it is taken in
         # a later call.
-        waiting_topics = list(filter(self._lacks_camera_info, self._full_names))
+        waiting_topics = [topic for topic, subscription in self._subscriptions.items()
+                          if subscription.lacks_info]
         while (topic_and_cloud := self._turns.take_cloud(waiting_topics)) is not None:
             topic, cloud = topic_and_cloud
             try:
@@ -305,7 +288,7 @@ class LiveTurns(TurnSource):
         rig = self._rig._replace(poses=list(map(Pose, *self._turns.mean_poses)),
                                  standing_since_ns=self._turns.standing_begin.stamp)
         points, camera_positions = transform_cloud(
-            *read_points(cloud, self._camera_infos.get(topic)), rig, self._transforms)
+            *self._subscriptions[topic].read(cloud), rig, self._transforms)
         self._fused_cloud.add(points_in_range(
             points, camera_positions, *self._node.decider.ranges))
 
@@ -433,8 +416,9 @@ class LiveTurns(TurnSource):
              'poses and clouds; synchronise the clocks of their machines')
         silent = {topic: f'{topic} ({reason})' for topic, reason in turns.silent_topics().items()
                   if topic not in leads}
-        for topic in [topic for topic in silent if self._lacks_camera_info(topic)]:
-            silent[topic] = f'{topic} (nothing on {self._camera_info_topic(topic)})'
+        for topic, subscription in self._subscriptions.items():
+            if topic in silent and subscription.lacks_info:
+                silent[topic] = f'{topic} (nothing on {subscription.info_topic})'
         reaction = 'waiting' if turns.lacks_clouds else 'going on without'
         warn('silence', f'no clouds: {", ".join(silent.values())}; expected a cloud since the '
              f'cameras stand; {reaction}' if silent else '', news=','.join(silent))
@@ -474,8 +458,7 @@ class LiveTurns(TurnSource):
         clouds = {}
         for number, topic in enumerate(self._node.config.live_topics):
             if topic in self._newest_clouds:
-                points, frame = read_points(
-                    self._newest_clouds[topic], self._camera_infos.get(topic))
+                points, frame = self._subscriptions[topic].read(self._newest_clouds[topic])
                 match = self._rig.match_frame(frame)
                 camera = int(match[1]) if match else number
                 if camera < len(self._rig.poses):
