@@ -61,6 +61,7 @@ def test_the_second_policy_holds_and_takes_over_when_the_first_ends(graph, probe
     second = graph.add(PolicyNode, planner='lookahead')
     graph.until(lambda: held(second))
     # It says nothing of a placement that is not its own.
+    graph.until(lambda: len(probe.received[topics.PLACEMENT_STATUS]) > 5)
     assert not any('turn 0' in text.data for text in probe.received[topics.PLACEMENT_STATUS])
     assert '/camera_commands: /policy_node;' in status(second)[1]
     assert status(first)[0] == DiagnosticStatus.OK
