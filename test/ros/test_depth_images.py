@@ -16,6 +16,7 @@
 
 from io import BytesIO
 import struct
+from zlib import crc32
 
 from conftest import box_room, counted, header_at, HUNG, status
 from geometry_msgs.msg import PoseArray
@@ -102,6 +103,10 @@ def test_every_encoding_gives_the_points_and_no_return_gives_none(make, within, 
     np.testing.assert_allclose(points, expected, atol=within)
 
 
+#: The beginning of a PNG of 9000 x 9000 pixels.
+HUGE = (b'\x89PNG\r\n\x1a\n' + struct.pack('>I4sIIBBBBB', 13, b'IHDR', 9000, 9000, 16, 0, 0, 0, 0)
+        + struct.pack('>I', crc32(struct.pack('>4sIIBBBBB', b'IHDR', 9000, 9000, 16, 0, 0, 0, 0)))
+        + struct.pack('>I4s', 0, b'IDAT'))
 DEPTH = np.full((HEIGHT, WIDTH), 2.0)
 
 
@@ -110,6 +115,8 @@ DEPTH = np.full((HEIGHT, WIDTH), 2.0)
     (raw_image(DEPTH), camera_info(k=[0.0] * 9, p=[0.0] * 12), 'focal length'),
     (raw_image(DEPTH), camera_info(width=WIDTH + 1), '80 x 60'),
     (png_image(DEPTH), camera_info(width=WIDTH + 1), '80 x 60'),
+    (CompressedImage(format='16UC1; compressedDepth png', data=bytes(12) + HUGE),
+     camera_info(width=9000, height=9000), '10,000,000'),
     (Image(width=WIDTH, height=HEIGHT, encoding='rgb8'), camera_info(), "'rgb8'"),
     (Image(width=WIDTH, height=HEIGHT, encoding='16UC1', step=160), camera_info(), '0 bytes'),
     (png_image(DEPTH, cut=100), camera_info(), 'whole'),

@@ -35,6 +35,9 @@ POINT_SOURCES = {'sensor_msgs/msg/PointCloud2': PointCloud2, 'sensor_msgs/msg/Im
 #: By the encoding of depth images: NumPy type of a pixel, and metres of its unit.
 ENCODINGS = {'16UC1': ('u2', 0.001), 'mono16': ('u2', 0.001), '32FC1': ('f4', 1.0)}
 
+#: Largest number of pixels: a few bytes of PNG may stand for more than the memory holds.
+MAX_PIXELS = 10_000_000
+
 
 class PointSubscription(SensorSubscription):
     """
@@ -158,7 +161,6 @@ def depth_of_png(image: CompressedImage, size: tuple[int, int]) -> np.ndarray:
     from PIL import Image as PngImage
     try:
         png = PngImage.open(BytesIO(content[12:]), formats=['PNG'])
-        # Before the pixels are read: a few bytes may stand for a huge image.
         _check_size(png.size, size)
         pixels = np.asarray(png, dtype=np.float32)
     except MessageError:
@@ -185,7 +187,10 @@ def _encoding(encoding: str) -> tuple[str, float]:
 
 
 def _check_size(found: tuple[int, int], expected: tuple[int, int]) -> None:
-    """Refuse an image whose width and height are not those of the CameraInfo."""
+    """Refuse an image that is huge, or whose width and height are not those of the CameraInfo."""
+    if found[0] * found[1] > MAX_PIXELS:
+        raise MessageError(f'depth image: found {found[0]} x {found[1]} pixels; expected at most '
+                           f'{MAX_PIXELS:,}; name the image of a depth camera')
     if tuple(found) != expected:
         raise MessageError(f'depth image: found {found[0]} x {found[1]} pixels; expected '
                            f'{expected[0]} x {expected[1]} as in its CameraInfo; name the image '
