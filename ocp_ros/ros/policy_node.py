@@ -262,7 +262,7 @@ class PolicyNode(ManagedNode):
             response.message = 'found no targets yet; expected some; wait for the first command'
         else:
             # The turn is played by a timer, after this.
-            self.convergence.accepted = is_last
+            self.convergence.accepted |= is_last
             response.success = True
             response.message = ('the placement becomes final' if is_last else 'the turn ends') + (
                 ' where the cameras stand')

@@ -342,7 +342,7 @@ def test_a_person_hears_nothing_of_noise_and_what_is_left_of_a_move(live):
 
 
 @pytest.mark.parametrize(('move', 'turn', 'words'), [
-    ((0.4, -0.1, 0.0), (0, 0), r'0\.40 m → and 0\.10 m ↓.*\(1\.40, 1\.90, 1\.90\)'),
+    ((0.4, -0.1, 0.0), (0, 0), r'0\.40 m → and 0\.10 m ↓, to \(1\.40, 1\.90\)$'),
     # Parts below the limits are not asked for; if all are, the largest one is.
     ((-0.304, 0.04, 0.0), (2, 0), r': 0\.30 m ←, to [^;]*$'),
     ((0.04, -0.041, 0.0), (0, 0), r': 0\.04 m ↓, to'),
@@ -362,7 +362,8 @@ def test_instructions_say_how_far_and_in_which_direction(move, turn, words):
     ({'manual': True}, 5, 2.0, 1.6),
     ({'manual': True, 'turns': 9, 'max_turn': 0.0}, 9, 2.0, 0.0),
     ({'rig_file': 'rig.yaml'}, 12, 0.8, np.pi / 4),
-    ({'rig_file': 'rig.yaml', 'max_step': 0.7}, 12, 0.7, np.pi / 4)])
+    ({'rig_file': 'rig.yaml', 'max_step': 0.7}, 12, 0.7, np.pi / 4),
+    ({'rig_file': 'rig.yaml', 'manual': True}, 5, 2.0, 1.6)])
 def test_live_cameras_move_far_unless_the_rig_or_the_user_says_otherwise(
         graph, tmp_path, monkeypatch, given, turns, max_step, max_turn):
     monkeypatch.chdir(tmp_path)

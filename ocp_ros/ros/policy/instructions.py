@@ -71,8 +71,9 @@ def instructions(positions: np.ndarray, targets: np.ndarray, min_move: float,
         texts = []
         if has_move[camera]:
             move = targets[camera] - positions[camera]
-            # Adding 0 changes -0 to 0.
-            place = ', '.join(f'{value + 0.0:.2f}' for value in np.round(targets[camera], 2))
+            # The height of the target is printed only if it changes. Adding 0 changes -0 to 0.
+            coordinates = np.round(targets[camera][:3 if move[2] else 2], 2) + 0.0
+            place = ', '.join(f'{coordinate:.2f}' for coordinate in coordinates)
             texts.append(_parts_text(
                 move, min_move, '{:.2f} m {}', ('→←', '↑↓', ('higher', 'lower')))
                 + f', to ({place})')

@@ -28,7 +28,7 @@ from ocp_ros.util.resources import DEFAULT_MODEL
 from ocp_ros.util.settings import ConfigurationError, setting
 
 PLANNERS = ('learned', 'lookahead')
-#: Defaults with live cameras: short steps do not get past furniture.
+#: Defaults with live cameras: each turn waits for cameras and clouds.
 LIVE_DEFAULTS = {'turns': 12, 'max_step': 1.5, 'max_turn': 1.6}
 #: Defaults if ``manual`` is true: few turns with long moves, as each turn is work for a person.
 MANUAL_DEFAULTS = {'turns': 5, 'max_step': 2.0, 'max_turn': 1.6}
@@ -38,17 +38,18 @@ def live_defaults(given: dict[str, Any]) -> dict[str, Any]:
     """
     Return the defaults of the limits of live cameras; {} for a simulation.
 
-    :param given: the parameters that the user has given. The limits that a rig file states
-        replace the others.
+    :param given: the parameters that the user has given. Unless a person moves the cameras, the
+        limits that a rig file states replace the others.
     """
     if not given.get('cloud_topics'):
         return {}
-    defaults = MANUAL_DEFAULTS if given.get('manual') is True else LIVE_DEFAULTS
+    if given.get('manual') is True:
+        return MANUAL_DEFAULTS
     # A rig file that cannot be used is reported when the node is configured.
     with suppress(ConfigurationError):
         if given.get('rig_file'):
-            return defaults | load_rig(given['rig_file']).motion
-    return defaults
+            return LIVE_DEFAULTS | load_rig(given['rig_file']).motion
+    return LIVE_DEFAULTS
 
 
 @dataclass(frozen=True)
