@@ -176,7 +176,7 @@ def test_one_silent_camera_does_not_stop_the_others(live, capfd):
 
 
 def test_a_rig_that_does_not_arrive_is_commanded_from_where_it_is(live, capfd):
-    rig, policy = live.start(arrival_timeout=0.1, turns=2)
+    rig, policy = live.start(arrival_timeout=0.1, turns=2, max_step=0.5)
     rig.obeys = False
     where = rig.positions
     live.last(topics.PLACEMENT)
