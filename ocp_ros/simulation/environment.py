@@ -34,6 +34,9 @@ from ocp_ros.util.settings import ConfigurationError, from_nested, to_nested
 
 #: The number of problems (a scene with a rotation) whose engines are cached.
 MAX_PROBLEMS = 16
+#: The largest number of points, over all rooms, that are kept in memory. Rooms are kept because
+#: making a room takes as long as a hundred turns in it.
+MAX_CACHED_POINTS = 4_000_000
 
 
 class CameraPlacementEnv(gym.Env):
@@ -185,25 +188,35 @@ class CameraPlacementEnv(gym.Env):
                 **turn.terms._asdict()}
 
 
-class RoomsByName(Sequence[Scene]):
+class Rooms(Sequence[Scene]):
     """
-    Scenes of rooms, made each time they are accessed.
+    Rooms that are made at first use, and kept up to ``MAX_CACHED_POINTS`` points in all.
+
+    Rooms beyond this limit are made again at each use.
 
     :param names: seeds of generated rooms, or paths of scans.
     :param points: the number of points of a generated room; larger scans are thinned to it.
+    :param reading: options of a scan; see :func:`~ocp_ros.rooms.scene_source.make_room`.
     """
 
-    def __init__(self, names: Sequence[int | str | PathLike[str]], points: int = 15000) -> None:
+    def __init__(self, names: Sequence[int | str | PathLike[str]], points: int, **reading: Any
+                 ) -> None:
         self._names = tuple(str(name) for name in names)
-        self._points = points
+        self._points, self._reading = points, reading
+        self._kept: dict[int, Scene] = {}
 
     def __len__(self) -> int:
         """Return the number of rooms."""
         return len(self._names)
 
     def __getitem__(self, index):
-        """Make the scene of one room, without a rotation."""
-        return make_room(self._names[index], 0.0, self._points)
+        """Return a room; the caller must not change it, as it is given to other callers too."""
+        if index in self._kept:
+            return self._kept[index]
+        scene = make_room(self._names[index], 0.0, self._points, **self._reading)
+        if (len(self._kept) + 1) * self._points <= MAX_CACHED_POINTS:
+            self._kept[index] = scene
+        return scene
 
 
 def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points: int = 15000,
@@ -226,7 +239,7 @@ def environment_of(rooms: Sequence[int | str | PathLike[str]] = TRAINING, points
         # Settings are checked when they are built from nested dictionaries.
         config = from_nested(SimulationConfig, {
             **to_nested(config), 'rig': {**to_nested(config.rig), 'cameras': cameras}}, 'cameras')
-    return CameraPlacementEnv(RoomsByName(rooms, points), config, **more)
+    return CameraPlacementEnv(Rooms(rooms, points), config, **more)
 
 
 # Gymnasium 1 loads no entry points of packages: importing this module registers the environment.

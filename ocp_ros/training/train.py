@@ -35,7 +35,7 @@ import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
 from ocp_ros.policy.agent_config import CheckpointError
 from ocp_ros.policy.checkpoint import Checkpoint
-from ocp_ros.simulation.environment import CameraPlacementEnv
+from ocp_ros.simulation.environment import CameraPlacementEnv, Rooms
 from ocp_ros.simulation.viewpoints import VIEWPOINTS
 from ocp_ros.training.encoded_environment import playable
 from ocp_ros.training.run_folder import add_record, BEST, claim, is_count, records, REPLAY, STATE
@@ -48,7 +48,7 @@ from ocp_ros.training.sac_state import (
     save_state,
 )
 from ocp_ros.training.training_config import TrainingConfig
-from ocp_ros.training.training_rooms import room_names, Rooms
+from ocp_ros.training.training_rooms import room_names
 from ocp_ros.training.validation import evaluate, trials_of
 from ocp_ros.util.files import remove_unfinished
 from ocp_ros.util.resources import find_model
@@ -284,7 +284,7 @@ class ThreadedEnvironments(DummyVecEnv):
 
 def environments(config: TrainingConfig, rooms: Sequence[str]) -> VecMonitor:
     """Return the environments of a run; they share their rooms and engines."""
-    scenes = Rooms(rooms, config.rooms)
+    scenes = Rooms(rooms, **config.rooms.reading)
     numbers = range(config.environments)
     envs = [CameraPlacementEnv(scenes, config.simulation, fewest=config.fewest_cameras,
                                rotations=config.rooms.angles) for _ in numbers]

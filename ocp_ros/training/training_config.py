@@ -15,6 +15,7 @@
 """Settings of a training run."""
 
 from dataclasses import dataclass
+from typing import Any
 
 from ocp_ros.policy.agent_config import AgentConfig
 from ocp_ros.scenes.source_frame import BY_FILE, UP_CHOICES
@@ -88,6 +89,11 @@ class RoomsConfig:
                 f'rooms.scale and rooms.up: found {self.scale:g} and {self.up!r} with '
                 f'rooms.source {self.source!r}; expected a folder of scans that they are about; '
                 'leave them out')
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """Return the options with which ``make_room`` makes each room."""
+        return {'points': self.points, 'scale': self.scale, 'up': self.up}
 
     @property
     def angles(self) -> tuple[float, ...]:

@@ -21,8 +21,6 @@ does not change when the file is renamed or scans are added, if there are enough
 three sets.
 """
 
-from collections.abc import Sequence
-
 from ocp_ros.rooms.room_sets import (
     chosen_rooms,
     MORE_TRAINING,
@@ -32,8 +30,7 @@ from ocp_ros.rooms.room_sets import (
     TRAINING,
     VALIDATION,
 )
-from ocp_ros.rooms.scene_source import make_room
-from ocp_ros.scenes.scene import Scene, SceneError
+from ocp_ros.scenes.scene import SceneError
 from ocp_ros.scenes.scene_files import READERS, scans_in
 from ocp_ros.training.training_config import RoomsConfig
 from ocp_ros.util.files import sha256_of_file
@@ -41,9 +38,6 @@ from ocp_ros.util.settings import ConfigurationError
 
 #: The three sets of rooms.
 PARTS = ('training', 'validation', 'test')
-#: Largest number of points, over all rooms, that are kept in memory. Rooms are kept because making
-#: a room takes as long as a hundred turns in it.
-MAX_CACHED_POINTS = 4_000_000
 
 
 def room_names(config: RoomsConfig, part: str) -> list[str]:
@@ -68,47 +62,6 @@ def room_names(config: RoomsConfig, part: str) -> list[str]:
         raise ConfigurationError(f'rooms: found no {part} rooms; expected at least one; '
                                  'choose another rooms.source or add scans')
     return names
-
-
-def make_scene(config: RoomsConfig, name: str, rotation: float = 0.0) -> Scene:
-    """
-    Make a room, or read a scan.
-
-    :param config: number of points, and options for reading a scan.
-    :param name: from :func:`room_names`.
-    :param rotation: degrees about the vertical axis.
-    :raises SceneError: if a scan cannot be used.
-    """
-    return make_room(name, rotation, config.points, scale=config.scale, up=config.up)
-
-
-class Rooms(Sequence):
-    """
-    Rooms that are made at first use, and kept up to ``MAX_CACHED_POINTS`` points in all.
-
-    Rooms beyond this limit are made again at each use.
-
-    :param names: names of the rooms, from :func:`room_names`.
-    :param config: options for making the rooms.
-    """
-
-    def __init__(self, names: Sequence[str], config: RoomsConfig) -> None:
-        self._names = list(names)
-        self._config = config
-        self._kept: dict[int, Scene] = {}
-
-    def __len__(self) -> int:
-        """Return the number of rooms."""
-        return len(self._names)
-
-    def __getitem__(self, index: int) -> Scene:
-        """Return a room; the caller must not change it, as it is given to other callers too."""
-        if index in self._kept:
-            return self._kept[index]
-        scene = make_scene(self._config, self._names[index])
-        if (len(self._kept) + 1) * self._config.points <= MAX_CACHED_POINTS:
-            self._kept[index] = scene
-        return scene
 
 
 def _s3dis_paths(part: str) -> list[str]:

@@ -25,12 +25,13 @@ from ocp_ros.policy.checkpoint import Checkpoint
 from ocp_ros.policy.learned import PolicyAlone
 from ocp_ros.policy.policy import Policy
 from ocp_ros.rig.motion import bounded_moves
+from ocp_ros.rooms.scene_source import make_room
 from ocp_ros.simulation.episode import Episode
 from ocp_ros.simulation.problem import make_problem, Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.training.encoded_environment import turn_for
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
-from ocp_ros.training.training_rooms import make_scene, room_names
+from ocp_ros.training.training_rooms import room_names
 from ocp_ros.util.worker_pool import WorkerPool
 
 #: Cameras (0: those of the rig file), turns and longest move (metres) of the trials of a run whose
@@ -89,7 +90,7 @@ def play_trial(trial: ValidationTrial) -> tuple[float, float, float]:
 def _cached_problem(rooms: RoomsConfig, room: str, rotation: float, config: SimulationConfig
                     ) -> Problem:
     """Return the problem of a room, rotated by degrees; the latest 32 problems are cached."""
-    return make_problem(make_scene(rooms, room, rotation), config)
+    return make_problem(make_room(room, rotation, **rooms.reading), config)
 
 
 @lru_cache(maxsize=1)

@@ -30,10 +30,11 @@ from ocp_ros.rooms.room_sets import chosen_rooms, FRESH, rooms_of_area, TEST, TR
 from ocp_ros.rooms.scene_source import load_cached, make_room
 from ocp_ros.scenes.scene import Scene, SceneError
 from ocp_ros.scenes.scene_files import load_scene, save_scene
-from ocp_ros.training import training_rooms
+from ocp_ros.simulation import environment
+from ocp_ros.simulation.environment import Rooms
 from ocp_ros.training.train import trials_of
 from ocp_ros.training.training_config import RoomsConfig, TrainingConfig
-from ocp_ros.training.training_rooms import PARTS, room_names, Rooms
+from ocp_ros.training.training_rooms import PARTS, room_names
 from ocp_ros.training.validation import _cached_problem
 from ocp_ros.util.files import cache_folder
 from ocp_ros.util.settings import ConfigurationError, from_nested
@@ -114,16 +115,15 @@ def test_scans_in_other_units_are_read_alike_by_all_who_play_in_them(tmp_path):
     (trial,) = trials_of(config, 'validation')
     scene = _cached_problem(
         trial.rooms, trial.room, trial.rotation, trial.simulation).simulator.scene
-    for points in (Rooms([name], config.rooms)[0].points, scene.points):
+    for points in (Rooms([name], **config.rooms.reading)[0].points, scene.points):
         np.testing.assert_allclose(np.ptp(points, axis=0), expected.size, atol=1e-3)
 
 
 def test_rooms_are_made_once_and_kept_while_there_is_memory(monkeypatch):
     made = []
-    monkeypatch.setattr(training_rooms, 'make_scene',
-                        lambda config, name: made.append(name) or name)
-    monkeypatch.setattr(training_rooms, 'MAX_CACHED_POINTS', 2000)
-    rooms = Rooms(['a', 'b', 'c'], RoomsConfig(points=1000))
+    monkeypatch.setattr(environment, 'make_room', lambda name, *_: made.append(name) or name)
+    monkeypatch.setattr(environment, 'MAX_CACHED_POINTS', 2000)
+    rooms = Rooms(['a', 'b', 'c'], 1000)
     assert [rooms[index] for index in (0, 1, 2, 0, 1, 2)] == ['a', 'b', 'c'] * 2
     assert made == ['a', 'b', 'c', 'c']
 
