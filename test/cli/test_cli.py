@@ -126,21 +126,12 @@ def test_errors_are_json_where_it_is_asked_for(files, capsys, arguments, words):
 
 
 @pytest.mark.parametrize(('module', 'heavy'), [
-    ('ocp_ros.cli.main', 'torch numba scipy numpy matplotlib rich yaml'),
+    ('ocp_ros.cli.main', 'torch numba scipy numpy matplotlib gymnasium rich yaml'),
     ('ocp_ros.cli.plan_command', 'ocp_ros.compare benchmarks matplotlib plotly open3d torch')])
 def test_what_is_slow_to_import_is_imported_when_it_is_needed(module, heavy):
     done = run_python(f'import sys, {module}, ocp_ros.cli.main as cli; cli.build_commands(); '
                       'print(*sys.modules)')
     assert module in done.stdout and not set(heavy.split()) & set(done.stdout.split())
-
-
-def test_ctrl_c_ends_quietly_whatever_is_going_on(files, capsys, monkeypatch):
-    def stop(*_, **__):
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr('ocp_ros.rooms.scene_source.make_room', stop)
-    assert cli.main(['score', 'room.ply', 'placement.yaml']) == 130
-    assert capsys.readouterr() == ('', '')
 
 
 def test_a_page_needs_no_placement_and_no_network_and_is_opened_where_that_is_wanted(
