@@ -214,7 +214,7 @@ def room_verdict(answer: Answer, own: np.ndarray, size: Sequence[float], degrees
                  is_noted: bool) -> Verdict:
     """Return the verdict on a room of a size, given its own points (N, 3) in the file."""
     found = turned(answer.scene.points.astype(np.float64), -degrees)
-    reach = 0.5
+    reach = 0.6
     outside = ((found < -reach) | (found > np.array(size) + reach)).any(axis=1).mean()
     share = kept_share(answer.scene, own)
     return verdict(**{f'{100 * outside:.1f} % of the points outside': outside > 0.002,

@@ -20,12 +20,14 @@ separates into rooms. A beam over the whole width of a corridor is not a lintel,
 a shelf is not a room.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from ocp_ros.geometry.clouds import voxel_downsample
+from ocp_ros.geometry.cameras import rotation_matrix
+from ocp_ros.geometry.clouds import corners_of, voxel_downsample
+from ocp_ros.geometry.normals import STEEP
 from ocp_ros.scenes.scene import MIN_POINTS, Scene
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -38,16 +40,17 @@ MAX_FLOOR_GAP_M = 0.4
 MIN_HALF_WIDTH_M = 0.6
 
 
-def main_room(scene: Scene, points: np.ndarray) -> Scene:
+def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray) -> Scene:
     """
     Leave out the points of other rooms and add a note.
 
     :param points: (N, 3) metres, the points of the file before merging: the plan is made of these,
         since ``scene.points`` may be too far apart for fine cells.
+    :param surfaces: (M, 3) metres, points on surfaces: those far from all of them do not count.
     :returns: the same scene if there are no other rooms, or they cannot be separated. A scan of
         many rooms stays whole and gets a remark.
     """
-    thin_points = voxel_downsample(points, PLAN_VOXEL_M)
+    thin_points = _near_surfaces(points, surfaces)
     # The corner of the plan, at the height of the floor. The empty margin around the points is for
     # closing gaps in the floor, which fails at the edge of the plan.
     corner = np.append(thin_points[:, :2].min(axis=0) - 2.0 * MAX_FLOOR_GAP_M,
@@ -64,7 +67,8 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     # Rooms cannot be separated with coarser cells, nor on a plan of more than 5000 m2.
     if cell > 0.2 or np.prod(np.ptp(thin_points[:, :2], axis=0)) > 5000.0:
         return scene
-    rooms, wall_shares = _separate_rooms(thin_points, cell)
+    glass = _glass_walls(scene, points) - corner[:2]
+    rooms, wall_shares = _separate_rooms(thin_points, cell, glass)
     if rooms.max() < 2:
         return scene
     find_rooms = _room_finder(rooms, cell)
@@ -82,14 +86,22 @@ def main_room(scene: Scene, points: np.ndarray) -> Scene:
     if len(other_numbers) >= 4 or (other_numbers and weights.max() < 0.45 * weights.sum()):
         remark = f'{len(other_numbers) + 1} rooms with openings between them: all are planned for'
         return replace(scene, remarks=(*scene.remarks, remark))
+    if len(glass):
+        # Of a room behind glass there may be less, and in parts.
+        other_numbers = np.setdiff1d(np.flatnonzero(counts), [main_number])
     positions = scene.points - corner
     is_kept = ~np.isin(find_rooms(positions), other_numbers)
     # Points beside the main room that face it are on its own walls, and are kept too.
-    is_kept[~is_kept] = _facing_points(positions[~is_kept], rooms == main_number, cell, tree,
-                                       0.6 * neighbour_distance)
+    is_beside = ~is_kept
+    if len(glass):
+        # What is behind glass faces the room as well.
+        is_beside &= cKDTree(glass).query(positions[:, :2])[0] > 1.0
+    is_kept[is_beside] = _facing_points(positions[is_beside], rooms == main_number, cell, tree,
+                                        0.6 * neighbour_distance)
     if is_kept.all() or is_kept.sum() < MIN_POINTS:
         return scene
-    note = (f'found {len(scene) - is_kept.sum():,} points of another room behind an opening; '
+    note = (f'found {len(scene) - is_kept.sum():,} points of another room behind an opening or '
+            'glass; '
             'expected one room; that part of the scan is not planned for: --all-rooms includes it')
     return replace(scene.only(is_kept), notes=(*scene.notes, note))
 
@@ -207,6 +219,113 @@ class _RoofedPlaces:
         return self._outside[cells] | (is_low & self._outside.any())
 
 
+def _near_surfaces(points: np.ndarray, surfaces: np.ndarray) -> np.ndarray:
+    """Return the points (N, 3) with a point of ``surfaces`` (M, 3) near them, both metres."""
+    tree = cKDTree(surfaces)
+    distances, _ = tree.query(surfaces[::max(len(surfaces) // 2000, 1)], k=2)
+    radius = max(0.1, 2.0 * float(np.median(distances[:, 1])))
+    thin_points = voxel_downsample(points, PLAN_VOXEL_M)
+    return thin_points[np.isfinite(tree.query(thin_points, distance_upper_bound=radius)[0])]
+
+
+def _glass_walls(scene: Scene, points: np.ndarray) -> np.ndarray:
+    """
+    Find walls of glass: lines at which floor and ceiling at once become less dense.
+
+    Glass lets a part of the rays of a scanner through twice, there and back. So the points behind
+    it are fewer, and their number drops at once, not slowly with the distance from the scanner.
+
+    :param points: (N, 3) metres, the points of the file before merging.
+    :returns: (G, 2) metres, places on these walls, 5 cm apart.
+    """
+    is_steep = np.abs(scene.normals_or_estimate[:, 2]) <= STEEP
+    normals = scene.normals_or_estimate[is_steep].astype(np.float64)
+    # The direction of the walls: angles are the same after quarters of a turn.
+    angle = np.angle(np.exp(4j * np.arctan2(normals[:, 1], normals[:, 0])).sum()) / 4.0
+    rotation = rotation_matrix(angle)[:2, :2]
+    places = points[:, :2] @ rotation
+    floor = np.percentile(points[:, 2], 1.0)
+    ceiling = floor + _ceiling_height(points[:, 2] - floor)
+    layers = [places[np.abs(points[:, 2] - z) < 0.1] for z in (floor, ceiling)]
+    found = [np.empty((0, 2))]
+    for axis in (0, 1):
+        for start, end in _density_steps([layer[:, [axis, 1 - axis]] for layer in layers]):
+            count = int(np.ceil(np.ptp([start[1], end[1]]) / 0.05)) + 1
+            line = np.linspace(start, end, count)
+            found.append(line if axis == 0 else line[:, ::-1])
+    return np.concatenate(found) @ rotation.T
+
+
+def _density_steps(layers: list[np.ndarray]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """
+    Yield the lines along the second axis at which all layers become less dense.
+
+    :param layers: places (N, 2) metres on the floor, and those on the ceiling.
+    :returns: the start and the end (2,) of each line.
+    """
+    if min(map(len, layers)) < MIN_POINTS:
+        return
+    # Cells are narrow across the line, and as long as a run of a few along it.
+    edges = np.array([0.05, 0.4])
+    low, high = corners_of(np.concatenate(layers))
+    bins = np.maximum(((high - low) / edges).astype(int) + 1, 1)
+    width = 10
+    if bins[0] < 5 * width:
+        return
+    counts = np.array([np.histogram2d(*layer.T, bins, np.column_stack(
+        [low, low + bins * edges]))[0] for layer in layers])
+    # Sums of the cells in ``width`` rows: from each row on.
+    sums = np.cumsum(np.pad(counts, ((0, 0), (1, 0), (0, 0))), axis=1)
+    sums = sums[:, width:] - sums[:, :-width]
+    # Strips on both sides, a row apart, and the next ones on either side.
+    far_before, before, behind, far_behind = (
+        sums[:, start:start + sums.shape[1] - 3 * width - 1]
+        for start in (0, width, 2 * width + 1, 3 * width + 1))
+    # Twice: with the glass room behind, and before.
+    for strips in ((far_before, before, behind, far_behind),
+                   (far_behind, behind, before, far_before)):
+        yield from _steps_between(*strips, low + [edges[0] * (2 * width + 0.5), 0.0], edges)
+
+
+def _steps_between(far_room: np.ndarray, room: np.ndarray, other: np.ndarray,
+                   far_other: np.ndarray, low: np.ndarray, edges: np.ndarray
+                   ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield the lines between strips; see :func:`_density_steps`."""
+    # The logarithm of the odds that a cell has a step to 0.45, and no mere decline to 0.7; a
+    # shadow of furniture counts little.
+    log_odds = np.clip(other * np.log(0.31 / 0.41) + room * np.log(0.69 / 0.59), -2.0, 2.0)
+    # The run of cells along each line with the largest sum.
+    ends = np.cumsum(np.pad(log_odds.sum(axis=0), ((0, 0), (1, 0))), axis=1)
+    rises = ends - np.minimum.accumulate(ends, axis=1)
+    last = np.argmax(rises, axis=1)
+    gains = rises.max(axis=1)
+    for row in np.flatnonzero(gains > 3.0):
+        # Only the best line within half a metre.
+        if gains[row] < gains[max(row - 10, 0):row + 11].max():
+            continue
+        first = int(np.argmin(ends[row, :last[row] + 1]))
+        if last[row] - first < 6:
+            continue
+        strips = [strip[:, row, first:last[row]] for strip in (far_room, room, other, far_other)]
+        totals = [strip.sum(axis=1) + 1.0 for strip in strips]
+        # Glass lets a like share through all along the line; other edges are ragged.
+        near, behind = (ndimage.uniform_filter1d(strip, 3, axis=1, mode='nearest')
+                        for strip in strips[1:3])
+        if ((near >= 2.0) & (behind > 0.12 * near) & (behind < 0.8 * near)).mean() < 0.7:
+            continue
+        # How much more floor and ceiling decline at the line than before it and behind it.
+        decline = np.minimum(np.sqrt(totals[1] / totals[0] * totals[3] / totals[2]), 1.0)
+        steps = np.log(decline * totals[1] / totals[2])
+        variances = 1.0 / totals[1] + 1.0 / totals[2] + 0.25 * sum(1.0 / one for one in totals)
+        step = np.average(steps, weights=1.0 / variances)
+        deviation = 1.0 / np.sqrt(np.sum(1.0 / variances))
+        is_alike = np.ptp(steps) < 0.1 + 2.0 * np.sqrt(variances.sum())
+        if is_alike and step > max(0.4, 4.0 * deviation) and steps.min() > 0.25:
+            x = low[0] + edges[0] * row
+            yield (np.array([x, low[1] + edges[1] * (first - 1)]),
+                   np.array([x, low[1] + edges[1] * (last[row] + 1)]))
+
+
 def _room_finder(rooms: np.ndarray, cell: float) -> Callable[[np.ndarray], np.ndarray]:
     """
     Return a function that finds the nearest room of each position.
@@ -283,12 +402,14 @@ def _ceiling_height(heights: np.ndarray) -> float:
     return min(top, min_ceiling_m + layer_m * (int(layer_counts.argmax()) + 0.5))
 
 
-def _separate_rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
+def _separate_rooms(points: np.ndarray, cell: float, glass: np.ndarray
+                    ) -> tuple[np.ndarray, np.ndarray]:
     """
     Separate rooms on a plan of X x Y cells.
 
     :param points: (N, 3) metres, from the lowest corner of the plan, z above the floor.
     :param cell: the edge of a cell, metres.
+    :param glass: (G, 2) metres, places of walls that the points do not show.
     :returns: (X, Y) room numbers from 1, 0 in walls and outside; and by room number the share of
         the room's border that is wall.
     """
@@ -296,6 +417,8 @@ def _separate_rooms(points: np.ndarray, cell: float) -> tuple[np.ndarray, np.nda
     # The empty margin at the far sides is as wide as the one at the corner of the plan.
     shape = tuple(cells.max(axis=0) + 1 + int(2.0 * MAX_FLOOR_GAP_M / cell))
     walls, lintels = _walls_and_lintels(points[:, 2], cells, shape, cell)
+    glass_cells = np.clip((glass / cell).astype(int), 0, np.array(shape) - 1)
+    walls |= ndimage.binary_dilation(_occupied_cells(glass_cells, shape), _disc(1.0))
     floor_cells = _floor(_occupied_cells(cells, shape), cell)
     # Rooms are the parts of the free floor that are separate if narrow openings are closed.
     is_barrier = walls | lintels

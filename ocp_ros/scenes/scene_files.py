@@ -39,7 +39,7 @@ from ocp_ros.scenes.false_points import (
 )
 from ocp_ros.scenes.file_formats import Declared, declared_by, MEASURED, READERS
 from ocp_ros.scenes.inner_surface import inner_surface, without_outside
-from ocp_ros.scenes.main_room import main_room, PLAN_VOXEL_M, without_views_outside
+from ocp_ros.scenes.main_room import main_room, without_views_outside
 from ocp_ros.scenes.measured_room import CORNERS, room_between
 from ocp_ros.scenes.meshes import MESH_SAMPLES, sample_faces
 from ocp_ros.scenes.scene import check_numbers, check_points, Mesh, MIN_POINTS, Scene, SceneError
@@ -206,7 +206,7 @@ def _make_scene(rows: np.ndarray, name: str, scene_name: str, declared: Declared
             scene = Scene(inner.points, scene_name, inner.normals, mesh, source, tuple(notes),
                           remarks + inner.remarks)
             whole = scene.only(_evenly(len(scene), SURVEY_POINTS))
-            survey = whole if all_rooms else main_room(whole, whole.points)
+            survey = whole if all_rooms else main_room(whole, whole.points, whole.points)
             thinned = scene.only(_evenly(len(scene), max_samples))
             return _warn_of_notes(survey if len(thinned) == len(whole) else
                                   _room_of_survey(thinned, whole, survey), name)
@@ -252,8 +252,8 @@ def _room_in(scene: Scene, points: np.ndarray, all_rooms: bool) -> Scene:
         _log.warning('%s: %s', scene.name, remark)
         scene = replace(scene.only(~is_isolated), remarks=(*scene.remarks, remark))
     # Isolated points must not count as walls, however many there are.
-    if not is_isolated.all():
-        points = _near_surfaces(points, surfaces)
+    if is_isolated.all():
+        surfaces = scene.points
     if not all_rooms:
         scene, points = without_views_outside(scene, points)
     count = len(scene)
@@ -264,7 +264,7 @@ def _room_in(scene: Scene, points: np.ndarray, all_rooms: bool) -> Scene:
         points = scene.points
     # Leave out what lies outside of the room.
     scene = without_outside(scene)
-    return scene if all_rooms else main_room(scene, points)
+    return scene if all_rooms else main_room(scene, points, surfaces)
 
 
 def _room_of_survey(scene: Scene, whole: Scene, survey: Scene) -> Scene:
@@ -287,15 +287,6 @@ def _evenly(count: int, max_count: int) -> np.ndarray:
     """Return the indices of at most ``max_count`` of ``count`` things, evenly spread."""
     kept = min(count, max_count)
     return np.arange(kept) * count // kept
-
-
-def _near_surfaces(points: np.ndarray, surfaces: np.ndarray) -> np.ndarray:
-    """Return the points (N, 3) with a point of ``surfaces`` (M, 3) near them, both metres."""
-    tree = cKDTree(surfaces)
-    distances, _ = tree.query(surfaces[::max(len(surfaces) // 2000, 1)], k=2)
-    radius = max(0.1, 2.0 * float(np.median(distances[:, 1])))
-    thin_points = voxel_downsample(points, PLAN_VOXEL_M)
-    return thin_points[np.isfinite(tree.query(thin_points, distance_upper_bound=radius)[0])]
 
 
 def _warn_of_notes(scene: Scene, name: str) -> Scene:

@@ -257,6 +257,22 @@ def test_what_a_scanner_sees_through_a_window_is_left_out_and_named(below):
     assert floor_height(scene) == pytest.approx(0.0, abs=0.02)
 
 
+def test_what_is_behind_glass_is_another_room_and_what_a_scanner_hardly_reaches_is_not():
+    rng = np.random.default_rng(0)
+    points = sample_faces(box((0, 0, 0), (10.0, 4.5, 2.7)), 60_000)[:, :3]
+    # A scanner stands in the middle of the larger part; glass lets 45 % through.
+    away = np.linalg.norm(points - [6.5, 2.2, 1.5], axis=1)
+    chance = rng.uniform(size=len(points)) * (1.0 + (away / 2.0) ** 3)
+    seen = chance < 1.0
+    behind = points[:, 0] < 3.5
+    assert len(scene_of(turned(points[seen], 20.0))) > 0.98 * np.count_nonzero(seen)
+    shown = seen & ~(behind & (chance > 0.45))
+    with pytest.warns(SceneWarning, match='glass.*--all-rooms'):
+        scene = scene_of(turned(points[shown], 20.0))
+    found = turned(scene.points.astype(float), -20.0)
+    assert found[:, 0].min() > 3.1 and len(found) > 0.98 * np.count_nonzero(shown & ~behind)
+
+
 def test_a_gate_and_a_door_in_a_thick_wall_lead_to_two_rooms():
     hall = rooms((0.0, 7.0, 2.7), (7.5, 12.5, 2.7), door=(2.1, 4.1), depth=8.1)
     doorway = (abs(hall[:, 0] - 7.25) < 0.28) & (abs(hall[:, 1] - 5.15) < 0.45) & (
