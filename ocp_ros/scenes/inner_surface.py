@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, LEVEL, Pose
 from ocp_ros.geometry.clouds import CellGrid, corners_of
+from ocp_ros.geometry.normals import STEEP
 from ocp_ros.geometry.packed_bits import no_bits, unpack
 from ocp_ros.geometry.visibility import FINE, SurfelVisibility
 from ocp_ros.scenes.meshes import MeshRays, sample_faces
@@ -375,15 +376,18 @@ def _ends_at_surface(is_surface: np.ndarray, x: int, y: int) -> np.ndarray:
 
 def without_outside(scene: Scene) -> Scene:
     """
-    Leave out the points of a solid model that the air of the room does not see; add a remark.
+    Leave out the points of a solid model that the air of the room does not see, and say so.
 
     :returns: the same scene if no air is enclosed, or if its points are those of a scan: a scanner
-        stands in the air, so the air sees nearly all its points.
+        stands in the air, so the air sees nearly all its points. A scan that has drifted shows its
+        surfaces twice; it stays whole and gets a note.
     """
     points, areas = scene.points.astype(np.float64), scene.pitch.astype(np.float64) ** 2
     air = EnclosedAir.of(points, float(np.median(scene.pitch)))
     if air is None:
         return scene
+    if drift := _drift_of(scene, air):
+        return replace(scene, notes=(*scene.notes, drift))
     cells = np.argwhere(air.cells | air.other_cells)
     # One test position per cubic metre, but 40 at least and 300 at most.
     test_count = int(np.clip(len(cells) * air.grid.edge ** 3, 40, 300))
@@ -401,9 +405,59 @@ def without_outside(scene: Scene) -> Scene:
     back_area = areas[is_hidden & is_behind_face & (view_counts == 0)].sum()
     if back_area < 0.4 * invisible_area or np.count_nonzero(is_kept) < MIN_POINTS:
         return scene
-    remark = (f'{100.0 * (1.0 - is_kept.mean()):.0f} % of the points left out: those of a solid '
-              'model that the air of the room does not see')
-    return replace(scene.only(is_kept), remarks=(*scene.remarks, remark))
+    dropped = 1.0 - is_kept.mean()
+    said = (f'{100.0 * dropped:.0f} % of the points left out: those of a solid model that the air '
+            'of the room does not see')
+    # What leaves out over a third of a file is a doubt.
+    if dropped > 1.0 / 3.0:
+        return replace(scene.only(is_kept), notes=(*scene.notes, said))
+    return replace(scene.only(is_kept), remarks=(*scene.remarks, said))
+
+
+def _drift_of(scene: Scene, air: EnclosedAir) -> str:
+    """
+    Return a note if a scan shows its surfaces twice, since the scanner has lost its place; or ''.
+
+    The points of a model are exact, or its slabs and its walls both have two sides. Drift in
+    height doubles floors, drift on the level only walls. Walls between rooms have air on both
+    sides.
+    """
+    normals, points = scene.normals_or_estimate.astype(np.float64), scene.points.astype(np.float64)
+    tree, pitch = cKDTree(points), float(np.median(scene.pitch))
+    some = np.random.default_rng(0).permutation(len(points))[:3000]
+    offsets = points[tree.query(points[some], 9)[1]] - points[some, None]
+    # The distances of the nearest points from the plane of each point.
+    noise = np.median(np.abs(np.einsum('nkj,nj->nk', offsets[:, 1:], normals[some])))
+    if noise < 0.0003:
+        return ''
+    is_level = np.abs(normals[some, 2]) > 0.9
+    is_wall = np.abs(normals[some, 2]) < STEEP
+    is_air = air.cells | air.other_cells
+    found = {}
+    for name, chosen in (('floors', some[is_level]), ('walls', some[is_wall])):
+        gaps = np.full(len(chosen), np.nan)
+        # Look for a parallel surface along the normal on both sides.
+        for shift in np.concatenate([np.arange(0.1, 0.6, 0.05), np.arange(-0.1, -0.6, -0.05)]):
+            distances, index = tree.query(points[chosen] + shift * normals[chosen],
+                                          distance_upper_bound=max(1.2 * pitch, 0.03))
+            near = np.flatnonzero(np.isfinite(distances) & np.isnan(gaps))
+            here, there = chosen[near], index[near]
+            gap = np.einsum('nj,nj->n', points[there] - points[here], normals[here])
+            side = 0.4 * np.sign(shift) * normals[here]
+            is_double = ((np.abs(gap) > 0.08)
+                         & (np.abs(np.einsum('nj,nj->n', normals[there], normals[here])) > 0.95)
+                         & ~(is_air[tuple(air.grid.cells(points[here] - side))]
+                             & is_air[tuple(air.grid.cells(points[there] + side))]))
+            gaps[near[is_double]] = np.abs(gap[is_double])
+        found[name] = gaps
+    shares = {name: float(np.mean(np.isfinite(gaps))) for name, gaps in found.items()}
+    rarer, doubled = sorted(shares, key=shares.__getitem__)
+    if shares[doubled] < 0.33 or shares[rarer] > 0.15:
+        return ''
+    low, high = np.nanpercentile(found[doubled], [10.0, 90.0])
+    gap = f'{high:.2f} m' if high - low < 0.03 else f'{low:.2f} to {high:.2f} m'
+    return (f'found two {doubled} {gap} apart along {100.0 * shares[doubled]:.0f} % of them; '
+            'expected one of each; the scan has drifted: align its parts, or scan again')
 
 
 def _count_views(scene: Scene, positions: np.ndarray) -> np.ndarray:
