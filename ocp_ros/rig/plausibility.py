@@ -70,7 +70,10 @@ def _missing_names(scene: Scene, level: _LevelPoints, ceiling: np.ndarray, tilt_
     # A sloping floor covers a range of heights, so that a wider margin is needed.
     margin = LAYER_M if tilt_deg < MAX_TILT_DEG else SLAB_M
     at_floor = (level.z >= floor - margin) & (level.z <= floor + margin)
-    areas = {'ceiling': _area(scene, ceiling), 'floor': level.areas[at_floor].sum()}
+    # The ceiling of an attic is a roof that begins below head height.
+    roof = scene.points[_is_sloping(scene, 0.5) & (scene.points[:, 2] > floor + 1.0)]
+    areas = {'ceiling': max(_area(scene, ceiling), _area(scene, roof)),
+             'floor': level.areas[at_floor].sum()}
     # A floor or a ceiling counts as missing if it fills less than a fifth of the floor plan.
     return tuple(name for name, area in areas.items() if area < 0.2 * level.plan_m2)
 
@@ -100,6 +103,9 @@ def room_notes(scene: Scene) -> list[str]:
     if _dimension(scene.points) > MAX_DIMENSION:
         notes.append('found points that fill the air evenly, as noise does; expected points on '
                      'surfaces; nothing can be seen in it: check the file, or scan again')
+    if len(ceiling) and (lowest := float(np.median(ceiling[:, 2])) - floor) < 1.99:
+        notes.append(f'found a ceiling {lowest:.2f} m above the floor, lower than 2 m; expected '
+                     'a room to stand in; check the scale and which axis is up, unless it is so')
     # A tilted scan has no floor or ceiling at one height.
     if no_floor and tilt_deg < MAX_TILT_DEG:
         notes.append('found no floor; expected a level one below everything; check which axis is '
@@ -107,6 +113,10 @@ def room_notes(scene: Scene) -> list[str]:
     walls = standing_of(scene).points
     # A large scan without a ceiling and with few walls counts as outdoors.
     outdoors = no_ceiling and level.plan_m2 > 300.0 and _area(scene, walls) < 0.3 * level.plan_m2
+    # A sloping roof that comes down beside the floor closes it like a wall.
+    height = scene.points[:, 2] - floor
+    eaves = _is_sloping(scene, STEEP) & (height > 0.2) & (height < 1.5)
+    walls = np.concatenate([walls, scene.points[eaves]])
     if not (no_floor or outdoors or scan_tilted) and (share := _open_share(scene, walls)) > 0.2:
         notes.append(f'found no wall along {100.0 * share:.0f} % of the edge of the floor; '
                      'expected walls all around; what is behind the open side counts as far away, '
@@ -162,6 +172,12 @@ def _dimension(points: np.ndarray) -> float:
     near, wide = (tree.query_ball_point(centres, factor * radius, return_length=True).sum()
                   - len(centres) for factor in (1.0, 2.0))
     return float(np.log2(max(wide, 1) / max(near, 1)))
+
+
+def _is_sloping(scene: Scene, min_upward: float) -> np.ndarray:
+    """Return which points are on slopes of a roof, given the least z of their normals: (N,)."""
+    upward = np.abs(scene.normals_or_estimate[:, 2])
+    return (upward > min_upward) & (upward < 0.97)
 
 
 def _open_share(scene: Scene, walls: np.ndarray) -> float:

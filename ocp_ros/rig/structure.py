@@ -317,8 +317,12 @@ def ceiling_of(scene: Scene) -> MountSurface:
     height = np.percentile(z, 99.0) - floor
     # Level points count as ceiling if they are at most 25 cm below the highest point around, and
     # at least 2 m above the floor; in rooms lower than 2.5 m, 80 % of the height is enough.
-    chosen = ((np.abs(scene.normals_or_estimate[:, 2]) >= LEVEL)
-              & (z >= top - 0.25) & (z >= floor + min(2.0, 0.8 * height)))
+    upward = np.abs(scene.normals_or_estimate[:, 2])
+    highest = (z >= top - 0.25) & (z >= floor + min(2.0, 0.8 * height))
+    chosen = highest & (upward >= LEVEL)
+    # Under a steep roof most of what is highest is steeper.
+    if np.count_nonzero(chosen) < 0.3 * np.count_nonzero(highest & (upward >= 0.5)):
+        chosen = highest & (upward >= 0.5)
     return _surface(scene, chosen, scene.normals_or_estimate)
 
 

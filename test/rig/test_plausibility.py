@@ -18,6 +18,7 @@ from conftest import box_room, box_sides, made_room
 import numpy as np
 from ocp_ros.geometry.cameras import CameraModel, rotation_matrix
 from ocp_ros.rig.plausibility import angle_notes, room_notes
+from ocp_ros.rig.structure import ceiling_of
 from ocp_ros.scenes.false_points import stray_points
 from ocp_ros.scenes.scene import Scene
 from ocp_ros.scenes.scene_files import load_scene
@@ -112,6 +113,16 @@ def test_an_attic_has_walls_and_a_ceiling_and_is_the_right_way_up():
     below, roof = (3.0 - 1.8 * abs(along / 2.25 - 1.0) for along in (points[:, 1], y))
     attic = scene_of(points[points[:, 2] <= below], np.column_stack([x, y, roof]))
     assert room_notes(attic) == []
+
+
+def test_an_attic_with_low_knee_walls_is_closed_and_a_low_ceiling_is_noticed():
+    attic = box_sides(np.array([6.0, 4.5, 3.0]), np.array([3.0, 2.25, 1.5])).astype(float)
+    y, x = (axis.ravel() for axis in np.meshgrid(np.arange(0, 4.5, 0.05), np.arange(0, 6, 0.1)))
+    below, roof = (3.0 - 2.6 * abs(along / 2.25 - 1.0) for along in (attic[:, 1], y))
+    scene = scene_of(attic[attic[:, 2] <= below], np.column_stack([x, y, roof]))
+    assert room_notes(scene) == [] and len(ceiling_of(scene).points)
+    low = box_sides(np.array([4.0, 3.0, 1.9]), np.array([2.0, 1.5, 0.95]))
+    assert of_kind(room_notes(scene_of(low)), 'lower than 2 m')
 
 
 def test_only_a_room_above_another_has_several_storeys():
