@@ -58,9 +58,10 @@ def add_arguments(commands: Commands) -> None:
     command.add_argument('--topics', nargs='+', default=(), metavar='CAMERA=TOPIC',
                          help='topics of the bag; default: the topics whose names contain the '
                          'names of the cameras, otherwise all topics in their order')
-    command.add_argument('--cloud-frame', choices=('optical', 'body'),
-                         help='frame of the clouds: optical (z forward, x right, y down) or body '
-                         '(x forward, y left, z up); default: optical for files, and the frame '
+    command.add_argument('--cloud-frame', choices=('optical', 'body', 'opengl'),
+                         help='frame of the clouds: optical (z forward, x right, y down), body '
+                         '(x forward, y left, z up) or opengl (z backward, x right, y up, as of '
+                         'the RealSense Viewer); default: optical for files, and the frame '
                          'that a bag names')
     command.add_argument('--out', type=Path, default=Path('out/built'), metavar='DIR',
                          help='write the placement as built, a launch file of static transforms '
@@ -112,7 +113,7 @@ def run(arguments: argparse.Namespace) -> Found:
         result['error'] = (
             f'{arguments.placement}: found no camera that could be calibrated ('
             + '; '.join(f'{row["camera"]}: {row["refused"]}' for row in rows)
-            + '); expected one at least; scan more of the room, or correct the placement')
+            + '); expected one at least; correct that')
     return result
 
 
@@ -133,6 +134,9 @@ def show(result: Found) -> None:
             'camera', 'position (m)', 'yaw, pitch, roll', 'moved', 'standard deviation',
             'residual', 'overlap'), rows)
     for row in result['cameras']:
+        if row.get('note'):
+            console.print(f'note: {row["camera"]}: {row["note"]}', style='yellow', markup=False,
+                          highlight=False)
         if row.get('otherwise'):
             console.print(f'note: {row["camera"]}: {row["otherwise"]}; correct the placement or '
                           'the option', style='yellow', markup=False, highlight=False)
@@ -151,7 +155,7 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str,
     :returns: by camera, the N points of its cloud: (N, 3) metres, body frame (x forward, z up).
     :raises ConfigurationError: if the camera of a cloud is not clear, or there is no cloud.
     """
-    from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
+    from ocp_ros.geometry.cameras import TO_BODY
     from ocp_ros.scenes.scene_files import load_cloud
     if arguments.bag:
         try:
@@ -174,9 +178,8 @@ def clouds_of(arguments: argparse.Namespace, names: Sequence[str]) -> 'dict[str,
         files[name] = Path(path)
     check_known(files, names, '--clouds, cameras')
     clouds = {name: load_cloud(path) for name, path in files.items()}
-    # Without --cloud-frame, the points of files are in the optical frame.
-    return clouds if arguments.cloud_frame == 'body' else {
-        name: points @ OPTICAL_TO_BODY.T for name, points in clouds.items()}
+    rotation = TO_BODY[arguments.cloud_frame or 'optical']
+    return {name: points @ rotation.T for name, points in clouds.items()}
 
 
 def _split_pair(text: str, option: str, kind: str) -> tuple[str, str]:

@@ -25,6 +25,9 @@ from ocp_ros.util.kernels import njit
 OMNIDIRECTIONAL, PINHOLE, SPHERICAL = 0, 1, 2
 #: From the optical frame (z forward, x right, y down) to the body frame (x forward, y left, z up).
 OPTICAL_TO_BODY = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+#: From the frames of clouds to the body frame; in OpenGL, x is right, y up and z backward.
+TO_BODY = {'optical': OPTICAL_TO_BODY, 'body': np.eye(3),
+           'opengl': OPTICAL_TO_BODY @ np.diag([1.0, -1.0, -1.0])}
 
 
 class Frustum(NamedTuple):

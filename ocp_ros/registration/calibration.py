@@ -22,7 +22,13 @@ import logging
 from typing import Any
 
 import numpy as np
-from ocp_ros.geometry.cameras import heading_of, OPTICAL_TO_BODY, Pose, rotation_matrix
+from ocp_ros.geometry.cameras import (
+    heading_of,
+    OPTICAL_TO_BODY,
+    Pose,
+    rotation_matrix,
+    TO_BODY,
+)
 from ocp_ros.registration.camera_registration import register, registered_nearby, Registration
 from ocp_ros.registration.live_view import LiveView
 from ocp_ros.registration.scan_surfaces import ScanSurfaces
@@ -31,6 +37,8 @@ from ocp_ros.rig.rig_file import Rig, rig_from
 from ocp_ros.scenes.scene import SceneError
 from ocp_ros.util.yaml_files import Document
 
+OPENGL = ('its cloud has x right, y up and z backward, as the RealSense Viewer writes it '
+          '(--cloud-frame opengl)')
 #: How a camera may differ from the placement: a description, a roll about the viewing direction in
 #: radians, and a rotation (3, 3) from the axes of the cloud to those of the body.
 OTHER_SETUPS = (
@@ -38,7 +46,12 @@ OTHER_SETUPS = (
     ('it is mounted on its side', 0.5 * np.pi, np.eye(3)),
     ('it is mounted on its other side', -0.5 * np.pi, np.eye(3)),
     ('its cloud has optical axes (--cloud-frame optical)', 0.0, OPTICAL_TO_BODY),
-    ('its cloud has the axes of the body (--cloud-frame body)', 0.0, OPTICAL_TO_BODY.T))
+    ('its cloud has the axes of the body (--cloud-frame body)', 0.0, OPTICAL_TO_BODY.T),
+    # Of files that are read as optical, and of files that are read as body.
+    (OPENGL, 0.0, TO_BODY['opengl'] @ OPTICAL_TO_BODY.T),
+    (OPENGL, 0.0, TO_BODY['opengl']))
+#: The largest number of cameras whose clouds are tried at the poses of each other.
+MAX_EXCHANGED = 8
 
 
 _log = logging.getLogger(__name__)
@@ -54,7 +67,8 @@ def calibrate(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.
     :param clouds: the clouds (N, 3), metres, body frame, by the camera's name.
     :returns: the registrations, and for unusable clouds the reasons, both by the camera's name.
     """
-    return _for_each_camera(_register_camera, scan, placement, clouds)
+    registrations, reasons = _for_each_camera(_register_camera, scan, placement, clouds)
+    return _with_other_setups(scan, placement, clouds, registrations), reasons
 
 
 def _for_each_camera(register_camera: Callable[[ScanSurfaces, np.ndarray, Placed], Registration],
@@ -77,23 +91,47 @@ def _for_each_camera(register_camera: Callable[[ScanSurfaces, np.ndarray, Placed
 
 def _register_camera(scan: ScanSurfaces, cloud: np.ndarray, placed: Placed) -> Registration:
     """
-    Register a camera; if its cloud does not match the scan, try other mountings and cloud axes.
+    Register a camera as the placement describes it.
 
     :param cloud: (N, 3) metres, body frame.
     :raises SceneError: if the cloud cannot be used.
     """
-    start = Pose.of(placed.pose)
-    name, model = placed.camera.name, placed.camera.model
-    first = register(scan, LiveView(cloud, model, name), start, model)
-    if not first.mismatched:
-        return first
-    for description, roll, axes in OTHER_SETUPS:
-        with suppress(SceneError):
-            rolled = Pose(start.position, start.rotation @ rotation_matrix(roll=roll))
-            other = register(scan, LiveView(cloud @ axes.T, model, name), rolled, model)
-            if not other.refused:
-                return other._replace(actual_setup=description)
-    return first
+    model = placed.camera.model
+    view = LiveView(cloud, model, placed.camera.name)
+    return register(scan, view, Pose.of(placed.pose), model)
+
+
+def _with_other_setups(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray],
+                       registrations: Mapping[str, Registration]) -> dict[str, Registration]:
+    """
+    Register cameras whose clouds do not match the scan with other clouds, mountings and axes.
+
+    :returns: the registrations, with those that fit otherwise in place of those that do not match.
+    """
+    found = dict(registrations)
+    mismatched = [placed for placed in placement.cameras if placed.camera.name in found
+                  and found[placed.camera.name].mismatched]
+    for placed in mismatched:
+        start, name, model = Pose.of(placed.pose), placed.camera.name, placed.camera.model
+        attempts = [(clouds[name], *setup) for setup in OTHER_SETUPS]
+        if len(mismatched) <= MAX_EXCHANGED:
+            others = [other.camera.name for other in mismatched if other is not placed]
+            attempts = [(clouds[other], f'the cloud given for {other} is its own', 0.0, np.eye(3))
+                        for other in others] + attempts
+        for cloud, description, roll, axes in attempts:
+            points = cloud @ axes.T
+            # Most cameras see nothing behind them, so that these axes are wrong.
+            if model.horizontal_fov < np.pi and (
+                    np.count_nonzero(points[:, 0] < 0.0) > 0.1 * np.count_nonzero(
+                        points[:, 0] > 0.0)):
+                continue
+            with suppress(SceneError):
+                rolled = Pose(start.position, start.rotation @ rotation_matrix(roll=roll))
+                other = register(scan, LiveView(points, model, name), rolled, model)
+                if not other.refused:
+                    found[name] = other._replace(actual_setup=description)
+                    break
+    return found
 
 
 def drift(scan: ScanSurfaces, placement: Placement, clouds: Mapping[str, np.ndarray]) -> list[str]:
@@ -159,6 +197,7 @@ def answer_of(placed: Placed, found: Registration) -> dict[str, Any]:
     row = {'camera': placed.camera.name, 'refused': found.refused,
            'residual': found.residual, 'overlap': found.overlap, 'violated': found.violated_share,
            'loose': certainty.loose_motions, 'otherwise': found.actual_setup,
+           'note': found.note,
            'deviations': [
                *({'along': axis.tolist(), 'metres': float(value)}
                  for axis, value in zip(certainty.slide_axes, certainty.metres)),

@@ -30,7 +30,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from ocp_ros.geometry.cameras import CameraModel, Pose
+from ocp_ros.geometry.cameras import CameraModel, Pose, rotation_matrix
 from ocp_ros.registration.alignment import (
     aligned_poses,
     AlignmentStage,
@@ -69,6 +69,9 @@ class AcceptanceLimits:
     min_overlap: float = 0.35
     #: The largest share of surfaces in view that are in space measured as free.
     max_violated: float = 0.05
+    #: The same where the room has changed since the scan, and the least overlap for this.
+    max_changed: float = 0.25
+    min_changed_overlap: float = 0.6
     #: The largest share of points closely behind a surface.
     max_behind: float = 0.025
     #: The least lead in score over any distinct pose.
@@ -100,6 +103,7 @@ class Registration(NamedTuple):
     :ivar refused: the reason why the pose must not be used; empty if it can be used.
     :ivar actual_setup: a description of the mounting or of the axes of the cloud, if they differ
         from those given; otherwise empty.
+    :ivar note: a reason to check a pose that is not refused; otherwise empty.
     """
 
     pose: Pose
@@ -111,11 +115,13 @@ class Registration(NamedTuple):
     behind_share: float
     refused: str
     actual_setup: str = ''
+    note: str = ''
 
     @property
     def mismatched(self) -> bool:
-        """Return whether the cloud does not match the scan."""
-        return self.overlap < LIMITS.min_overlap or self.violated_share > LIMITS.max_violated
+        """Return whether the pose is refused since the cloud does not match the scan."""
+        return bool(self.refused) and (self.overlap < LIMITS.min_overlap
+                                       or self.violated_share > LIMITS.max_violated)
 
 
 def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel) -> Registration:
@@ -135,10 +141,57 @@ def register(scan: ScanSurfaces, view: LiveView, start: Pose, model: CameraModel
     alternatives = [k for k, pose in enumerate(poses)
                     if scores[k] > scores[best] - LIMITS.min_lead
                     and _differ(pose, poses[best])]
-    if answer.refused or not alternatives:
+    changed = _accepted_in_changed_room(answer)
+    if answer.refused and changed is None:
         return answer
-    alternative = max(alternatives, key=lambda k: scores[k])
-    return answer._replace(refused=_ambiguity_reason(poses[best], poses[alternative]))
+    if alternatives:
+        alternative = max(alternatives, key=lambda k: scores[k])
+        return answer._replace(
+            refused=answer.refused or _ambiguity_reason(poses[best], poses[alternative]))
+    turns = _equal_turns(scan, view, answer.pose, model)
+    if changed is not None:
+        return answer if turns else changed
+    if not turns:
+        return answer
+    *others, last = map(str, turns)
+    return answer._replace(note=(
+        f'the room looks the same turned by {", ".join(others)}{" and " * bool(others)}{last} '
+        f'degrees: found {len(turns)} more pose{"s" * (len(turns) > 1)} that fit as well; make '
+        'sure that it hangs where it was planned'))
+
+
+def _accepted_in_changed_room(answer: Registration) -> Registration | None:
+    """Return an answer as accepted if only changes of the room since the scan speak against it."""
+    reason = _rejection_reason(answer.overlap, 0.0, answer.behind_share, answer.certainty,
+                               answer.displaced_share)
+    if (reason or answer.overlap < LIMITS.min_changed_overlap
+            or not LIMITS.max_violated < answer.violated_share <= LIMITS.max_changed):
+        return None
+    return answer._replace(refused='', note=_change_reason(answer.violated_share))
+
+
+def _equal_turns(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel) -> list[int]:
+    """
+    Return the turns of the room about its middle after which a cloud fits it as well.
+
+    :param pose: the registered pose.
+    :returns: 90, 180 and 270 degrees, or some of them.
+    """
+    centre = 0.5 * (scan.points.min(axis=0) + scan.points.max(axis=0))
+    least_score = _score(scan, view, pose) - LIMITS.min_lead
+    patches = _sampled(view.patches, OUTLINE_PATCHES)
+    turns = []
+    for degrees in (90, 180, 270):
+        rotation = rotation_matrix(np.deg2rad(degrees))
+        turned = Pose(centre + rotation @ (pose.position - centre), rotation @ pose.rotation)
+        # The middle of the scan may be off by what it shows of other rooms.
+        coarse = _first_pose(aligned_poses(scan.coarse, patches, _as_poses(turned),
+                                           AlignmentStage((0.4, 0.2), (12.0, 5.0), 12)))
+        # A coarse pose has a lower score than a fine one.
+        if _score(scan, view, coarse) > least_score - 0.3 and _score(
+                scan, view, _refined(scan, view, coarse, model)) > least_score:
+            turns.append(degrees)
+    return turns
 
 
 def registered_nearby(scan: ScanSurfaces, view: LiveView, pose: Pose, model: CameraModel
@@ -386,15 +439,22 @@ def _ambiguity_reason(pose: Pose, alternative: Pose) -> str:
             'what it sees as well')
 
 
+def _change_reason(violated_share: float) -> str:
+    """Return the message that the room has changed since the scan."""
+    return (f'the room has changed since the scan: {100.0 * violated_share:.0f} % of the surfaces '
+            'in its view stand where it looked through')
+
+
 def _rejection_reason(overlap: float, violated_share: float, behind_share: float,
                       certainty: Certainty, displaced_share: float) -> str:
     """Return the reason why a pose must not be used; empty if it can be used."""
     if overlap < LIMITS.min_overlap:
         return (f'the scan explains {100.0 * overlap:.0f} % of what it sees, '
-                f'{100.0 * LIMITS.min_overlap:.0f} % are needed')
+                f'{100.0 * LIMITS.min_overlap:.0f} % are needed; check its planned pose and '
+                'whether the cloud is its own')
     if violated_share > LIMITS.max_violated:
-        return (f'{100.0 * violated_share:.0f} % of the surfaces in its view stand where it '
-                f'looked through, at most {100.0 * LIMITS.max_violated:.0f} % may')
+        return (f'{_change_reason(violated_share)}, at most '
+                f'{100.0 * LIMITS.max_violated:.0f} % may; scan it again')
     if behind_share > LIMITS.max_behind:
         return (f'{100.0 * behind_share:.1f} % of what it sees lies closely behind scanned '
                 f'surfaces, at most {100.0 * LIMITS.max_behind:.1f} % may')

@@ -20,7 +20,7 @@ from benchmarks.calibration_bench import cast, off
 from conftest import blank_report, box_sides, printed, refused
 import numpy as np
 from ocp_ros.cli.main import main
-from ocp_ros.geometry.cameras import CameraModel, heading_of, OPTICAL_TO_BODY, Pose
+from ocp_ros.geometry.cameras import CameraModel, heading_of, OPTICAL_TO_BODY, Pose, TO_BODY
 from ocp_ros.registration.alignment import (
     estimate_certainty,
     Matches,
@@ -89,7 +89,7 @@ def test_a_camera_is_found_from_far_off(scan, view):
 
 @pytest.mark.parametrize('roll, axes, words', [
     (np.pi, np.eye(3), 'upside down'), (0.5 * np.pi, np.eye(3), 'on its side'),
-    (0.0, OPTICAL_TO_BODY, '--cloud-frame optical')])
+    (0.0, OPTICAL_TO_BODY, '--cloud-frame optical'), (0.0, TO_BODY['opengl'], 'opengl')])
 def test_a_camera_that_is_mounted_otherwise_than_said_is_found_and_that_is_named(
         scan, roll, axes, words):
     true = Pose.of(ROW + [0.0, 0.0, 0.0, 0.0, 0.0, roll])
@@ -98,6 +98,43 @@ def test_a_camera_that_is_mounted_otherwise_than_said_is_found_and_that_is_named
     found, broken = calibrate(scan, placement, {name: seen_by(true)[::4] @ axes})
     assert not broken and not found[name].refused and words in found[name].actual_setup
     assert_near(found[name].pose, true)
+
+
+def test_exchanged_clouds_are_found_and_named(scan):
+    rows = np.array([ROW, [3.2, 2.4, 2.2, -2.2, 0.4, 0.0]])
+    placement = placement_of(rig_of(2, SENSOR), rows)
+    first, second = (placed.camera.name for placed in placement.cameras)
+    clouds = [seen_by(Pose.of(row))[::4] for row in rows]
+    found, _ = calibrate(scan, placement, dict(zip((second, first), clouds)))
+    for name, other, row in ((first, second, rows[0]), (second, first, rows[1])):
+        assert not found[name].refused and other in found[name].actual_setup
+        assert_near(found[name].pose, Pose.of(row))
+
+
+def test_a_room_that_has_changed_since_the_scan_is_named_with_the_pose(view):
+    points, rng = generate_room(SEED, 9000).points, np.random.default_rng(0)
+    middle = TRUE.position + 1.6 * TRUE.rotation[:, 0]
+    # A cupboard of the scan is gone.
+    gone = box_sides([0.6, 0.6, 0.9], [*middle[:2], 0.45], 0.04)
+    found = register(ScanSurfaces(Scene(np.vstack([points, gone]).astype(np.float32))), view,
+                     off(TRUE, 0.3, 10.0, rng), MODEL)
+    assert found.violated_share > LIMITS.max_violated
+    assert 'changed since the scan' in found.note and not found.refused
+    assert_near(found.pose, TRUE)
+
+
+@pytest.mark.parametrize(('size', 'turns'), [
+    ([4.0, 4.0, 2.6], '90, 180 and 270'), ([5.0, 4.0, 2.6], '180')])
+def test_poses_in_an_empty_room_that_fit_as_well_are_counted(size, turns):
+    walls = box_sides(size, np.divide(size, 2.0), 0.04)
+    pose = Pose.of(np.array([0.15, 0.15, 2.0, np.pi / 4, 0.4, 0.0]))
+    # Nothing hides anything in an empty room.
+    cloud = (walls - pose.position) @ pose.rotation
+    slopes = np.abs(cloud[:, 1:]) / np.maximum(cloud[:, :1], 1e-6)
+    seen = cloud[(cloud[:, 0] > 0.0) & (slopes < [0.9, 0.6]).all(axis=1)]
+    found = register(ScanSurfaces(Scene(walls.astype(np.float32))), LiveView(seen, MODEL),
+                     pose, MODEL)
+    assert not found.refused and f'turned by {turns} degrees' in found.note
 
 
 def plane(across):

@@ -19,7 +19,7 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-from ocp_ros.geometry.cameras import OPTICAL_TO_BODY
+from ocp_ros.geometry.cameras import TO_BODY
 from ocp_ros.ros.bags.bag_files import Bag, Recorded
 from ocp_ros.ros.interface.conversions import RawMessage
 from ocp_ros.ros.interface.depth_images import POINT_SOURCES, read_points
@@ -89,9 +89,9 @@ def _read_cloud(bag: Bag, topic: str, kind: str, frame: str | None) -> np.ndarra
             if not isinstance(item, Recorded):
                 raise item
             points, cloud_frame = read_points(RawMessage.of(POINT_SOURCES[kind], item.cdr), info)
-            is_optical = (frame == 'optical') if frame else \
-                cloud_frame.endswith(OPTICAL_FRAME_ENDINGS)
-            clouds.append(points @ OPTICAL_TO_BODY.T if is_optical else points)
+            is_optical = cloud_frame.endswith(OPTICAL_FRAME_ENDINGS)
+            rotation = TO_BODY[frame or ('optical' if is_optical else 'body')]
+            clouds.append(points @ rotation.T)
         except ValueError as error:
             reason = str(error)
     if not clouds:

@@ -167,6 +167,8 @@ class Calibrator:
                 distance = np.linalg.norm(registration.pose.position - placed.position)
                 lines.append(f'{name}: {distance:.3f} m from where it was said to be, expected '
                              f'within {1000.0 * registration.certainty.metres[0]:.0f} mm')
+                lines += [f'{name}: {text}' for text in (
+                    registration.note, registration.actual_setup) if text]
         built = as_built(placement, registrations, 'policy_node')
         any_registered = any(not registration.refused for registration in registrations.values())
         if any_registered and self._node.config.placement_file:
