@@ -98,7 +98,7 @@ ROOMS = {
     'cell_m.stl': (0.0, 3.2, None), 'box.stl': (0.0, 2.5, (6.0, 4.0, 2.5)),
     'yup_corridor.glb': (0.0, 2.6, (8.0, 1.6, 2.6)), 'class7.las': (0.0, 2.7, BOX),
     'feet_wkt.las': (0.0, 2.7, BOX), 'geokeys_m_ft.las': (0.0, 2.7, BOX),
-    'viewpoint.pcd': (0.0, 2.7, None),
+    'quantized.glb': (0.0, 2.7, BOX), 'viewpoint.pcd': (0.0, 2.7, None),
     'elevated_1.5m_room.obj': (1.5, 3.9, (6.0, 4.5, 2.4)), 'mirror.ply': (0.0, 2.7, BOX)}
 
 
