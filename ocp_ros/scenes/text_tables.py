@@ -233,7 +233,7 @@ def _check_columns(path: Path, table_format: TableFormat) -> None:
     cells = np.array([[[cell[:30] for cell in row[:min(count, 12)]] for row in pair]
                       for pair in pairs], dtype=str)
     # Whole thousands have no decimals, so they look like decimal commas.
-    if table_format.decimal_comma and count >= 3:
+    if table_format.decimal_comma and max(table_format.columns) < min(count, 12):
         numbers = cells[..., table_format.columns].ravel().tolist()
         with_comma = [number for number in numbers if ',' in number]
         if all(re.fullmatch(r'[-+]?\d{1,3},\d{3}', number) for number in with_comma) and any(

@@ -98,6 +98,8 @@ FORMATS = {
     'surveyor.csv': partial(write_table, separator=',', header='P,N,E,Z,D', axes='xyxzz'),
     'survey.csv': partial(write_table, separator=';', header='Point;Easting;Northing;Elevation',
                           axes='zxyz', decimal=','),
+    'late.csv': partial(write_table, separator=';', header='a;b;c;d;e;f;g;h;i;j;k;l;X;Y;Z',
+                        axes=12 * 'z' + 'xyz', decimal=','),
     'two_scans.ptx': lambda path, points: path.write_text(
         ptx_of(points[:900]) + ptx_of(points[900:])),
 }
