@@ -112,7 +112,7 @@ def inner_surface(mesh: Mesh, point_count: int, spacing: float, name: str,
         'them',)
     if volumes := air.other_volumes:
         remarks += (f'{len(volumes)} other closed space{"s" * (len(volumes) > 1)} left out, the '
-                    f'largest of {volumes[0]:.0f} m3: no opening connects with the room',)
+                    f'largest of {volumes[0]:.1f} m³: no opening connects with the room',)
     return InnerSurface(points, normals, remarks)
 
 

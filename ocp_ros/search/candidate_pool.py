@@ -188,6 +188,12 @@ class CandidatePool:
                 self._max_grid_poses, min_places)
         return self._grids[model]
 
+    @property
+    def grid_share(self) -> float:
+        """Return the share of the places of the dense grids whose views are known."""
+        grids = list(self._grids.values())
+        return min((grid.added_share for grid in grids), default=0.0)
+
     def spaced_rows(self, rig: Rig, sites: Sequence[MountedCamera]) -> np.ndarray:
         """
         Return the rows of the candidates for the next camera that satisfy the spacing.

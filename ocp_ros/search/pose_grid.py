@@ -113,6 +113,11 @@ class PoseGrid:
         return len(self._all_places)
 
     @property
+    def added_share(self) -> float:
+        """Return the share of the places of the grid that were added."""
+        return self._added / len(self._all_places)
+
+    @property
     def complete(self) -> bool:
         """Return whether all places of the grid were added."""
         return self._added == len(self._all_places)

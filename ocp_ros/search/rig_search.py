@@ -121,6 +121,8 @@ class ColumnGenerationSearch(RigSearch):
     def __init__(self, problem: Problem, pool: CandidatePool, budget: Budget, seed: int,
                  start: Sequence[MountedCamera] = ()) -> None:
         super().__init__(problem, pool, budget, np.random.default_rng([seed, 0]), start)
+        #: Stage of the search: 0 is the grid, 1 refinement, 2 its repetitions, 3 the proof.
+        self._stage = 0
         self._first_choices = TUNING.first_choices
         self._repeated_choices = TUNING.repeated_choices
         #: Moves of each choice, first and in each repetition; a budget of evaluations sets others.
@@ -150,11 +152,13 @@ class ColumnGenerationSearch(RigSearch):
         relaxation = proof.relaxation
         choices = relaxation.find_choices(self._first_choices, self.rng, grid_deadline)
         # Refine the choices off the grid.
+        self._stage = 1
         starts = [self._sites_of(relaxation, choice) for choice in choices]
         first_results = results = self._refine_all(
             [*starts, self.start] if self.start else starts, TUNING.distances_m[0],
             self._first_moves, self._refined_enough)
         # Repeat both with poses near the results.
+        self._stage = 2
         deadline = self.budget.deadline_check(TUNING.repeated_time_share)
         for distance_m in TUNING.distances_m:
             if not results or deadline():
@@ -164,7 +168,7 @@ class ColumnGenerationSearch(RigSearch):
             # No choice on the grid, and no given placement: the cameras are placed as close
             # together as the spacing allows.
             results = [self._rate_placement(self.pool.packed_sites(self.problem.rig))]
-        best = results[0]
+        self._stage, best = 3, results[0]
         # The losses of all searches, for the report: one for each refined choice, and two for a
         # given placement, refined and as given. ``first_results`` is sorted and the repetitions
         # start from its first results, so the final loss replaces the first one.
@@ -172,6 +176,18 @@ class ColumnGenerationSearch(RigSearch):
         losses = (best.loss, *(result.loss for result in first_results[1:]))
         return SearchResult(best.sites, best.loss, losses, self.evaluations, *prove_gap(
             lambda: proof, best.loss, loss_on_grid))
+
+    def used_share(self) -> float:
+        """Return the used share of the time; without a limit of time, the share that is done."""
+        if self.max_evaluations is None or self.budget.seconds is not None or self.budget.stopped:
+            return super().used_share()
+        # Half of the evaluations are for the first refinement, half for the repetitions.
+        doubled_share = 2.0 * self.evaluations / self.max_evaluations
+        stage_share = (self.pool.grid_share, doubled_share, doubled_share - 1.0, 0.0)[self._stage]
+        starts = (0.0, TUNING.grid_time_share, TUNING.refined_time_share,
+                  TUNING.repeated_time_share, 1.0)
+        start, end = starts[self._stage:self._stage + 2]
+        return start + (end - start) * float(np.clip(stage_share, 0.0, 1.0))
 
     def _refined_enough(self) -> bool:
         """Return whether to end the first refinement; a busy machine does not end it at once."""

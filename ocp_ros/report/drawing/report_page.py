@@ -31,7 +31,9 @@ from ocp_ros.report.drawing.room_drawing import INK, PALE_INK
 from ocp_ros.report.drawing.saved_pictures import (
     draw_table,
     fonts_for_all_letters,
+    in_one_line,
     save_figure,
+    width_of,
     write,
 )
 from ocp_ros.report.facts import page_facts_of, PageFacts
@@ -224,17 +226,20 @@ def _draw_head(figure: Figure, facts: PageFacts) -> None:
         text = f'{doubt} (and {hidden} more)' if hidden > 0 and number == max_doubts - 1 else doubt
         write(figure, (PAGE_WIDTH - MARGIN, 7.72 - 0.13 * number), text, width=6.0, size=6.2,
               colour=BAD_COLOUR, align='right')
-    gap = 0.12
-    width = (INNER_WIDTH - gap * (len(facts.figures) - 1)) / len(facts.figures)
-    for number, (label, value, remark) in enumerate(facts.figures):
-        left = MARGIN + number * (width + gap)
+    gap, padding, sizes = 0.12, 0.18, (6.5, 12.5, 6.5)
+    # Each figure has a width in proportion to its longest text.
+    widths = np.array([max(width_of(in_one_line(text), size, bold=text == one.value)
+                           for text, size in zip(one, sizes)) + padding for one in facts.figures])
+    widths *= (INNER_WIDTH - gap * (len(widths) - 1)) / widths.sum()
+    lefts = MARGIN + np.cumsum(widths + gap) - widths - gap
+    for (label, value, remark), left, width in zip(facts.figures, lefts, widths):
         figure.add_artist(FancyBboxPatch(
             (left, 6.84), width, 0.62, linewidth=0, facecolor='#f1f3f5',
             boxstyle='round,pad=0,rounding_size=0.04', transform=figure.dpi_scale_trans))
         for text, size, y, colour, bold in (
-                (label, 6.5, 7.36, PALE_INK, False), (value, 12.5, 7.16, INK, True),
-                (remark, 6.5, 6.94, PALE_INK, False)):
-            write(figure, (left + 0.09, y), text, width - 0.18, size, colour, bold)
+                (label, sizes[0], 7.36, PALE_INK, False), (value, sizes[1], 7.16, INK, True),
+                (remark, sizes[2], 6.94, PALE_INK, False)):
+            write(figure, (left + 0.5 * padding, y), text, width - padding, size, colour, bold)
 
 
 def _draw_legend(figure: Figure, y: float, assessed: Assessment) -> None:
