@@ -102,6 +102,19 @@ def test_all_labels_are_on_the_page_and_none_is_on_another(rooms, count, number,
         text for text, _ in texts}
 
 
+def test_many_figures_fit_their_tiles(rooms):
+    rig = rig_of(2, 'd455', calibratable={}, regions=[
+        {'name': 'machine', 'box': rooms[0][0].bounds.tolist(), 'must_see': 0.9}])
+    poses = np.repeat(middle_of(rooms[0][0]), 2, axis=0)
+    judged = judged_in(rooms[0], rig, poses)
+    judged.found['search'] = {'certificate': {'gap': 0.0704, 'candidates': 33945, 'sentence': ''}}
+    assert len(page_facts_of(judged).figures) == 10
+    page, = report_page.figures_of_pages(judged)
+    shown = ' '.join(text for text, _ in texts_of(page))
+    for label, value, remark in page_facts_of(judged).figures:
+        assert f'{label} {value} {remark}' in shown
+
+
 @pytest.mark.parametrize('number', range(3))
 def test_numbers_in_the_plan_hide_neither_each_other_nor_the_walls(rooms, number):
     scene = rooms[number][0]

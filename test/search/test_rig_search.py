@@ -29,7 +29,12 @@ from ocp_ros.search.pose_grid import PoseGrid
 from ocp_ros.search.proof.column_generation import Column, ColumnGeneration
 from ocp_ros.search.proof.loss_trees import LossTrees, poses_by_point
 from ocp_ros.search.rig_plan import RigPlanner
-from ocp_ros.search.rig_search import GrowingProof, prove_gap, search
+from ocp_ros.search.rig_search import (
+    ColumnGenerationSearch,
+    GrowingProof,
+    prove_gap,
+    search,
+)
 from ocp_ros.simulation.problem import Problem
 from ocp_ros.simulation.simulation_config import SimulationConfig
 from ocp_ros.simulation.simulator import View
@@ -46,6 +51,17 @@ IN_PLACE = {'sensor': 'realsense_d455', 'position': [6.0, 6.0, 2.0], 'yaw': 225,
 def problem_of(count=3, sensor='d455', **more):
     """Return a rig in a small room."""
     return Problem.of(made_room(8, 2000), rig_of(count, sensor, **more), FAST)
+
+
+def test_without_a_limit_of_time_progress_is_that_of_the_steps():
+    problem = problem_of(1)
+    pool, budget = CandidatePool(problem, 60, max_grid_poses=200), Budget(evaluations=40)
+    runner = ColumnGenerationSearch(problem, pool, budget, 0)
+    assert runner.used_share() == 0.0
+    pool.dense_grid(problem, problem.rig.models[0]).grow(8)
+    grown = runner.used_share()
+    runner.run()
+    assert 0.0 < grown < runner.used_share() <= 1.0
 
 
 def few_of(problem, most):

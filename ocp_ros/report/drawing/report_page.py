@@ -226,20 +226,31 @@ def _draw_head(figure: Figure, facts: PageFacts) -> None:
         text = f'{doubt} (and {hidden} more)' if hidden > 0 and number == max_doubts - 1 else doubt
         write(figure, (PAGE_WIDTH - MARGIN, 7.72 - 0.13 * number), text, width=6.0, size=6.2,
               colour=BAD_COLOUR, align='right')
-    gap, padding, sizes = 0.12, 0.18, (6.5, 12.5, 6.5)
-    # Each figure has a width in proportion to its longest text.
-    widths = np.array([max(width_of(in_one_line(text), size, bold=text == one.value)
-                           for text, size in zip(one, sizes)) + padding for one in facts.figures])
+    gap, padding, small, large = 0.1, 0.16, 6.5, 12.5
+    # Each figure has a width in proportion to its longest line, with its remark in two lines.
+    tiles = [(one, _two_lines(one.remark)) for one in facts.figures]
+    widths = np.array([max(width_of(in_one_line(one.value), large, True), *(
+        width_of(in_one_line(text), small) for text in (one.label, *remark))) + padding
+        for one, remark in tiles])
     widths *= (INNER_WIDTH - gap * (len(widths) - 1)) / widths.sum()
     lefts = MARGIN + np.cumsum(widths + gap) - widths - gap
-    for (label, value, remark), left, width in zip(facts.figures, lefts, widths):
+    for (one, remark), left, width in zip(tiles, lefts, widths):
         figure.add_artist(FancyBboxPatch(
-            (left, 6.84), width, 0.62, linewidth=0, facecolor='#f1f3f5',
+            (left, 6.76), width, 0.7, linewidth=0, facecolor='#f1f3f5',
             boxstyle='round,pad=0,rounding_size=0.04', transform=figure.dpi_scale_trans))
         for text, size, y, colour, bold in (
-                (label, sizes[0], 7.36, PALE_INK, False), (value, sizes[1], 7.16, INK, True),
-                (remark, sizes[2], 6.94, PALE_INK, False)):
+                (one.label, small, 7.37, PALE_INK, False), (one.value, large, 7.19, INK, True),
+                (remark[0], small, 6.97, PALE_INK, False),
+                (remark[1], small, 6.85, PALE_INK, False)):
             write(figure, (left + 0.5 * padding, y), text, width - padding, size, colour, bold)
+
+
+def _two_lines(text: str) -> tuple[str, str]:
+    """Return a text as two lines of about the same length."""
+    words = text.split(' ')
+    lines = [(' '.join(words[:count]), ' '.join(words[count:]))
+             for count in range(1, len(words) + 1)]
+    return min(lines, key=lambda pair: max(map(len, pair)))
 
 
 def _draw_legend(figure: Figure, y: float, assessed: Assessment) -> None:
