@@ -114,9 +114,10 @@ def room_notes(scene: Scene) -> list[str]:
     # A large scan without a ceiling and with few walls counts as outdoors.
     outdoors = no_ceiling and level.plan_m2 > 300.0 and _area(scene, walls) < 0.3 * level.plan_m2
     # A sloping roof that comes down beside the floor closes it like a wall.
-    height = scene.points[:, 2] - floor
-    eaves = _is_sloping(scene, STEEP) & (height > 0.2) & (height < 1.5)
-    walls = np.concatenate([walls, scene.points[eaves]])
+    slopes = scene.points[_is_sloping(scene, STEEP)]
+    height = slopes[:, 2] - floor
+    if _area(scene, slopes[height > 1.0]) > 0.5 * level.plan_m2:
+        walls = np.concatenate([walls, slopes[(height > 0.2) & (height < 1.5)]])
     if not (no_floor or outdoors or scan_tilted) and (share := _open_share(scene, walls)) > 0.2:
         notes.append(f'found no wall along {100.0 * share:.0f} % of the edge of the floor; '
                      'expected walls all around; what is behind the open side counts as far away, '
