@@ -19,6 +19,7 @@ from itertools import pairwise
 from conftest import around_z, box_room, box_sides, made_room
 import numpy as np
 from ocp_ros.geometry.engine_config import EngineConfig
+from ocp_ros.rig.plausibility import room_notes
 from ocp_ros.rig.rig_file import rig_of
 from ocp_ros.rig.structure import ceiling_of, floor_height, walls_of
 from ocp_ros.scenes.file_formats import READERS
@@ -281,6 +282,16 @@ def test_a_scan_that_has_drifted_stays_whole_and_gets_a_note(shift, said):
     with pytest.warns(SceneWarning, match=f'{said} apart.*drifted'):
         scene = scene_of(np.concatenate([room, room[1:] + shift]))
     assert len(scene) > 0.98 * 2 * len(room)
+
+
+def test_what_is_said_of_a_scan_does_not_depend_on_its_thinning():
+    hall = rooms((0.0, 14.0, 6.0), depth=10.0)
+    racks = [side((2.0, y, z), (10.0, 0, 0), (0, 1.5, 0)) for y in (2.0, 6.0) for z in (1.5, 3.0)]
+    points = np.concatenate([hall, *racks])
+    answers = [scene_of(points, max_points=count) for count in (0, 2000)]
+    assert len(answers[1]) <= 2000 and answers[0].notes == answers[1].notes
+    assert room_notes(answers[0]) == room_notes(answers[1])
+    assert floor_height(answers[0]) == floor_height(answers[1])
 
 
 def test_a_gate_and_a_door_in_a_thick_wall_lead_to_two_rooms():
