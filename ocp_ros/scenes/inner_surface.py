@@ -450,7 +450,7 @@ def _drift_of(scene: Scene, air: EnclosedAir) -> str:
                              & is_air[tuple(air.grid.cells(points[there] + side))]))
             gaps[near[is_double]] = np.abs(gap[is_double])
         found[name] = gaps
-    shares = {name: float(np.mean(np.isfinite(gaps))) for name, gaps in found.items()}
+    shares = {name: np.isfinite(gaps).sum() / max(len(gaps), 1) for name, gaps in found.items()}
     rarer, doubled = sorted(shares, key=shares.__getitem__)
     if shares[doubled] < 0.33 or shares[rarer] > 0.15:
         return ''
