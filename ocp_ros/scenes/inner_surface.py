@@ -432,6 +432,9 @@ def _drift_of(scene: Scene, air: EnclosedAir) -> str:
         return ''
     is_level = np.abs(normals[some, 2]) > 0.9
     is_wall = np.abs(normals[some, 2]) < STEEP
+    # Both are needed to tell drift from a model.
+    if min(is_level.sum(), is_wall.sum()) < 100:
+        return ''
     is_air = air.cells | air.other_cells
     found = {}
     for name, chosen in (('floors', some[is_level]), ('walls', some[is_wall])):
@@ -450,7 +453,7 @@ def _drift_of(scene: Scene, air: EnclosedAir) -> str:
                              & is_air[tuple(air.grid.cells(points[there] + side))]))
             gaps[near[is_double]] = np.abs(gap[is_double])
         found[name] = gaps
-    shares = {name: np.isfinite(gaps).sum() / max(len(gaps), 1) for name, gaps in found.items()}
+    shares = {name: float(np.mean(np.isfinite(gaps))) for name, gaps in found.items()}
     rarer, doubled = sorted(shares, key=shares.__getitem__)
     if shares[doubled] < 0.33 or shares[rarer] > 0.15:
         return ''
