@@ -251,6 +251,7 @@ def policy(graph, fuzzer, tmp_path):
     """Return a policy of these weights."""
     fuzzer.weights.save(tmp_path / 'm.safetensors')
     return graph.add(partial(PolicyNode, namespace='turns'), planner='learned', turns=100000,
+                     follow_trainer=True,
                      model=str(tmp_path / 'm.safetensors'))
 
 
