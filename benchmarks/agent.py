@@ -274,20 +274,22 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 
 def record(named_files: Sequence[str]) -> None:
-    """Write the summaries of some comparisons beside those recorded, and the model."""
+    """Write the summaries of some comparisons beside those of the same model, and the model."""
     path = results.FOLDER / 'agent.json'
     before = json.loads(path.read_text()) if path.exists() else {}
-    found = dict(before.get('comparisons', {}))
+    checkpoint = Checkpoint.load(find_model(DEFAULT_MODEL))
+    model = {'run': checkpoint.run, 'updates': checkpoint.updates, **{
+        key: checkpoint.provenance[key] for key in ('interactions', 'seed', 'date')}}
+    found = dict(before['comparisons']) if before.get('model') == model else {}
     tasks: dict[str, dict[str, dict[str, float]]] = {}
     for item in named_files:
         name, file = item.split('=', 1)
         document = json.loads(Path(file).read_bytes())
         found[name] = {key: document[key] for key in ('command', 'commit', 'date', 'summary')}
-        tasks |= {task: {planner: values[planner] for planner in ('learned', 'lookahead')}
-                  for task, values in document['tasks'].items() if 'lookahead' in values}
-    checkpoint = Checkpoint.load(find_model(DEFAULT_MODEL))
-    model = {'run': checkpoint.run, 'updates': checkpoint.updates, **{
-        key: checkpoint.provenance[key] for key in ('interactions', 'seed', 'date')}}
+        if name != 'test':
+            # Only the rooms that chose the weights are put together.
+            tasks |= {task: {planner: values[planner] for planner in ('learned', 'lookahead')}
+                      for task, values in document['tasks'].items() if 'lookahead' in values}
     results.write('agent', {'model': model, 'pooled': ratios(tasks), 'comparisons': found},
                   results.command_of('agent', None))
 
