@@ -69,8 +69,8 @@ SENTENCES = [
     (README, 'have {} times the error of cameras that explore by random moves, the search being '
      'equal, after 30 turns of up to 0.5 m, and {} times after 5 turns',
      'agent/comparisons/four/summary/settings/{key}/random/ratio', '4_30x0.5 4_5x2'),
-    (README, 'they have {} times the error of TDSA with 100 evaluations and {} times that of binary '
-     'PSO with 1,000', 'agent/comparisons/test/summary/settings/4_30x0.5/{key}/ratio',
+    (README, 'they have {} times the error of TDSA with 100 evaluations and {} times that of '
+     'binary PSO with 1,000', 'agent/comparisons/test/summary/settings/4_30x0.5/{key}/ratio',
      'tdsa_100 bpso_1000'),
     (README, 'it takes {} ms per camera, and its F1 score against ray casting is {}',
      'engine/{key}/fine.40000', 'ms f1'),

@@ -428,7 +428,8 @@ def _drift_of(scene: Scene, air: EnclosedAir) -> str:
     offsets = points[tree.query(points[some], 9)[1]] - points[some, None]
     # The distances of the nearest points from the plane of each point.
     noise = np.median(np.abs(np.einsum('nkj,nj->nk', offsets[:, 1:], normals[some])))
-    if noise < 0.0003:
+    # Points too far apart do not show two surfaces beside each other.
+    if noise < 0.0003 or pitch > 0.08:
         return ''
     is_level = np.abs(normals[some, 2]) > 0.9
     is_wall = np.abs(normals[some, 2]) < STEEP

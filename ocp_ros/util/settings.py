@@ -135,6 +135,9 @@ def _checked_value(name: str, item: Field, value: Any) -> Any:
     expected: Any = item.type
     if expected is float and isinstance(value, int) and not isinstance(value, bool):
         value = float(value)
+    # A list of names is stored as a text.
+    if item.metadata['names'] and isinstance(value, (list, tuple)):
+        value = ','.join(map(str, value))
     found = f'{name}: found {_short_text(value)}'
     if not isinstance(value, expected) or (isinstance(value, bool) and expected is not bool):
         raise ConfigurationError(f'{found} ({type(value).__name__}); expected {expected.__name__}')

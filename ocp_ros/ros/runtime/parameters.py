@@ -90,10 +90,6 @@ def read_config(node: Node, config_type: type[T], changes: dict[str, Any] | None
     """
     settings = leaves(config_type)
     values = {name: node.get_parameter(name).value for name in settings} | (changes or {})
-    for name, value in values.items():
-        # A list of names is stored as a text.
-        if settings[name].metadata['names'] and isinstance(value, (list, tuple)):
-            values[name] = ','.join(map(str, value))
     return from_flat(config_type, values, node.get_name())
 
 
