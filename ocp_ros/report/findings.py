@@ -99,7 +99,7 @@ def rig_scores(objective: Objective, views: Sequence[View], evaluation: RigEvalu
     points = len(simulator.scene)
     return {
         'loss': evaluation.loss, 'depth_error': evaluation.depth_error,
-        'validation_error': objective.validation.evaluate_views(views).depth_error,
+        'validation_error': objective.validation.depth_error(views),
         'depth_error_of_nothing': simulator.depth_error.worst,
         'space_coverage': evaluation.space_coverage,
         # Outside of the room, as through windows, cameras cover space too.

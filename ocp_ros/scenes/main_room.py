@@ -101,8 +101,8 @@ def main_room(scene: Scene, points: np.ndarray, surfaces: np.ndarray) -> Scene:
     if is_kept.all() or is_kept.sum() < MIN_POINTS:
         return scene
     note = (f'found {len(scene) - is_kept.sum():,} points of another room behind an opening or '
-            'glass; '
-            'expected one room; that part of the scan is not planned for: --all-rooms includes it')
+            'glass; expected one room; that part of the scan is not planned for: --all-rooms '
+            'includes it')
     return replace(scene.only(is_kept), notes=(*scene.notes, note))
 
 

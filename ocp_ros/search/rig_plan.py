@@ -181,12 +181,12 @@ class RigPlanner:
             answer = replace(answer, sites=best, loss=min(losses), losses=(
                 min(losses), *answer.losses), certificate=proof and replace(
                 proof, found=min(losses), bound=min(proof.bound, *losses)))
-        union, validation = self.pool.union_views(rig), objective.validation
-        errors = ValidatedErrors(validation.evaluate(answer.poses).depth_error,
-                                 validation.evaluate_views(union).depth_error,
+        views, union = objective.look(answer.poses), self.pool.union_views(rig)
+        validation = objective.validation
+        errors = ValidatedErrors(validation.depth_error(views), validation.depth_error(union),
                                  validation.simulator.depth_error.worst)
         return RigPlan(
-            rig, answer, objective.evaluate(answer.poses), objective.evaluate_views(union), errors,
+            rig, answer, objective.evaluate_views(views), objective.evaluate_views(union), errors,
             np.array(losses), len(self.pool), self.budget.elapsed, self.planner,
             answer.certificate, answer.uncertain)
 

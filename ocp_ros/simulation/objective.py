@@ -23,7 +23,7 @@ import numpy as np
 from ocp_ros.geometry.coverage import space_coverage
 from ocp_ros.geometry.packed_bits import count_bits, no_bits, pack, seen_by, Subset, unpack
 from ocp_ros.rig.feasible_region import floor_space
-from ocp_ros.rig.free_plane import CELL_M
+from ocp_ros.rig.free_plane import CELL_M, FreePlane
 from ocp_ros.rig.rig_file import Region, Rig
 from ocp_ros.rig.structure import Air, ceiling_of, floor_height, floors_of
 from ocp_ros.simulation.covisibility import air_share, Covisibility, covisibility, SHARE_TOLERANCE
@@ -120,21 +120,25 @@ class Objective:
     @cached_property
     def _air(self) -> Air:
         """Return the air of the room."""
+        return Air(self.simulator.scene, self._space)
+
+    @cached_property
+    def _space(self) -> FreePlane:
+        """Return the positions over the floor of the room."""
         scene = self.simulator.scene
-        return Air(scene, floor_space(scene, self.rig, scene.bounds[1, 2]))
+        return floor_space(scene, self.rig, scene.bounds[1, 2])
 
     @cached_property
     def volume(self) -> float:
         """Return the volume between floor and ceiling, in cells of the coverage, cubic metres."""
         scene, cells = self.simulator.scene, self._cells
-        space = floor_space(scene, self.rig, scene.bounds[1, 2])
         ceiling, top = ceiling_of(scene), np.full(len(cells), np.inf)
         if len(ceiling.points):
             top = ceiling.height_above(cells[:, :2])
             # Without a ceiling above it, the room ends at the top of the scan.
             top[~np.isfinite(top)] = np.inf
         # The known floor ends a cell before the walls.
-        distance = np.linalg.norm(space.inside(cells[:, :2]) - cells[:, :2], axis=1)
+        distance = np.linalg.norm(self._space.inside(cells[:, :2]) - cells[:, :2], axis=1)
         inside = (distance <= CELL_M) & (cells[:, 2] < top)
         inside &= cells[:, 2] > floors_of(scene).under(cells)
         return float(np.count_nonzero(inside) * self.simulator.cell_volume)
@@ -216,6 +220,10 @@ class Objective:
         """Return the loss of :meth:`evaluate_views`, without the rest of the evaluation."""
         all_views = self._with_fixed(views)
         return self._loss_of(self._seen(all_views), all_views)[0] + self._link_cost(views)
+
+    def depth_error(self, views: Sequence[View]) -> float:
+        """Return the depth error of :meth:`evaluate_views`, metres, without the rest."""
+        return self.simulator.depth_error(self._seen(self._with_fixed(views)))
 
     def promise(self, views: Sequence[View]) -> float:
         """

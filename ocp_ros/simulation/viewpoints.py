@@ -23,6 +23,7 @@ A search fits its placement to its viewpoints, so the error there is lower than 
 viewpoints, for validation, tell what the placement is worth.
 """
 
+from functools import cached_property, lru_cache
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -64,7 +65,7 @@ def air_viewpoints(scene: Scene) -> np.ndarray:
     If there is too little air at half height, all heights are used. If the whole room has fewer
     than 16 cells of air, the paper's five viewpoints are returned.
     """
-    air = AirCells(scene)
+    air = air_cells_of(scene)
     cells = air.at_half_height
     if len(cells) < VIEWPOINTS:
         cells = air.all
@@ -80,7 +81,7 @@ def validation_viewpoints(scene: Scene) -> np.ndarray:
     They are at any height. If the room has fewer than 64 cells of air, all of them are returned,
     or the paper's five viewpoints if there is none.
     """
-    air = AirCells(scene)
+    air = air_cells_of(scene)
     if len(air.all) == 0:
         return paper_viewpoints(scene)
     if len(air.all) < VALIDATION_VIEWPOINTS:
@@ -97,7 +98,6 @@ class AirCells:
     Equal parts of them do not depend on random numbers or on the axes of the scan.
 
     :ivar at_half_height: (M, 3) metres, the cells of one layer.
-    :ivar all: (A, 3) metres, the cells of all heights.
     :ivar map_from_walls: (3, 3), for ``positions @ map_from_walls``.
     """
 
@@ -107,7 +107,7 @@ class AirCells:
         height = float(scene.bounds[:, 2].mean())
         air = Air(aligned, FreePlane.of(aligned.points, height, cameras=1, margin=0.0,
                                         clearance=0.0), centred=True)
-        self.at_half_height, self.all = air.cells(height), air.cells()
+        self.at_half_height, self._air = air.cells(height), air
         self.map_from_walls = rotation_matrix(angle).T
         # Each axis points to the end of the room with more points, so that a mirrored room gets
         # mirrored viewpoints.
@@ -115,9 +115,20 @@ class AirCells:
         self._signs = np.where(aligned.points.mean(axis=0) < self._centre, -1.0, 1.0)
         self._long_axis = int(aligned.size[1] > aligned.size[0])
 
+    @cached_property
+    def all(self) -> np.ndarray:
+        """Return the cells of all heights: (A, 3) metres."""
+        return self._air.cells()
+
     def parts(self, cells: np.ndarray, count: int) -> list[np.ndarray]:
         """Divide cells (M, 3) into equal parts; see :func:`_equal_parts`."""
         return _equal_parts((cells - self._centre) * self._signs, self._long_axis, count)
+
+
+@lru_cache(maxsize=1)
+def air_cells_of(scene: Scene) -> AirCells:
+    """Return the cells of a room's air; remember those of the last room."""
+    return AirCells(scene)
 
 
 def observed_viewpoints(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
